@@ -189,8 +189,9 @@ const SESSION_JSON: &[u8] =
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(cases()) })]
 
+    /// Damage in files that users write causes an error and no panic.
     #[test]
-    fn files_that_people_write(kind in 0..6_usize, changes in prop::collection::vec(change(), 1..6)) {
+    fn damaged_user_files_cause_no_panic(kind in 0..6_usize, changes in prop::collection::vec(change(), 1..6)) {
         let changed = |sound: &[u8]| damaged(sound, &changes);
         match kind {
             0 => read(&changed(include_bytes!("../../examples/grid.toml")), "grid.toml", read_grid)?,
@@ -206,7 +207,7 @@ proptest! {
 
     /// Nor do errors tell a token or a key.
     #[test]
-    fn access_files_with(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
+    fn damaged_access_files_cause_no_panic(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
         let sound = &access_files()[which];
         let bytes = damaged(sound.as_bytes(), &changes);
         let reader = |path: &Path| -> anyhow::Result<()> {
@@ -227,7 +228,7 @@ proptest! {
 
     /// Messages of requests, down to the values of the model.
     #[test]
-    fn messages_of(kind in 0..5_usize, changes in prop::collection::vec(change(), 1..5)) {
+    fn damaged_messages_cause_no_panic(kind in 0..5_usize, changes in prop::collection::vec(change(), 1..5)) {
         let shown = match kind {
             0 => asked::<wire::Grid, Grid>(&wire::Grid::from(&small_grid()), &changes),
             1 => asked::<wire::Measurement, Measurement>(&(&measurement()).into(), &changes),
@@ -245,7 +246,7 @@ proptest! {
 
     /// Results of workers, whose bytes are kept as they come.
     #[test]
-    fn packed_records_that_are_taken_hold_numbers_alone(
+    fn accepted_records_contain_only_numbers(
         changes in prop::collection::vec(change(), 1..5),
         refill in any::<bool>(),
     ) {

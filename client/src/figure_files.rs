@@ -108,8 +108,9 @@ mod tests {
         Picture::new(svg.to_owned(), 120.0, 40.0)
     }
 
+    /// The extension decides the format in upper and lower case, and others are refused.
     #[test]
-    fn the_extension_decides_in_any_case_and_others_are_refused() {
+    fn file_extension_decides_the_format() {
         let dir = tempfile::tempdir().unwrap();
         let (svg, png) = (dir.path().join("a.SVG"), dir.path().join("a.Png"));
         write(&picture(), &svg).unwrap();
@@ -125,8 +126,9 @@ mod tests {
         }
     }
 
+    /// A path whose folder does not exist is refused early.
     #[test]
-    fn a_path_without_its_directory_is_refused_early() {
+    fn missing_folder_is_refused_early() {
         let dir = tempfile::tempdir().unwrap();
         let error = check_path(&dir.path().join("not-there/a.svg")).unwrap_err();
         assert!(error.to_string().contains("no such directory"));

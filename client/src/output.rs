@@ -354,15 +354,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_unit_stays_with_its_number() {
+    fn unit_stays_with_its_number() {
         let text = format!("{} 0.512 mm is, 3 % and 0.4 ± 0.1 σ", "word ".repeat(15).trim_end());
         let wrapped = wrapped(&text);
         assert!(wrapped.contains("\n  0.512 mm is, 3 % and 0.4 ± 0.1 σ"), "{wrapped}");
         assert_eq!(super::wrapped("a b"), "a b");
     }
 
+    /// Numbers have separators, and durations have two units.
     #[test]
-    fn numbers_and_times_read_well() {
+    fn numbers_and_times_are_grouped() {
         assert_eq!(
             [0, 999, 1000, 34_276, 1_000_000].map(grouped),
             ["0", "999", "1,000", "34,276", "1,000,000"]
@@ -371,8 +372,9 @@ mod tests {
         assert_eq!(message, ["250 ms", "59 s", "1 min 15 s", "2 h 1 min"]);
     }
 
+    /// Characters that are not visible are escaped in JSON.
     #[test]
-    fn json_has_escapes_for_what_is_not_seen() {
+    fn json_escapes_invisible_characters() {
         let line = envelope("x", &"a\u{202e}b\u{9b}c\u{1b}\n").unwrap();
         assert!(line.contains(r"a\u202eb\u009bc\u001b\n"), "{line}");
         let back: serde_json::Value = serde_json::from_str(&line).unwrap();

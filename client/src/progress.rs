@@ -143,14 +143,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_terminal_without_a_cursor_gets_lines() {
+    fn terminal_without_a_cursor_gets_lines() {
         assert!(moves_cursor(Some(OsStr::new("xterm"))));
         assert!(!moves_cursor(Some(OsStr::new("dumb"))) && !moves_cursor(Some(OsStr::new(""))));
         assert!(!moves_cursor(None));
     }
 
+    /// The progress is the share of the work, and a dictionary that waits names its reason.
     #[test]
-    fn the_share_is_that_of_the_work_and_what_it_waits_for_is_told() {
+    fn progress_shows_work_and_reason_to_wait() {
         let mut status = DictionaryStatus {
             name: DictionaryName::new("fine").unwrap(),
             grid: Grid::paper(),

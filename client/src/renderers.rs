@@ -229,16 +229,18 @@ mod tests {
         blocks(media).into_iter().map(|b| b.name).collect()
     }
 
+    /// Media whose g is not determined have a note.
     #[test]
-    fn media_whose_g_is_open_say_so() {
+    fn open_g_is_noted() {
         let mut white = medium("white", vec![channel("R", 6.0, 0.9991)]);
         white.channels[0].refined.as_mut().unwrap().resolved = false;
         let notes = &blocks(&[white])[0].notes;
         assert_eq!(notes[1], "g open: sigma_t and albedo of \"R\" hold together with this g only.");
     }
 
+    /// The channels R, G and B are sorted to one medium; it needs all three and no other.
     #[test]
-    fn colours_are_sorted_and_need_all_three_and_no_other() {
+    fn rgb_needs_exactly_three_channels() {
         let one = |c: &str| channel(c, 1.0, 0.5);
         let kind = |channels: &[&str]| {
             let media = [medium("m", channels.iter().map(|c| one(c)).collect())];
@@ -253,8 +255,9 @@ mod tests {
         assert_eq!(values.map(|m| m.albedo()), [0.9991, 0.99, 0.98]);
     }
 
+    /// Spectra increase in wavelength and reach the ends that renderers sample.
     #[test]
-    fn spectra_increase_and_reach_the_ends_that_renderers_sample() {
+    fn spectra_increase_to_the_renderer_ends() {
         let samples = |wavelengths: &[&str]| {
             let channels: Vec<_> =
                 wavelengths.iter().zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
@@ -279,8 +282,9 @@ mod tests {
         }
     }
 
+    /// Channels that differ in g become media of their own.
     #[test]
-    fn channels_that_differ_in_g_become_media_of_their_own() {
+    fn channels_with_other_g_are_separate_media() {
         let mut media = three_kinds();
         media[0].channels[1] = with_g(media[0].channels[1].clone(), 0.9991, -0.2);
         let blocks = blocks(&media[..1]);
@@ -313,8 +317,9 @@ mod tests {
         );
     }
 
+    /// Names are unique, even if one looks like a numbered one.
     #[test]
-    fn names_are_unique_even_if_one_looks_like_a_numbered_one() {
+    fn generated_names_are_unique() {
         let rgb = || vec![channel("R", 1.0, 0.5), channel("G", 1.0, 0.5), channel("B", 1.0, 0.5)];
         let media = ["a", "a_2", "a!", "a", "a 2"].map(|name| medium(name, rgb()));
         assert_eq!(names(&media), ["a", "a_2", "a_3", "a_4", "a_2_2"]);

@@ -63,8 +63,9 @@ mod tests {
     use super::*;
     use crate::output::warning;
 
+    /// A text that an error quotes cannot control the terminal, and has a limited length.
     #[test]
-    fn what_an_error_quotes_steers_no_terminal_and_has_an_end() {
+    fn quoted_text_is_harmless_and_short() {
         let message = |quoted: &str| harmless(&format!("line 3: {quoted}"));
         assert_eq!(message("2 µm\n  |\t^"), "line 3: 2 µm\n  |\t^");
         assert_eq!(message("\u{1b}[2Jgone\u{7}\u{202e}"), "line 3: \\u{1b}[2Jgone\\u{7}\\u{202e}");
@@ -74,8 +75,9 @@ mod tests {
         }
     }
 
+    /// A table keeps the styles of this program and no others.
     #[test]
-    fn a_table_keeps_our_styles_and_no_others() {
+    fn table_keeps_only_our_styles() {
         let text = format!("{} \u{1b}[1mname\u{1b}[0m\na\u{1b}[2Jb\u{202e}", warning("ä"));
         assert_eq!(shown(&text), "\u{1b}[33mä\u{1b}[0m \u{1b}[1mname\u{1b}[0m\na\\u{1b}[2Jb\\u{202e}");
     }

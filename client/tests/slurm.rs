@@ -50,8 +50,9 @@ fn text(bytes: &[u8]) -> String {
 
 const FARM: [&str; 6] = ["--server", "https://farm:7700", "--workers", "4", "--time", "1-12"];
 
+/// A dry run prints the script and submits nothing.
 #[test]
-fn a_dry_run_prints_the_script_and_submits_nothing() -> Result {
+fn dry_run_prints_the_script_only() -> Result {
     let cluster = Cluster::new("echo 17")?;
     let dry = cluster.farmctl(&[&FARM[..], &["--dry-run"]].concat())?;
     assert!(dry.status.success(), "{}", text(&dry.stderr));
@@ -64,8 +65,9 @@ fn a_dry_run_prints_the_script_and_submits_nothing() -> Result {
     Ok(())
 }
 
+/// The job number is printed as text, alone, or as JSON.
 #[test]
-fn the_job_number_is_told_as_text_alone_and_as_json() -> Result {
+fn job_number_is_text_or_json() -> Result {
     let cluster = Cluster::new("echo '17;green'")?;
     let message = cluster.farmctl(&FARM)?;
     assert!(
@@ -83,7 +85,7 @@ fn the_job_number_is_told_as_text_alone_and_as_json() -> Result {
 }
 
 #[test]
-fn the_environment_does_not_override_the_script() -> Result {
+fn environment_does_not_override_the_script() -> Result {
     let cluster = Cluster::new("echo 17")?;
     cluster.farmctl(&FARM)?;
     let environment = cluster.read("env")?;
@@ -93,7 +95,7 @@ fn the_environment_does_not_override_the_script() -> Result {
 }
 
 #[test]
-fn a_refusal_of_sbatch_is_shown() -> Result {
+fn refusal_of_sbatch_is_shown() -> Result {
     let cluster = Cluster::new("echo 'sbatch: error: invalid partition specified: x' >&2; exit 1")?;
     let refused = cluster.farmctl(&FARM)?;
     assert_eq!(refused.status.code(), Some(1));
@@ -102,8 +104,9 @@ fn a_refusal_of_sbatch_is_shown() -> Result {
     Ok(())
 }
 
+/// An `sbatch` that reads no input is reported with its own message.
 #[test]
-fn an_sbatch_that_reads_nothing_is_told_by_its_status() -> Result {
+fn failed_sbatch_reports_its_message() -> Result {
     let cluster = Cluster::new("")?;
     write(&cluster.path("sbatch"), "#!/bin/bash\nexec <&-\necho 'no controller' >&2\nexit 1\n", 0o755)?;
     let refused = cluster.farmctl(&FARM)?;
@@ -111,8 +114,9 @@ fn an_sbatch_that_reads_nothing_is_told_by_its_status() -> Result {
     Ok(())
 }
 
+/// A missing `sbatch` and an answer that is no job number are reported.
 #[test]
-fn a_missing_sbatch_and_a_strange_answer_are_told() -> Result {
+fn missing_sbatch_is_reported() -> Result {
     let cluster = Cluster::new("echo submitted")?;
     let strange = cluster.farmctl(&FARM)?;
     assert!(
@@ -126,8 +130,9 @@ fn a_missing_sbatch_and_a_strange_answer_are_told() -> Result {
     Ok(())
 }
 
+/// The access file of workers is searched next to that of the client.
 #[test]
-fn the_workers_file_is_looked_for_beside_the_clients() -> Result {
+fn worker_file_is_searched_beside_the_client() -> Result {
     let cluster = Cluster::new("echo 17")?;
     let args = ["--access", "client.toml", "--workers", "1", "--time", "60", "--dry-run"];
     let missing = cluster.farmctl(&args)?;
@@ -142,8 +147,9 @@ fn the_workers_file_is_looked_for_beside_the_clients() -> Result {
     Ok(())
 }
 
+/// Without a coordinator, or without time to work, nothing is submitted.
 #[test]
-fn without_a_coordinator_or_time_to_work_nothing_is_submitted() -> Result {
+fn submission_needs_coordinator_and_time() -> Result {
     let cluster = Cluster::new("echo 17")?;
     let nowhere = cluster.farmctl(&["--workers", "1", "--time", "60"])?;
     assert!(text(&nowhere.stderr).contains("--server URL or --worker-access FILE"));

@@ -49,8 +49,9 @@ impl fmt::Display for Actor {
 mod tests {
     use super::*;
 
+    /// A client may change its own dictionaries only, an administrator may change all.
     #[test]
-    fn ones_own_may_be_changed_and_by_admins_everything() {
+    fn clients_change_only_their_own_dictionaries() {
         let of = |role| Actor { token: Some((role, "alice".to_owned())), address: "10.0.0.7".to_owned() };
         assert!(of(Role::Client).may_change("alice"));
         assert!(!of(Role::Client).may_change("bob") && !of(Role::Client).may_change(""));

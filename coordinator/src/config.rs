@@ -66,8 +66,9 @@ impl Config {
 mod tests {
     use super::*;
 
+    /// Fits take at most half of the available memory, and at most 4 GiB.
     #[test]
-    fn fits_take_half_of_the_memory_that_there_is() {
+    fn fits_take_half_of_available_memory() {
         assert_eq!(Config::fit_memory_bytes(None), 4 << 30);
         assert_eq!(Config::fit_memory_bytes(Some(64 << 30)), 4 << 30);
         assert_eq!(Config::fit_memory_bytes(Some(1 << 30)), 512 << 20);

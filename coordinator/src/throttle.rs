@@ -37,8 +37,9 @@ impl Throttle {
 mod tests {
     use super::*;
 
+    /// The first message is logged at once; repetitions within the interval are counted and reported together.
     #[test]
-    fn the_first_is_told_at_once_and_the_others_are_told_together() {
+    fn repeated_messages_are_counted_together() {
         let muffle = Throttle::new(Duration::from_secs(10));
         let at = |seconds| muffle.count(Duration::from_secs(seconds));
         assert_eq!(

@@ -152,8 +152,9 @@ mod tests {
         task
     }
 
+    /// Callers take turns, regardless of how many fits of one of them wait.
     #[tokio::test]
-    async fn callers_take_turns_however_many_fits_of_one_wait() {
+    async fn callers_take_turns_whatever_their_load() {
         let turns = Arc::new(Turns::new(1));
         let core = turns.core("mallory").await.unwrap();
         let mut of_mallory = Vec::new();
@@ -166,8 +167,9 @@ mod tests {
         assert_eq!(of_alice.await.unwrap().unwrap().caller, "alice", "hers is the second turn, not the last");
     }
 
+    /// The fits of one token leave a core free for the fits of others.
     #[tokio::test]
-    async fn one_token_leaves_a_core_for_the_fits_of_others() {
+    async fn one_token_leaves_a_core_for_others() {
         let turns = Arc::new(Turns::new(2));
         let of_alice = turns.core("alice").await.unwrap();
         let second = waits(&turns, "alice").await;
@@ -182,8 +184,9 @@ mod tests {
         assert!(state.busy == 0 && state.callers.is_empty() && state.next.is_empty(), "{state:?}");
     }
 
+    /// A token may have a limited number of waiting fits; places are returned when a fit ends.
     #[tokio::test]
-    async fn places_to_wait_in_are_shared_and_given_back() {
+    async fn waiting_places_are_shared_and_returned() {
         let turns = Arc::new(Turns::new(1));
         let core = turns.core("alice").await.unwrap();
         let mut waiting = Vec::new();

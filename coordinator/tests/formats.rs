@@ -75,8 +75,9 @@ fn measurement(dictionary: &optics_fit::FitDictionary) -> Measurement {
     Measurement::new("fourth", vec![MeasuredProfile::new("G", 1.0, x, values, None).unwrap()]).unwrap()
 }
 
+/// A finished dictionary of every schema is read and can be fitted to.
 #[tokio::test]
-async fn a_finished_dictionary_of_every_schema_is_read_and_fitted_to() {
+async fn every_schema_can_be_read_and_fitted() {
     for schema in 1..=newest_schema() {
         let dir = data_of(schema).await;
         // The second time it has the newest schema.
@@ -117,7 +118,7 @@ async fn derivatives_of_every_schema_are_read() {
 
 /// From the sixth schema on there are records whose standard errors are bytes, beside the older ones.
 #[tokio::test]
-async fn errors_in_bytes_are_read_beside_floats() {
+async fn byte_errors_are_read_next_to_floats() {
     for schema in 6..=newest_schema() {
         let dir = data_of(schema).await;
         let store = open(&dir).await;
@@ -140,7 +141,7 @@ async fn errors_in_bytes_are_read_beside_floats() {
 
 /// From the second schema on: what is known of who computed a job, and what people want of a dictionary.
 #[tokio::test]
-async fn shared_points_and_what_is_wanted_are_read() {
+async fn shared_points_and_desires_are_read() {
     for schema in 2..=newest_schema() {
         let dir = data_of(schema).await;
         let store = open(&dir).await;

@@ -226,8 +226,9 @@ mod tests {
         wire::FitRequest { measurement: Some(measurement), ..Default::default() }
     }
 
+    /// A message that would grow a hundredfold when decoded is refused.
     #[test]
-    fn what_would_grow_a_hundredfold_is_refused_by_its_bytes() {
+    fn expanding_message_is_refused_early() {
         let bytes = empty_profiles(1 << 20).encode_to_vec();
         let refused = check::<wire::FitRequest>(&bytes).unwrap_err();
         assert_eq!(refused.code(), tonic::Code::ResourceExhausted);
@@ -235,8 +236,9 @@ mod tests {
         check::<wire::FitRequest>(&empty_profiles(1024).encode_to_vec()).unwrap();
     }
 
+    /// Numbers in packed lists do not count as parts of a message.
     #[test]
-    fn numbers_are_not_parts() {
+    fn plain_numbers_are_not_counted() {
         let x_mm = vec![0.5; 1 << 20];
         let profile = wire::MeasuredProfile { values: x_mm.clone(), x_mm, ..Default::default() };
         let measurement = wire::Measurement { material: "white".to_owned(), profiles: vec![profile] };
@@ -244,14 +246,16 @@ mod tests {
         check::<wire::FitRequest>(&request.encode_to_vec()).unwrap();
     }
 
+    /// Texts count as parts of a message.
     #[test]
-    fn texts_count_too() {
+    fn texts_count_as_parts() {
         let request = wire::ProfileRequest { channels: vec![String::new(); 1 << 20], ..Default::default() };
         assert!(check::<wire::ProfileRequest>(&request.encode_to_vec()).is_err());
     }
 
+    /// A text that is not allowed is refused with its place in the message.
     #[test]
-    fn a_text_that_may_not_be_is_refused_with_its_place() {
+    fn invalid_text_is_refused_with_its_place() {
         let layer = |name: &str| wire::Layer { name: name.to_owned(), ..Default::default() };
         let submit = |names: [&str; 3]| {
             let scene = wire::Scene { layers: names.map(layer).into(), ..Default::default() };
@@ -280,14 +284,16 @@ mod tests {
         assert!(refused.message().starts_with("channels[1] = "), "{refused}");
     }
 
+    /// A message that is cut off is refused.
     #[test]
-    fn what_is_cut_off_is_refused() {
+    fn truncated_message_is_refused() {
         let bytes = empty_profiles(3).encode_to_vec();
         assert!(check::<wire::FitRequest>(&bytes[..bytes.len() - 1]).is_err());
     }
 
+    /// The assumed size of a part is at least that of every message type.
     #[test]
-    fn no_part_takes_more_than_is_reckoned() {
+    fn part_size_is_an_upper_bound() {
         let sizes = [
             size_of::<wire::MeasuredProfile>(),
             size_of::<wire::Measurement>(),

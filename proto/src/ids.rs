@@ -89,8 +89,9 @@ impl RequestLimits {
 mod tests {
     use super::*;
 
+    /// Names that would do harm in a shell or a path are refused.
     #[test]
-    fn names_that_would_hurt_in_a_shell_or_a_path_are_refused() {
+    fn unsafe_dictionary_names_are_refused() {
         for good in ["paper", "a", "2026-11.fine_grid"] {
             assert!(DictionaryName::new(good).is_ok(), "{good}");
         }

@@ -59,8 +59,9 @@ fn grid(version: u32) -> Grid {
     )
 }
 
+/// A grid is read equally from the messages of every version.
 #[test]
-fn a_grid_is_the_same_in_every_version() {
+fn grid_is_equal_in_every_version() {
     for version in VERSIONS {
         assert_eq!(grid(version), grid(NEWEST), "version {version}");
         let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
@@ -73,7 +74,7 @@ fn a_grid_is_the_same_in_every_version() {
 }
 
 #[test]
-fn the_status_of_a_dictionary_is_understood() {
+fn status_of_a_dictionary_is_understood() {
     for version in VERSIONS {
         let status = message(
             version,
@@ -104,7 +105,7 @@ fn digest_of_floats(record: &Record) -> Digest {
 }
 
 #[test]
-fn an_exported_record_with_derivatives_is_understood() {
+fn exported_record_with_derivatives_is_understood() {
     for version in VERSIONS {
         let record = message(
             version,
@@ -121,7 +122,7 @@ fn an_exported_record_with_derivatives_is_understood() {
 }
 
 #[test]
-fn a_question_for_a_fit_is_understood() {
+fn question_for_a_fit_is_understood() {
     for version in VERSIONS {
         let (measurement, options) = message(
             version,
@@ -145,7 +146,7 @@ fn a_question_for_a_fit_is_understood() {
 }
 
 #[test]
-fn the_answer_of_a_fit_is_understood() {
+fn answer_of_a_fit_is_understood() {
     for version in VERSIONS {
         let fit = message(
             version,
@@ -167,7 +168,7 @@ fn the_answer_of_a_fit_is_understood() {
 
 /// Release 0.2 called a medium resolved if it was so at its g, and had no field for that: it has the same meaning here.
 #[test]
-fn an_answer_of_release_0_2_is_resolved_at_its_g() {
+fn release_0_2_answer_is_resolved() {
     let [fit]: [wire::FitResponse; 1] = messages(6, "fit_response_0.2").try_into().unwrap();
     let [measured]: [wire::MeasureResponse; 1] = messages(6, "measure_response_0.2").try_into().unwrap();
     let media: Vec<MaterialFit> =
@@ -182,7 +183,7 @@ fn an_answer_of_release_0_2_is_resolved_at_its_g() {
 type Measured = (Option<ScaleCurve>, (f64, f64, Option<f64>), Vec<MaterialFit>, Option<Common>);
 
 #[test]
-fn the_answer_of_a_measurement_is_understood() {
+fn answer_of_a_measurement_is_understood() {
     for version in VERSIONS {
         let (scale, (mu, _, g), materials, common): Measured = message(
             version,
@@ -212,7 +213,7 @@ fn the_answer_of_a_measurement_is_understood() {
 
 /// Workers have the coordinator's version: older ones send no version of the protocol, and are refused.
 #[test]
-fn a_worker_of_an_older_protocol_can_be_told_from_one_of_this() {
+fn older_worker_protocol_is_recognised() {
     let register = |version| messages::<wire::RegisterRequest>(version, "register_request").remove(0);
     for version in 1..3 {
         let request = register(version);
@@ -230,7 +231,7 @@ fn a_worker_of_an_older_protocol_can_be_told_from_one_of_this() {
 }
 
 #[test]
-fn a_lease_is_understood() {
+fn lease_is_understood() {
     // Of the physics version of the program that wrote the message.
     let identity = messages::<wire::AcquireResponse>(NEWEST, "acquire_response")[0].leases[0]
         .job
@@ -258,7 +259,7 @@ fn a_lease_is_understood() {
 }
 
 #[test]
-fn the_stream_of_results_is_understood() {
+fn stream_of_results_is_understood() {
     let requests = messages::<wire::CompleteRequest>(NEWEST, "complete_requests");
     let again: Vec<Vec<u8>> = requests.iter().map(Message::encode_to_vec).collect();
     assert_eq!(again, encoded(NEWEST, "complete_requests"));

@@ -52,8 +52,9 @@ pub fn zombies_of(parent: u32) -> Vec<u32> {
 mod tests {
     use super::*;
 
+    /// This process has memory and open files, and its CPU time grows.
     #[test]
-    fn this_process_has_memory_and_files_and_spends_time() {
+    fn this_process_has_plausible_usage() {
         let before = Usage::of(std::process::id()).unwrap();
         let busy: u64 = (0..200_000_000_u64).fold(0, |a, b| std::hint::black_box(a ^ b));
         let after = Usage::of(std::process::id()).unwrap();
@@ -65,8 +66,9 @@ mod tests {
         assert_eq!(Usage::of(u32::MAX), None);
     }
 
+    /// A child that was not waited for is a zombie.
     #[test]
-    fn a_child_that_was_not_waited_for_is_a_zombie() {
+    fn unwaited_child_is_a_zombie() {
         let mut child = std::process::Command::new("true").spawn().unwrap();
         let is_one = || zombies_of(std::process::id()).contains(&child.id());
         while !is_one() {

@@ -77,8 +77,9 @@ fn crates_depend_in_one_direction() {
     }
 }
 
+/// The science crates use no runtime, network, clock, database or file.
 #[test]
-fn the_science_knows_no_runtime_network_clock_database_or_file() {
+fn science_has_no_runtime_or_io() {
     let used = [
         "blake3",
         "bytes",
@@ -102,7 +103,7 @@ fn the_science_knows_no_runtime_network_clock_database_or_file() {
 
 /// Files are for `lab`; figures are drawn in memory.
 #[test]
-fn lab_and_figures_know_no_runtime_network_or_database() {
+fn lab_and_figures_have_no_runtime() {
     let farm = ["tokio", "tonic", "prost", "hyper", "axum", "sqlx", "clap"];
     for krate in ["client/lab", "client/figures"] {
         for dependency in dependencies(krate) {
@@ -117,15 +118,16 @@ fn lab_and_figures_know_no_runtime_network_or_database() {
     assert_absent("client/figures/src", &["std::fs", "std::path"]);
 }
 
+/// The tracer uses no fused multiply-add, so that its bits are the same on every machine.
 #[test]
-fn the_tracers_bits_are_the_same_on_every_machine() {
+fn tracer_has_no_fused_multiply_add() {
     assert_absent("optics/tracer/src", &["mul_add"]);
     assert_absent("optics/model/src", &["mul_add"]);
 }
 
 /// Grids are stored as their messages, so one module of the store uses these too.
 #[test]
-fn wire_types_stay_at_the_edges_of_the_coordinator() {
+fn wire_types_stay_at_coordinator_edges() {
     for (path, text) in files_below(&root().join("coordinator/src"), "rs") {
         let at_the_edge = ["src/rpc/", "src/store/dictionaries.rs", "src/store/tests.rs"]
             .iter()
@@ -134,8 +136,9 @@ fn wire_types_stay_at_the_edges_of_the_coordinator() {
     }
 }
 
+/// The dispatch module uses no runtime, clock, database or network.
 #[test]
-fn dispatch_is_synchronous_and_blind() {
+fn dispatch_is_synchronous_and_pure() {
     assert_absent(
         "coordinator/src/dispatch",
         &[
@@ -152,8 +155,9 @@ fn dispatch_is_synchronous_and_blind() {
     );
 }
 
+/// The store depends on no module above it.
 #[test]
-fn the_store_knows_nothing_above_it() {
+fn store_depends_on_nothing_above_it() {
     assert_absent(
         "coordinator/src/store",
         &["crate::rpc", "crate::dispatch", "crate::farm", "crate::fit", "tonic::"],
@@ -187,7 +191,7 @@ fn services_do_not_loop() {
 
 /// Files that depend on each other cannot be understood one after the other.
 #[test]
-fn no_modules_of_a_folder_name_each_other_in_a_circle() {
+fn modules_of_a_folder_have_no_circle() {
     let mut circles = Vec::new();
     for (krate, _) in ARROWS {
         let source = root().join(krate).join("src");
@@ -200,7 +204,7 @@ fn no_modules_of_a_folder_name_each_other_in_a_circle() {
 
 /// The search finds circles through submodules.
 #[test]
-fn a_circle_through_files_below_two_modules_is_found() {
+fn circle_below_two_modules_is_found() {
     let file = |name: &str, text: &str| (PathBuf::from(name), text.to_owned());
     let files = |deep: &str| {
         let tests = "#[cfg(test)]\nmod tests;\n";

@@ -54,8 +54,9 @@ fn start(farm: &Farm, command: &mut Command) -> Process {
     Process::spawn_into("farmctl", command, &farm.path("autoscale.err"), output)
 }
 
+/// The autoscaler submits workers while there is work, and they end without it.
 #[test]
-fn workers_come_with_the_work_and_go_without() {
+fn workers_come_and_go_with_the_work() {
     let farm = Farm::start(&["--verify-share", "0"]);
     let cluster = Cluster::new(farm.path("slurm"), 2);
     let options = ["--max-workers", "4", "--idle-exit", "2s", "--until-done"];
@@ -76,7 +77,7 @@ fn workers_come_with_the_work_and_go_without() {
 
 /// At the start, missing answers are an error; later there is one event until Slurm answers again.
 #[test]
-fn nothing_is_submitted_while_slurm_does_not_answer() {
+fn nothing_is_submitted_while_slurm_is_away() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 1);
     cluster.set("away", true);
@@ -106,7 +107,7 @@ fn nothing_is_submitted_while_slurm_does_not_answer() {
 
 /// The event names the worker and its log.
 #[test]
-fn missing_workers_are_reported_and_not_resubmitted_at_once() {
+fn missing_workers_are_reported_first() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 4);
     farm.submit("grid", GRID);
@@ -124,7 +125,7 @@ fn missing_workers_are_reported_and_not_resubmitted_at_once() {
 
 /// Later they are reported once, and the autoscaler pauses.
 #[test]
-fn sbatch_refusals_end_the_command_only_at_the_start() {
+fn sbatch_refusal_ends_the_command_at_start() {
     let farm = Farm::start(&[]);
     let cluster = Cluster::new(farm.path("slurm"), 1);
     farm.submit("grid", GRID);
@@ -144,8 +145,9 @@ fn sbatch_refusals_end_the_command_only_at_the_start() {
     assert_eq!(autoscaler.terminate(SOON), 0, "{}", autoscaler.log());
 }
 
+/// The autoscaler needs the address of a coordinator that runs.
 #[test]
-fn a_coordinator_that_runs_is_needed() {
+fn autoscaler_needs_a_running_coordinator() {
     let folder = tempfile::tempdir().unwrap();
     let args = ["slurm", "autoscale", "--time", "5", "--max-workers", "2"];
     for args in [&args[..], &[&args[..], &["--local", "--server", "http://127.0.0.1:7700"]].concat()] {

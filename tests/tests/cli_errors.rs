@@ -9,7 +9,7 @@ use farm_tests::cli::{GRID, HEAD, fails, farm, folder, rows, write};
 use farm_tests::process::{Ran, farmctl, program, run};
 
 #[test]
-fn a_scene_file_describes_any_stack() {
+fn scene_file_describes_any_stack() {
     let dir = folder();
     let scene = |roughness: &str| {
         format!(
@@ -29,8 +29,9 @@ fn a_scene_file_describes_any_stack() {
     fails(dir.path(), &args("none.toml"), &["\"none.toml\" is neither \"paper\" nor \"smooth\" nor a file"]);
 }
 
+/// Parameters out of range are refused with the field, the value and the range.
 #[test]
-fn bad_parameters_are_refused_with_field_value_and_range() {
+fn bad_parameters_are_refused_with_their_range() {
     let dir = folder();
     let with = |change: &[&'static str]| {
         let mut args = vec![
@@ -69,8 +70,9 @@ fn bad_parameters_are_refused_with_field_value_and_range() {
     assert_eq!(alone.code, 2, "{}", alone.stderr);
 }
 
+/// Bad grids are refused and leave nothing behind.
 #[test]
-fn bad_grids_are_refused_and_leave_nothing_behind() {
+fn bad_grids_leave_nothing_behind() {
     let dir = folder();
     for (grid, message) in [
         ("sigma_t_per_mm = [1, nan]", "sigma_t_per_mm[1] = NaN is not valid"),
@@ -154,8 +156,9 @@ fn bad_measurements_are_refused() {
     assert_eq!(run(dir, &["fit", "m.csv", "--g", "1..x"]).code, 2);
 }
 
+/// Values of the set-up that are out of range or contradict each other are refused with their field.
 #[test]
-fn contradictions_about_the_set_up_are_refused_with_their_field() {
+fn invalid_set_up_values_are_refused() {
     let dir = folder();
     let dir = dir.path();
     write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
@@ -203,8 +206,9 @@ fn contradictions_about_the_set_up_are_refused_with_their_field() {
     }
 }
 
+/// Questions without a farm name the command to start with, and do not create a farm.
 #[test]
-fn questions_without_a_farm_say_what_to_do_and_make_none() {
+fn questions_without_a_farm_suggest_submit() {
     let dir = folder();
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
     for verb in [&["status"][..], &["list"], &["show", "paper"], &["export", "paper"], &["fit", "m.csv"]] {
@@ -223,8 +227,9 @@ fn questions_without_a_farm_say_what_to_do_and_make_none() {
     assert!(!dir.path().join("farm-data").exists());
 }
 
+/// Values of files are refused with their line and their key.
 #[test]
-fn values_of_files_are_refused_with_their_line_and_their_key() {
+fn file_values_are_refused_with_line() {
     let dir = folder();
     write(dir.path(), "scene.toml", "[light]\nring_deg = [50, 40]\n[[layer]]\nname = 's'\nsample = true\n");
     write(dir.path(), "named.toml", "scene = 'scene.toml'\n");
@@ -245,7 +250,7 @@ fn values_of_files_are_refused_with_their_line_and_their_key() {
 
 /// The advice for a folder without a coordinator does not mention farm-worker.
 #[test]
-fn explain_suggests_submit_in_an_idle_local_folder() {
+fn explain_suggests_submit_in_an_idle_folder() {
     let farm = unfinished();
     let explained = run(farm.path(), &["explain", "long"]);
     assert_eq!(explained.code, 0, "{}", explained.stderr);
@@ -274,8 +279,9 @@ fn unfinished() -> tempfile::TempDir {
     dir
 }
 
+/// All programs refuse a log filter that is not valid.
 #[test]
-fn all_programs_refuse_a_log_filter_that_is_none() {
+fn all_programs_refuse_a_wrong_log_filter() {
     let dir = folder();
     for (name, args) in [
         ("farmctl", &["list"][..]),
@@ -294,7 +300,7 @@ fn all_programs_refuse_a_log_filter_that_is_none() {
 }
 
 #[test]
-fn a_name_belongs_to_one_grid() {
+fn name_belongs_to_one_grid() {
     let farm = farm();
     write(farm.path(), "grid.toml", &GRID.replace("0.9,", "0.8,"));
     fails(
@@ -307,7 +313,7 @@ fn a_name_belongs_to_one_grid() {
 
 /// If the tests run as root, which ignores permissions, it runs as user `nobody`.
 #[test]
-fn a_data_directory_that_cannot_be_written_is_refused() {
+fn unwritable_data_folder_is_refused() {
     let dir = folder();
     let data = dir.path().join("data");
     std::fs::create_dir(&data).unwrap();
@@ -333,8 +339,9 @@ fn a_data_directory_that_cannot_be_written_is_refused() {
     );
 }
 
+/// A file in place of the database that is not a database is refused and left unchanged.
 #[test]
-fn a_database_that_is_none_is_refused_and_left_alone() {
+fn foreign_database_file_is_left_alone() {
     let dir = folder();
     let file = dir.path().join("farm-data/farm.db");
     std::fs::create_dir(dir.path().join("farm-data")).unwrap();
@@ -344,8 +351,9 @@ fn a_database_that_is_none_is_refused_and_left_alone() {
     assert!(std::fs::read_to_string(&file).unwrap().starts_with("this is a letter"));
 }
 
+/// The coordinator and the worker report a failed start in one line.
 #[test]
-fn the_other_programs_tell_their_errors_in_one_line() {
+fn other_programs_report_errors_in_one_line() {
     let dir = folder();
     let first_line = |name: &str, args: &[&str]| {
         let ran: Ran =

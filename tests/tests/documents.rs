@@ -84,8 +84,9 @@ fn dead_links(documents: &BTreeMap<PathBuf, String>) -> Vec<String> {
     dead
 }
 
+/// Every link leads to a file or a heading.
 #[test]
-fn every_link_leads_to_a_file_or_a_heading() {
+fn every_link_has_a_target() {
     let documents = documents();
     assert!(documents.values().map(|text| links(text).len()).sum::<usize>() > 50, "links are found");
     let dead = dead_links(&documents);
@@ -122,7 +123,7 @@ fn every_path_in_the_documents_exists() {
 
 /// A document outside of the book would be a dead link in it.
 #[test]
-fn the_book_has_every_page() {
+fn book_has_every_page() {
     let documents = documents();
     let summary = Path::new("docs/SUMMARY.md");
     let pages: BTreeSet<PathBuf> =
@@ -137,8 +138,9 @@ fn the_book_has_every_page() {
     }
 }
 
+/// The architecture document is a map of at most 150 lines.
 #[test]
-fn the_architecture_is_a_map_of_at_most_150_lines() {
+fn architecture_document_has_at_most_150_lines() {
     let lines = documents()[Path::new("ARCHITECTURE.md")].lines().count();
     assert!((50..=150).contains(&lines), "ARCHITECTURE.md has {lines} lines");
 }
@@ -172,7 +174,7 @@ fn all_files_are_of_the_same_version() {
 /// The tables of the set-up in the guide and in the reference have every quantity, with its option, column and default, and
 /// no other.
 #[test]
-fn documents_list_the_quantities_of_the_set_up() {
+fn documents_list_the_set_up_quantities() {
     let rows_with = |document: &str, cell: &str| {
         let text = std::fs::read_to_string(root().join(document)).unwrap();
         let row = text.lines().find(|line| line.starts_with('|') && line.contains(&format!("`{cell}`")));

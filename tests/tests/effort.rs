@@ -24,8 +24,9 @@ fn one_point(walks: u64) -> Result<Grid> {
     Ok(Grid::new(scene, axes, Walks::new(walks)?, 1, false)?)
 }
 
+/// Blocks that are traced separately have the records of the whole job.
 #[test]
-fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
+fn separately_traced_blocks_form_the_whole() -> Result<()> {
     let job = JobSpec::of(&one_point(2_250_000)?, 0);
     let stop = AtomicBool::new(false);
     let whole = trace(&job, &stop)?;
@@ -41,7 +42,7 @@ fn blocks_traced_apart_make_the_records_of_the_whole() -> Result<()> {
 
 /// Its blocks are computed by two workers.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_divided_job_has_the_undivided_jobs_bytes() -> Result<()> {
+async fn divided_job_has_the_undivided_bytes() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), one_point(4_250_000)?);
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
     farm.submit_grid("divided", &grid).await?;
@@ -96,7 +97,7 @@ async fn points_are_traced_until_the_target_error() -> Result<()> {
 
 /// Its bytes equal those of a grid that is computed completely.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_finer_grid_computes_only_missing_points() -> Result<()> {
+async fn finer_grid_computes_only_missing_points() -> Result<()> {
     let mut farm = Farm::start(&[]);
     let mut worker = farm.worker("worker", &[]);
     let coarse = small_grid();

@@ -9,7 +9,7 @@ use serde_json::Value;
 /// of the white material, rendered by Mitsuba, must come out within one grid step of the parameters it was rendered
 /// with. The steps are 8 to 9 % in σ_t, and 0.0001 to 0.001 in α.
 #[test]
-fn the_white_example_is_recovered_within_one_grid_step() {
+fn white_example_is_recovered_within_one_step() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("grid.toml"), "g = [0.4]\nwalks = 100000\n").unwrap();
     let submitted = run(folder.path(), &["submit", "grid.toml", "-q"]);
@@ -68,7 +68,7 @@ fn one_command_measures_in_an_empty_folder() {
 }
 
 #[test]
-fn the_example_grid_and_scene_are_valid() {
+fn example_grid_and_scene_are_valid() {
     let grid = farm_lab::grid_file::read_grid(&root().join("examples/grid.toml")).unwrap();
     assert!(grid.derivatives() && grid.record_count() < 1000);
     let scene =

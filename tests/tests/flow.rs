@@ -38,8 +38,9 @@ async fn exported(farm: &Farm, name: &str) -> Result<Vec<Record>> {
     Ok(records)
 }
 
+/// The records of the farm are those of the tracer, bit for bit.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_farms_records_are_those_of_the_tracer_bit_for_bit() -> Result<()> {
+async fn farm_records_match_the_tracer() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
     farm.submit_grid("small", &grid).await?;
@@ -55,8 +56,9 @@ async fn the_farms_records_are_those_of_the_tracer_bit_for_bit() -> Result<()> {
     Ok(())
 }
 
+/// A simulated measurement, fitted over gRPC, gives its own record.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_simulated_measurement_fits_its_own_record_over_grpc() -> Result<()> {
+async fn simulated_measurement_fits_its_own_record() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     let mut worker = farm.worker("worker", &[]);
     farm.submit_grid("small", &grid).await?;
@@ -92,8 +94,9 @@ async fn leased(farm: &Farm, name: &str) -> Result<u64> {
     Ok(dictionary.jobs_leased)
 }
 
+/// A worker that stops hands its leases back at once.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
+async fn stopping_worker_returns_its_leases() -> Result<()> {
     // With leases of an hour, the second worker can continue only after a hand-back.
     let (mut farm, grid) = (Farm::start(&["--lease", "3600"]), small_grid());
     farm.submit_grid("small", &grid).await?;
@@ -113,7 +116,7 @@ async fn a_worker_that_stops_hands_its_leases_back_at_once() -> Result<()> {
 
 /// Its late result is a duplicate, or a conflict if it differs.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_silent_workers_job_is_reassigned() -> Result<()> {
+async fn silent_worker_loses_its_job() -> Result<()> {
     let mut farm = Farm::with_tokens(&["silent", "healthy"], &["--lease", "1"]);
     let grid = small_grid();
     farm.submit_grid("small", &grid).await?;
@@ -132,7 +135,7 @@ async fn a_silent_workers_job_is_reassigned() -> Result<()> {
 
 /// Nothing is stored, and the error names the field.
 #[tokio::test(flavor = "multi_thread")]
-async fn records_that_do_not_fit_the_job_are_refused() -> Result<()> {
+async fn records_of_another_shape_are_refused() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     farm.submit_grid("small", &grid).await?;
     let mut worker = farm.test_worker("test").await?;
@@ -163,7 +166,7 @@ async fn records_that_do_not_fit_the_job_are_refused() -> Result<()> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_of_another_version_is_refused() -> Result<()> {
+async fn worker_of_another_version_is_refused() -> Result<()> {
     let mut farm = Farm::start(&[]);
     // Programs from before protocol versions send none.
     for (physics_version, protocol_version, what) in
@@ -180,8 +183,9 @@ async fn a_worker_of_another_version_is_refused() -> Result<()> {
     Ok(())
 }
 
+/// Submitting is idempotent, and a name belongs to one grid.
 #[tokio::test(flavor = "multi_thread")]
-async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
+async fn submission_is_idempotent() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     let first = farm.submit_grid("small", &grid).await?;
     assert_eq!(farm.submit_grid("small", &grid).await?, first);
@@ -203,8 +207,9 @@ async fn submitting_is_idempotent_and_names_belong_to_one_grid() -> Result<()> {
     Ok(())
 }
 
+/// A dictionary that is not complete cannot be fitted to.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
+async fn incomplete_dictionary_is_not_fitted() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), small_grid());
     farm.submit_grid("small", &grid).await?;
     let x: Vec<f64> = (0..20).map(|i| f64::from(i) * 0.5 - 4.75).collect();
@@ -220,7 +225,7 @@ async fn a_dictionary_that_is_not_complete_is_not_fitted_with() -> Result<()> {
 
 /// The number of pixels is limited, not that of bytes.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_question_with_too_many_pixels_is_refused() -> Result<()> {
+async fn question_with_too_many_pixels_is_refused() -> Result<()> {
     let mut farm = Farm::start(&[]);
     let x: Vec<f64> = (0..100_000).map(|i| f64::from(i) * 1e-4 - 5.0).collect();
     let profile =
@@ -236,8 +241,9 @@ async fn a_question_with_too_many_pixels_is_refused() -> Result<()> {
     Ok(())
 }
 
+/// Workers continue after the coordinator was away for a while.
 #[tokio::test(flavor = "multi_thread")]
-async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> {
+async fn workers_outlive_an_absent_coordinator() -> Result<()> {
     let grid = small_grid();
     let mut farm = Farm::start(&[]);
     farm.submit_grid("small", &grid).await?;
@@ -255,7 +261,7 @@ async fn workers_outlive_a_coordinator_that_is_away_for_a_while() -> Result<()> 
 
 /// A client that requests all records and reads none does not keep the coordinator from stopping.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_does_not_read_does_not_hold_up_a_stop() -> Result<()> {
+async fn unread_answer_does_not_delay_a_stop() -> Result<()> {
     let mut farm = Farm::start(&[]);
     let mut grid = wire::Grid::from(&small_grid());
     // Records of 0.4 MB, far more than the link's windows hold.

@@ -128,8 +128,9 @@ fn measured(profiles: Vec<MeasuredProfile>) -> Vec<Finding> {
     check(&[Measurement::new("m", profiles).unwrap()])
 }
 
+/// Measurements of valid media are neither refused nor noted.
 #[test]
-fn no_medium_is_refused_or_warned_of() {
+fn valid_media_cause_no_finding() {
     let mut random = Normal::new(12);
     let mut checked = 0;
     for sample in samples() {
@@ -186,7 +187,7 @@ fn always_refused(kind: Kind, mistake: impl Fn(&Traced) -> Traced) {
 
 /// For every medium with a visible edge: units, pixel numbers, encoded values, falling profiles, and a misplaced edge.
 #[test]
-fn wrong_units_and_sides_are_detected_in_all_media() {
+fn wrong_units_and_sides_are_detected() {
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0));
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| (65_535.0 * v).round() + 100.0));
     always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 100.0 * v + 2.0));
@@ -204,8 +205,9 @@ fn wrong_units_and_sides_are_detected_in_all_media() {
     always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x - 2.5));
 }
 
+/// Positions in centimetres get a note.
 #[test]
-fn x_in_cm_is_warned_of() {
+fn x_in_cm_is_noted() {
     let profile = samples()[3].find("R", 0.5).at(|x| 0.1 * x).measured();
     let findings = measured(vec![profile]);
     assert!(findings.iter().any(|f| f.kind == Kind::UnitOfX && !f.certain), "{findings:#?}");
@@ -221,8 +223,9 @@ fn swapped_thicknesses_are_found_where_they_matter() {
     assert!(refused > 0.6 && warned > 0.8, "refused {refused:.2}, warned {warned:.2}");
 }
 
+/// The data of one profile under the names of two channels or slabs are refused.
 #[test]
-fn one_channels_data_under_two_names_are_refused() {
+fn equal_data_under_two_names_are_refused() {
     for sample in plain().step_by(8) {
         let red = sample.find("R", 0.5);
         assert!(
@@ -238,8 +241,9 @@ fn srgb(v: f64) -> f64 {
     if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
+/// Values of 8 bits are noted, and refused only where a gamma curve shows.
 #[test]
-fn eight_bit_values_are_told_and_refused_only_where_gamma_shows() {
+fn eight_bit_values_are_noted() {
     let in_steps = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() / 255.0;
     let eight_bit = |p: &Traced| measured(vec![p.with(p.values.clone(), None)]);
     let found = |findings: &[Finding], certain: bool| {

@@ -15,8 +15,9 @@ fn read(dir: &std::path::Path, name: &str) -> String {
     std::fs::read_to_string(dir.join(name)).expect("the file was written")
 }
 
+/// The files that `simulate` and `export` write are measured without a note.
 #[test]
-fn what_simulate_and_export_write_is_measured_without_a_note() {
+fn own_files_are_measured_without_a_note() {
     let farm = farm();
     let dir = farm.path();
     let medium = "--sigma-t 6 --albedo 0.999 --g 0.4";
@@ -113,8 +114,9 @@ fn spreadsheet(channel: &str) -> String {
     format!("\u{feff}{text}\n;;;;\n").replace('\n', "\r\n")
 }
 
+/// Notes appear once of each kind, on standard error or in JSON.
 #[test]
-fn notes_are_told_once_of_a_kind_on_standard_error_or_in_json() {
+fn notes_appear_once_per_kind() {
     let farm = farm();
     let dir = farm.path();
     write(dir, "m.csv", &spreadsheet("red"));
@@ -148,8 +150,9 @@ fn notes_are_told_once_of_a_kind_on_standard_error_or_in_json() {
     );
 }
 
+/// A dictionary may spell the names of its colours in another way than the measurement.
 #[test]
-fn a_dictionary_may_spell_its_colours_in_another_way() {
+fn dictionary_may_spell_colours_differently() {
     let dir = folder();
     let scene = "[[channel]]\nname = 'red'\nrho_light = 0.98\nrho_dark = 0.02\n\
                  [[layer]]\nname = 'resin'\nsample = true\n";
@@ -171,7 +174,7 @@ fn a_dictionary_may_spell_its_colours_in_another_way() {
 }
 
 #[test]
-fn a_file_is_checked_without_a_farm() {
+fn file_is_checked_without_a_farm() {
     let dir = folder();
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
     let ran = run_line(dir.path(), "check m.csv");
@@ -203,8 +206,9 @@ fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize
     (sides, bytes[end..].to_vec())
 }
 
+/// The arrays for NumPy hold the values of the exported rows.
 #[test]
-fn arrays_for_numpy_hold_what_the_rows_hold() {
+fn numpy_arrays_hold_the_exported_rows() {
     let farm = farm();
     let dir = farm.path();
     let ran = run_line(dir, "export grid --npz a.npz --albedo 0.999");

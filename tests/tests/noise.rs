@@ -50,7 +50,7 @@ fn variances(
 
 /// With 40 pixels per side, Mitsuba's standard errors are accurate to a few per cent.
 #[test]
-fn a_path_tracers_noise_is_known_exactly() {
+fn path_tracer_noise_is_stated_exactly() {
     let mut ratios = Vec::new();
     for theirs in reference::mitsuba().unwrap() {
         let point =
@@ -78,7 +78,7 @@ fn a_path_tracers_noise_is_known_exactly() {
 
 /// The brightest albedo needs the most walks. Eight seeds of some hundred batches determine a variance to 4 %.
 #[test]
-fn records_are_at_most_as_noisy_as_the_papers() {
+fn records_are_no_noisier_than_the_paper() {
     let grid = Grid::paper();
     assert_eq!(grid.effort(), Effort::Noise(NoiseLevel::Paper));
     let albedos = [0.05, 0.5, 0.95, 0.999, 0.99999];

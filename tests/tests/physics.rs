@@ -124,8 +124,9 @@ fn edge_profiles_agree_with_mitsuba() {
     }
 }
 
+/// Without an edge the profile is flat to the last bit.
 #[test]
-fn without_an_edge_the_profile_is_flat_to_the_last_bit() {
+fn profile_without_edge_is_exactly_flat() {
     let scene = channels(pixels(Scene::paper(), 10.0, 90), &[(0.5, 0.5), (0.985, 0.985)]);
     for record in Run::new(scene, [6.0, 0.4, 0.5, 1.53], &[0.3, 0.9991], 25_000).records(1) {
         for profile in &record.profiles {
@@ -198,7 +199,7 @@ fn coarse_contrast(values: &[f64]) -> f64 {
 /// The standard errors are those of the results: over 60 seeds the spread of each of three pixels agrees with the
 /// stated errors. χ² with 59 degrees of freedom stays within [0.55, 1.6] of its mean with 99.8 %.
 #[test]
-fn standard_errors_tell_the_spread_between_seeds() {
+fn standard_errors_match_the_spread_of_seeds() {
     let scene = channels(pixels(Scene::paper(), 4.0, 20), &[(0.985, 0.024)]);
     let run = Run::new(scene, [6.0, 0.4, 0.5, 1.53], &[0.9991], 25_000);
     let profiles: Vec<_> = (100..160).map(|seed| run.profile(seed)).collect();
@@ -214,7 +215,7 @@ fn standard_errors_tell_the_spread_between_seeds() {
 
 /// The same walks at α ± h give the difference quotient without noise; its own error is of order h².
 #[test]
-fn albedo_derivative_is_the_limit_of_difference_quotients() {
+fn albedo_derivative_matches_differences() {
     let (albedo, h) = (0.9, 1e-3);
     let scene = channels(pixels(Scene::paper(), 6.0, 12), &[(0.985, 0.024)]);
     let mut run = Run::new(scene, [6.0, 0.4, 0.5, 1.53], &[albedo - h, albedo, albedo + h], 25_000);

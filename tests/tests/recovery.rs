@@ -48,7 +48,7 @@ fn result(folder: &Path) -> (String, String) {
 
 /// No record is lost by a kill of farmctl.
 #[test]
-fn a_repeatedly_killed_local_farm_has_the_same_bytes() {
+fn repeatedly_killed_farm_has_the_same_bytes() {
     program("farmctl");
     let undisturbed = folder_with_grid();
     let start = Instant::now();

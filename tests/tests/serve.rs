@@ -25,8 +25,9 @@ fn address(folder: &Path) -> Option<String> {
     json(&ran, "status")["address"].as_str().map(str::to_owned)
 }
 
+/// A served folder can be used by other commands, and the next `serve` takes it over.
 #[test]
-fn a_served_folder_is_used_by_others_and_taken_over_by_the_next() {
+fn served_folder_is_shared_and_taken_over() {
     let folder = folder();
     write(folder.path(), "grid.toml", GRID);
     let (mut first, at) = serve(folder.path());
@@ -50,8 +51,9 @@ fn a_served_folder_is_used_by_others_and_taken_over_by_the_next() {
     assert_eq!(json(&run(folder.path(), &["--json", "show", "grid"]), "show")["records_done"], 8);
 }
 
+/// `serve` with the address of a farm that runs already is refused.
 #[test]
-fn a_farm_that_runs_elsewhere_is_not_served() {
+fn running_farm_elsewhere_is_not_served() {
     let folder = folder();
     let (mut child, at) = serve(folder.path());
     fails(folder.path(), &["serve", "--server", &at], &["runs already", "without --server"]);

@@ -55,8 +55,9 @@ fn seed() -> u64 {
     std::env::var("FARM_SOAK_SEED").map_or(1, |v| v.parse().unwrap())
 }
 
+/// A maltreated farm keeps its records, and its memory and files do not grow.
 #[test]
-fn a_maltreated_farm_keeps_its_records_and_does_not_grow() {
+fn maltreated_farm_keeps_records_and_size() {
     let whole = seconds();
     let mut farm = FaultyFarm::start(WORKERS, LEASE_S);
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();

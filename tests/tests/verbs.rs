@@ -62,7 +62,7 @@ fn explains(site: &Site, name: &str, code: &str) {
 
 /// A restored backup has the same digest.
 #[tokio::test(flavor = "multi_thread")]
-async fn all_verbs_work_over_tls_with_their_exit_codes() {
+async fn all_verbs_work_over_tls() {
     let mut site = Site::start();
     // There are no workers.
     site.client(&["submit", "grid.toml"]);

@@ -137,8 +137,9 @@ fn framed(message: &impl Message) -> Vec<u8> {
 
 const STATUS: &str = "farm.v1.Farm/Status";
 
+/// The page admits requests with its address and its token only.
 #[test]
-fn the_page_lets_in_who_has_its_address_and_nobody_else() {
+fn page_admits_only_its_own_address() {
     let desk = Desk::start();
     let own = desk.page.host.as_str();
     let let_in = desk.send(own, "GET", &format!("?token={}", desk.page.token), &[], b"");
@@ -182,8 +183,9 @@ fn the_page_lets_in_who_has_its_address_and_nobody_else() {
     assert!(refused.stderr.contains("--behind"), "{}", refused.stderr);
 }
 
+/// From an empty folder, a dictionary can be submitted and its jobs watched.
 #[test]
-fn from_an_empty_folder_to_a_dictionary_whose_jobs_are_watched() {
+fn empty_folder_becomes_a_watched_dictionary() {
     let mut desk = Desk::start();
     let status: wire::StatusResponse = desk.ask(STATUS, &wire::StatusRequest {});
     assert_eq!(status.dictionaries, 0);

@@ -38,8 +38,9 @@ impl IdleTime {
 mod tests {
     use super::*;
 
+    /// The idle limit is reached by waiting for the returned times.
     #[tokio::test(start_paused = true)]
-    async fn the_limit_is_reached_by_waiting_as_long_as_told() {
+    async fn idle_limit_is_reached_by_waiting() {
         let mut idle = IdleTime::new(Some(Duration::from_secs(50)));
         for (wait_s, over) in [(20, false), (20, false), (10, true), (0, true)] {
             assert_eq!(idle.wait(), Duration::from_secs(wait_s));
@@ -51,8 +52,9 @@ mod tests {
         assert_eq!(idle.wait(), WAIT);
     }
 
+    /// Without a limit the idle time never ends.
     #[tokio::test(start_paused = true)]
-    async fn without_a_limit_it_is_never_over() {
+    async fn idle_time_without_limit_never_ends() {
         let idle = IdleTime::new(None);
         tokio::time::advance(Duration::from_hours(1000)).await;
         assert!(!idle.is_over());

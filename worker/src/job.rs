@@ -142,7 +142,7 @@ mod tests {
 
     /// The report is repeated until it gets an answer.
     #[tokio::test(start_paused = true)]
-    async fn a_tracer_panic_is_reported_and_the_lease_released() {
+    async fn tracer_panic_is_reported() {
         let coordinator = Coordinator::start();
         let (session, held) = session(&coordinator).await;
         let (finished, _queue) = mpsc::unbounded_channel();

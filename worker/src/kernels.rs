@@ -75,15 +75,17 @@ impl UnknownKernel {
 mod tests {
     use super::*;
 
+    /// A kernel that the machine does not have is refused, and those that it has are listed.
     #[test]
-    fn a_kernel_that_is_not_there_is_refused_with_those_that_are() {
+    fn missing_kernel_is_refused_with_choices() {
         let error = choose(Some("abacus")).unwrap_err().to_string();
         assert!(error.starts_with("this machine has no kernel \"abacus\", only "), "{error}");
         assert!(error.ends_with("scalar"), "{error}");
     }
 
+    /// The measured speed of a kernel is plausible.
     #[test]
-    fn a_kernel_tells_its_speed() {
+    fn kernel_speed_is_measured() {
         let speed = measure(Kernel::fastest());
         assert_eq!(speed.kernel.name(), Kernel::fastest().name());
         assert!((1e4..1e12).contains(&speed.scatterings_per_s), "{speed:?}");

@@ -173,8 +173,9 @@ mod tests {
         [0, 1, 2].map(|n: usize| switches[n].is_stopped())
     }
 
+    /// Only the job that is being traced is reported as running.
     #[test]
-    fn only_the_job_that_is_being_traced_is_told_to_run() {
+    fn only_the_traced_job_is_reported_running() {
         let (held, _, keys) = one_of_each();
         let mut all = held.all();
         all.sort_unstable_by_key(|(key, ..)| *key);
@@ -182,8 +183,9 @@ mod tests {
         assert_eq!(all, [(keys[0], false, identity), (keys[1], true, identity), (keys[2], false, identity)]);
     }
 
+    /// A lost lease stops its job and no other.
     #[test]
-    fn a_lost_lease_stops_its_job_and_only_that() {
+    fn lost_lease_stops_its_own_job() {
         let (held, switches, keys) = one_of_each();
         assert!(held.lose(&keys[1]));
         assert_eq!(stopped(&switches), [false, true, false]);
@@ -193,15 +195,16 @@ mod tests {
 
     /// The result may still count.
     #[test]
-    fn a_lost_lease_is_kept_for_a_finished_job() {
+    fn lost_lease_stays_for_finished_job() {
         let (held, switches, keys) = one_of_each();
         assert!(!held.lose(&keys[2]));
         assert_eq!(held.all().len(), 3);
         assert_eq!(stopped(&switches), [false; 3]);
     }
 
+    /// Giving up waiting jobs leaves running jobs and results alone.
     #[test]
-    fn giving_up_what_waits_leaves_running_jobs_and_results_alone() {
+    fn giving_up_spares_running_jobs() {
         let (held, switches, keys) = one_of_each();
         assert_eq!(held.give_up_waiting(), [keys[0]]);
         assert_eq!(stopped(&switches), [true, false, false]);
@@ -212,7 +215,7 @@ mod tests {
 
     /// The walks continue while one of its jobs is not stopped.
     #[test]
-    fn a_set_is_stopped_with_its_last_job() {
+    fn set_stops_with_its_last_job() {
         let (held, set) = (HeldLeases::default(), SetSwitch::new(2));
         let keys = [0, 1].map(|n| lease(n).key);
         let switches = keys.map(|key| held.add(key, job(1).identity(), set.clone()));
@@ -223,8 +226,9 @@ mod tests {
         assert!(set.stop.load(Ordering::SeqCst));
     }
 
+    /// Stopping all jobs keeps their leases, so that they can be handed back.
     #[test]
-    fn stopping_all_forgets_no_lease() {
+    fn stopping_all_keeps_the_leases() {
         let (held, switches, keys) = one_of_each();
         held.stop_all();
         assert_eq!(stopped(&switches), [true; 3]);

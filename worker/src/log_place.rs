@@ -70,8 +70,9 @@ mod tests {
         })
     }
 
+    /// The log is reported at the place where the launcher of the worker keeps it.
     #[test]
-    fn a_log_is_where_the_one_who_placed_the_worker_looks_for_it() {
+    fn log_place_follows_the_launcher() {
         let unit = [("JOURNAL_STREAM", "8:17"), ("INVOCATION_ID", "c0ffee")];
         let pod = [("KUBERNETES_SERVICE_HOST", "10.0.0.1")];
         for (variables, file, in_docker, expected) in [

@@ -143,8 +143,9 @@ mod tests {
         oneshot::channel().0
     }
 
+    /// A thread announces a job and waits for permission to start it.
     #[tokio::test]
-    async fn a_thread_announces_a_job_and_waits_for_the_start() {
+    async fn announced_job_waits_for_its_start() {
         let pool = Pool::new(1).unwrap();
         let (begun, begins) = oneshot::channel();
         let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
@@ -158,7 +159,7 @@ mod tests {
 
     /// 786 GB of sums would end the process.
     #[tokio::test]
-    async fn a_job_that_does_not_fit_into_memory_fails() {
+    async fn job_too_large_for_memory_fails() {
         let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
         let albedo = (1..=4_000_000).map(|i| f64::from(i) / 4_000_001.0).collect();
         let small = job(1);
@@ -169,8 +170,9 @@ mod tests {
         assert!(text.contains("MiB of memory, this worker may use"), "{text}");
     }
 
+    /// Jobs have the records that the tracer yields.
     #[tokio::test]
-    async fn jobs_have_the_records_that_the_tracer_yields() {
+    async fn jobs_have_the_records_of_the_tracer() {
         let pool = Pool::new(1).unwrap();
         let jobs = [job(1), as_thick_as(1)];
         let end = pool.trace(jobs.to_vec(), vec![Arc::default(), Arc::default()], no_receiver()).await;
@@ -183,8 +185,9 @@ mod tests {
         }
     }
 
+    /// A job that is stopped does not begin, or ends early.
     #[tokio::test]
-    async fn stopped_jobs_do_not_begin_or_end_early() {
+    async fn stopped_jobs_end_early() {
         let pool = Pool::new(1).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
@@ -204,8 +207,9 @@ mod tests {
         assert!(matches!(traced.await.unwrap(), TraceEnd::Stopped));
     }
 
+    /// A panic becomes a message for the coordinator.
     #[test]
-    fn a_panic_becomes_a_text_for_the_coordinator() {
+    fn panic_becomes_a_message() {
         let end = guarded(|| panic!("σ_t is {}", -1));
         let TraceEnd::Failed(text) = end else { panic!("{end:?}") };
         assert_eq!(text, "the tracer panicked: σ_t is -1");

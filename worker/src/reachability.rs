@@ -114,8 +114,9 @@ mod tests {
 
     use super::*;
 
+    /// Each change of reachability is reported once.
     #[test]
-    fn each_change_is_told_once() {
+    fn each_change_is_reported_once() {
         let at = {
             let start = Instant::now();
             move |s| start + Duration::from_secs(s)
@@ -134,8 +135,9 @@ mod tests {
         assert_eq!(state.failed(at(21), at(22)), Some(ReachabilityChange::Lost));
     }
 
+    /// A coordinator that answers with an error is reached.
     #[test]
-    fn a_coordinator_that_refuses_is_there() {
+    fn refusing_coordinator_counts_as_reached() {
         assert!(is_silence(&Status::unavailable("")));
         for answer in [Status::internal(""), Status::aborted(""), Status::permission_denied("")] {
             assert!(!is_silence(&answer), "{answer}");

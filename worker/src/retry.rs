@@ -121,8 +121,9 @@ mod tests {
         (code, codes.len() - calls.borrow().len())
     }
 
+    /// Transient errors are retried, and others end the call.
     #[tokio::test(start_paused = true)]
-    async fn passing_faults_are_repeated_and_others_end_the_call() {
+    async fn transient_errors_are_retried() {
         let passing =
             [Code::Unavailable, Code::DeadlineExceeded, Code::Aborted, Code::Internal, Code::Unknown];
         assert_eq!(repeated(&[passing.as_slice(), &[Code::Ok]].concat()).await, (Code::Ok, 6));
@@ -134,7 +135,7 @@ mod tests {
 
     /// In an hour without an answer, fewer than 1,000 calls are made.
     #[tokio::test(start_paused = true)]
-    async fn calls_repeat_at_least_every_20_s_for_an_hour() {
+    async fn calls_repeat_at_least_every_20_s() {
         let (start, calls) = (Instant::now(), RefCell::new(Vec::new()));
         let hour = Duration::from_hours(1);
         let (_never, back) = watch::channel(());
@@ -149,8 +150,9 @@ mod tests {
         assert!(calls.len() < 1000, "{} calls are a burden", calls.len());
     }
 
+    /// No call waits longer once the coordinator is back.
     #[tokio::test(start_paused = true)]
-    async fn nobody_waits_any_longer_when_the_coordinator_is_back() {
+    async fn waiting_calls_end_when_coordinator_returns() {
         let (sender, back) = watch::channel(());
         let (start, away) = (Instant::now(), Duration::from_secs(100));
         let answer = repeat(back, || async {
@@ -192,8 +194,9 @@ mod tests {
         assert!((60..150).contains(&calls), "{calls} calls in ten minutes, with pauses of ten seconds");
     }
 
+    /// Pauses grow up to the longest, and start again from the shortest.
     #[tokio::test(start_paused = true)]
-    async fn pauses_grow_up_to_the_longest_and_start_again() {
+    async fn pauses_grow_to_a_limit_and_reset() {
         let mut pauses = Pauses::new(Duration::from_secs(1), Duration::from_secs(4));
         let (_never, mut back) = watch::channel(());
         for expected_s in [1, 2, 4, 4] {

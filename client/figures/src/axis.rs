@@ -201,8 +201,9 @@ mod tests {
         axis.ticks(pixels, direction).into_iter().filter_map(|tick| tick.label).collect()
     }
 
+    /// Ticks are round numbers, and as fine as the room allows.
     #[test]
-    fn even_ticks_are_round_and_as_fine_as_room_allows() {
+    fn ticks_are_round_and_fine_enough() {
         let axis = Axis::exact(Some((-5.0, 5.0)));
         assert_eq!(labels(axis, 120.0, Direction::Across), ["−4", "−2", "0", "2", "4"]);
         assert_eq!(labels(axis, 60.0, Direction::Across), ["−5", "0", "5"]);
@@ -226,8 +227,9 @@ mod tests {
         );
     }
 
+    /// Axes of one value, or of none, have an extent.
     #[test]
-    fn axes_of_one_value_or_none_have_an_extent() {
+    fn empty_axes_have_an_extent() {
         for axis in [
             Axis::exact(Some((3.0, 3.0))),
             Axis::exact(None),
@@ -243,8 +245,9 @@ mod tests {
         assert_eq!(extent([f64::NAN]), None);
     }
 
+    /// The mapping of an axis is invertible.
     #[test]
-    fn a_value_is_at_its_own_place() {
+    fn axis_mapping_is_invertible() {
         for axis in [Axis::exact(Some((-5.0, 5.0))), Axis::logarithmic(1e-5, 0.9)] {
             for fraction in [0.0, 0.3, 1.0] {
                 assert!((axis.fraction(axis.value(fraction)) - fraction).abs() < 1e-12);

@@ -247,8 +247,9 @@ fn short(length: f64) -> String {
 mod tests {
     use super::*;
 
+    /// Lengths in SVG have at most two decimals.
     #[test]
-    fn lengths_are_short() {
+    fn lengths_have_few_digits() {
         assert_eq!([0.0, -0.001, 1.5, 12.345_67, 100.0].map(short), ["0", "0", "1.5", "12.35", "100"]);
     }
 

@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn a_colour_is_written_as_six_digits() {
+    fn colour_is_written_as_six_digits() {
         assert_eq!(Color(0, 114, 178).to_string(), "#0072b2");
     }
 }

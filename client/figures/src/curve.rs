@@ -55,15 +55,17 @@ fn distance(point: Point, from: Point, to: Point) -> f64 {
 mod tests {
     use super::*;
 
+    /// A curve breaks where a value is missing.
     #[test]
-    fn a_curve_breaks_where_a_value_is_missing() {
+    fn curve_breaks_at_missing_values() {
         let points = [0.0, 1.0, f64::NAN, f64::NAN, 3.0].map(|y| at(2.0 * y, y));
         assert_eq!(pieces(points), [vec![at(0.0, 0.0), at(2.0, 1.0)], vec![at(6.0, 3.0)]]);
         assert!(pieces([at(f64::NAN, 0.0)]).is_empty());
     }
 
+    /// Only points that would not be visible are left out.
     #[test]
-    fn only_points_that_nobody_would_see_are_left_out() {
+    fn only_invisible_points_are_left_out() {
         let height = |i: i32| if i == 50 { 8.0 } else { 0.01 * f64::from(i % 2) };
         let kept = pieces((0..=100).map(|i| at(f64::from(i), height(i)))).remove(0);
         assert_eq!(kept.iter().map(|p| p.x).collect::<Vec<_>>(), [0.0, 49.0, 50.0, 51.0, 100.0]);

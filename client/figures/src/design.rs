@@ -212,8 +212,9 @@ mod tests {
     use super::*;
     use crate::testing::design;
 
+    /// Every set has its row, and the best is named.
     #[test]
-    fn every_set_has_its_row_and_the_best_is_named() {
+    fn design_has_a_row_per_set() {
         let picture = design_figure(&design()).unwrap();
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
@@ -227,8 +228,9 @@ mod tests {
         assert_eq!(texts.iter().filter(|text| *text == "0.5").count(), 1);
     }
 
+    /// Many sets of many slabs are well laid out, and so is a single one.
     #[test]
-    fn many_sets_of_many_slabs_fit() {
+    fn many_slab_sets_are_well_laid_out() {
         let mut design = design();
         let one = design.sets[0].clone();
         design.sets = (1..=25)
@@ -239,8 +241,9 @@ mod tests {
         assert_well_laid_out(&design_figure(&design).unwrap());
     }
 
+    /// A design that determines nothing is not drawn.
     #[test]
-    fn without_a_number_there_is_no_picture() {
+    fn undetermined_design_has_no_picture() {
         let mut design = design();
         for set in &mut design.sets {
             (set.g_held, set.g_free) = (HalfWidths::UNKNOWN, None);

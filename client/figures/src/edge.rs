@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn missing_values_are_left_out_of_curve_and_band() {
+    fn missing_values_are_left_out_of_charts() {
         let x = [-1.0, 0.0, 1.0, 2.0];
         let values = [0.1, f64::NAN, 0.4, 0.5];
         let errors = [0.01, 0.01, f64::NAN, 0.01];

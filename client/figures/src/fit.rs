@@ -79,8 +79,9 @@ mod tests {
         MaterialFit { material: "Vero White".into(), channels: (0..channels).map(channel).collect() }
     }
 
+    /// One panel or many are well laid out.
     #[test]
-    fn one_panel_or_many_are_well_laid_out() {
+    fn fit_panels_are_well_laid_out() {
         for (channels, thicknesses) in
             [(1, &[0.5][..]), (3, &[0.5, 1.0]), (9, &[0.5]), (31, &[0.5, 1.0, 2.0])]
         {
@@ -98,8 +99,9 @@ mod tests {
         }
     }
 
+    /// Parameters are shown once if all thicknesses share them.
     #[test]
-    fn parameters_are_told_once_where_all_thicknesses_share_them() {
+    fn shared_parameters_are_shown_once() {
         let mut shared = figure(1, &[0.5, 1.0]);
         let count = |figure: &MaterialFit| {
             let texts = texts(&fit_figure(figure).unwrap());
@@ -110,8 +112,9 @@ mod tests {
         assert_eq!(count(&shared), 2);
     }
 
+    /// Unusual data are drawn, and wrong data are refused.
     #[test]
-    fn odd_data_are_drawn_and_wrong_data_refused() {
+    fn odd_data_are_drawn_wrong_data_refused() {
         let mut figure = figure(2, &[0.5, 1.0]);
         figure.material = "a title that is <longer> than the figure & ".repeat(6);
         figure.channels[0].channel = "a channel with a name that does not fit above its panel at all".into();

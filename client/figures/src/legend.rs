@@ -196,8 +196,9 @@ impl Mark {
 mod tests {
     use super::*;
 
+    /// Keys continue in the next row when one is full.
     #[test]
-    fn keys_go_on_in_the_next_row_when_one_is_full() {
+    fn keys_continue_in_the_next_row() {
         let keys: Vec<_> = (0..7).map(|i| Key::note(format!("entry number {i}"))).collect();
         let row = Row::new(&keys, 250.0);
         let rows: Vec<_> = row.places().into_iter().map(|(_, row, _)| row).collect();

@@ -52,8 +52,9 @@ pub(super) fn logarithmic_label(mantissa: i32, exponent: i32, powers: bool) -> S
 mod tests {
     use super::*;
 
+    /// Numbers in labels have as few digits as possible.
     #[test]
-    fn numbers_are_short() {
+    fn numbers_have_few_digits() {
         let message = [0.5, 0.9991, -2.25, 1e-7, 12.0, 0.0].map(|v| number(v, 6));
         assert_eq!(message, ["0.5", "0.9991", "−2.25", "1·10^{−7}", "12", "0"]);
     }

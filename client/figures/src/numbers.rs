@@ -91,8 +91,9 @@ pub fn slabs(set: &SlabSet) -> String {
 mod tests {
     use super::*;
 
+    /// Numbers have as many digits as they need.
     #[test]
-    fn numbers_have_as_many_digits_as_they_need() {
+    fn numbers_have_only_needed_digits() {
         let message = [6.0, 5.994, 0.12345, 24.04, 123.4, 0.0].map(|v| significant(v, 3));
         assert_eq!(message, ["6", "5.99", "0.123", "24", "123", "0"]);
         assert_eq!(
@@ -101,8 +102,9 @@ mod tests {
         );
     }
 
+    /// A value has as many decimals as its standard error.
     #[test]
-    fn a_value_has_the_decimals_of_its_error() {
+    fn value_has_the_decimals_of_its_error() {
         let message = |value, error| with_error(value, error);
         assert_eq!(message(-0.0701, 0.0038), "−0.070 ± 0.004");
         assert_eq!(message(0.5, 0.0096), "0.500 ± 0.010");
@@ -111,8 +113,9 @@ mod tests {
         assert_eq!(message(0.5, 0.0), "0.5 ± 0");
     }
 
+    /// Intervals are marked where the data set no bound.
     #[test]
-    fn intervals_tell_where_the_data_set_no_bound() {
+    fn intervals_mark_missing_bounds() {
         let text = |low, high, open_low, open_high| {
             interval(&Interval { low, high, open_low, open_high }, |v| significant(v, 2))
         };

@@ -210,8 +210,9 @@ mod tests {
         }
     }
 
+    /// Blocks of any size are well laid out.
     #[test]
-    fn blocks_of_any_size_are_well_laid_out() {
+    fn overview_blocks_are_well_laid_out() {
         for (thicknesses, sigma_ts, albedos, gs) in
             [(2, 6, 8, 3), (1, 1, 1, 1), (3, 2, 2, 11), (2, 20, 10, 2)]
         {
@@ -227,8 +228,9 @@ mod tests {
         }
     }
 
+    /// Missing records are left out, and wrong data are refused.
     #[test]
-    fn missing_records_are_left_out_and_wrong_data_refused() {
+    fn missing_records_are_left_out() {
         let mut figure = figure(1, 2, 2, 2);
         figure.profiles[3].clear();
         figure.profiles[4].fill(f64::NAN);

@@ -57,8 +57,9 @@ mod tests {
     use super::super::text::Text;
     use super::*;
 
+    /// A PNG has twice the size of the drawing in pixels, and ink.
     #[test]
-    fn a_png_has_the_size_of_the_drawing_and_ink() {
+    fn png_has_the_size_of_the_drawing() {
         let mut canvas = Canvas::new(120.0, 40.0);
         canvas.text(at(4.0, 20.0), &Text::new("σ_t [1/mm]", 12.0));
         let png = Pixmap::decode_png(&canvas.finish().png().unwrap()).unwrap();

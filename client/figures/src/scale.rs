@@ -206,8 +206,9 @@ mod tests {
         scale_figure(curve, common, Objective::Likelihood).unwrap()
     }
 
+    /// The minimum is shown with its error.
     #[test]
-    fn the_minimum_is_told_with_its_error() {
+    fn minimum_is_shown_with_its_error() {
         let picture = figure(&answer());
         assert_well_laid_out(&picture);
         let texts = texts(&picture);
@@ -224,8 +225,9 @@ mod tests {
         }
     }
 
+    /// An anisotropy that was given is not shown as a minimum.
     #[test]
-    fn a_given_anisotropy_is_not_told_as_a_minimum() {
+    fn given_anisotropy_is_no_minimum() {
         let mut answer = answer();
         answer.1.g_interval = None;
         assert!(!texts(&figure(&answer)).iter().any(|text| text.starts_with("minimum: g")));
@@ -253,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn the_mark_lies_on_the_curve() {
+    fn mark_lies_on_the_curve() {
         let panel = over_mu(&answer().0, &answer().1);
         assert!((panel.error_at(0.9131).unwrap() - 0.2801).abs() < 1e-9);
         assert_eq!(panel.error_at(0.7), None);

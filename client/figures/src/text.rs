@@ -156,8 +156,9 @@ mod tests {
         assert_eq!(spans("σ_"), [(base, "σ_")]);
     }
 
+    /// Lines break after commas before they break elsewhere.
     #[test]
-    fn lines_break_after_commas_before_they_break_elsewhere() {
+    fn lines_break_after_commas_first() {
         let text = Text::new("σ_t 6.12 ± 0.05, α 0.99912 ± 0.00003", 10.0);
         let lines: Vec<_> = text.wrapped(130.0).into_iter().map(|line| line.content).collect();
         assert_eq!(lines, ["σ_t 6.12 ± 0.05,", "α 0.99912 ± 0.00003"]);

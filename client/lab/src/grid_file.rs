@@ -126,7 +126,7 @@ mod tests {
 
     /// It would be computed as the paper's grid, under another name.
     #[test]
-    fn a_grid_file_that_sets_nothing_is_refused() {
+    fn empty_grid_file_is_refused() {
         for text in ["", "\n", "# sigma_t_per_mm = [1]\n"] {
             let refused = grid_of(text, Path::new("g.toml"), |_| Ok(Scene::paper())).unwrap_err();
             assert!(refused.to_string().starts_with("grid file g.toml sets nothing"), "{refused}");
@@ -134,8 +134,9 @@ mod tests {
         assert!(grid_of("walks = 1000\n", Path::new("g.toml"), |_| Ok(Scene::paper())).is_ok());
     }
 
+    /// A decimal comma is named with its line.
     #[test]
-    fn a_decimal_comma_is_named_with_its_line() {
+    fn decimal_comma_is_named_with_its_line() {
         let refused = |text: &str| {
             from_toml::<GridFile>(text, Path::new("g.toml"), "grid file").unwrap_err().to_string()
         };
@@ -145,8 +146,9 @@ mod tests {
         assert_eq!(refused("walks = [0.5,1\n"), "grid file g.toml");
     }
 
+    /// The line of a field in a TOML file is found.
     #[test]
-    fn fields_have_lines() {
+    fn fields_are_found_in_their_lines() {
         let text = "# a grid\nalbedo = [\n  0.5,\n  1.5,\n]\nwalks = 1\n[scene.light]\nring_deg = [1, 0]\n\
                     [[scene.layer]]\nname = 'a'\n[[scene.layer]]\nname = 'b'\n";
         for (field, line) in [

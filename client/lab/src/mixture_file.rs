@@ -61,8 +61,9 @@ mod tests {
         assert_eq!(found.parts_of("pale"), Some(vec![("cyan", 0.25), ("white", 0.75)]));
     }
 
+    /// Errors of a mixture file are reported with their place.
     #[test]
-    fn what_is_wrong_in_a_file_is_told_with_its_place() {
+    fn mixture_errors_name_their_place() {
         for (text, message) in [
             ("", "mixture = none is not valid: at least one is needed"),
             ("[[mixture]]\nmaterial = 'pale'\n", "missing field `parts`"),

@@ -150,8 +150,9 @@ mod tests {
         names
     }
 
+    /// Two drafts of one file are separate.
     #[test]
-    fn two_drafts_of_one_file_do_not_meet() {
+    fn two_drafts_of_one_file_are_separate() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         let (mut first, mut second) = (Draft::create(&path).unwrap(), Draft::create(&path).unwrap());
@@ -165,8 +166,9 @@ mod tests {
         assert_eq!(names(folder.path()), ["out.csv"]);
     }
 
+    /// A pipe is written to and stays a pipe.
     #[test]
-    fn a_pipe_is_written_to_and_stays_a_pipe() {
+    fn pipe_stays_a_pipe() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("pipe");
         assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
@@ -185,8 +187,9 @@ mod tests {
         assert_eq!(names(folder.path()), ["pipe"]);
     }
 
+    /// Character devices are written to and stay devices; block devices are refused.
     #[test]
-    fn devices_stay_devices_and_block_devices_are_refused() {
+    fn block_devices_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let (null, disk) = (folder.path().join("null"), folder.path().join("disk"));
         let mknod = |path: &Path, numbers: [&str; 3]| {
@@ -219,8 +222,9 @@ mod tests {
         assert_eq!(names(folder.path()), ["socket"]);
     }
 
+    /// A draft that is abandoned leaves the earlier file.
     #[test]
-    fn what_is_given_up_leaves_the_file_of_before() {
+    fn abandoned_draft_leaves_the_old_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         write_whole(&path, b"before").unwrap();
@@ -234,7 +238,7 @@ mod tests {
 
     /// A new file has those of any new file.
     #[test]
-    fn a_replaced_file_keeps_its_permissions() {
+    fn replaced_file_keeps_its_permissions() {
         let folder = tempfile::tempdir().unwrap();
         let mode = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().permissions().mode();
         std::fs::write(folder.path().join("usual"), "").unwrap();
@@ -246,8 +250,9 @@ mod tests {
         assert_eq!(mode("new") & 0o777, 0o640);
     }
 
+    /// A symbolic link stays, and the file that it leads to is replaced.
     #[test]
-    fn a_link_stays_and_what_it_leads_to_is_replaced() {
+    fn link_stays_and_its_target_is_replaced() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("there")).unwrap();
         std::fs::write(folder.path().join("there/real.csv"), "before").unwrap();

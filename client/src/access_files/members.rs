@@ -181,8 +181,9 @@ mod tests {
         read(path).unwrap()["token"].as_str().unwrap().to_owned()
     }
 
+    /// A member is added or revoked, and the others stay.
     #[test]
-    fn one_more_is_let_in_and_shut_out_and_the_others_stay() {
+    fn members_are_added_and_revoked_singly() {
         for mutual in [false, true] {
             let (_place, folder) = set(mutual);
             let coordinator = CoordinatorAccess::read(&folder.join(COORDINATOR)).unwrap();
@@ -204,8 +205,9 @@ mod tests {
         }
     }
 
+    /// Changes at the same time do not undo each other.
     #[test]
-    fn changes_at_the_same_time_do_not_undo_each_other() {
+    fn concurrent_changes_are_all_kept() {
         let (_place, folder) = set(false);
         let names = |kind: &str| (0..8).map(|i| format!("{kind}{i}")).collect::<Vec<_>>();
         for name in names("old") {
@@ -231,8 +233,9 @@ mod tests {
         assert_eq!(left, expected);
     }
 
+    /// Mistakes change nothing, and their message states what is possible.
     #[test]
-    fn mistakes_change_nothing_and_say_what_is_possible() {
+    fn mistakes_change_nothing() {
         let (_place, folder) = set(false);
         let message = |error: MemberError| error.to_string();
         let before = fs::read_to_string(folder.join(COORDINATOR)).unwrap();

@@ -12,8 +12,9 @@ pub(super) fn mode(path: &Path) -> u32 {
     fs::metadata(path).unwrap().permissions().mode() & 0o7777
 }
 
+/// The access files are private, complete and can be read back.
 #[test]
-fn a_set_is_secret_whole_and_can_be_read_back() {
+fn access_files_are_private_and_readable() {
     for mutual in [false, true] {
         let place = tempfile::tempdir().unwrap();
         let dir = place.path().join("access");
@@ -41,8 +42,9 @@ fn a_set_is_secret_whole_and_can_be_read_back() {
     }
 }
 
+/// Two sets of access files share no certificate, key, token or hash.
 #[test]
-fn no_two_sets_share_anything() {
+fn access_sets_share_no_secret() {
     let place = tempfile::tempdir().unwrap();
     let texts = ["one", "two"].map(|name| {
         let created = create(&place.path().join(name), &hosts(&["a"]), 7700, true, NOW_UNIX_S).unwrap();
@@ -61,8 +63,9 @@ fn no_two_sets_share_anything() {
     assert_eq!(one.intersection(&two).count(), 0);
 }
 
+/// A folder, file or link that exists is not touched.
 #[test]
-fn what_exists_is_not_touched() {
+fn existing_files_are_not_touched() {
     let place = tempfile::tempdir().unwrap();
     let (folder, file, link) =
         (place.path().join("folder"), place.path().join("file"), place.path().join("link"));
@@ -78,8 +81,9 @@ fn what_exists_is_not_touched() {
     assert_eq!(fs::read_dir(place.path()).unwrap().count(), 3);
 }
 
+/// A failed creation leaves no draft and replaces no folder.
 #[test]
-fn a_failure_leaves_nothing() {
+fn failed_creation_leaves_nothing() {
     let place = tempfile::tempdir().unwrap();
     let dir = place.path().join("missing").join("access");
     let error = create(&dir, &hosts(&["a"]), 7700, false, NOW_UNIX_S).unwrap_err();
@@ -93,8 +97,9 @@ fn a_failure_leaves_nothing() {
     assert_eq!(fs::read_dir(&taken).unwrap().count(), 1);
 }
 
+/// Hosts are names or addresses, and one is needed.
 #[test]
-fn hosts_are_names_or_addresses_and_one_is_needed() {
+fn hosts_are_names_or_addresses() {
     for host in ["farm", "farm.example.org", "node_1.cluster", "10.0.0.1", "::1", "2001:db8::2"] {
         assert!(is_host(host), "{host}");
     }
@@ -123,8 +128,9 @@ fn hosts_are_names_or_addresses_and_one_is_needed() {
     assert!(matches!(create(nowhere, &hosts(&["a"]), 1, false, i64::MAX), Err(CreateError::Time(i64::MAX))));
 }
 
+/// The coordinator's own machine is always among the names of the certificate.
 #[test]
-fn the_coordinators_own_machine_is_always_among_the_names() {
+fn local_machine_is_always_named() {
     let names = certificate_names(&hosts(&["farm", "LOCALHOST", "farm"])).unwrap();
     assert_eq!(names, ["farm", "LOCALHOST", "127.0.0.1", "::1"]);
     assert_eq!(server_url(&hosts(&["2001:db8::2"]), 7700).unwrap(), "https://[2001:db8::2]:7700");

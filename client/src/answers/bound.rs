@@ -66,8 +66,9 @@ mod tests {
 
     use super::*;
 
+    /// Half widths are in per cent of the quantity, and their ratio to the bound is given.
     #[test]
-    fn half_widths_and_their_ratio_are_in_per_cent_of_the_quantity() {
+    fn half_widths_are_in_per_cent() {
         let interval = |low, high| Interval { low, high, open_low: false, open_high: false };
         let cells = |interval, low, high| row("σ_t", 5.0, &interval, &Ends { low, high }).split_off(1);
         assert_eq!(cells(interval(4.9, 5.1), 4.92, 5.08), ["2", "1.6", "1.2"]);
@@ -78,8 +79,9 @@ mod tests {
         assert_eq!(nothing[1..], ["–", "–", "–"]);
     }
 
+    /// Every channel with a likelihood has its rows.
     #[test]
-    fn every_channel_with_a_likelihood_has_its_rows() {
+    fn every_likelihood_channel_has_its_rows() {
         let mut r = channel("R", 6.0, 1.0);
         r.refined.as_mut().unwrap().likelihood = Some(likelihood(712.0, 0.5));
         let fit = |channels| [MaterialFit { material: "white".into(), channels }];

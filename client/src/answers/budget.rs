@@ -121,8 +121,9 @@ mod tests {
         assert_eq!(shares(&small), "g 98 %, rest 2 %");
     }
 
+    /// The budget names the source that is largest over all channels.
     #[test]
-    fn the_budget_names_the_largest_source_over_all_channels() {
+    fn budget_names_the_largest_source() {
         use ErrorSource::{G, Noise};
         let (a, b) = ([share(Noise, 0.7), share(G, 0.3)], [share(Noise, 0.1), share(G, 0.9)]);
         let (source, part) = largest(&[&a, &b]).unwrap();
@@ -130,8 +131,9 @@ mod tests {
         assert_eq!(largest(&[]), None);
     }
 
+    /// A budget is shown with the interval that it explains.
     #[test]
-    fn a_budget_stands_beside_the_interval_it_is_of() {
+    fn budget_has_the_interval_it_explains() {
         assert_eq!(budget_text(&[]), None);
         let mut channel = channel("G", 6.0, 1.0);
         channel.refined.as_mut().unwrap().likelihood = Some(likelihood(712.0, 0.53));

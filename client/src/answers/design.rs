@@ -187,8 +187,9 @@ mod tests {
         rows[which].split_whitespace().map(str::to_owned).collect()
     }
 
+    /// Every set has a row with g held and one with g free.
     #[test]
-    fn every_set_has_a_row_with_g_held_and_one_with_g_free() {
+    fn sets_have_rows_for_both_g_modes() {
         let text = text(&design());
         assert_eq!(row(&text, "0.5 ", 0)[1..8], ["1", "4", "20", "4", ">", "100", "noise"]);
         let both = row(&text, "0.5 + 1 ", 0);
@@ -197,8 +198,9 @@ mod tests {
         assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
     }
 
+    /// The limits of the best set are named, with the improvement that would help.
     #[test]
-    fn what_limits_the_best_is_told_with_what_would_help() {
+    fn best_design_names_limits_and_remedies() {
         let message = text(&design());
         let lines = message.replace("\n  ", " ");
         assert!(lines.contains("Best: 0.5 + 1 mm, 2 photographs of each slab."), "{message}");
@@ -214,8 +216,9 @@ mod tests {
         assert!(text(&hopeless).contains("No set determines σ_t"));
     }
 
+    /// A dictionary of one anisotropy has one table.
     #[test]
-    fn a_dictionary_of_one_anisotropy_has_one_table() {
+    fn single_anisotropy_has_one_table() {
         let mut design = design();
         design.pixels = PixelRow::new(-1.0, 1.0, 0.1).unwrap();
         design.sets.iter_mut().for_each(|set| set.g_free = None);
@@ -223,8 +226,9 @@ mod tests {
         assert!(!text.contains("g free") && text.contains("20 pixels"), "{text}");
     }
 
+    /// Limitations are given in practical units such as µm and per cent.
     #[test]
-    fn units_are_those_of_the_workshop() {
+    fn limitations_have_practical_units() {
         assert_eq!(with_unit(Limitation::Blur, 0.03), "30 µm");
         assert_eq!(with_unit(Limitation::Gain, 0.003), "0.3 %");
         assert_eq!(with_unit(Limitation::Slope, 0.002), "0.2 % per 10 mm");

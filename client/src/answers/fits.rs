@@ -154,8 +154,9 @@ mod tests {
         text
     }
 
+    /// The text of a likelihood has the objective, the assumptions, the bound and the findings.
     #[test]
-    fn a_likelihood_tells_objective_assumptions_bound_and_findings() {
+    fn likelihood_text_lists_its_assumptions() {
         let mut channels = vec![channel("R", 11.53, 1.0), channel("G", 27.61, 1.0), channel("B", 19.8, 1.0)];
         channels[0].refined.as_mut().unwrap().likelihood = Some(likelihood(712.4, 0.53));
         channels[1].refined.as_mut().unwrap().likelihood = Some(likelihood(1130.0, 1e-9));
@@ -181,7 +182,7 @@ mod tests {
 
     /// Nothing is wider than a terminal of 80 columns, however long the names, and warnings appear once.
     #[test]
-    fn fits_are_told_in_eighty_columns_with_what_is_wrong() {
+    fn fits_are_shown_in_80_columns() {
         let mut channels =
             vec![channel("R", 11.53, 3.42), channel("G", 27.61, 0.96), channel("B", 19.87, 0.93)];
         for channel in &mut channels[1..] {

@@ -98,8 +98,9 @@ mod tests {
 
     use super::*;
 
+    /// Inks are shown in 80 columns, with the mixtures that disagree.
     #[test]
-    fn inks_are_told_in_eighty_columns_with_mixtures_that_disagree() {
+    fn inks_are_shown_in_80_columns() {
         let text = anstream::adapter::strip_str(&inks_text(&unmixed())).to_string();
         for line in text.lines() {
             assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());

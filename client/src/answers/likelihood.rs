@@ -132,8 +132,9 @@ mod tests {
         NuisanceEstimate { nuisance, profile_mm: Some(0.5), value, std_error, prior, prior_std_error }
     }
 
+    /// Each nuisance is given in its unit.
     #[test]
-    fn each_nuisance_is_told_in_its_unit() {
+    fn each_nuisance_is_given_in_its_unit() {
         let all = |nuisance, value, std_error| {
             let n = estimate(nuisance, value, std_error, (0.0, 1.0));
             super::nuisance(&NuisanceEstimate { profile_mm: None, ..n })
@@ -147,16 +148,18 @@ mod tests {
         assert_eq!(all(Nuisance::Slope, 0.0203, 0.0006), "slope 2.03 ± 0.06 % per 10 mm");
     }
 
+    /// A blur that is compatible with zero has an upper end only.
     #[test]
-    fn a_blur_near_nothing_has_an_upper_end_alone() {
+    fn small_blur_has_only_an_upper_end() {
         assert_eq!(blur(0.0, 1e-4), "< 14 µm");
         assert_eq!(blur(-3e-4, 1e-4), "< 14 µm");
         assert_eq!(blur(1.9e-4, 1e-4), "< 20 µm");
         assert_eq!(blur(2.5e-4, 1e-4), "16 ± 3 µm");
     }
 
+    /// Only nuisances about which the data add information are listed.
     #[test]
-    fn only_what_the_data_say_more_of_is_listed() {
+    fn only_informed_nuisances_are_listed() {
         let origin = |value, std_error| moved(&estimate(Nuisance::Origin, value, std_error, (0.01, 0.05)));
         assert!(!origin(0.03, 0.03));
         assert!(origin(0.03, 0.024), "much better known than before");
@@ -165,8 +168,9 @@ mod tests {
         assert!(!held(0.5) && held(0.51));
     }
 
+    /// Data that scatter less than their standard errors cause a warning.
     #[test]
-    fn data_that_scatter_less_than_their_errors_warn() {
+    fn too_small_scatter_causes_a_warning() {
         let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
         assert_eq!(too_quiet(&refined), None, "the paper's distance has no χ²");
         for (chi2, warns) in [(300.0, true), (400.0, false), (716.0, false), (1130.0, false)] {
@@ -175,8 +179,9 @@ mod tests {
         }
     }
 
+    /// Outliers are named by x, and the rest is counted.
     #[test]
-    fn outliers_are_named_by_x_and_the_rest_is_counted() {
+    fn outliers_are_named_by_x() {
         let pixel = |profile_mm, x_mm| OutlierPixel { profile_mm, x_mm, deviation: 9.0 };
         let few = [pixel(0.5, -1.23), pixel(0.5, 0.48), pixel(1.0, -0.0001), pixel(0.5, 0.51)];
         let message = "4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 0 mm";

@@ -86,8 +86,9 @@ mod tests {
 
     use super::*;
 
+    /// An unlikely χ² causes a warning, whatever the misfit.
     #[test]
-    fn an_unlikely_chi2_warns_whatever_the_misfit_is() {
+    fn unlikely_chi2_warns_at_any_misfit() {
         let mut refined = channel("R", 6.0, 3.4).refined.unwrap();
         refined.likelihood = Some(likelihood(1130.2, 2e-9));
         let with_reason = "χ² 1130 of 716, p < 0.001: noise and what is known of the set-up do not explain the data; the \

@@ -88,7 +88,7 @@ mod tests {
 
     /// The curve around its minimum is printed as it is.
     #[test]
-    fn a_scale_factor_that_the_data_leave_open_is_told_so() {
+    fn open_scale_factor_is_reported() {
         let open = Interval { low: 0.8, high: 1.1, open_low: true, open_high: true };
         let closed = Interval { low: 0.35, high: 0.47, open_low: false, open_high: false };
         let mut common = Common {

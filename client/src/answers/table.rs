@@ -81,8 +81,9 @@ fn as_text(cell: &str) -> Cow<'_, str> {
 mod tests {
     use super::*;
 
+    /// Formulas of spreadsheets are quoted as text, and numbers are not.
     #[test]
-    fn formulas_are_text_and_numbers_are_numbers() {
+    fn formulas_are_quoted_and_numbers_are_not() {
         for formula in ["=HYPERLINK(\"http://x\")", "+1+1", "-2+3", "@SUM(A1)", "\t=1"] {
             assert_eq!(as_text(formula), format!("'{formula}"));
         }

@@ -154,8 +154,9 @@ fn named_as_given(error: Invalid) -> Invalid {
 mod tests {
     use super::*;
 
+    /// A list of thicknesses is a set of slabs, and pixels are three numbers.
     #[test]
-    fn lists_are_sets_and_pixels_are_three_numbers() {
+    fn lists_are_sets_and_pixels_three_numbers() {
         assert_eq!("0.5, 1".parse(), Ok(SlabList(vec![0.5, 1.0])));
         assert_eq!("".parse::<SlabList>(), Err("\"\" is not a number".to_owned()));
         assert_eq!("-4,4,0.02".parse(), Ok(PixelsArg([-4.0, 4.0, 0.02])));

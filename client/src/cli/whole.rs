@@ -11,8 +11,9 @@ pub(super) fn whole_number(text: &str) -> Result<u64, String> {
 mod tests {
     use super::*;
 
+    /// Large numbers are read with underscores and exponents.
     #[test]
-    fn large_numbers_are_read_as_people_write_them() {
+    fn large_numbers_accept_exponents() {
         for text in ["1000000", "1_000_000", "1e6", "1.0E+6"] {
             assert_eq!(whole_number(text), Ok(1_000_000), "{text}");
         }

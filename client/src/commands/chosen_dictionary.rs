@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_only_dictionary_needs_no_name() {
+    fn only_dictionary_needs_no_name() {
         let names = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         assert_eq!(pick(&names(&["fine"])).unwrap(), "fine");
         assert_eq!(pick(&names(&["fine", "paper"])).unwrap(), "paper");

@@ -294,7 +294,7 @@ mod tests {
 
     /// `capture --measure` measures as `farmctl measure DIR` does.
     #[test]
-    fn a_folder_has_the_defaults_of_the_command_line() {
+    fn folder_has_the_command_line_defaults() {
         let folder = tempfile::tempdir().unwrap();
         let session = r#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004}"#;
         for (name, text) in

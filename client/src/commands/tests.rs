@@ -30,8 +30,9 @@ use crate::output::envelope;
 /// grow.
 const EXPECTED: &str = include_str!("tests/farmctl-1.jsonl");
 
+/// The output that other programs read is unchanged.
 #[test]
-fn what_programs_read_stays_as_it_is() {
+fn machine_readable_output_is_stable() {
     let answers = answers();
     for (i, (answer, expected)) in answers.iter().zip(EXPECTED.lines()).enumerate() {
         assert_eq!(answer, expected, "line {}", i + 1);

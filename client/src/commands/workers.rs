@@ -115,8 +115,9 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
 mod tests {
     use super::*;
 
+    /// A small memory is shown with more digits.
     #[test]
-    fn little_memory_is_told_more_exactly() {
+    fn small_memory_has_more_digits() {
         let of = |mib: u64| {
             let kernel = "avx2".to_owned();
             machine(&MachineFacts { cores: 2, memory_bytes: mib << 20, kernel, log: String::new() })

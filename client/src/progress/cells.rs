@@ -78,7 +78,7 @@ mod tests {
 
     /// 38 values of σ_t, 11 of g and 2 thicknesses: two jobs share a cell.
     #[test]
-    fn the_papers_grid_is_drawn_as_extinction_by_anisotropy() {
+    fn paper_grid_has_a_cell_per_anisotropy() {
         let mut cells = Cells::new(&Grid::paper());
         set(&mut cells, &[0, 1, 22, 23], JobState::Done);
         set(&mut cells, &[2], JobState::Computing);
@@ -90,8 +90,9 @@ mod tests {
         assert_eq!([start(0), start(1), start(2), start(3)], ["██·", "+··", "×··", "▒··"]);
     }
 
+    /// More jobs share a cell where there is no room.
     #[test]
-    fn more_jobs_share_a_cell_where_there_is_no_room() {
+    fn small_terminals_share_cells() {
         let mut cells = Cells::new(&Grid::paper());
         cells.set(0, &[JobState::Done; 22]);
         cells.set(22, &[JobState::Computing]);

@@ -130,8 +130,9 @@ mod tests {
     use super::super::tests::{channel, medium, three_kinds};
     use super::*;
 
+    /// Media of each kind as a Python dictionary for Mitsuba.
     #[test]
-    fn a_dictionary_of_each_kind() {
+    fn every_medium_kind_as_python_dictionary() {
         let expected = r#"# Measured media for Mitsuba 3: {"type": "scene", **media, …}
 # Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.
 media = {
@@ -167,8 +168,9 @@ media = {
         assert_eq!(mitsuba_dict(&three_kinds()), expected);
     }
 
+    /// Media of each kind as XML for Mitsuba.
     #[test]
-    fn xml_of_each_kind() {
+    fn every_medium_kind_as_mitsuba_xml() {
         let expected = r#"<!-- Measured media for Mitsuba 3: put <include filename="media.xml"/> into a scene, and into a shape
      <ref name="interior" id="…"/> with the id of a medium. -->
 <!-- Render with <integrator type="volpathmis"/>: sigma_t differs between channels, with which volpath is noisy. -->
@@ -209,8 +211,9 @@ media = {
         assert_eq!(mitsuba_xml(&three_kinds()), expected);
     }
 
+    /// The XML is one scene with a medium for each block.
     #[test]
-    fn xml_is_one_scene_with_a_medium_for_each_block() {
+    fn xml_has_a_medium_per_block() {
         let text = mitsuba_xml(&three_kinds());
         let document = roxmltree::Document::parse(&text).unwrap();
         let scene = document.root_element();
@@ -224,7 +227,7 @@ media = {
 
     /// It is a power of ten, and 1 for values that need none.
     #[test]
-    fn the_scale_brings_large_rgb_values_to_at_most_one() {
+    fn scale_brings_rgb_to_at_most_one() {
         let scale_for = |sigma_t: [f64; 3]| {
             scale(&Values::Rgb(sigma_t.map(|sigma_t| Medium::new(sigma_t, 0.5, 0.0).unwrap())))
         };

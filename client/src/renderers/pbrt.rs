@@ -64,8 +64,9 @@ mod tests {
     use super::super::tests::{channel, medium, three_kinds};
     use super::*;
 
+    /// Media of each kind as statements for pbrt.
     #[test]
-    fn a_statement_of_each_kind() {
+    fn every_medium_kind_as_pbrt_statement() {
         let expected = r#"# Measured media for pbrt-v4.
 # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.
 # "Clear resin": R, G, B
@@ -95,8 +96,9 @@ MakeNamedMedium "Wax_mean"
         assert_eq!(pbrt(&three_kinds()), expected);
     }
 
+    /// Names cannot end the comment or the quotes that they are in.
     #[test]
-    fn names_cannot_leave_their_comment_or_their_quotes() {
+    fn names_cannot_escape_comments_or_quotes() {
         let media = [medium("a\" \"string preset\" \"Skin1\n\rShape \"x", vec![channel("c", 1.0, 0.5)])];
         let text = pbrt(&media);
         let statements: Vec<_> = text.lines().filter(|line| !line.starts_with('#')).collect();

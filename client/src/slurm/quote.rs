@@ -40,8 +40,9 @@ mod tests {
         "σ_t 日本",
     ];
 
+    /// Bash reads a quoted text unchanged.
     #[test]
-    fn bash_reads_quoted_text_as_it_was() -> std::io::Result<()> {
+    fn bash_reads_quoted_text_unchanged() -> std::io::Result<()> {
         for text in AWKWARD {
             let script = format!("printf '<%s>' {}", shell_quoted(text));
             let output = Command::new("bash").args(["-c", &script]).output()?;
@@ -51,8 +52,9 @@ mod tests {
         Ok(())
     }
 
+    /// Bash reads a quoted text as one word among others.
     #[test]
-    fn bash_reads_quoted_text_as_one_word_beside_others() -> std::io::Result<()> {
+    fn bash_reads_quoted_text_as_one_word() -> std::io::Result<()> {
         let words: Vec<_> = AWKWARD.map(shell_quoted).into();
         let script = format!("set -- {}; echo $#; printf '<%s>' \"$@\"", words.join(" "));
         let output = Command::new("bash").args(["-c", &script]).output()?;

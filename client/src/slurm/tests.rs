@@ -57,8 +57,9 @@ fn value<'a>(call: &'a [String], option: &str) -> Option<&'a str> {
     call.get(at + 1).map(String::as_str)
 }
 
+/// The head of the script requests the array and the warning signal.
 #[test]
-fn the_head_asks_for_the_array_and_the_warning() -> Result<(), Box<dyn std::error::Error>> {
+fn script_head_requests_array_and_warning() -> Result<(), Box<dyn std::error::Error>> {
     let mut submission = submission()?;
     submission.at_once = NonZeroU32::new(2);
     submission.partition = Some("long".parse()?);
@@ -82,7 +83,7 @@ fn the_head_asks_for_the_array_and_the_warning() -> Result<(), Box<dyn std::erro
 
 /// Their options arrive literally, whatever characters they have.
 #[test]
-fn workers_do_not_get_the_submitters_environment() -> Result<(), Box<dyn std::error::Error>> {
+fn workers_get_a_clean_environment() -> Result<(), Box<dyn std::error::Error>> {
     let mut submission = submission()?;
     submission.coordinator.access = Some("/home/it's me/a \"b\"/$x.toml".to_owned());
     let call = called(&submission.script(), &[])?;
@@ -96,8 +97,9 @@ fn workers_do_not_get_the_submitters_environment() -> Result<(), Box<dyn std::er
     Ok(())
 }
 
+/// The time limit is the time that Slurm leaves.
 #[test]
-fn the_time_limit_is_what_slurm_leaves() -> Result<(), Box<dyn std::error::Error>> {
+fn time_limit_is_the_remaining_slurm_time() -> Result<(), Box<dyn std::error::Error>> {
     let script = submission()?.script();
     for left in ["1-23:59:59", "1:59:30", "0:30"] {
         let (_dir, path) = squeue(&format!("echo {left}"))?;
@@ -106,8 +108,9 @@ fn the_time_limit_is_what_slurm_leaves() -> Result<(), Box<dyn std::error::Error
     Ok(())
 }
 
+/// Without an answer from Slurm, the time limit is the requested walltime.
 #[test]
-fn without_an_answer_the_time_limit_is_the_walltime_asked_for() -> Result<(), Box<dyn std::error::Error>> {
+fn walltime_replaces_a_missing_answer() -> Result<(), Box<dyn std::error::Error>> {
     let script = submission()?.script();
     let answers = [
         "exit 1",
@@ -126,8 +129,9 @@ fn without_an_answer_the_time_limit_is_the_walltime_asked_for() -> Result<(), Bo
     Ok(())
 }
 
+/// The end time in Slurm's environment has precedence.
 #[test]
-fn the_end_that_slurm_tells_comes_first() -> Result<(), Box<dyn std::error::Error>> {
+fn end_time_from_slurm_has_precedence() -> Result<(), Box<dyn std::error::Error>> {
     let script = submission()?.script();
     // The year 2100: the clock of this machine is surely before it.
     let call = called(&script, &[("SLURM_JOB_END_TIME", "4102444800")])?;

@@ -65,8 +65,9 @@ mod tests {
         HeaderMap::from_iter([(name, value.parse().unwrap())])
     }
 
+    /// The compressed files of the page have less than 150 kB.
     #[test]
-    fn the_page_is_small_on_its_way() {
+    fn compressed_page_is_small() {
         let bytes: usize = ASSETS.iter().map(|asset| asset.gzipped.len()).sum();
         assert!((1000..150_000).contains(&bytes), "{bytes} bytes");
     }
@@ -87,7 +88,7 @@ mod tests {
 
     /// Nothing is loaded from elsewhere, and no script or style stands within the page: its policy forbids both.
     #[test]
-    fn the_page_needs_nothing_but_its_files() {
+    fn page_needs_nothing_but_its_files() {
         let html = std::str::from_utf8(FILES[0].2).unwrap();
         for forbidden in ["http://", "https://", "src=\"/", "href=\"/", "<style", "style=", "onclick"] {
             assert!(!html.contains(forbidden), "{forbidden}");

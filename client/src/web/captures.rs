@@ -126,8 +126,9 @@ fn kind(name: &str) -> Option<&'static str> {
 mod tests {
     use super::*;
 
+    /// Only the known files of a capture are served.
     #[tokio::test]
-    async fn only_a_captures_own_files_are_shown() {
+    async fn only_files_of_a_capture_are_served() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path().join("session");
         std::fs::create_dir(&folder).unwrap();

@@ -180,7 +180,7 @@ mod tests {
     const COOKIE: (&str, &str) = ("cookie", "a=b; farm=secret");
 
     #[test]
-    fn the_token_is_exchanged_for_a_cookie() {
+    fn token_is_exchanged_for_a_cookie() {
         let gate = gate(None);
         let cookie = gate.let_in(&request("GET", "/?token=secret", &[OWN])).unwrap();
         assert_eq!(cookie, "farm=secret; Path=/folder/; HttpOnly; SameSite=Lax");
@@ -194,8 +194,9 @@ mod tests {
         }
     }
 
+    /// The page is served below its secret folder only.
     #[test]
-    fn the_page_is_below_a_folder_that_nobody_can_guess() {
+    fn page_is_below_an_unguessable_folder() {
         let within = |uri: &str| gate(None).within(&uri.parse().unwrap()).map(|uri| uri.to_string());
         assert_eq!(within("/folder/").unwrap(), "/");
         assert_eq!(within("/folder/?token=secret").unwrap(), "/?token=secret");
@@ -211,8 +212,9 @@ mod tests {
         assert_ne!(new(), new());
     }
 
+    /// Calls are accepted from the page's own origin only.
     #[test]
-    fn only_the_page_itself_may_ask() {
+    fn only_the_page_itself_may_call() {
         let gate = gate(None);
         let post = |headers: &[(&str, &str)]| {
             gate.admit(&request("POST", "/farm.v1.Farm/Status", &[&[COOKIE], headers].concat()))

@@ -115,8 +115,9 @@ mod tests {
         answer.split(' ').nth(1).map(str::to_owned)
     }
 
+    /// Idle connections make room for new ones with a request.
     #[tokio::test]
-    async fn idle_strangers_make_room_for_the_owner() {
+    async fn idle_connections_make_room_for_the_owner() {
         let address = start(8, Duration::from_mins(1)).await;
         let mut owner = TcpStream::connect(address).await.unwrap();
         assert_eq!(ask(&mut owner, "/owner").await.as_deref(), Some("200"));
@@ -131,8 +132,9 @@ mod tests {
         assert_eq!(ask(&mut owner, "/owner").await.as_deref(), Some("200"), "who was let in stays");
     }
 
+    /// Incomplete requests and idle connections are closed.
     #[tokio::test]
-    async fn half_a_request_and_an_idle_connection_end() {
+    async fn half_requests_and_idle_connections_end() {
         let address = start(8, Duration::from_millis(300)).await;
         for half in ["", "GET / HT", "GET /owner HTTP/1.1\r\nHost: farm\r\n\r\n"] {
             let mut stream = TcpStream::connect(address).await.unwrap();

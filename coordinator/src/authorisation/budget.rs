@@ -104,8 +104,9 @@ impl Drop for Entry {
 mod tests {
     use super::*;
 
+    /// One caller leaves part of the budget to others, and gets back its share when a request ends.
     #[test]
-    fn one_caller_leaves_room_and_what_ends_gives_back() {
+    fn one_caller_leaves_room_in_the_budget() {
         let budget = Arc::new(Budget::of(100));
         let account = |caller: &str| Account::new(budget.clone(), caller.to_owned());
         let (first, second, other) = (account("alice"), account("alice"), account("bob"));
@@ -126,8 +127,9 @@ mod tests {
         assert!(held.all == 0 && held.of.is_empty(), "{held:?}");
     }
 
+    /// All callers together have a limit.
     #[test]
-    fn all_callers_together_have_a_bound() {
+    fn all_callers_share_a_limit() {
         let budget = Arc::new(Budget::of(100));
         let all: Vec<_> = (0..SHARES).map(|i| Account::new(budget.clone(), i.to_string())).collect();
         for account in &all {
@@ -139,8 +141,9 @@ mod tests {
         late.hold(100).unwrap();
     }
 
+    /// A farm in the same process has no limit on the bytes that requests hold.
     #[test]
-    fn a_farm_in_the_same_process_has_no_bound() {
+    fn in_process_farm_has_no_budget_limit() {
         let account = Account::new(Arc::new(Budget::of(usize::MAX)), String::new());
         account.hold(usize::MAX / 2).unwrap();
     }

@@ -167,8 +167,9 @@ mod tests {
         body.collect().await.map(|all| all.to_bytes().len()).map_err(|status| status.code())
     }
 
+    /// A message must arrive whole within the time limit.
     #[tokio::test(start_paused = true)]
-    async fn a_message_comes_whole_in_time() {
+    async fn incomplete_message_times_out() {
         let trickle = |n| message(n).chunks(1).map(<[u8]>::to_vec).collect::<Vec<_>>();
         let second = Duration::from_secs(1);
         assert_eq!(read(body(trickle(20), second, &account(1000), false)).await, Ok(25));
@@ -182,13 +183,14 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_stream_may_pause_between_messages() {
+    async fn stream_may_pause_between_messages() {
         let pieces = vec![message(10), message(20), message(30)];
         assert_eq!(read(body(pieces, PATIENCE / 2, &account(1000), true)).await, Ok(75));
     }
 
+    /// Bytes of a request count against the budget until they are handed on.
     #[tokio::test(start_paused = true)]
-    async fn what_is_held_is_counted_until_it_is_handed_on() {
+    async fn held_bytes_count_until_handed_on() {
         let pieces = || vec![message(60), message(60)];
         assert_eq!(read(body(pieces(), Duration::ZERO, &account(100), true)).await, Ok(130));
         assert_eq!(

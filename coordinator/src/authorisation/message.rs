@@ -57,8 +57,9 @@ impl Message {
 mod tests {
     use super::*;
 
+    /// A message ends where its length prefix declares, whatever the size of the pieces that arrive.
     #[test]
-    fn messages_end_where_their_prefixes_say() {
+    fn messages_end_where_their_prefixes_declare() {
         let bytes = [0, 0, 0, 0, 3, 1, 2, 3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 9];
         let ends = [8, 13, 19];
         for piece in [1, 2, 5, 7] {
@@ -74,8 +75,9 @@ mod tests {
         }
     }
 
+    /// A message that lacks bytes is not between two messages.
     #[test]
-    fn a_message_that_lacks_bytes_is_not_between() {
+    fn incomplete_message_is_not_between() {
         let mut message = Message::default();
         assert!(!message.take(&[0, 0, 0, 1, 0, 5]));
         assert_eq!((message.bytes(), message.is_between()), (6, false));

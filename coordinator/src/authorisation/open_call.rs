@@ -79,8 +79,9 @@ mod tests {
         limited(body).collect().await.map(|all| all.to_bytes().len()).map_err(|status| status.code())
     }
 
+    /// A call without authorisation has few bytes and little time.
     #[tokio::test(start_paused = true)]
-    async fn an_open_call_says_little_and_soon() {
+    async fn open_call_is_short_and_small() {
         assert_eq!(read(body(vec![100; 5], Duration::from_secs(1))).await, Ok(500));
         assert_eq!(read(body(vec![BYTES, 1], Duration::ZERO)).await, Err(Code::ResourceExhausted));
         assert_eq!(read(body(vec![1; 100], Duration::from_secs(1))).await, Err(Code::DeadlineExceeded));

@@ -179,8 +179,9 @@ mod tests {
     use super::*;
     use crate::connections::Admission;
 
+    /// Each path is for its roles, and an unknown one for administrators only.
     #[test]
-    fn paths_belong_to_their_roles_and_unknown_ones_to_admins() {
+    fn unknown_paths_are_for_admins_only() {
         let cases: [(&str, &[Role]); 9] = [
             ("/farm.v1.Leases/Acquire", &[Role::Worker, Role::Admin]),
             ("/farm.v1.Admin/Drain", &[Role::Admin]),
@@ -221,8 +222,9 @@ mod tests {
         assert_eq!(machine(&Extensions::new()), Machine::default());
     }
 
+    /// A token is read from a bearer header and nothing else.
     #[test]
-    fn a_token_is_read_from_a_bearer_header_alone() {
+    fn tokens_come_from_bearer_headers_only() {
         let token = |value: &str| {
             let headers = HeaderMap::from_iter([(AUTHORIZATION, value.parse().unwrap())]);
             bearer_token(&headers).map(str::to_owned)

@@ -49,8 +49,9 @@ mod tests {
         RequestId::of(&HeaderMap::from_iter([(HEADER, HeaderValue::from_bytes(given.as_bytes()).unwrap())]))
     }
 
+    /// The request id of a caller is used if it is short and has only harmless characters.
     #[test]
-    fn a_callers_id_is_taken_if_it_is_harmless() {
+    fn harmless_request_ids_are_taken_over() {
         let longest = "x".repeat(64);
         for given in ["a", "Run_1.2-3", &longest] {
             assert_eq!(of(given).as_str(), given);

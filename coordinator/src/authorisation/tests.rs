@@ -46,8 +46,9 @@ fn stream(code: Option<&'static str>) -> Response<Body> {
     Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.collect::<Vec<_>>()))))
 }
 
+/// A stream is counted when its trailers have been sent.
 #[tokio::test]
-async fn a_stream_is_told_of_when_its_trailers_have_come() {
+async fn stream_is_counted_after_its_trailers() {
     let (mut service, told) = guarded(answering(|_| stream(Some("5"))));
     let response = service.call(request("/farm.v1.Fits/Fit")).await.unwrap();
     assert!(told.lock().unwrap().is_empty(), "the stream has not ended");
@@ -57,7 +58,7 @@ async fn a_stream_is_told_of_when_its_trailers_have_come() {
 
 /// A stream that ends without a status code counts as unknown.
 #[tokio::test]
-async fn a_dropped_stream_counts_as_cancelled() {
+async fn dropped_stream_counts_as_cancelled() {
     let (mut service, told) = guarded(answering(|_| stream(None)));
     let mut body = service.call(request("/a")).await.unwrap().into_body();
     body.frame().await.unwrap().unwrap();
@@ -66,8 +67,9 @@ async fn a_dropped_stream_counts_as_cancelled() {
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1), ("/b".to_owned(), 2)]);
 }
 
+/// A call that is dropped before its answer counts as cancelled.
 #[tokio::test]
-async fn a_call_that_is_let_go_of_before_its_answer_is_cancelled() {
+async fn abandoned_call_counts_as_cancelled() {
     let (mut service, told) = guarded(tower::service_fn(|_: Request<Body>| {
         std::future::pending::<Result<Response<Body>, Infallible>>()
     }));
@@ -77,7 +79,7 @@ async fn a_call_that_is_let_go_of_before_its_answer_is_cancelled() {
 
 /// It ends with its head: gRPC's own library takes no empty frame in place of its end.
 #[tokio::test]
-async fn an_answer_without_body_is_told_of_by_its_header() {
+async fn empty_answer_is_counted_by_its_header() {
     let (mut service, told) = guarded(answering(|_| Status::not_found("no").into_http()));
     let answer = service.call(request("/a")).await.unwrap();
     assert!(answer.body().is_end_stream());
@@ -85,15 +87,17 @@ async fn an_answer_without_body_is_told_of_by_its_header() {
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 5)]);
 }
 
+/// Calls of unknown paths are counted under one name.
 #[tokio::test]
-async fn paths_where_nothing_is_are_told_of_together() {
+async fn unknown_paths_are_counted_together() {
     let (mut service, told) = guarded(answering(|_| Status::unimplemented("no").into_http()));
     drop(service.call(request("/made/up")).await.unwrap());
     assert_eq!(*told.lock().unwrap(), [(OTHER_METHOD.to_owned(), 12)]);
 }
 
+/// A handler gets the request id, but not the token.
 #[tokio::test]
-async fn handlers_see_the_request_id_and_not_the_token() {
+async fn handlers_get_request_id_but_no_token() {
     let (mut service, _) = guarded(answering(|request| {
         assert!(request.headers().get("authorization").is_none());
         assert!(request.extensions().get::<Caller>().is_none(), "nobody is asked who he is");
@@ -115,8 +119,9 @@ fn answer(bytes: usize) -> Response<Body> {
     Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.map(Ok::<_, Status>)))))
 }
 
+/// The bytes of answers that are not yet read are bounded.
 #[tokio::test]
-async fn answers_that_are_not_read_have_a_bound() {
+async fn unread_answers_are_bounded() {
     let (mut service, told) = guarded(answering(|_| answer(HELD * 2 / 3)));
     let unread = service.call(request("/a")).await.unwrap();
     let refused = service.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
@@ -132,7 +137,7 @@ async fn answers_that_are_not_read_have_a_bound() {
 
 /// A body that tells its size must not tell what is left of it after the first look.
 #[tokio::test]
-async fn an_answer_of_known_size_is_not_told_as_empty() {
+async fn size_of_an_answer_stays_reported() {
     let whole = || Response::new(Body::new(http_body_util::Full::new(bytes::Bytes::from_static(b"whole"))));
     let (mut service, _) = guarded(answering(move |_| whole()));
     let body = service.call(request("/a")).await.unwrap().into_body();
@@ -140,8 +145,9 @@ async fn an_answer_of_known_size_is_not_told_as_empty() {
     assert_eq!(body.collect().await.unwrap().to_bytes(), "whole");
 }
 
+/// A large answer is sent in pieces, with its trailers at the end.
 #[tokio::test]
-async fn an_answer_is_handed_on_in_pieces() {
+async fn answer_is_sent_in_pieces() {
     let (mut service, _) = guarded(answering(|_| answer(HELD / 2)));
     let mut body = service.call(request("/a")).await.unwrap().into_body();
     let (mut bytes, mut trailers) = (0, false);
@@ -157,8 +163,9 @@ async fn an_answer_is_handed_on_in_pieces() {
     assert_eq!((bytes, trailers), (HELD / 2, true));
 }
 
+/// A connection ends if it does not read its answer in time.
 #[tokio::test(start_paused = true)]
-async fn a_connection_ends_whose_answer_is_not_read() {
+async fn unread_answer_ends_the_connection() {
     let (mut service, _) = guarded(answering(|_| answer(1000)));
     let admission = Admission::admitted();
     let mut request = request("/a");

@@ -201,8 +201,9 @@ pub(crate) fn network(address: IpAddr) -> String {
 mod tests {
     use super::*;
 
+    /// Beyond the limit, the oldest unauthenticated connection of the same address is evicted.
     #[test]
-    fn the_oldest_unauthenticated_peer_of_an_address_is_evicted() {
+    fn oldest_unauthenticated_peer_is_evicted() {
         let peers = UnauthenticatedPeers::default();
         let [here, there]: [IpAddr; 2] = ["10.0.0.7", "10.0.0.8"].map(|a| a.parse().unwrap());
         let is_over = |admission: &Admission| admission.is_over(Instant::now()).is_some();
@@ -221,8 +222,9 @@ mod tests {
         assert!(peers.lock().is_empty(), "nothing is left of closed connections");
     }
 
+    /// A connection ends when one of its answers is not read in time.
     #[tokio::test(start_paused = true)]
-    async fn a_connection_ends_when_an_answer_is_not_read_in_time() {
+    async fn unread_answer_ends_its_connection() {
         let (admission, now) = (Admission::admitted(), Instant::now());
         let read = admission.unread(now + LAST_WORDS);
         let _later = admission.unread(now + 2 * LAST_WORDS);
@@ -231,8 +233,9 @@ mod tests {
         assert!(admission.is_over(now + 2 * LAST_WORDS).is_some());
     }
 
+    /// A connection ends shortly after its token is revoked.
     #[tokio::test(start_paused = true)]
-    async fn a_connection_ends_soon_after_its_token_is_revoked() {
+    async fn revoked_token_ends_its_connection_soon() {
         let (admission, now) = (Admission::admitted(), Instant::now());
         let let_in = Arc::new(std::sync::atomic::AtomicBool::new(true));
         let is_let_in = let_in.clone();
@@ -245,8 +248,9 @@ mod tests {
         assert!(admission.is_over(now + LAST_WORDS).is_some());
     }
 
+    /// A connection has a limited number of open calls.
     #[test]
-    fn a_connection_has_so_many_open_calls() {
+    fn open_calls_per_connection_are_limited() {
         let admission = Admission::admitted();
         let calls: Vec<_> = (0..OPEN_CALLS).map(|_| admission.open_call().unwrap()).collect();
         assert!(admission.open_call().is_none());

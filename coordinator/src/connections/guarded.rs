@@ -218,15 +218,17 @@ mod tests {
         assert!(found.abs_diff(expected) < Duration::from_millis(10), "{found:?} is not {expected:?}");
     }
 
+    /// A peer that does not send the greeting is overdue after the hello time.
     #[tokio::test(start_paused = true)]
-    async fn who_does_not_begin_is_overdue_after_the_hello_time() {
+    async fn missing_greeting_is_overdue() {
         let (mut guarded, _there) = pair();
         about(overdue_after(&mut guarded).await, HELLO);
         about(overdue_after(&mut guarded).await, Duration::ZERO);
     }
 
+    /// A greeting that arrives byte by byte gains no time.
     #[tokio::test(start_paused = true)]
-    async fn a_beginning_that_trickles_gains_no_time() {
+    async fn slow_greeting_gains_no_time() {
         let (mut guarded, mut there) = pair();
         let trickle = tokio::spawn(async move {
             for _ in 1..GREETING_BYTES {
@@ -239,8 +241,9 @@ mod tests {
         drop(trickle.await);
     }
 
+    /// After the greeting, silence counts from the last byte that was received.
     #[tokio::test(start_paused = true)]
-    async fn after_the_greeting_silence_counts_from_the_last_byte() {
+    async fn silence_counts_from_the_last_byte() {
         let (mut guarded, mut there) = pair();
         there.write_all(&[0; GREETING_BYTES]).await.unwrap();
         guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
@@ -255,7 +258,7 @@ mod tests {
 
     /// However much it says: without a token it ends. With one it goes on.
     #[tokio::test(start_paused = true)]
-    async fn without_a_token_a_connection_ends_after_its_patience() {
+    async fn connection_without_token_ends() {
         for admitted in [false, true] {
             let (here, mut there) = tokio::io::duplex(1024);
             let admission = UnauthenticatedPeers::default().admission([10, 0, 0, 7].into(), 1);
@@ -280,7 +283,7 @@ mod tests {
 
     /// However much it says: an answer that it does not read ends it.
     #[tokio::test(start_paused = true)]
-    async fn who_does_not_read_an_answer_is_cut_off() {
+    async fn unread_answer_cuts_the_connection() {
         let (mut guarded, mut there) = pair();
         let _unread = guarded.admission.unread(Instant::now() + PATIENCE);
         there.write_all(&[0; GREETING_BYTES]).await.unwrap();
@@ -298,7 +301,7 @@ mod tests {
 
     /// One who reads nothing holds what is written to him, and is not asked for more.
     #[tokio::test(start_paused = true)]
-    async fn who_does_not_read_is_overdue_too() {
+    async fn peer_that_never_reads_is_overdue() {
         for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {
             let (here, mut there) = tokio::io::duplex(1024);
             let admission = UnauthenticatedPeers::default().admission([10, 0, 0, 7].into(), 1);
@@ -316,8 +319,9 @@ mod tests {
         }
     }
 
+    /// Bytes that have arrived are read, even if the reader is late.
     #[tokio::test(start_paused = true)]
-    async fn bytes_that_wait_are_read_however_late() {
+    async fn waiting_bytes_are_read_after_a_delay() {
         let (mut guarded, mut there) = pair();
         there.write_all(&[7; GREETING_BYTES]).await.unwrap();
         advance(SILENCE * 2).await;

@@ -156,7 +156,7 @@ mod tests {
 
     /// The last bytes reach the peer although its own were never read, and the place is given back.
     #[tokio::test]
-    async fn the_last_bytes_survive_unread_input() {
+    async fn last_bytes_survive_unread_input() {
         let places = Arc::new(Semaphore::new(1));
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();

@@ -22,8 +22,9 @@ async fn is_closed(stream: &mut TcpStream) -> bool {
     matches!(timeout(SOON, stream.read(&mut [0])).await, Ok(Ok(0) | Err(_)))
 }
 
+/// A connection above the limit is closed; the others go on.
 #[tokio::test]
-async fn one_too_many_is_closed_and_the_others_go_on() {
+async fn surplus_connection_is_closed() {
     let (mut incoming, address) = listen(2).await;
     let connections = incoming.connections();
     let mut clients =
@@ -48,8 +49,9 @@ async fn one_too_many_is_closed_and_the_others_go_on() {
     assert_eq!((connections.open(), connections.refused()), (2, 3));
 }
 
+/// A new connection evicts the oldest unauthenticated one from the same address.
 #[tokio::test]
-async fn the_oldest_unauthenticated_peer_of_an_address_is_evicted() {
+async fn new_peer_evicts_oldest_unauthenticated() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let limits = UnauthenticatedLimits { connections: 1, patience: SOON };
@@ -69,8 +71,9 @@ async fn the_oldest_unauthenticated_peer_of_an_address_is_evicted() {
     assert_eq!((connections.open(), connections.refused()), (2, 0));
 }
 
+/// A connection has the addresses of both ends, and is set to TCP_NODELAY.
 #[tokio::test]
-async fn connections_know_their_ends_and_do_not_delay() {
+async fn connections_have_addresses_and_nodelay() {
     let (mut incoming, address) = listen(1).await;
     let client = TcpStream::connect(address).await.unwrap();
     let connection = next(&mut incoming).await;
@@ -78,8 +81,9 @@ async fn connections_know_their_ends_and_do_not_delay() {
     assert!(connection.nodelay());
 }
 
+/// An error of the listener causes a pause, not the end of listening.
 #[tokio::test(start_paused = true)]
-async fn errors_of_the_listener_make_a_pause_and_no_end() {
+async fn listener_errors_cause_a_pause_only() {
     let (mut incoming, address) = listen(1).await;
     // EMFILE: the process has no file descriptors left.
     incoming.failed(&io::Error::from_raw_os_error(24));
@@ -97,16 +101,17 @@ async fn errors_of_the_listener_make_a_pause_and_no_end() {
 /// Runs the next test in a process of its own, since it takes all file descriptors that there are.
 #[test]
 fn connections_wait_for_free_file_descriptors() {
-    let script = "ulimit -n 64 && exec \"$0\" --exact connections::tests::descriptors_run_out --ignored";
+    let script = "ulimit -n 64 && exec \"$0\" --exact connections::tests::connections_wait_while_descriptors_are_missing --ignored";
     let this = std::env::current_exe().unwrap();
     let output = std::process::Command::new("sh").arg("-c").arg(script).arg(this).output().unwrap();
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && told.contains("1 passed"), "{told}");
 }
 
+/// Without free file descriptors, connections wait until there are some.
 #[tokio::test]
 #[ignore = "takes all file descriptors: another test runs it in a process of its own"]
-async fn descriptors_run_out() {
+async fn connections_wait_while_descriptors_are_missing() {
     let (mut incoming, address) = listen(8).await;
     let mut clients = vec![];
     for _ in 0..3 {

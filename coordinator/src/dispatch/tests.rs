@@ -187,8 +187,9 @@ fn job_of(leases: &[Lease]) -> Vec<u32> {
     leases.iter().map(|l| l.key.job).collect()
 }
 
+/// The longest job is leased first, and no job twice.
 #[test]
-fn the_longest_job_goes_first_and_none_twice() {
+fn longest_job_goes_first() {
     let mut bench = Bench::new(&[]);
     let first = bench.acquire(0, "a", 1);
     assert_eq!(first[0].job.point().sigma_t_per_mm(), 30.0);
@@ -196,8 +197,9 @@ fn the_longest_job_goes_first_and_none_twice() {
     assert!(bench.acquire(0, "a", 10).is_empty());
 }
 
+/// After a restart, only jobs that have not ended are leased.
 #[test]
-fn after_a_restart_only_what_has_not_ended_is_left() {
+fn only_unfinished_jobs_remain_after_restart() {
     let mut bench = Bench::new(&[
         EndedJob::Done {
             job: 2,
@@ -216,8 +218,9 @@ fn after_a_restart_only_what_has_not_ended_is_left() {
     assert!(bench.status().has_quarantined());
 }
 
+/// A draining worker gets no leases and is informed that it drains, but may finish its work.
 #[test]
-fn a_draining_worker_gets_nothing_and_is_told() {
+fn draining_worker_gets_no_leases() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     assert_eq!(bench.farm.drain("nobody").unwrap_err(), "no worker has this id or label");
@@ -227,8 +230,9 @@ fn a_draining_worker_gets_nothing_and_is_told() {
     assert!(bench.renew(2, "a", &lease[0], true), "what it has it may finish");
 }
 
+/// Priorities and desired states decide which jobs are leased.
 #[test]
-fn priorities_and_desires_decide_what_is_given_out() {
+fn priorities_and_desires_order_the_leases() {
     let mut bench = Bench::new(&[]);
     // Of other walks.
     let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 2, false).unwrap();
@@ -253,8 +257,9 @@ fn priorities_and_desires_decide_what_is_given_out() {
     assert_eq!(bench.acquire(1, "a", 9).len(), 3, "what was out when it was cancelled is out no more");
 }
 
+/// The explanation of a dictionary lists why its jobs wait.
 #[test]
-fn what_is_missing_is_explained() {
+fn reasons_for_waiting_are_explained() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.reasons(0), ["WAITING"]);
     assert_eq!(bench.reasons(100), ["WORKERS_SILENT", "WAITING"]);

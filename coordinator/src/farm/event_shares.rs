@@ -45,8 +45,9 @@ impl EventShares {
 mod tests {
     use super::*;
 
+    /// One actor cannot use up the events of others.
     #[test]
-    fn one_actor_leaves_the_events_of_others() {
+    fn one_actor_leaves_events_for_others() {
         let mut shares = EventShares::default();
         let start = Duration::from_secs(100);
         let kept = |shares: &mut EventShares, actor: &str, now| {
@@ -58,8 +59,9 @@ mod tests {
         assert_eq!(kept(&mut shares, "mallory", start + Duration::from_hours(24)), AT_ONCE as usize);
     }
 
+    /// Actors are forgotten once their share of events is full again.
     #[test]
-    fn actors_are_forgotten_when_their_share_is_whole() {
+    fn actors_with_a_full_share_are_dropped() {
         let mut shares = EventShares::default();
         for actor in 0..ACTORS {
             shares.take(&actor.to_string(), Duration::ZERO);

@@ -108,8 +108,9 @@ mod tests {
 
     use super::*;
 
+    /// Consecutive indices are read as one range.
     #[test]
-    fn numbers_that_follow_each_other_are_read_at_once() {
+    fn consecutive_indices_are_read_together() {
         let grid = Grid::paper();
         assert_eq!(ranges(&grid, 0, &[5, 6, 7, 3, 3, 4]).unwrap(), [5..8, 3..4, 3..5]);
         assert_eq!(ranges(&grid, 6, &[5, 6, 7, 9]).unwrap(), [6..8, 9..10]);
@@ -117,7 +118,7 @@ mod tests {
 
     /// An export that starts at any record reads up to the same boundaries as a whole one.
     #[test]
-    fn ranges_from_any_record_keep_the_chunk_boundaries() {
+    fn ranges_keep_the_chunk_boundaries() {
         let grid = Grid::paper();
         let chunk = at_a_time(&grid);
         let from = |first| ranges(&grid, first, &[]).unwrap();
@@ -127,8 +128,9 @@ mod tests {
         assert!(from(34_276).is_empty());
     }
 
+    /// Whole jobs are read at a time, unless they are very large.
     #[test]
-    fn whole_jobs_are_read_at_a_time_unless_they_are_very_large() {
+    fn whole_jobs_are_read_unless_very_large() {
         let paper = Grid::paper();
         assert_eq!(at_a_time(&paper), 9 * paper.albedo().len());
         let with = |pixels, albedos: usize| {
@@ -143,8 +145,9 @@ mod tests {
         assert_eq!(with(4000, 200), (8 << 20) / (15 * 4000 + 6));
     }
 
+    /// The number of requested indices is bounded, and each must exist.
     #[test]
-    fn what_is_asked_for_is_bounded() {
+    fn export_requests_are_bounded() {
         let grid = Grid::paper();
         let most = vec![1; RequestLimits::INDICES];
         assert_eq!(ranges(&grid, 0, &most).unwrap().len(), most.len());

@@ -194,8 +194,9 @@ mod tests {
         tokio::time::timeout(Duration::from_millis(50), future).await.is_ok()
     }
 
+    /// One machine does not exhaust the budget for results.
     #[tokio::test]
-    async fn one_machine_does_not_exhaust_the_budget() {
+    async fn one_machine_leaves_budget_for_others() {
         let budget = Arc::new(ResultBudget::of(8 * MIB, 2 * MIB, 8 * MIB));
         let (greedy, modest) = (budget.stream("a", "a@1".to_owned()), budget.stream("b", "b@2".to_owned()));
         let mut all_of_it = Reservation::default();
@@ -213,8 +214,9 @@ mod tests {
         assert!(soon(greedy.reserve(&mut waits, MIB)).await);
     }
 
+    /// One token does not exhaust the budget for results, regardless of the number of its addresses.
     #[tokio::test]
-    async fn one_token_from_many_addresses_does_not_exhaust_the_budget() {
+    async fn one_token_does_not_exhaust_the_budget() {
         let budget = Arc::new(ResultBudget::of(8 * MIB, 2 * MIB, 4 * MIB));
         let streams: Vec<_> = (0..5).map(|i| budget.stream("shared", format!("shared@{i}"))).collect();
         let mut reserved: Vec<_> = streams.iter().map(|_| Reservation::default()).collect();
@@ -231,8 +233,9 @@ mod tests {
         drop(last);
     }
 
+    /// Results that wait for memory are reported, and continue when memory is free.
     #[tokio::test]
-    async fn waiting_results_are_reported_and_continue_with_free_memory() {
+    async fn waiting_results_continue_with_free_memory() {
         let budget = Arc::new(ResultBudget::of(4 * MIB, 4 * MIB, 4 * MIB));
         let (first, second) = (
             budget.stream("node1", "node1@10.0.0.1".to_owned()),

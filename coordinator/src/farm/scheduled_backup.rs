@@ -169,7 +169,7 @@ mod tests {
 
     /// They count as newer than those with later times in their names.
     #[test]
-    fn backups_made_after_the_clock_was_set_back_are_kept() {
+    fn backups_after_a_clock_change_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let make = |hour: u64| {
             let file = folder.path().join(name(hour * 3_600_000));
@@ -191,7 +191,7 @@ mod tests {
 
     /// Other files of the folder stay, except for abandoned drafts.
     #[test]
-    fn old_scheduled_backups_are_removed_in_order_of_name() {
+    fn old_backups_are_removed_in_name_order() {
         assert_eq!(name(1_795_425_600_000), "farm-20261123T092000Z.db");
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str| std::fs::write(folder.path().join(name), "").unwrap();

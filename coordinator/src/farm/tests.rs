@@ -131,7 +131,7 @@ async fn unreadable_jobs_are_reported_and_not_deleted() {
 
 /// A page that was read wrongly once stays in the memory of the connection that read it.
 #[tokio::test]
-async fn what_is_damaged_at_one_reading_and_not_at_the_next_is_kept() {
+async fn transient_read_damage_keeps_the_record() {
     let (farm, dir) = done().await;
     let (path, bytes) = log(&dir);
     let known = value(17).to_le_bytes().repeat(4);
@@ -164,8 +164,9 @@ async fn change(dir: &tempfile::TempDir, query: &'static str) {
     other.close().await.unwrap();
 }
 
+/// A fit that meets a damaged job drops this job only, so that it is computed again.
 #[tokio::test]
-async fn a_fit_forgets_the_very_job_that_is_damaged_and_no_other() {
+async fn fit_drops_only_the_damaged_job() {
     for damage in [
         "UPDATE records SET profiles = x'00' WHERE id = 36",
         "UPDATE records SET profiles = zeroblob(96) WHERE id = 36",
@@ -195,8 +196,9 @@ fn too_large() -> Grid {
     Grid::new(grid().scene().clone(), axes, walks, 1, false).unwrap()
 }
 
+/// A grid that is too large is refused before it is stored.
 #[tokio::test]
-async fn a_grid_that_is_too_large_is_refused_before_it_is_stored() {
+async fn too_large_grid_is_refused_before_storing() {
     let (farm, _dir) = done().await;
     let refused = farm
         .submit(&Actor::default(), DictionaryName::new("large").unwrap(), too_large(), 0)
@@ -210,7 +212,7 @@ async fn a_grid_that_is_too_large_is_refused_before_it_is_stored() {
 
 /// An earlier version may have stored one. It is cancelled with the reason and does not prevent the start.
 #[tokio::test]
-async fn a_too_large_dictionary_is_cancelled_at_the_start() {
+async fn too_large_dictionary_is_cancelled_at_start() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     let large = DictionaryName::new("large").unwrap();
@@ -255,7 +257,7 @@ async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
 }
 
 #[tokio::test]
-async fn a_dispute_wakes_workers_that_wait() {
+async fn dispute_wakes_workers_that_wait() {
     let dir = tempfile::tempdir().unwrap();
     let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
     store.create_dictionary(name(), grid(), 0, "", 8).await.unwrap();

@@ -130,8 +130,9 @@ mod tests {
         known
     }
 
+    /// A client that applies all changes has the states of all jobs.
     #[test]
-    fn who_is_told_the_changes_knows_all_states() {
+    fn changes_rebuild_all_job_states() {
         let first = vec![Waiting; 200_000];
         let runs = changed(&[], &first);
         assert_eq!(runs.len(), 4);

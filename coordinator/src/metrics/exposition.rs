@@ -52,15 +52,17 @@ fn described(line: &str, counters: &HashSet<String>) -> Option<String> {
 mod tests {
     use super::*;
 
+    /// In the Prometheus format, a counter is described under the name of its samples.
     #[test]
-    fn counters_are_described_by_the_names_of_their_samples() {
+    fn counter_headers_use_their_sample_names() {
         let open = "# HELP a Text a b.\n# TYPE a counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n# EOF\n";
         let old = "# HELP a_total Text a b.\n# TYPE a_total counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n";
         assert_eq!(to_prometheus(open), old);
     }
 
+    /// OpenMetrics is chosen only if the request accepts it; otherwise it is the Prometheus text format.
     #[test]
-    fn open_metrics_is_for_those_who_ask() {
+    fn open_metrics_format_must_be_requested() {
         let prometheus =
             "application/openmetrics-text;version=1.0.0;q=0.5,text/plain;version=0.0.4;q=0.4,*/*;q=0.1";
         assert_eq!(Format::best_of([prometheus]), Format::OpenMetrics);

@@ -66,8 +66,9 @@ fn has(text: &str, line: &str) {
     assert!(text.lines().any(|there| there == line), "`{line}` is not in\n{text}");
 }
 
+/// Each event that was counted appears in the metrics.
 #[tokio::test]
-async fn what_was_counted_is_told() {
+async fn counted_events_appear_in_metrics() {
     let metrics = fresh();
     metrics.rpc(FIT, 0, Duration::from_micros(200));
     metrics.rpc(FIT, 5, Duration::from_secs(100));
@@ -110,8 +111,9 @@ async fn what_was_counted_is_told() {
     has(&served.metrics().await, "farm_leases_expired_total 3");
 }
 
+/// Gauges show the current state, of at most 100 dictionaries.
 #[tokio::test]
-async fn what_holds_now_is_told_for_a_hundred_dictionaries_at_most() {
+async fn gauges_cover_at_most_100_dictionaries() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     for line in [
@@ -130,9 +132,10 @@ async fn what_holds_now_is_told_for_a_hundred_dictionaries_at_most() {
     assert_eq!(text.matches("\nfarm_work_done_ratio{").count(), MOST_RATIOS);
 }
 
+/// Memory, open files and start time of the process are among the metrics.
 #[cfg(target_os = "linux")]
 #[tokio::test]
-async fn the_process_tells_what_it_takes() {
+async fn process_resources_are_in_the_metrics() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let text = served.metrics().await;
     let value = |name: &str| {
@@ -144,8 +147,9 @@ async fn the_process_tells_what_it_takes() {
     assert!((1e-6..1e6).contains(&value("process_cpu_seconds_total")));
 }
 
+/// Calls of made-up methods and codes add no metrics beyond those of `other`.
 #[tokio::test]
-async fn no_caller_can_make_the_figures_grow() {
+async fn made_up_methods_add_no_metrics() {
     let metrics = fresh();
     for n in 0..1000 {
         metrics.rpc(&format!("/made.up/{n}\"\n"), n - 500, Duration::ZERO);
@@ -157,8 +161,9 @@ async fn no_caller_can_make_the_figures_grow() {
     assert_eq!(counts.len(), 17, "{counts:?}");
 }
 
+/// Every metric has a sentence of help and a type.
 #[tokio::test]
-async fn every_metric_has_a_sentence_of_help_and_a_type() {
+async fn every_metric_has_help_and_a_type() {
     let metrics = fresh();
     metrics.rpc(FIT, 0, Duration::ZERO);
     let served = start(MetricsServer::new(metrics, snapshot, || Ok(()))).await;
@@ -175,8 +180,9 @@ async fn every_metric_has_a_sentence_of_help_and_a_type() {
     }
 }
 
+/// A request that accepts OpenMetrics is answered in that format.
 #[tokio::test]
-async fn who_asks_for_open_metrics_gets_it() {
+async fn open_metrics_is_served_on_request() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let (head, body) =
         served.get("/metrics", "Accept: application/openmetrics-text;version=1.0.0,*/*\r\n").await;
@@ -185,8 +191,9 @@ async fn who_asks_for_open_metrics_gets_it() {
     assert!(body.ends_with("# EOF\n"));
 }
 
+/// A failed readiness check gives the reason, and an unknown path is answered with a list of the paths.
 #[tokio::test]
-async fn health_is_told_with_the_reason_and_other_paths_are_listed() {
+async fn health_names_reason_and_paths_are_listed() {
     let served =
         start(MetricsServer::new(fresh(), snapshot, || Err("the database is being opened".to_owned()))).await;
     let (head, body) = served.get("/livez", "").await;
@@ -201,8 +208,9 @@ async fn health_is_told_with_the_reason_and_other_paths_are_listed() {
     assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
 }
 
+/// The server stops at once, whatever is connected.
 #[tokio::test]
-async fn it_stops_at_once_whatever_is_connected() {
+async fn server_stops_at_once_despite_connections() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let _silent = TcpStream::connect(served.address).await.unwrap();
     let mut halting = TcpStream::connect(served.address).await.unwrap();
@@ -217,8 +225,9 @@ async fn it_stops_at_once_whatever_is_connected() {
     assert!(TcpStream::connect(served.address).await.is_err());
 }
 
+/// A probe is answered even if many connections send incomplete requests.
 #[tokio::test]
-async fn a_probe_is_answered_whatever_is_connected() {
+async fn probe_is_answered_despite_connections() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut halting = Vec::new();
     for _ in 0..4 * MOST_CONNECTIONS {
@@ -230,8 +239,9 @@ async fn a_probe_is_answered_whatever_is_connected() {
     assert_eq!(probe.expect("it waits for requests that do not arrive").1, "ok");
 }
 
+/// Connections that are idle do not delay the stop of the server.
 #[tokio::test]
-async fn idle_connections_alone_do_not_delay_the_stop() {
+async fn idle_connections_do_not_delay_the_stop() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut idle = TcpStream::connect(served.address).await.unwrap();
     idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
@@ -241,8 +251,9 @@ async fn idle_connections_alone_do_not_delay_the_stop() {
     timeout(Duration::from_millis(300), served.task).await.expect("it waits for an idle connection").unwrap();
 }
 
+/// A request that hangs inside its handler does not delay the stop of the server.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_answer_that_hangs_does_not_delay_the_stop() {
+async fn hanging_answer_does_not_delay_the_stop() {
     let (entered, inside) = std::sync::mpsc::channel();
     let hang = move || {
         entered.send(()).unwrap();
@@ -257,8 +268,9 @@ async fn an_answer_that_hangs_does_not_delay_the_stop() {
     timeout(Duration::from_secs(2), served.task).await.expect("it waits for the answer").unwrap();
 }
 
+/// A handler that panics ends its own connection; the server goes on.
 #[tokio::test]
-async fn an_answer_that_panics_ends_its_connection_alone() {
+async fn panic_ends_only_its_own_connection() {
     let served = start(MetricsServer::new(fresh(), || panic!("no snapshot"), || Ok(()))).await;
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
@@ -268,8 +280,9 @@ async fn an_answer_that_panics_ends_its_connection_alone() {
     assert_eq!(served.get("/livez", "").await.1, "ok");
 }
 
+/// A connection whose request does not arrive in time is closed.
 #[tokio::test(start_paused = true)]
-async fn a_request_that_does_not_arrive_is_not_waited_for() {
+async fn incomplete_request_times_out() {
     let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
     let mut stream = TcpStream::connect(served.address).await.unwrap();
     stream.write_all(b"GET /livez HTTP/1.1\r\n").await.unwrap();

@@ -82,8 +82,9 @@ impl Limits {
 mod tests {
     use super::*;
 
+    /// One token may have a limited number of open streams, and a stream that ends makes room.
     #[test]
-    fn one_token_leaves_streams_for_others_and_what_ends_makes_room() {
+    fn one_token_leaves_streams_for_others() {
         let limits = Limits::default();
         let mut of_bob: Vec<_> = (0..STREAMS_OF_ONE).map(|_| limits.stream("bob").unwrap()).collect();
         let refused = limits.stream("bob").unwrap_err();

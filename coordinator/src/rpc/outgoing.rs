@@ -200,7 +200,7 @@ mod tests {
 
     /// The error comes after the items that were already on their way.
     #[tokio::test(start_paused = true)]
-    async fn a_reader_that_stalls_gets_a_deadline_error() {
+    async fn stalled_reader_gets_deadline_error() {
         let (outlet, outgoing, _shutdown) = stream();
         for item in 0..2 {
             outlet.send(item).await.unwrap();
@@ -210,8 +210,9 @@ mod tests {
         assert_eq!(read(outgoing).await, (vec![0, 1], Some(Code::DeadlineExceeded)));
     }
 
+    /// A reader that pauses for less than the limit gets all items.
     #[tokio::test(start_paused = true)]
-    async fn a_reader_that_pauses_for_less_gets_everything() {
+    async fn brief_pause_loses_no_items() {
         let (outlet, outgoing, _shutdown) = stream();
         let sending = tokio::spawn(async move {
             for item in 0..5 {
@@ -224,8 +225,9 @@ mod tests {
         sending.await.unwrap();
     }
 
+    /// A stream ends without an error only if it was finished; if it was dropped or failed, it ends with a status.
     #[tokio::test]
-    async fn only_a_stream_that_was_finished_ends_well() {
+    async fn only_a_finished_stream_ends_without_error() {
         let (outlet, outgoing, _shutdown) = stream();
         outlet.send(0).await.unwrap();
         drop(outlet);

@@ -23,8 +23,9 @@ pub(super) fn short_line(text: &str) -> String {
 mod tests {
     use super::*;
 
+    /// Text from outside becomes one line without control characters and with a maximum length.
     #[test]
-    fn a_text_is_one_line_and_steers_nothing() {
+    fn text_is_one_line_without_control_codes() {
         assert_eq!(one_line("no space left on /dev/sda (ä, µm)"), "no space left on /dev/sda (ä, µm)");
         assert_eq!(
             one_line("done\n2026 WORKER_FENCED\r\t\u{1b}[31mred\u{202e}\n"),

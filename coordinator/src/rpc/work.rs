@@ -89,8 +89,9 @@ mod tests {
         Measurement::new("white", profiles.collect()).unwrap()
     }
 
+    /// A fit whose answer would exceed the size limit is refused before it is calculated.
     #[test]
-    fn an_answer_of_hundreds_of_mib_is_refused_by_its_question() {
+    fn fit_with_too_large_answer_is_refused() {
         let grid = Grid::paper();
         let white = [material(&grid)];
         for usual in [options(10, true), options(1000, false)] {
@@ -105,8 +106,9 @@ mod tests {
         check_answer(&grid, &white, &options(10_000, true), usize::MAX / 2).unwrap();
     }
 
+    /// A design with too many slabs, shots and pixels is refused.
     #[test]
-    fn a_design_has_an_end() {
+    fn too_large_design_is_refused() {
         let grid = Grid::paper();
         let usual = DesignSettings::of(Medium::new(6.0, 0.99, 0.4).unwrap());
         check_design(&grid, &DesignQuestion::new(usual.clone()).unwrap()).unwrap();

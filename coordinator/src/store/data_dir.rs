@@ -162,8 +162,9 @@ mod tests {
         mode_of(path).unwrap()
     }
 
+    /// A new data folder and its files can be read by their owner only.
     #[test]
-    fn folder_and_files_are_the_owners_alone() {
+    fn new_folder_and_files_are_private() {
         let home = tempfile::tempdir().unwrap();
         let path = home.path().join("new/farm-data");
         let dir = DataDir::lock(&path).unwrap();
@@ -172,8 +173,9 @@ mod tests {
         assert_eq!([mode(&path.join("lock")), mode(&dir.database_file())], [0o600, 0o600]);
     }
 
+    /// A data folder that other users could read is closed to them.
     #[test]
-    fn a_folder_that_was_open_to_others_is_closed() {
+    fn open_folder_is_closed_to_others() {
         let home = tempfile::tempdir().unwrap();
         let path = home.path().join("farm-data");
         std::fs::create_dir(&path).unwrap();
@@ -189,7 +191,7 @@ mod tests {
 
     /// Whoever names his home or `/tmp` does not want it closed.
     #[test]
-    fn a_folder_with_other_things_in_it_is_left_as_it_is() {
+    fn folder_with_other_files_is_left_alone() {
         let home = tempfile::tempdir().unwrap();
         std::fs::set_permissions(home.path(), Permissions::from_mode(0o755)).unwrap();
         std::fs::write(home.path().join("thesis.tex"), "").unwrap();

@@ -113,8 +113,9 @@ fn f_type(_path: &Path) -> std::io::Result<Option<u32>> {
 mod tests {
     use super::*;
 
+    /// Network filesystems and shared disks are distinguished from local filesystems.
     #[test]
-    fn network_and_shared_disk_filesystems_are_told_from_local_ones() {
+    fn filesystems_are_classified_as_local_or_not() {
         let local = [0xEF53, 0x5846_5342, 0x9123_683E, 0x0102_1994, 0x794C_7630, 0x2FC1_2FC1, 0xF2F5_2010, 0];
         for f_type in local {
             assert_eq!(classify(f_type), Kind::Local, "{f_type:#x}");
@@ -144,16 +145,18 @@ mod tests {
         assert_eq!(classify(0x6573_5546), Kind::Fuse);
     }
 
+    /// Each filesystem has a number of its own in the table.
     #[test]
-    fn no_number_stands_for_two_filesystems() {
+    fn filesystem_numbers_are_unique() {
         let mut numbers: Vec<u32> = NETWORK.iter().map(|(number, _)| *number).chain([FUSE]).collect();
         numbers.sort_unstable();
         numbers.dedup();
         assert_eq!(numbers.len(), NETWORK.len() + 1);
     }
 
+    /// The filesystem of the folder is examined, or of its nearest existing parent.
     #[test]
-    fn the_kernel_is_asked_about_the_folder_or_where_it_would_be() {
+    fn nearest_existing_folder_is_examined() {
         let dir = tempfile::tempdir().unwrap();
         refuse_network_filesystem(dir.path()).unwrap();
         refuse_network_filesystem(&dir.path().join("not/there/yet")).unwrap();
@@ -162,14 +165,16 @@ mod tests {
         assert_eq!(nearest_existing(Path::new("not-there-yet")), Path::new("."));
     }
 
+    /// The kernel reports `/proc` with its magic number.
     #[cfg(target_os = "linux")]
     #[test]
-    fn the_kernel_tells_proc_by_its_number() {
+    fn proc_is_recognised_by_its_number() {
         assert_eq!(f_type(Path::new("/proc")).unwrap(), Some(0x9FA0));
     }
 
+    /// The refusal names the filesystem and the remedy.
     #[test]
-    fn the_refusal_names_the_filesystem_and_the_remedy() {
+    fn refusal_names_filesystem_and_remedy() {
         let error = FilesystemError::Network { path: "/home/x".into(), name: "NFS" }.to_string();
         assert!(error.starts_with("/home/x is on NFS, "), "{error}");
         assert!(error.ends_with("choose a folder on a local disk with --data"), "{error}");

@@ -39,8 +39,9 @@ fn file_at(name: &Path) -> io::Result<(u64, u64)> {
 mod tests {
     use super::*;
 
+    /// A database file that is moved, deleted or replaced counts as lost.
     #[test]
-    fn a_file_that_is_moved_deleted_or_replaced_is_lost() {
+    fn moved_deleted_or_replaced_file_is_lost() {
         let folder = tempfile::tempdir().unwrap();
         let [data, away] = ["data", "away"].map(|name| folder.path().join(name));
         let file = data.join("farm.db");

@@ -114,8 +114,9 @@ mod tests {
         std::fs::metadata(dir.join(name)).map_or(0, |about| about.len())
     }
 
+    /// The space of deleted rows is returned to the disk.
     #[tokio::test]
-    async fn what_was_deleted_is_given_back() {
+    async fn deleted_space_is_returned_to_the_disk() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path()).await;
         fill(&store, 20).await;
@@ -131,7 +132,7 @@ mod tests {
 
     /// A reader that does not end keeps the log, and is not waited for.
     #[tokio::test]
-    async fn a_reader_is_not_waited_for() {
+    async fn long_reader_does_not_delay() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path()).await;
         let mut reader = store.read.begin().await.unwrap();
@@ -144,8 +145,9 @@ mod tests {
         assert_eq!(size(dir.path(), "farm.db-wal"), 0);
     }
 
+    /// A long write-ahead log is truncated while work goes on.
     #[tokio::test]
-    async fn a_long_log_is_cut_while_work_goes_on() {
+    async fn long_log_is_truncated_during_work() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path()).await;
         let mut reader = store.read.begin().await.unwrap();
@@ -160,8 +162,9 @@ mod tests {
         assert!(size(dir.path(), "farm.db-wal") <= LOG_BYTES, "{} bytes", size(dir.path(), "farm.db-wal"));
     }
 
+    /// A half-empty database of an earlier version is converted, so that it can shrink.
     #[tokio::test]
-    async fn a_half_empty_file_of_an_earlier_version_is_converted() {
+    async fn old_half_empty_file_is_converted() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path()).await;
         sqlx::raw_sql("PRAGMA auto_vacuum = 0; VACUUM").execute(&store.write).await.unwrap();
@@ -180,7 +183,7 @@ mod tests {
 
     /// A stop of the coordinator does not wait until a slow disk has taken all of it.
     #[tokio::test]
-    async fn a_backup_ends_when_the_store_is_closed() {
+    async fn closing_the_store_ends_a_backup() {
         let dir = tempfile::tempdir().unwrap();
         let store = open(dir.path()).await;
         fill(&store, 128).await;

@@ -92,8 +92,9 @@ fn done(job: u32, records: Digest) -> EndedJob {
     }
 }
 
+/// Everything that was committed is there after reopening.
 #[tokio::test]
-async fn what_was_committed_is_there_after_reopening() {
+async fn committed_rows_survive_reopening() {
     let dir = tempfile::tempdir().unwrap();
     let name = DictionaryName::new("d").unwrap();
     let store = open(dir.path()).await;
@@ -125,8 +126,9 @@ async fn what_was_committed_is_there_after_reopening() {
     assert!(matches!(again, Err(StoreError::NameTaken)));
 }
 
+/// A second completion of a job returns the digest of the first and changes nothing.
 #[tokio::test]
-async fn a_second_completion_tells_the_first_and_changes_nothing() {
+async fn second_completion_changes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -166,7 +168,7 @@ async fn simultaneous_results_share_one_commit() {
 
 /// It is no error, and leaves no records behind that would never be deleted.
 #[tokio::test]
-async fn a_result_of_a_deleted_dictionary_is_ignored() {
+async fn result_of_deleted_dictionary_is_ignored() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -198,8 +200,9 @@ async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
     store.ledger().shared().await.reuse(dictionary.id, &dictionary.grid, &jobs, &grids).await.unwrap().len()
 }
 
+/// A dictionary that overlaps another one uses the records that are there.
 #[tokio::test]
-async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
+async fn overlapping_dictionary_reuses_records() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -224,8 +227,9 @@ async fn a_dictionary_that_overlaps_uses_the_records_that_are_there() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
+/// More walks are requested until the noise is below the target.
 #[tokio::test]
-async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
+async fn walks_are_added_until_noise_is_low() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -242,8 +246,9 @@ async fn more_walks_are_asked_for_until_the_noise_is_low_enough() {
     assert!(matches!(store.complete(result(0.51)).await.unwrap(), Outcome::Finished { .. }));
 }
 
+/// Events are kept in order and can be selected by dictionary.
 #[tokio::test]
-async fn events_are_kept_in_order_and_found_by_dictionary() {
+async fn events_are_ordered_by_dictionary() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     let event = |dictionary: &str, message: &str| StoredEvent {
@@ -263,8 +268,9 @@ async fn events_are_kept_in_order_and_found_by_dictionary() {
     assert_eq!(messages(store.newest_events("", 2).await.unwrap()), ["2", "3"]);
 }
 
+/// A data folder has one coordinator at a time.
 #[tokio::test]
-async fn a_data_directory_has_one_coordinator_at_a_time() {
+async fn data_folder_has_one_coordinator() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.dir().publish_address("127.0.0.1:7".parse().unwrap()).unwrap();
@@ -274,7 +280,7 @@ async fn a_data_directory_has_one_coordinator_at_a_time() {
 
 /// A database as the first version of this program left it.
 #[tokio::test]
-async fn a_database_of_the_first_schema_keeps_its_records() {
+async fn first_schema_keeps_its_records() {
     let dir = tempfile::tempdir().unwrap();
     {
         let options = sqlx::sqlite::SqliteConnectOptions::new()
@@ -315,8 +321,9 @@ async fn a_database_of_the_first_schema_keeps_its_records() {
     }
 }
 
+/// Blocks in the format of the second schema are computed again.
 #[tokio::test]
-async fn blocks_of_the_second_schema_are_computed_again() {
+async fn second_schema_blocks_are_recomputed() {
     let dir = tempfile::tempdir().unwrap();
     {
         let options = sqlx::sqlite::SqliteConnectOptions::new()

@@ -181,8 +181,9 @@ mod tests {
         masked as f64 / f64::from(SIDE * SIDE)
     }
 
+    /// Specks and scratches are masked, and nothing else.
     #[test]
-    fn specks_and_scratches_are_masked_and_nothing_else() {
+    fn only_specks_and_scratches_are_masked() {
         let speck = |x: f64, y: f64| (x - 100.0).hypot(y - 60.0) < 8.0;
         let scratch = |x: f64, y: f64| (y - 0.5 * x - 50.0).abs() < 1.5;
         let mask = BlemishMask::find(
@@ -205,8 +206,9 @@ mod tests {
         assert!(BlemishMask::find(&faint, MM_PER_PX).blemishes.is_empty());
     }
 
+    /// A hot pixel and a bubble are not blemishes.
     #[test]
-    fn a_hot_pixel_and_a_bubble_are_no_blemishes() {
+    fn hot_pixels_and_bubbles_are_not_masked() {
         let hot = |x: f64, y: f64| if (x, y) == (50.0, 50.0) { 300.0 } else { 0.0 };
         let bubble = |x: f64, y: f64| if (x - 120.0).hypot(y - 120.0) < 42.0 { -15.0 } else { 0.0 };
         let mask = BlemishMask::find(&residuals(|x, y| hot(x, y) + bubble(x, y)), MM_PER_PX);

@@ -121,22 +121,25 @@ mod tests {
         EdgeBins { width: 0.03, reach: 0.6, points }
     }
 
+    /// The fit of an exact edge returns its place and its blur.
     #[test]
-    fn an_exact_edge_gives_back_its_place_and_blur() {
+    fn exact_edge_gives_place_and_blur() {
         let found = fit(&edge(1e-3)).unwrap();
         assert!((found.origin.value - 0.011).abs() < 1e-8, "{found:?}");
         assert!((found.blur.value - 0.029).abs() < 1e-8, "{found:?}");
     }
 
+    /// The errors of place and blur are proportional to those of the bins.
     #[test]
-    fn errors_of_place_and_blur_grow_with_those_of_the_bins() {
+    fn edge_errors_grow_with_bin_errors() {
         let [one, two] = [1e-3, 2e-3].map(|e| fit(&edge(e)).unwrap());
         assert!((two.origin.std_error / one.origin.std_error - 2.0).abs() < 1e-6);
         assert!((two.blur.std_error / one.blur.std_error - 2.0).abs() < 1e-6);
     }
 
+    /// Bins that do not rise are not an edge.
     #[test]
-    fn what_does_not_rise_is_no_edge() {
+    fn flat_bins_are_no_edge() {
         let flat =
             EdgeBins { points: edge(1e-3).points.iter().map(|p| [p[0], 0.5, p[2]]).collect(), ..edge(1e-3) };
         assert!(fit(&flat).is_none());

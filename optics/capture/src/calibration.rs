@@ -162,8 +162,9 @@ pub(crate) fn frame_means(black: &Black, frame: &Frame) -> [f64; 3] {
 mod tests {
     use super::*;
 
+    /// The light is interpolated between references, and constant beyond them.
     #[test]
-    fn light_is_interpolated_between_references_and_constant_beyond() {
+    fn light_is_interpolated_between_references() {
         let light =
             LampDrift { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
         let at = |t: f64| light.relative(Some(t))[1];

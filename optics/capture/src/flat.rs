@@ -272,8 +272,9 @@ fn slope_error(shots: &[&[f64]]) -> f64 {
 mod tests {
     use super::*;
 
+    /// All terms but the constant have a mean of zero over the frame.
     #[test]
-    fn terms_have_no_mean_over_the_frame() {
+    fn terms_have_zero_mean() {
         let n = 200;
         let at = |i: usize| (2.0 * i as f64 + 1.0) / n as f64 - 1.0;
         let mut sums = [0.0; TERMS];
@@ -287,7 +288,7 @@ mod tests {
 
     /// Vignetting and a slope, in three shots of which one has a speck.
     #[test]
-    fn a_smooth_light_comes_back_in_spite_of_a_speck() {
+    fn smooth_light_is_found_despite_a_speck() {
         let light = |x: f64, y: f64| libm::log((1.0 + 0.03 * x - 0.02 * y) * (1.0 - 0.06 * (x * x + y * y)));
         let even: Vec<f64> = places().map(|(x, y)| light(x, y)).collect();
         let mut spoiled = even.clone();

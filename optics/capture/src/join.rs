@@ -166,8 +166,9 @@ mod tests {
         move |k| if k % 2 == 0 { sign * 1e-3 } else { -sign * 1e-3 }
     }
 
+    /// Flicker between shots counts as an error of the gain, not as noise.
     #[test]
-    fn flicker_is_a_gain_and_not_noise() {
+    fn flicker_counts_as_gain() {
         let shots = [0.997, 1.0, 1.003].map(|g| shot(g, 1e-3, |_| 0.0));
         let joined = join(&shots.each_ref());
         assert!((joined.between[0] - 0.003).abs() < 1e-4, "{:?}", joined.between);
@@ -175,8 +176,9 @@ mod tests {
         assert!(joined.profile.std_errors.iter().all(|e| (e / expected - 1.0).abs() < 1e-9));
     }
 
+    /// The flicker of a profile without contrast is found among noise.
     #[test]
-    fn flicker_of_a_profile_without_contrast_is_found_among_noise() {
+    fn flicker_is_found_without_contrast() {
         let dull = |gain: f64, sign: f64| {
             let mut shot = shot(gain, 1e-3, alternating(sign));
             let noise = alternating(sign);
@@ -189,8 +191,9 @@ mod tests {
         assert!((joined.between[0] - 0.003).abs() < 3e-4, "{:?}", joined.between);
     }
 
+    /// Scatter between shots beyond their noise is included in the standard errors.
     #[test]
-    fn scatter_between_shots_beyond_noise_goes_into_the_errors() {
+    fn excess_scatter_widens_the_errors() {
         let shots = [shot(1.0, 2e-4, alternating(1.0)), shot(1.0, 2e-4, alternating(-1.0))];
         let joined = join(&shots.each_ref());
         // Each is 1e-3 off the mean: two shots have a standard deviation of √2·1e-3, their mean one of 1e-3.

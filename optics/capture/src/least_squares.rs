@@ -111,8 +111,9 @@ pub(crate) fn robust_mean(values: &[f64]) -> (f64, f64) {
 mod tests {
     use super::*;
 
+    /// The median of few values is exact, for odd and even numbers of them.
     #[test]
-    fn medians_of_few_values() {
+    fn median_of_few_values_is_exact() {
         assert_eq!(median(&mut [3.0]), 3.0);
         assert_eq!(median(&mut [3.0, 1.0]), 2.0);
         assert_eq!(median(&mut [3.0, 1.0, 2.0]), 2.0);
@@ -120,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_comes_back_with_its_covariance() {
+    fn line_comes_back_with_its_covariance() {
         let mut normal = NormalEquations::new(2);
         for i in 0..11 {
             let t = f64::from(i) - 5.0;
@@ -132,8 +133,9 @@ mod tests {
         assert!((line.std_error(1) - (1.0 / 440.0_f64).sqrt()).abs() < 1e-12);
     }
 
+    /// A system of equations that is not determined has no solution.
     #[test]
-    fn what_is_not_determined_has_no_solution() {
+    fn undetermined_system_has_no_solution() {
         let mut normal = NormalEquations::new(2);
         normal.add(&[1.0, 2.0], 1.0, 1.0);
         assert!(normal.solve().is_none());

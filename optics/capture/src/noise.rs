@@ -209,8 +209,9 @@ mod tests {
         Frame::new(512, 256, mosaic, samples).unwrap()
     }
 
+    /// Pairs of frames give the noise without light and the numbers per electron.
     #[test]
-    fn pairs_tell_noise_without_light_and_numbers_per_electron() {
+    fn frame_pairs_give_gain_and_read_noise() {
         let (a, b) = (frame(1), frame(2));
         let mut pairs = Pairs::default();
         pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));
@@ -223,8 +224,9 @@ mod tests {
         }
     }
 
+    /// A single frame is used where no frame was taken twice.
     #[test]
-    fn a_single_frame_serves_where_nothing_was_taken_twice() {
+    fn single_frame_replaces_a_missing_pair() {
         let a = frame(3);
         let mut pairs = Pairs::default();
         pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));

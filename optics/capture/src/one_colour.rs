@@ -79,8 +79,9 @@ mod tests {
         Frame::new(400, 300, pattern, samples.collect()).unwrap()
     }
 
+    /// Three colours that agree within noise count as one.
     #[test]
-    fn three_colours_that_agree_within_noise_are_one() {
+    fn equal_colours_count_as_one() {
         let mosaic = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
         let black = [Estimate::new(64.0, 0.0); 4];
         let one =

@@ -64,8 +64,9 @@ impl Board {
 mod tests {
     use super::*;
 
+    /// ρ is recovered from the apparent brightness, with its error.
     #[test]
-    fn rho_comes_back_from_how_it_looks_with_its_error() {
+    fn rho_is_recovered_with_its_error() {
         let shown = Appearance { s: 0.004, a: 0.55, b: 0.45 };
         let apparent = |rho: f64| shown.s + shown.a * rho / (1.0 - shown.b * rho);
         let found = shown.rho(Estimate::new(apparent(0.985), 1e-3));

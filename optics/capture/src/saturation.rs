@@ -102,8 +102,9 @@ mod tests {
         Photo { label: "it".to_owned(), frame, levels, seconds: None, exposure: None }
     }
 
+    /// Each colour is saturated where its samples pile up.
     #[test]
-    fn each_colour_is_full_where_its_samples_pile_up() {
+    fn saturation_is_where_samples_pile_up() {
         let full = |photo: &Photo| saturation(photo).0;
         assert_eq!(full(&photo(None, f64::INFINITY, 0.0)), [65_535.0; 4]);
         // A plateau of one number, and plateaus with scatter, the widest of which lie below the file's level.
@@ -121,8 +122,9 @@ mod tests {
         assert!(full(&odd)[0] < 30_000.0);
     }
 
+    /// If the file gives a saturation level for each colour, that level is used.
     #[test]
-    fn each_colour_is_full_where_its_file_tells() {
+    fn saturation_follows_the_file() {
         let white = [50_000.0, 40_000.0, 20_000.0, 40_000.0];
         assert_eq!(saturation(&photo(Some(white), f64::INFINITY, 0.0)).0, white);
     }

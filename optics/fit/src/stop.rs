@@ -82,8 +82,9 @@ mod tests {
         }
     }
 
+    /// A question is answered unless it is stopped, and a panic stays a panic.
     #[test]
-    fn what_is_not_stopped_is_answered_and_a_panic_stays_one() {
+    fn stop_ends_questions_and_panics_pass() {
         let dictionary = || noisy_dictionary(dense_axes(), 30, 0.0);
         assert_eq!(dictionary().ask(&Stop::default(), |_| 3), Ok(3));
         let stop = Stop::default();

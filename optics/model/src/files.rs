@@ -308,8 +308,9 @@ impl From<&Scene> for SceneFile {
 mod tests {
     use super::*;
 
+    /// The built-in scenes are unchanged after conversion to TOML and back.
     #[test]
-    fn the_built_in_scenes_survive_a_trip_through_toml() {
+    fn built_in_scenes_survive_toml() {
         for scene in [Scene::paper(), Scene::smooth().with_multiple_scattering(true)] {
             let text = toml::to_string(&SceneFile::from(&scene)).unwrap();
             let back: SceneFile = toml::from_str(&text).unwrap();
@@ -317,14 +318,16 @@ mod tests {
         }
     }
 
+    /// An empty grid file means the paper's grid.
     #[test]
-    fn an_empty_grid_file_is_the_papers_grid() {
+    fn empty_grid_file_means_the_paper_grid() {
         let file: GridFile = toml::from_str("").unwrap();
         assert_eq!(file.into_grid(Scene::paper()).unwrap(), Grid::paper());
     }
 
+    /// Errors name the fields as they are written in the file.
     #[test]
-    fn fields_are_named_as_they_stand_in_the_file() {
+    fn errors_name_fields_as_in_the_file() {
         let layer = "[[layer]]\nname = 's'\nsample = true\n";
         let refused = |text: &str| {
             let file: SceneFile = toml::from_str(text).unwrap();
@@ -339,8 +342,9 @@ mod tests {
         assert!(error.starts_with("layer = 2 sample layers is not valid"), "{error}");
     }
 
+    /// The number of walks may be written as 1000000, 1_000_000 or 1e6.
     #[test]
-    fn walks_may_be_written_as_people_write_large_numbers() {
+    fn walks_accept_exponents_and_underscores() {
         for text in ["1000000", "1_000_000", "1e6", "1.0e+6"] {
             let file: GridFile = toml::from_str(&format!("walks = {text}")).unwrap();
             assert_eq!(file.walks, Some(1_000_000), "{text}");
@@ -370,8 +374,9 @@ mod tests {
         assert!(error.contains("draft, paper, fine, or a table"), "{error}");
     }
 
+    /// A sample layer with a refractive index of its own is refused.
     #[test]
-    fn a_sample_with_an_index_of_its_own_is_refused() {
+    fn sample_with_its_own_index_is_refused() {
         let text = "[[layer]]\nname = 's'\nsample = true\nior = 1.5";
         let file: SceneFile = toml::from_str(text).unwrap();
         let error = Scene::try_from(file).unwrap_err();

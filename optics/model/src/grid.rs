@@ -298,8 +298,9 @@ fn axis(name: &str, values: Vec<f64>, check: impl Fn(f64) -> Result<f64>) -> Res
 mod tests {
     use super::*;
 
+    /// The paper's grid has 34,276 records in 836 jobs.
     #[test]
-    fn the_papers_grid_has_34276_records_in_836_jobs() {
+    fn paper_grid_has_34276_records() {
         let grid = Grid::paper();
         assert_eq!((grid.job_count(), grid.record_count()), (836, 34_276));
         assert_eq!(grid.sigma_t_per_mm().len(), 38);
@@ -327,8 +328,9 @@ mod tests {
         assert_eq!(grid.job_at(&between), None);
     }
 
+    /// The values of an axis must rise strictly, and there must be one.
     #[test]
-    fn axes_must_rise_and_hold_something() {
+    fn axes_must_rise_and_be_non_empty() {
         let with_g = |g: Vec<f64>| {
             let axes = Axes {
                 sigma_t_per_mm: vec![1.0],

@@ -114,7 +114,7 @@ mod tests {
 
     /// Points with the same walks share a stream: of extinction and thickness, only the product counts.
     #[test]
-    fn streams_depend_on_seed_optical_thickness_and_g() {
+    fn streams_depend_on_seed_depth_and_g() {
         let point = |g| TransportPoint::new(1.0, g, 0.5, 1.53).unwrap();
         let [as_thick, thicker] =
             [0.25, 1.0].map(|thickness| TransportPoint::new(2.0, 0.0, thickness, 1.53).unwrap());

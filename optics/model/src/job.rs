@@ -154,8 +154,9 @@ impl RecordShape {
 mod tests {
     use super::*;
 
+    /// Jobs share walks if only the mean free path differs.
     #[test]
-    fn jobs_share_walks_if_only_the_mean_free_path_differs() {
+    fn only_mean_free_path_may_differ() {
         let job = |[sigma_t, g, thickness]: [f64; 3], seed| {
             let point = TransportPoint::new(sigma_t, g, thickness, 1.53).unwrap();
             JobSpec::new(Scene::paper(), point, vec![0.5], Walks::PAPER, seed, false).unwrap()
@@ -170,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_without_albedos_is_refused() {
+    fn job_without_albedos_is_refused() {
         let point = TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap();
         let empty = JobSpec::new(Scene::paper(), point, vec![], Walks::PAPER, 1, false);
         assert_eq!(empty.unwrap_err().field(), "albedo");

@@ -241,8 +241,9 @@ mod tests {
         assert!(profile(vec![], vec![]).unwrap_err().to_string().contains("0 pixels"));
     }
 
+    /// Values of the set-up that are out of range are refused with the field.
     #[test]
-    fn a_set_up_out_of_range_is_refused() {
+    fn set_up_out_of_range_is_refused() {
         let with = |setup| profile(ramp(10), ramp(10)).unwrap().with_setup(setup);
         let default = ProfileSetup::default;
         for (setup, field) in [
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_profile_twice_is_refused() {
+    fn same_profile_twice_is_refused() {
         let p = profile(ramp(10), ramp(10)).unwrap();
         assert_eq!(Measurement::new("white", vec![p.clone(), p]).unwrap_err().field(), "profiles[1]");
     }

@@ -269,8 +269,9 @@ mod tests {
         vec![record(7), record(8)]
     }
 
+    /// Records are unchanged after packing, and have the same digest.
     #[test]
-    fn records_survive_their_packing_and_have_the_same_digest() {
+    fn packed_records_keep_their_digest() {
         for derivatives in [false, true] {
             let job = job(derivatives);
             let records = records(&job);
@@ -283,8 +284,9 @@ mod tests {
         }
     }
 
+    /// A single record, and a single channel of it, can be read from the packed bytes.
     #[test]
-    fn one_record_and_one_channel_are_found_among_the_bytes() {
+    fn single_record_and_channel_are_located() {
         for derivatives in [false, true] {
             let job = job(derivatives);
             let records = records(&job);
@@ -301,9 +303,10 @@ mod tests {
         }
     }
 
+    /// Reading a record that belongs to another job panics.
     #[test]
     #[should_panic(expected = "record 9 is one of 7..9")]
-    fn a_record_of_another_job_is_not_read() {
+    fn record_of_another_job_is_not_read() {
         let job = job(false);
         let _ = PackedRecords::pack(&job, &records(&job)).record(9);
     }
@@ -324,8 +327,9 @@ mod tests {
         numbers.flat_map(|number| number.to_le_bytes()).collect()
     }
 
+    /// Records whose standard errors are floats are read.
     #[test]
-    fn records_whose_errors_are_floats_are_read() {
+    fn float_errors_are_still_read() {
         for derivatives in [false, true] {
             let job = job(derivatives);
             let mut records = records(&job);
@@ -347,8 +351,9 @@ mod tests {
         }
     }
 
+    /// A number in packed records that is not possible is refused with its place.
     #[test]
-    fn a_number_that_cannot_be_is_named() {
+    fn impossible_number_is_named() {
         let job = job(false);
         let good = PackedRecords::pack(&job, &records(&job));
         let pixels = job.scene().sensor().pixels();
@@ -378,8 +383,9 @@ mod tests {
         assert_eq!(floats(7 * pixels, f32::INFINITY), "record 8.profiles[0].radiance_factor.std_errors[0]");
     }
 
+    /// Bytes for another number of records are refused.
     #[test]
-    fn bytes_of_another_number_of_records_are_refused() {
+    fn wrong_byte_count_is_refused() {
         let job = job(true);
         let bytes = PackedRecords::pack(&job, &records(&job)).bytes().slice(4..);
         let error = PackedRecords::new(&job, bytes).unwrap_err();

@@ -121,7 +121,7 @@ mod tests {
 
     /// The trapezoidal rule over the azimuth converges faster than any power.
     #[test]
-    fn azimuthal_mean_is_the_quadrature_of_the_density() {
+    fn azimuthal_mean_matches_the_density() {
         for g in GS.into_iter().filter(|g| *g < 0.96) {
             let phase = PhaseFunction::new(g);
             for u in [-1.0, -0.7, -0.1, 0.3, 0.9, 1.0] {

@@ -108,8 +108,9 @@ impl RecordShape {
 mod tests {
     use super::*;
 
+    /// Estimates with NaN, negative errors or a missing error are refused.
     #[test]
-    fn estimates_that_are_not_numbers_are_refused() {
+    fn invalid_estimates_are_refused() {
         assert_eq!(Estimate::new(vec![0.1, f32::NAN], vec![0.0; 2]).unwrap_err().field(), "values[1]");
         assert_eq!(Estimate::new(vec![0.1], vec![-0.1]).unwrap_err().field(), "std_errors[0]");
         assert_eq!(Estimate::new(vec![0.1], vec![]).unwrap_err().field(), "std_errors");

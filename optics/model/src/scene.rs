@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_needs_exactly_one_sample() {
+    fn scene_needs_exactly_one_sample() {
         let paper = Scene::paper();
         let without: Vec<_> =
             paper.layers().iter().filter(|l| l.medium() != LayerMedium::Sample).cloned().collect();

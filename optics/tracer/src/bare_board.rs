@@ -208,8 +208,9 @@ mod tests {
         (0..n).map(|i| f(from + (f64::from(i) + 0.5) * step) * step).sum()
     }
 
+    /// The quantities of a smooth coat match integrals of Fresnel's formulas.
     #[test]
-    fn a_smooth_coat_is_fresnels_integrals() {
+    fn smooth_coat_matches_fresnel_integrals() {
         let n = 1.49_f64;
         let board = BareBoard::of(&coated(0.0)).unwrap();
         let returned = integral(0.0, 1.0, |s| fresnel((1.0 - s).sqrt(), n));
@@ -225,14 +226,16 @@ mod tests {
         assert!((seen - 1.0).abs() < 2e-4, "{seen}");
     }
 
+    /// A base without a coat looks as bright as it is.
     #[test]
-    fn a_base_without_a_coat_looks_as_it_is() {
+    fn uncoated_base_keeps_its_reflectance() {
         let board = BareBoard::of(&Scene::smooth()).unwrap();
         assert_eq!(board.apparent(0.5), 0.5);
     }
 
+    /// A smooth coat mirrors the ring light if the camera looks at it.
     #[test]
-    fn a_mirror_shows_the_ring_where_the_camera_looks_at_it() {
+    fn mirror_shows_the_ring_in_view() {
         let scene = coated(0.0).with_sensor(Sensor::new(10.0, 360, 45.0).unwrap());
         let expected = fresnel(45_f64.to_radians().cos(), 1.0 / 1.49) / (sin2(50.0) - sin2(40.0));
         assert!((BareBoard::of(&scene).unwrap().specular - expected).abs() < 1e-5);
@@ -241,7 +244,7 @@ mod tests {
     /// The same three numbers by plain walks through the tracer's interface: 4 million for each, 4 standard errors. With
     /// 200 million they are 0.01156, 0.4077 and 0.52222, of which the last two digits are uncertain.
     #[test]
-    fn a_rough_coat_agrees_with_walks() {
+    fn rough_coat_agrees_with_walks() {
         let (alpha, n) = (0.15, 1.49);
         let board = BareBoard::of(&coated(0.15)).unwrap();
         let (above, below) = (RelativeIndex::new(1.0, n), RelativeIndex::new(n, 1.0));
@@ -279,14 +282,15 @@ mod tests {
 
     /// The 200 million walks of the test above make these 0.8385 ± 0.0003 and 0.02147 ± 0.00002.
     #[test]
-    fn the_papers_board_looks_darker_than_it_is() {
+    fn paper_board_looks_darker_than_it_is() {
         let board = BareBoard::of(&Scene::paper()).unwrap();
         assert!((board.apparent(0.985) - 0.8386).abs() < 1e-4, "{}", board.apparent(0.985));
         assert!((board.apparent(0.024) - 0.02144).abs() < 2e-5, "{}", board.apparent(0.024));
     }
 
+    /// Light that is followed until it leaves is not lost.
     #[test]
-    fn light_that_is_followed_until_it_leaves_is_not_lost() {
+    fn multiple_scattering_loses_no_light() {
         let furnace =
             coated(0.3).with_light(RingLight::new(0.0, 90.0).unwrap()).with_multiple_scattering(true);
         let seen = BareBoard::of(&furnace).unwrap().apparent(1.0);

@@ -100,8 +100,9 @@ mod tests {
         }
     }
 
+    /// Reflection is chosen with the probability of the reflectance.
     #[test]
-    fn reflection_is_chosen_with_the_probability_of_the_reflectance() {
+    fn reflection_probability_is_the_reflectance() {
         for (cos_i, eta) in [(1.0, 1.0 / 1.5), (0.2, 1.0 / 1.5), (0.8, 1.53), (0.3, 1.53), (1e-6, 1.0 / 1.3)]
         {
             let facet = facet(cos_i, eta);

@@ -191,7 +191,7 @@ mod tests {
 
     /// Visible normals from below: their mean must be the average of D max(0, wi·m) m, by quadrature.
     #[test]
-    fn normals_seen_from_below_have_the_right_mean() {
+    fn visible_normals_have_the_right_mean() {
         let (theta, alpha) = (1.8_f64, 0.5);
         let wi = [theta.sin(), 0.0, theta.cos()];
         let (mut weight, mut mean_z, mut mean_x) = (0.0, 0.0, 0.0);
@@ -222,7 +222,7 @@ mod tests {
 
     /// A microsurface of index 1 changes nothing: all rays go straight through.
     #[test]
-    fn a_surface_between_equal_media_is_invisible() {
+    fn surface_between_equal_media_is_invisible() {
         let wi = direction(0.6);
         for walk in 0..1000 {
             let mut stream = Stream::new([29, 31], 0, walk);

@@ -79,7 +79,7 @@ mod tests {
 
     /// A hundred thousand scatterings in a row, without normalisation.
     #[test]
-    fn directions_stay_unit_vectors_at_the_sampled_angle() {
+    fn directions_stay_unit_vectors() {
         for g in [-0.6, 0.0, 0.6, 0.95, 0.999] {
             let phase = PhaseFunction::new(g).sampler();
             let mut direction = Vec3::new(0.0, 0.0, -1.0);

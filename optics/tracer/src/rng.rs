@@ -78,13 +78,14 @@ mod tests {
 
     /// Known answers published with the Random123 library.
     #[test]
-    fn philox_gives_the_known_answers() {
+    fn philox_gives_the_published_answers() {
         assert_eq!(philox4x32([0; 4], [0; 2]), [0x6627_e8d5, 0xe169_c58d, 0xbc57_ac4c, 0x9b00_dbd8]);
         assert_eq!(philox4x32([!0; 4], [!0; 2]), [0x408f_276d, 0x41c8_3b0e, 0xa20b_c7c6, 0x6d54_51fd]);
     }
 
+    /// Uniform numbers are midpoints, inside the open interval.
     #[test]
-    fn uniform_numbers_are_midpoints_inside_the_open_interval() {
+    fn uniform_numbers_are_interval_midpoints() {
         assert!(uniform(0) > 0.0 && uniform(!0) < 1.0);
         assert_eq!(uniform(0) + uniform(!0), 1.0);
         for bits in [0, 511, 512, 0x1234_5678, 0x8000_0000, !0] {
@@ -101,8 +102,9 @@ mod tests {
         assert_ne!(first(0, 0), first(1 << 32, 0));
     }
 
+    /// A stream can start at any block.
     #[test]
-    fn a_stream_can_be_entered_at_any_block() {
+    fn stream_can_start_at_any_block() {
         let mut stream = Stream::new([1, 2], 3, 4);
         stream.words();
         let second = stream.words();

@@ -194,8 +194,9 @@ fn flush(x: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// The lookup of a node is the inverse of its number.
     #[test]
-    fn nodes_are_where_numbers_look_for_them() {
+    fn node_lookup_inverts_node_numbers() {
         for index in 0..150 {
             let n = node(index) as u32;
             assert_eq!(node_below(n), index);
@@ -205,7 +206,7 @@ mod tests {
 
     /// Of the greatest value that n α^n takes for any α, and of the power itself where it counts.
     #[test]
-    fn powers_are_kept_by_sharing_out_numbers() {
+    fn power_sums_are_preserved() {
         let mut worst = 0.0_f64;
         for n in (0..3000).chain((3000..2_000_000).step_by(997)) {
             let (first, shares) = shares(n);

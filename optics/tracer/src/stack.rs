@@ -81,8 +81,9 @@ impl Stack {
 mod tests {
     use super::*;
 
+    /// The paper's scene has five interfaces, and the sample is its third layer.
     #[test]
-    fn the_papers_scene_has_five_interfaces_with_the_sample_third() {
+    fn paper_scene_has_five_interfaces() {
         let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
         let stack = Stack::new(&Scene::paper(), &point);
         assert_eq!((stack.interfaces.len(), stack.sample), (5, 3));

@@ -24,7 +24,7 @@ fn set(walks: u64, derivatives: bool) -> Vec<JobSpec> {
 
 /// A record does not depend on the other jobs that share its walks.
 #[test]
-fn jobs_of_a_set_have_the_records_that_each_has_alone() {
+fn jobs_of_a_set_match_single_jobs() {
     for derivatives in [false, true] {
         let jobs = set(15_000, derivatives);
         let alone: Vec<Vec<Record>> = jobs.iter().map(|job| trace(job, &RUN).unwrap()).collect();
@@ -36,16 +36,18 @@ fn jobs_of_a_set_have_the_records_that_each_has_alone() {
     assert_eq!(trace_set(&[], &RUN), Ok(vec![]));
 }
 
+/// The blocks of a set are those of its jobs.
 #[test]
-fn blocks_of_a_set_are_those_of_its_jobs() {
+fn blocks_of_a_set_match_single_jobs() {
     let jobs = set(1_005_000, false);
     let alone: Vec<Sums> = jobs.iter().map(|job| trace_block(job, 1, &RUN).unwrap()).collect();
     assert_eq!(trace_set_block(&jobs, 1, &RUN).unwrap(), alone);
 }
 
+/// Jobs that do not share their walks cannot be traced as a set.
 #[test]
 #[should_panic(expected = "has walks of its own")]
-fn jobs_that_do_not_share_their_walks_are_no_set() {
+fn jobs_with_other_walks_are_no_set() {
     let mut jobs = set(5000, false);
     jobs.push(set(5500, false).remove(0));
     let _ = trace_set(&jobs, &RUN);

@@ -54,8 +54,9 @@ mod tests {
         refusal(&error).map(|status| status.message().to_owned())
     }
 
+    /// TLS alerts about certificates are explained, others are not.
     #[test]
-    fn alerts_about_certificates_are_told_and_others_are_not() {
+    fn certificate_alerts_are_explained() {
         use AlertDescription as Alert;
         use rustls::Error::AlertReceived;
         let told = refused(&AlertReceived(Alert::CertificateRequired)).unwrap();

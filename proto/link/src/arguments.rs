@@ -52,11 +52,12 @@ mod tests {
         },
     }
 
+    /// Empty environment variables count as not set.
     #[test]
-    fn empty_variables_are_as_if_they_were_not_set() {
+    fn empty_variables_count_as_unset() {
         // Variables are those of the process: the test runs itself with one that is empty.
         if std::env::var_os("FARM_TEST_EMPTY").is_none() {
-            let name = "arguments::tests::empty_variables_are_as_if_they_were_not_set";
+            let name = "arguments::tests::empty_variables_count_as_unset";
             let mut again = std::process::Command::new(std::env::current_exe().unwrap());
             let ran = again.args(["--exact", name]).env("FARM_TEST_EMPTY", "").output().unwrap();
             assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stdout));
@@ -72,8 +73,9 @@ mod tests {
         assert_eq!(read(&["program", "--number", "8"]).number, 8);
     }
 
+    /// The address to listen at may be a name.
     #[test]
-    fn addresses_may_be_names() {
+    fn listen_address_may_be_a_name() {
         assert_eq!(listen_address("10.0.0.1:7700").unwrap().to_string(), "10.0.0.1:7700");
         assert!(listen_address("localhost:7700").unwrap().ip().is_loopback());
         for wrong in ["7700", "localhost", "localhost:port", "no host:7700"] {

@@ -155,8 +155,9 @@ mod tests {
         ClientAccess::read(file.path()).map_err(|error| error.to_string())
     }
 
+    /// A whole file is read, and its secrets do not appear in debug output.
     #[test]
-    fn a_whole_file_is_read_and_its_secrets_are_not_shown() {
+    fn secrets_of_a_file_are_not_shown() {
         let identity = format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", certificate(), key());
         let access = read(&content(&identity)).unwrap();
         assert_eq!((access.role(), access.server()), (Role::Worker, "https://farm.example.org:7700"));
@@ -164,8 +165,9 @@ mod tests {
         assert!(!shown.contains(TOKEN) && !shown.contains("PRIVATE KEY"), "{shown}");
     }
 
+    /// Errors name the file, the line and the field, but contain no secret.
     #[test]
-    fn errors_name_the_file_the_line_and_the_field_but_no_secret() {
+    fn errors_name_line_and_field_without_secrets() {
         let file = private_file(&content("colour = \"red\"\n"));
         let error = ClientAccess::read(file.path()).unwrap_err().to_string();
         assert!(error.contains(&file.path().display().to_string()), "{error}");
@@ -195,8 +197,9 @@ mod tests {
         }
     }
 
+    /// Tokens that are too short or do not fit into a header are refused.
     #[test]
-    fn short_tokens_and_those_that_fit_in_no_header_are_refused() {
+    fn unusable_tokens_are_refused() {
         for token in
             ["short".to_owned(), format!("{TOKEN} {TOKEN}"), TOKEN.replace('0', "é"), "x".repeat(513)]
         {

@@ -152,7 +152,7 @@ mod tests {
 
     /// Other tokens have none, nor does a token's hash.
     #[test]
-    fn a_token_has_the_role_and_name_of_its_entry() {
+    fn token_has_role_and_name() {
         let entries =
             [entry("worker", "a", &other(1)), entry("client", "b", TOKEN), entry("admin", "c", &other(2))];
         let access = read(&content(&entries.concat())).unwrap();
@@ -191,8 +191,9 @@ mod tests {
         }
     }
 
+    /// Tokens are read again when the file has changed.
     #[test]
-    fn tokens_are_read_again_when_the_file_has_changed() {
+    fn tokens_are_reloaded_when_the_file_changes() {
         let first = entry("worker", "a", TOKEN);
         let file = private_file(&content(&first));
         let access = CoordinatorAccess::read(file.path()).unwrap();
@@ -211,8 +212,9 @@ mod tests {
         assert_eq!((name(TOKEN), name(&other(1)).as_deref()), (None, Some("b")));
     }
 
+    /// A change of the file is noticed even if its size and times are the same.
     #[test]
-    fn a_change_is_seen_though_size_and_times_are_the_same() {
+    fn change_is_seen_despite_equal_metadata() {
         let file = private_file(&content(&entry("worker", "a", TOKEN)));
         let access = CoordinatorAccess::read(file.path()).unwrap();
         let before = std::fs::metadata(file.path()).unwrap().modified().unwrap();
@@ -222,14 +224,16 @@ mod tests {
         assert_eq!(access.tokens().role_of(TOKEN), None);
     }
 
+    /// With a client CA in the access file, TLS is mutual.
     #[test]
-    fn with_a_client_ca_it_is_mutual() {
+    fn client_ca_makes_tls_mutual() {
         let more = format!("client_ca = '''\n{}'''\n{}", ca(), entry("worker", "a", TOKEN));
         assert!(read(&content(&more)).unwrap().is_mutual());
     }
 
+    /// Files that other users can open are refused, with the remedy.
     #[test]
-    fn files_that_others_can_open_are_refused_with_the_remedy() {
+    fn files_open_to_others_are_refused() {
         use std::os::unix::fs::PermissionsExt as _;
         let file = private_file(&content(&entry("worker", "a", TOKEN)));
         for (mode, refused) in [(0o600, false), (0o440, false), (0o640, false), (0o644, true), (0o602, true)]

@@ -94,8 +94,9 @@ fn is_loopback(host: &str) -> bool {
 mod tests {
     use super::*;
 
+    /// A token adds a header that is marked sensitive; without a token there is none.
     #[test]
-    fn the_bearer_adds_a_sensitive_header_or_none() {
+    fn bearer_header_is_sensitive_or_absent() {
         let mut headers = HeaderMap::new();
         Bearer::default().mark(&mut headers);
         assert!(headers.is_empty());
@@ -106,8 +107,9 @@ mod tests {
         assert!(!format!("{:?}", Bearer::of("0123456789")).contains("0123"));
     }
 
+    /// Loopback addresses are recognised by name and by number.
     #[test]
-    fn loopback_is_known_by_name_and_by_number() {
+    fn loopback_is_recognised_by_name_and_number() {
         for host in ["localhost", "LOCALHOST", "127.0.0.1", "127.8.9.1", "[::1]", "[::ffff:127.0.0.1]"] {
             assert!(is_loopback(host), "{host}");
         }

@@ -173,8 +173,9 @@ mod tests {
         failure(&error, "https://farm:7700").unwrap()
     }
 
+    /// Every cause of a failed connection is explained, with what to look at.
     #[test]
-    fn every_cause_is_told_with_what_to_look_at() {
+    fn every_cause_names_a_remedy() {
         for (kind, expected) in [
             (io::ErrorKind::ConnectionRefused, "nothing listens there"),
             (io::ErrorKind::HostUnreachable, "no way leads to farm"),
@@ -200,8 +201,9 @@ mod tests {
         assert!(message(lookup).unwrap().contains("by the name farm:"));
     }
 
+    /// Answers of web servers and silence are explained as such.
     #[test]
-    fn pages_and_silence_are_told_from_coordinators() {
+    fn web_pages_are_not_taken_for_coordinators() {
         let message = |status: &tonic::Status| failure(status, "http://farm:7780").unwrap();
         let page =
             "protocol error: received message with invalid compression flag: 60 (valid flags are 0 and 1)";
@@ -212,8 +214,9 @@ mod tests {
         assert!(message(&tonic::Status::unavailable(silent)).contains("SIGSTOP"));
     }
 
+    /// Failures with another reason are not explained here.
     #[test]
-    fn what_has_another_reason_is_left_to_others() {
+    fn other_failures_are_not_explained() {
         assert_eq!(failure(&tonic::Status::not_found("dictionary x"), "http://farm:7700"), None);
         assert_eq!(message(io::Error::other("received fatal alert: CertificateRequired")), None);
     }

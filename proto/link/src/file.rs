@@ -70,8 +70,9 @@ fn discreet(message: &str) -> String {
 mod tests {
     use super::*;
 
+    /// Words as long as secrets are cut from messages.
     #[test]
-    fn words_as_long_as_secrets_are_not_told() {
+    fn secrets_are_cut_from_messages() {
         let token = "338bfaf9b6bcd7452c482ed32cd9bfc71f9740a24ae71761dce5c67401770da0";
         for (message, masked) in [
             (

@@ -21,8 +21,9 @@ fn where_supported(synced: io::Result<()>) -> io::Result<()> {
 mod tests {
     use super::*;
 
+    /// A filesystem that does not support the syncing of folders is not a failure.
     #[test]
-    fn a_filesystem_that_syncs_no_folders_is_no_failure() {
+    fn missing_folder_sync_is_no_failure() {
         let folder = tempfile::tempdir().unwrap();
         assert!(sync_folder(folder.path()).is_ok());
         assert!(sync_folder(&folder.path().join("none")).is_err());

@@ -159,16 +159,18 @@ mod tests {
         }
     }
 
+    /// A call that hangs because the handshake was refused ends with the refusal.
     #[tokio::test(start_paused = true)]
-    async fn a_call_that_hangs_since_it_is_refused_ends_as_refused() {
+    async fn refused_call_ends_as_refused() {
         let refusal = async { Some(Status::unauthenticated("not your certificate")) };
         let answer = unless_refused(std::future::pending(), refusal).await.unwrap();
         let status = Status::from_header_map(answer.headers()).unwrap();
         assert_eq!((status.code(), status.message()), (tonic::Code::Unauthenticated, "not your certificate"));
     }
 
+    /// A call that takes long and is not refused gets its answer.
     #[tokio::test(start_paused = true)]
-    async fn a_call_that_takes_long_and_is_not_refused_gets_its_answer() {
+    async fn long_call_without_refusal_gets_its_answer() {
         for refusal in [None, Some(Status::unauthenticated("came too late"))] {
             let late = refusal.is_some();
             let answer = async {
@@ -184,8 +186,9 @@ mod tests {
         }
     }
 
+    /// A call without an answer ends with a status after its time limit.
     #[tokio::test(start_paused = true)]
-    async fn a_call_without_an_answer_ends_with_a_status() {
+    async fn unanswered_call_ends_with_a_status() {
         let start = tokio::time::Instant::now();
         let answer = in_time(Duration::from_secs(7), std::future::pending()).await.unwrap();
         assert_eq!(start.elapsed(), Duration::from_secs(7));

@@ -186,8 +186,9 @@ mod tests {
         connect_in(folders, port).await.unwrap().is_some()
     }
 
+    /// The local socket is found as long as its coordinator runs.
     #[tokio::test]
-    async fn a_socket_is_found_while_its_coordinator_lives() {
+    async fn socket_is_found_while_its_owner_lives() {
         let home = tempfile::tempdir().unwrap();
         // The first cannot be made, as where a user has no session.
         let folders = [home.path().join("none/farm"), home.path().join("farm")];
@@ -209,8 +210,9 @@ mod tests {
         assert!(!path.exists(), "the next coordinator tidies up");
     }
 
+    /// A folder that other users can open is not trusted.
     #[tokio::test]
-    async fn a_folder_that_others_can_open_is_not_trusted() {
+    async fn folder_open_to_others_is_not_trusted() {
         let home = tempfile::tempdir().unwrap();
         let folders = [home.path().join("farm")];
         let socket = bind(&folders, 7700).unwrap();

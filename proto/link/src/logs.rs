@@ -194,8 +194,9 @@ mod tests {
         move || page.clone()
     }
 
+    /// A JSON line has the fields of the event and of its spans.
     #[test]
-    fn a_json_line_holds_the_fields_of_the_event_and_of_its_spans() {
+    fn json_line_has_event_and_span_fields() {
         let lines = logged(|page| Box::new(json(info(), to(page))));
         assert_eq!(lines.lines().count(), 1, "{lines}");
         let line: serde_json::Value = serde_json::from_str(&lines).unwrap();
@@ -208,8 +209,9 @@ mod tests {
         assert_eq!(span["caller"], "worker");
     }
 
+    /// Text has the same fields, without colours or control characters.
     #[test]
-    fn text_holds_the_same_without_colours_or_control_characters() {
+    fn text_log_has_no_control_characters() {
         let lines = logged(|page| Box::new(text(info(), false, to(page))));
         for part in ["INFO", "request_id=\"r-1\"", "caller=\"worker\"", "jobs=3"] {
             assert!(lines.contains(part), "{part} is not in {lines}");
@@ -217,14 +219,16 @@ mod tests {
         assert!(!lines.contains('\u{1b}') && !lines.contains("not asked for"), "{lines}");
     }
 
+    /// The variable overrides the default, unless it is empty.
     #[test]
-    fn the_variable_wins_over_the_default_unless_it_is_empty() {
+    fn log_variable_overrides_the_default() {
         assert_eq!(parse_filter(Some("farm=debug"), "info").unwrap().to_string(), "farm=debug");
         assert_eq!(parse_filter(Some(" "), "info").unwrap().to_string(), "info");
     }
 
+    /// A wrong filter or format is refused with the allowed values.
     #[test]
-    fn a_wrong_filter_or_format_is_refused_with_what_is_allowed() {
+    fn wrong_filter_or_format_is_refused() {
         let error = parse_filter(Some("farm=loud"), "info").unwrap_err().to_string();
         assert!(error.starts_with("FARM_LOG=`farm=loud`: ") && error.contains("off"), "{error}");
         let error = parse_filter(Some("info, verbose"), "info").unwrap_err().to_string();

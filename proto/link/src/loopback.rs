@@ -142,8 +142,9 @@ mod tests {
         assert!(found(LISTENS, "127.0.0.1:7702").is_empty() && found("", "127.0.0.1:7700").is_empty());
     }
 
+    /// A port of the same user is accepted.
     #[tokio::test]
-    async fn ones_own_port_is_taken() {
+    async fn own_port_is_accepted() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         check_owner(&stream).unwrap();

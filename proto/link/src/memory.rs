@@ -86,15 +86,17 @@ mod tests {
         })
     }
 
+    /// Without control groups, the usable memory is that of the machine.
     #[test]
-    fn without_groups_it_is_the_memory_of_the_machine() {
+    fn without_cgroups_machine_memory_counts() {
         assert_eq!(usable_of(&[MACHINE]), Some(24 * GIB));
         assert_eq!(usable_of(&[]), None);
         assert_eq!(usable_of(&[("/proc/meminfo", "nothing")]), None);
     }
 
+    /// The limit of a control group of version 1 holds.
     #[test]
-    fn a_limit_of_version_1_holds() {
+    fn cgroup_v1_limit_holds() {
         let files = |limit| {
             [
                 MACHINE,
@@ -113,8 +115,9 @@ mod tests {
         assert_eq!(usable_of(&files("9223372036854771712\n")), Some(24 * GIB));
     }
 
+    /// Of nested control groups of version 2, the smallest limit holds.
     #[test]
-    fn the_least_limit_of_version_2_holds() {
+    fn smallest_cgroup_v2_limit_holds() {
         let files = |inner, outer| {
             [
                 MACHINE,
@@ -135,7 +138,7 @@ mod tests {
 
     /// The path of the host is of no use there.
     #[test]
-    fn the_limit_of_a_container_is_that_of_its_mount() {
+    fn container_limit_is_read_from_its_mount() {
         let files = [
             MACHINE,
             ("/proc/self/cgroup", "4:memory:/docker/0123abcd\n"),

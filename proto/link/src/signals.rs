@@ -41,8 +41,9 @@ fn is_ignored(status: &str, signal: i32) -> bool {
 mod tests {
     use super::*;
 
+    /// The signal mask of a process lists the signals that it ignores.
     #[test]
-    fn the_mask_of_a_process_names_what_it_ignores() {
+    fn signal_mask_lists_ignored_signals() {
         let status = "Name:\tfarm-worker\nSigBlk:\t0000000000000001\nSigIgn:\t0000000000001001\n";
         assert!(is_ignored(status, 1) && is_ignored(status, 13));
         assert!(!is_ignored(status, 15) && !is_ignored("", 1));

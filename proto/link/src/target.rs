@@ -76,8 +76,9 @@ impl Target {
 mod tests {
     use super::*;
 
+    /// A URL without an access file is accepted without encryption only.
     #[test]
-    fn a_bare_url_is_taken_without_encryption_only() {
+    fn bare_url_is_for_plain_http_only() {
         let target = Target::new(None, Some("http://10.0.0.1:7700")).unwrap();
         assert_eq!(target.url(), "http://10.0.0.1:7700");
         let error = Target::new(None, Some("https://10.0.0.1:7700")).unwrap_err().to_string();
@@ -86,8 +87,9 @@ mod tests {
         assert!(error.contains("no server is named"), "{error}");
     }
 
+    /// A text that is not the URL of a coordinator is refused.
     #[test]
-    fn what_is_no_url_of_a_coordinator_is_refused() {
+    fn malformed_coordinator_url_is_refused() {
         for url in
             ["", "farm:7700", "unix:/tmp/farm", "ftp://farm", "http://", "http://farm/path", "http://a b"]
         {

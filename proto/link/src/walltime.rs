@@ -201,8 +201,9 @@ mod tests {
         }
     }
 
+    /// Times that Slurm would refuse or read differently are refused.
     #[test]
-    fn what_slurm_would_not_read_or_would_bend_is_refused() {
+    fn invalid_slurm_times_are_refused() {
         for text in [
             "",
             "-",
@@ -233,8 +234,9 @@ mod tests {
         }
     }
 
+    /// A walltime is written as it is read.
     #[test]
-    fn a_walltime_is_written_as_it_is_read() -> Result<(), TimeError> {
+    fn walltime_round_trips() -> Result<(), TimeError> {
         for seconds in (1..200_000).step_by(37).chain([LONGEST_S]) {
             let walltime = Walltime { seconds };
             assert_eq!(walltime.to_string().parse::<Walltime>()?, walltime);
@@ -245,8 +247,9 @@ mod tests {
         Ok(())
     }
 
+    /// Spans of time are read with units and in fields.
     #[test]
-    fn spans_are_read_with_units_and_in_fields() {
+    fn spans_accept_units_and_fields() {
         let cases = [
             ("90s", 90),
             ("15m", 900),
@@ -264,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bare_number_is_no_span() {
+    fn bare_number_is_no_span() {
         let message = parse_span("90").map_err(|e| e.to_string());
         assert_eq!(message, Err(r#""90" is ambiguous: write 90s or 90m"#.to_owned()));
     }
@@ -282,8 +285,9 @@ mod tests {
         assert_eq!(parse_time_limit("0:00"), Err(TimeError::Zero("0:00".to_owned())));
     }
 
+    /// A span of time is written as it is read.
     #[test]
-    fn a_span_is_written_as_it_is_read() {
+    fn span_round_trips() {
         for seconds in (0..400_000).step_by(41) {
             let span = Duration::from_secs(seconds);
             assert_eq!(parse_span(&span_text(span)), Ok(span));

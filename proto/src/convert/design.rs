@@ -79,7 +79,7 @@ mod tests {
 
     /// No value is its default, so that a field that is forgotten shows.
     #[test]
-    fn questions_come_through() {
+    fn design_questions_round_trip() {
         let set_up = FitSettings { thickness_std_error_mm: 0.002, mu: 0.9, ..FitSettings::default() };
         let settings = DesignSettings {
             channel: Some("R".to_owned()),
@@ -97,8 +97,9 @@ mod tests {
         assert_eq!(DesignQuestion::try_from(wire::DesignRequest::from(&question)).unwrap(), question);
     }
 
+    /// Absent fields of a design are the defaults, and invalid ones are refused.
     #[test]
-    fn what_is_absent_is_the_default_and_nonsense_is_refused() {
+    fn absent_design_fields_are_defaults() {
         let asked = || wire::DesignRequest { medium: Some(medium().into()), ..Default::default() };
         let question = DesignQuestion::try_from(asked()).unwrap();
         assert_eq!(*question.settings(), DesignSettings::of(medium()));
@@ -110,8 +111,9 @@ mod tests {
         assert_eq!(field(wire::DesignRequest { set_up: Some(nowhere), ..asked() }), "set_up.blur_mm");
     }
 
+    /// The answer of a design is unchanged after conversion.
     #[test]
-    fn answers_come_through() {
+    fn design_answers_round_trip() {
         let widths = |v: f64| HalfWidths {
             sigma_t_per_mm: v,
             albedo: 0.5 * v,

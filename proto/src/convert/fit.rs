@@ -149,7 +149,7 @@ mod tests {
 
     /// No value is its default, so that a field that is forgotten shows.
     #[test]
-    fn options_come_through() {
+    fn fit_options_round_trip() {
         for objective in [None, Some(Objective::Paper), Some(Objective::Likelihood)] {
             let mut settings = FitSettings {
                 lambda: 12.5,
@@ -174,8 +174,9 @@ mod tests {
         }
     }
 
+    /// Absent options are the defaults, and unknown or invalid ones are refused.
     #[test]
-    fn absent_options_are_the_defaults_and_unknown_ones_refused() {
+    fn absent_fit_options_are_defaults() {
         let options = FitOptions::try_from(wire::FitOptions::default()).unwrap();
         assert_eq!(options, FitOptions::default());
         let refused = |options: wire::FitOptions| FitOptions::try_from(options).unwrap_err();

@@ -80,8 +80,9 @@ mod tests {
         }
     }
 
+    /// A likelihood is unchanged after conversion, with all its nuisances.
     #[test]
-    fn a_likelihood_comes_through_with_all_its_nuisances() {
+    fn likelihood_round_trips_with_nuisances() {
         let there = likelihood();
         assert_eq!(Likelihood::try_from(wire::Likelihood::from(there.clone())).unwrap(), there);
     }

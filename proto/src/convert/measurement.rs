@@ -84,8 +84,9 @@ mod tests {
         Measurement::new("white", vec![profile.with_setup(setup).unwrap()]).unwrap()
     }
 
+    /// The set-up of a profile is unchanged after conversion.
     #[test]
-    fn what_is_known_of_a_set_up_comes_through() {
+    fn set_up_round_trips() {
         let mut setup = ProfileSetup::default();
         for (i, (_, value)) in setup.values_mut().enumerate() {
             *value = Some(0.01 * (i as f64 + 1.0));
@@ -96,8 +97,9 @@ mod tests {
         }
     }
 
+    /// A set-up out of range is refused with its field.
     #[test]
-    fn a_set_up_out_of_range_is_refused_with_its_field() {
+    fn set_up_out_of_range_is_refused() {
         let mut message = wire::Measurement::from(&measurement(ProfileSetup::default()));
         message.profiles[0].blur_mm = Some(-0.1);
         let refused = Measurement::try_from(message).unwrap_err();

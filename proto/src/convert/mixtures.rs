@@ -100,8 +100,9 @@ mod tests {
         }
     }
 
+    /// The result for mixtures is unchanged after conversion, and a missing field is refused.
     #[test]
-    fn what_mixtures_tell_goes_there_and_back() {
+    fn unmixed_result_round_trips() {
         let there = unmixed();
         assert_eq!(Unmixed::try_from(wire::Unmixed::from(there.clone())).unwrap(), there);
         let mut lacking = wire::Unmixed::from(there);
@@ -110,8 +111,9 @@ mod tests {
         assert_eq!(refused.field(), "inks[0].channels[0].medium");
     }
 
+    /// Mixtures are unchanged after conversion, and invalid ones are refused.
     #[test]
-    fn mixtures_go_there_and_back_and_are_checked() {
+    fn mixtures_round_trip_and_are_checked() {
         let part = |ink: &str| (ink.to_owned(), 0.5);
         let there =
             Mixtures::new(vec![Mixture::new("grey", [part("white"), part("black")]).unwrap()]).unwrap();

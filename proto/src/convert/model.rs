@@ -182,14 +182,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_grid_survives_the_wire() {
+    fn grid_survives_the_wire() {
         let grid = Grid::paper();
         assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
     }
 
     /// The canonical bytes that grids and scenes are digested by are those of the messages.
     #[test]
-    fn digests_are_of_the_messages_bytes() {
+    fn digests_cover_the_message_bytes() {
         let quality = Quality::new(0.01, Walks::new(1_000_000).unwrap()).unwrap();
         let axes = Axes {
             sigma_t_per_mm: vec![1.0, 300.0],
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_wire_scene_names_its_field() {
+    fn broken_wire_scene_names_its_field() {
         let mut grid = wire::Grid::from(&Grid::paper());
         let scene = grid.scene.as_mut().unwrap();
         scene.layers[1].medium =
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_survives_the_wire() {
+    fn record_survives_the_wire() {
         let estimate = |v: f32| Estimate::new(vec![v; 3], vec![v / 10.0; 3]).unwrap();
         let derivatives = Derivatives { albedo: estimate(2.0), sigma_t: estimate(3.0) };
         let profile = Profile { radiance_factor: estimate(1.0), derivatives: Some(derivatives) };

@@ -79,8 +79,9 @@ fn checked(channel: wire::PredictedChannel, pixels: usize) -> Result<PredictedCh
 mod tests {
     use super::*;
 
+    /// An answer must have a number for each pixel.
     #[test]
-    fn an_answer_has_a_number_for_each_pixel() {
+    fn answer_has_a_number_per_pixel() {
         let answer = |errors: usize, gradient: usize| {
             let channel = PredictedChannel {
                 channel: "R".to_owned(),

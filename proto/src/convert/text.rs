@@ -70,8 +70,9 @@ mod tests {
         assert!(check_text("reason", &vec![b'x'; NOTE_BYTES + 1]).is_err());
     }
 
+    /// A text that was shortened ends with a mark.
     #[test]
-    fn what_is_shortened_has_a_mark() {
+    fn shortened_text_is_marked() {
         for (name, bytes) in [("ä".repeat(8_000_000), 255), ("R".to_owned(), 1)] {
             let mut name = name;
             shortened(&mut name);

@@ -53,8 +53,9 @@ fn at(values: &[f64], x_mm: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// A profile is linear on each side and jumps at the edge.
     #[test]
-    fn a_profile_is_linear_on_each_side_and_jumps_at_the_edge() {
+    fn profile_jumps_at_the_edge() {
         let values: Vec<f64> =
             (0..12).map(|i| if i < 6 { f64::from(i) } else { 10.0 + f64::from(i) }).collect();
         // Pixels of 1 mm: centres at −5.5 … 5.5.

@@ -25,8 +25,9 @@ const LEASES: &str = "/farm.v1.Leases/Acquire";
 const FITS: &str = "/farm.v1.Fits/Fit";
 const ADMIN: &str = "/farm.v1.Admin/Drain";
 
+/// Each role may make its own calls, and a refusal names the roles that are needed.
 #[tokio::test]
-async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
+async fn each_role_may_do_its_own_calls() {
     let farm = GuardedServer::start(Access::Tokens).await;
     let cases = [
         (LEASES, [Ok(()), Err("worker or admin"), Ok(())]),
@@ -53,8 +54,9 @@ async fn each_role_may_do_what_is_its_own_and_is_told_what_it_lacks() {
     }
 }
 
+/// Without a token, or with a wrong one, only the health service answers.
 #[tokio::test]
-async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
+async fn only_health_works_without_a_token() {
     let farm = GuardedServer::start(Access::Tokens).await;
     let anonymous = farm.tls_channel_without_token().await;
     let status = call(&anonymous, FITS).await.unwrap_err();
@@ -77,8 +79,9 @@ async fn without_a_token_or_with_a_wrong_one_only_health_is_told() {
     health(link).await.unwrap();
 }
 
+/// A client that trusts another authority does not connect.
 #[tokio::test]
-async fn who_trusts_another_authority_does_not_connect() {
+async fn other_authority_does_not_connect() {
     let (farm, other) =
         (GuardedServer::start(Access::Tokens).await, GuardedServer::start(Access::Tokens).await);
     let access = ClientAccess::read(&other.file(Role::Client)).unwrap();
@@ -87,8 +90,9 @@ async fn who_trusts_another_authority_does_not_connect() {
     assert!(format!("{:?}", error.unwrap_err()).contains("UnknownIssuer"));
 }
 
+/// With mutual TLS a certificate is needed in addition to the token.
 #[tokio::test]
-async fn with_mutual_tls_a_certificate_is_needed_besides_the_token() {
+async fn mutual_tls_needs_certificate_and_token() {
     let farm = GuardedServer::start(Access::Mutual).await;
     call(&farm.target(Role::Worker).connect().await.unwrap(), LEASES).await.unwrap();
 
@@ -109,8 +113,9 @@ async fn fails_with(target: &Target, why: &str) {
     timeout(SOON, trying).await.expect("a call fails with the reason");
 }
 
+/// A certificate is valid for the hosts that were named.
 #[tokio::test]
-async fn a_certificate_holds_for_the_hosts_that_were_named() {
+async fn certificate_covers_the_named_hosts() {
     let farm = GuardedServer::start(Access::Tokens).await;
     let access = ClientAccess::read(&farm.file(Role::Client)).unwrap();
     for host in ["localhost", "127.0.0.1"] {
@@ -140,8 +145,9 @@ async fn why_unreachable(target: &Target) -> String {
     message.expect("the error has a message for users")
 }
 
+/// A connection with the wrong kind of encryption fails quickly, with the reason.
 #[tokio::test]
-async fn who_mistakes_encryption_learns_it_quickly() {
+async fn mistaken_encryption_is_reported_quickly() {
     let start = Instant::now();
     let encrypted = GuardedServer::start(Access::Tokens).await;
     let plain_url = format!("http://{}", encrypted.address);
@@ -159,7 +165,7 @@ async fn who_mistakes_encryption_learns_it_quickly() {
 }
 
 #[tokio::test]
-async fn an_open_farm_takes_bare_urls() {
+async fn open_farm_takes_bare_urls() {
     let farm = GuardedServer::start(Access::Open).await;
     let target = Target::new(None, Some(&format!("http://{}", farm.address))).unwrap();
     for path in [LEASES, FITS, ADMIN] {
@@ -182,8 +188,9 @@ async fn calls_are_observed_and_carry_request_ids() {
     assert_eq!(farm.observed(3).await, expected);
 }
 
+/// The log lines of a handler carry method, request id and caller.
 #[tokio::test]
-async fn what_a_handler_logs_carries_method_request_id_and_caller() {
+async fn handler_logs_carry_request_and_caller() {
     let farm = GuardedServer::start(Access::Tokens).await;
     let log = guarded::Log::default();
     let _logged = log.subscribe();
@@ -204,8 +211,9 @@ async fn what_a_handler_logs_carries_method_request_id_and_caller() {
     assert!(!text.contains(token), "tokens are not logged");
 }
 
+/// A call that its caller abandons is observed as cancelled.
 #[tokio::test]
-async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
+async fn abandoned_call_is_observed_as_cancelled() {
     let farm = GuardedServer::start(Access::Tokens).await;
     let link = farm.target(Role::Client).connect().await.unwrap();
     let slow = "/farm.v1.Fits/Slow";
@@ -216,8 +224,9 @@ async fn a_call_that_its_caller_gives_up_is_observed_as_cancelled() {
     assert_eq!(farm.observed(2).await, [(slow.to_owned(), 1), (slow.to_owned(), 1)]);
 }
 
+/// A connection that sends nothing is closed, and its place is free again.
 #[tokio::test]
-async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
+async fn silent_connection_loses_its_place() {
     let limits = Limits { hello: Duration::from_millis(500), ..Limits::new(2, None) };
     for access in [Access::Tokens, Access::Open] {
         let farm = GuardedServer::start_with(access, limits).await;
@@ -238,8 +247,9 @@ async fn who_says_nothing_is_sent_away_and_his_place_is_free_again() {
     }
 }
 
+/// A connection above the limit is refused, and the others go on.
 #[tokio::test]
-async fn one_connection_too_many_is_refused_while_the_others_go_on() {
+async fn surplus_connection_is_refused() {
     let farm = GuardedServer::start_with(Access::Tokens, Limits::new(2, None)).await;
     let first = farm.target(Role::Client).connect().await.unwrap();
     let second = farm.target(Role::Worker).connect().await.unwrap();
@@ -259,15 +269,17 @@ async fn one_connection_too_many_is_refused_while_the_others_go_on() {
     call(&first, FITS).await.unwrap();
 }
 
+/// Idle connections are kept if they answer pings, and dead ones are closed.
 #[tokio::test]
-async fn idle_but_live_connections_are_kept_and_dead_ones_are_not() {
+async fn only_live_idle_connections_are_kept() {
     // The HTTP/2 preface with empty settings, then no answer to pings.
     keeps_the_live_and_ends_the_dead(Access::Open, b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0")
         .await;
 }
 
+/// Encrypted connections are kept if they are alive, and dead ones are closed.
 #[tokio::test]
-async fn under_encryption_it_is_the_same() {
+async fn only_live_encrypted_connections_are_kept() {
     // The first bytes of a handshake that is never completed.
     let hello = [&[0x16, 3, 1, 2, 0, 1, 0, 1, 0xfc, 3, 3][..], &[7; 20]].concat();
     keeps_the_live_and_ends_the_dead(Access::Tokens, &hello).await;

@@ -9,7 +9,7 @@ use tonic_types::StatusExt as _;
 
 /// Messages that would grow a hundredfold are refused before they are decoded.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn what_grows_a_hundredfold_is_not_decoded() {
+async fn expanding_message_is_not_decoded() {
     let farm = Farm::start(&[]);
     let profiles = vec![MeasuredProfile::default(); 4 << 20];
     let measurement = Measurement { material: "white".to_owned(), profiles };

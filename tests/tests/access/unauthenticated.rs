@@ -59,8 +59,9 @@ async fn unauthenticated_requests_that_never_end_are_cancelled() {
     health(channel).await.unwrap();
 }
 
+/// The number of concurrent calls is bounded only without a token.
 #[tokio::test]
-async fn concurrent_calls_are_bounded_without_a_token_only() {
+async fn calls_are_bounded_only_without_a_token() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
     let mut client = HealthClient::new(farm.tls_channel_without_token().await);
     let mut watches = Vec::new();
@@ -84,8 +85,9 @@ async fn concurrent_calls_are_bounded_without_a_token_only() {
     assert!(ended.is_err(), "none is refused: {ended:?}");
 }
 
+/// Connections without a token end, and do not lock others out.
 #[tokio::test]
-async fn unauthenticated_connections_end_and_lock_nobody_out() {
+async fn unauthenticated_connections_end() {
     let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_secs(2))).await;
     let authenticated = farm.target(Role::Client).connect().await.unwrap();
     call(&authenticated, FITS).await.unwrap();

@@ -39,7 +39,7 @@ async fn unfinished(mut link: Link) -> Option<Code> {
 
 /// The incomplete requests of one token are bounded over all its calls, and end when the token is revoked.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn unfinished_requests_have_a_bound_and_end_when_revoked() {
+async fn unfinished_requests_are_bounded() {
     let farm = Farm::closed(&[], &[]);
     farm.let_in("client", "mallory");
     wait_for("mallory is let in", SOON, || {

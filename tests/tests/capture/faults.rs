@@ -105,8 +105,9 @@ fn noted(found: &SampleProfile, is: impl Fn(&Warning) -> bool) -> bool {
     found.warnings.iter().any(is)
 }
 
+/// A change of the light in one shot is divided out.
 #[test]
-fn light_that_is_off_in_one_shot_is_divided_out() {
+fn changed_light_is_divided_out() {
     let clean = slabs(|photo| photo).unwrap();
     assert!(clean.warnings.is_empty(), "{:?}", clean.warnings);
     for factor in [0.99, 0.95, 1.045] {
@@ -122,8 +123,9 @@ fn light_that_is_off_in_one_shot_is_divided_out() {
     }
 }
 
+/// A large change of the light is refused.
 #[test]
-fn light_that_is_too_far_off_is_refused() {
+fn large_light_change_is_refused() {
     for factor in [0.5, 0.7, 0.8, 0.92, 1.2] {
         let refusal = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap_err();
         let Refusal::LightChanged { label, percent, .. } = &refusal else { panic!("{factor}: {refusal}") };
@@ -134,7 +136,7 @@ fn light_that_is_too_far_off_is_refused() {
 
 /// Lamps that flicker during a rolling shutter: the part of a band in the crop is random.
 #[test]
-fn bands_of_flicker_are_part_of_the_gain() {
+fn flicker_bands_are_part_of_the_gain() {
     let clean = slabs(|photo| photo).unwrap();
     let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * (y as f64 / 40.0 + phase).sin();
     let shots = (0..3).map(|i| dimmed(session().shoot(What::Slab, i, &PLAIN), banded(i as f64)));
@@ -157,7 +159,7 @@ fn with_speck(photo: Photo, at_mm: [f64; 2], diameter_mm: f64) -> Photo {
 }
 
 #[test]
-fn a_clean_shot_is_not_masked() {
+fn clean_shot_is_not_masked() {
     let clean = slabs(|photo| photo).unwrap();
     assert!(!noted(&clean, |w| matches!(w, Warning::Masked { .. })), "{:?}", clean.warnings);
     for shot in &clean.shots {
@@ -165,8 +167,9 @@ fn a_clean_shot_is_not_masked() {
     }
 }
 
+/// A speck in one shot is masked, and the session continues.
 #[test]
-fn a_speck_in_one_shot_is_masked_and_the_session_goes_on() {
+fn speck_in_one_shot_is_masked() {
     let clean = slabs(|photo| photo).unwrap();
     for (diameter_mm, x_mm) in [(0.2, 2.0), (0.5, 2.0), (1.0, 2.0), (1.0, -3.0), (0.5, 0.1)] {
         let found = slabs(|photo| with_speck(photo, [x_mm, 0.7], diameter_mm)).unwrap();
@@ -184,7 +187,7 @@ fn a_speck_in_one_shot_is_masked_and_the_session_goes_on() {
 }
 
 #[test]
-fn a_scratch_across_the_edge_is_masked() {
+fn scratch_across_the_edge_is_masked() {
     let clean = slabs(|photo| photo).unwrap();
     let board = &set_up().board;
     let scratched = |photo| {
@@ -201,7 +204,7 @@ fn a_scratch_across_the_edge_is_masked() {
 
 /// A shot with a feature too broad for dust is left out; with too few shots left, the sample is refused.
 #[test]
-fn a_shot_with_a_bubble_is_left_out() {
+fn shot_with_a_bubble_is_left_out() {
     let clean = slabs(|photo| photo).unwrap();
     let bubble = |photo| with_speck(photo, [2.5, 3.0], 3.0);
     let found = slabs(bubble).unwrap();
@@ -218,8 +221,9 @@ fn a_shot_with_a_bubble_is_left_out() {
     assert!(matches!(refusal, Refusal::ThirdsDisagree { .. }), "{refusal}");
 }
 
+/// A session that uneven light spoils is refused, and the message mentions the missing flat shots.
 #[test]
-fn a_session_without_flats_is_told_of_them() {
+fn missing_flats_explain_a_refusal() {
     let thirds = |session: &Session| {
         let black = optics_capture::Darks::new().finish(&session.shoot(What::Bare, 0, &PLAIN))?;
         let flat = optics_capture::Flats::new(&black).finish()?;
@@ -253,8 +257,9 @@ fn is_turned(refusal: &Refusal, of: &str) -> bool {
     matches!(refusal, Refusal::Unlike { label, .. } if label == of) && refusal.to_string().contains("turned")
 }
 
+/// A shot with a turned slab is left out, or refused if too few are left.
 #[test]
-fn a_slab_that_is_turned_is_left_out_or_refused() {
+fn turned_slab_is_left_out_or_refused() {
     let clean = slabs(|photo| photo).unwrap();
     let found = slabs(turned).unwrap();
     let off = Off::of(&found, &clean);
@@ -270,7 +275,7 @@ fn a_slab_that_is_turned_is_left_out_or_refused() {
 
 /// Another slab was photographed: of three shots it is left out, with two shots the sample is refused.
 #[test]
-fn a_shot_of_another_slab_is_left_out_or_refused() {
+fn shot_of_another_slab_is_left_out() {
     let mut others = session().clone();
     let edge = Edge::new(|c, x| 0.8 * crate::stage::white(c, x));
     others.lay(&session().camera.clone(), &Slab { edge, ..slab() });
@@ -283,8 +288,9 @@ fn a_shot_of_another_slab_is_left_out_or_refused() {
     assert!(matches!(refusal, Refusal::Unlike { .. }), "{refusal}");
 }
 
+/// Turned bare shots, flats and patches are detected.
 #[test]
-fn turned_bare_shots_flats_and_patches_are_found() {
+fn turned_calibration_shots_are_detected() {
     let shoot = |what, i| session().shoot(what, i, &PLAIN);
     let target = optics_capture::Target { dark_side: None, ..session().target() };
     let mut bare = optics_capture::BareShots::new(&set_up().calibration, target).unwrap();

@@ -11,8 +11,9 @@ fn seeds(quick: u64) -> u64 {
     effort.map_or(quick, |e| 20 * e)
 }
 
+/// A session without noise gives the exact profile.
 #[test]
-fn a_session_without_noise_gives_the_exact_profile() {
+fn noiseless_session_gives_the_exact_profile() {
     let session = session();
     let found = measure(session, &Look { exact: true, ..PLAIN }, 2).unwrap();
     for (c, profile) in found.sample.profiles.iter().enumerate() {
@@ -29,8 +30,9 @@ fn a_session_without_noise_gives_the_exact_profile() {
     }
 }
 
+/// The geometry and the constants of a session are recovered.
 #[test]
-fn geometry_and_constants_of_a_session_come_out() {
+fn geometry_and_constants_are_recovered() {
     let session = session();
     let found = measure(session, &PLAIN, 2).unwrap();
     report(session, &found);
@@ -72,7 +74,7 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
 
 /// Turned, from aside, with distortion, dark side left or right, mosaic or three samples per pixel.
 #[test]
-fn geometry_comes_out_under_cameras_of_all_sorts() {
+fn geometry_is_recovered_for_all_cameras() {
     for seed in 0..seeds(40) / 10 {
         let mut random = farm_tests::photograph::Random::new(40 + seed);
         let camera = Camera {
@@ -127,7 +129,7 @@ fn report(session: &Session, found: &Measured) {
 
 /// Over independent sessions, the scatter of each bin equals its stated error, and neighbours are uncorrelated.
 #[test]
-fn stated_errors_are_those_found() {
+fn stated_errors_match_the_scatter() {
     let session = session();
     let count = seeds(12);
     let mut stated = [0.0; 3];

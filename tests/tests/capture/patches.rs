@@ -66,8 +66,9 @@ fn same(areas: &[Area], others: &[Area], within_px: f64) -> bool {
     areas.len() == others.len() && areas.iter().zip(others).all(|(a, b)| off(a, b) <= within_px)
 }
 
+/// Rows of patches are found if they are upright or coloured.
 #[test]
-fn upright_and_coloured_rows_of_patches_are_found() {
+fn upright_and_coloured_patches_are_found() {
     let session = session();
     let lying = areas(&found(session, &session.rho, What::Chart, &PLAIN).unwrap());
     let turned: Vec<Area> =
@@ -82,8 +83,9 @@ fn upright_and_coloured_rows_of_patches_are_found() {
     assert!(same(&coloured, &halved, 4.0), "{coloured:?} {halved:?}");
 }
 
+/// If two rows could be the patches, none is taken.
 #[test]
-fn of_two_rows_that_could_be_the_patches_neither_is_taken() {
+fn ambiguous_patch_rows_are_refused() {
     let refused = found_after(twice).unwrap_err();
     assert!(matches!(refused, Refusal::NoPatches { .. }), "{refused}");
     let message = refused.to_string();
@@ -115,7 +117,7 @@ fn found_patches_calibrate_like_given_areas() {
 
 /// Light that falls off by a quarter, and lamps that flicker; from left to right, and from right to left.
 #[test]
-fn patches_are_found_in_uneven_light_and_either_order() {
+fn patches_are_found_in_uneven_light() {
     let camera = Camera { vignetting: 0.25, ..Camera::default() };
     let session = Session::new(camera, slab());
     let look = Look { seed: 3, flicker: 0.004, ..PLAIN };

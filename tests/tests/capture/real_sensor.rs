@@ -59,7 +59,7 @@ fn part(file: &Path, [columns, rows]: Area) -> Photo {
 /// The photograph is refused since it clips. The edges of its slanted square have the right angle and rise.
 #[test]
 #[ignore = "needs a photograph: FARM_TEST_OPENISP"]
-fn a_real_sensors_clipping_and_edges_are_detected() {
+fn real_sensor_clipping_is_detected() {
     let file = std::env::var_os("FARM_TEST_OPENISP").expect("FARM_TEST_OPENISP names openISP's test.RAW");
     let refusal = check_shot(&part(file.as_ref(), WHOLE), Darks::new()).unwrap_err();
     println!("{refusal}");

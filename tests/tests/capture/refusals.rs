@@ -116,7 +116,7 @@ fn is_right(kind: &str, refusal: &Refusal) -> bool {
 
 /// A straight board cannot be binned: its edge crosses pixels at few phases only.
 #[test]
-fn an_edge_along_the_columns_is_refused() {
+fn edge_along_the_columns_is_refused() {
     let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, slab());
     let calibration = calibrate(&session, &PLAIN).unwrap();
     let refusal = find(&session, &calibration, &PLAIN).unwrap_err();
@@ -129,8 +129,9 @@ fn rounds() -> u64 {
     effort.map_or(1, |e| 5 * e)
 }
 
+/// Bad sessions are refused for the right reason.
 #[test]
-fn bad_sessions_are_refused_for_the_right_reason() {
+fn bad_sessions_are_refused_for_their_reason() {
     let good = Session::new(small(), slab());
     let (mut right, mut total) = (0, 0);
     for kind in KINDS {
@@ -179,8 +180,9 @@ fn good_sessions_are_not_refused() {
     assert!(refused.len() as f64 <= 0.01 * count as f64, "{refused:#?}");
 }
 
+/// A dark side that is given wrongly is noticed.
 #[test]
-fn a_dark_side_that_is_told_wrong_is_noticed() {
+fn wrong_dark_side_is_noticed() {
     let session = Session::new(small(), slab());
     let calibration = calibrate(&session, &PLAIN).unwrap();
     let target = optics_capture::Target { dark_side: Some(Side::Right), ..session.target() };
@@ -193,15 +195,16 @@ fn a_dark_side_that_is_told_wrong_is_noticed() {
 }
 
 #[test]
-fn an_unknown_black_level_is_refused() {
+fn unknown_black_level_is_refused() {
     let session = Session::new(Camera { has_black_level: false, ..small() }, slab());
     let any = session.shoot(What::Bare, 0, &PLAIN);
     let refusal = optics_capture::Darks::new().finish(&any).unwrap_err();
     assert!(matches!(refusal, Refusal::BlackUnknown { .. }), "{refusal}");
 }
 
+/// A session with too few shots gets a warning.
 #[test]
-fn too_few_shots_are_told() {
+fn too_few_shots_are_noted() {
     let found = measure(&Session::new(small(), slab()), &PLAIN, 1).unwrap();
     assert!(found.sample.warnings.iter().any(|w| matches!(w, Warning::FewShots { count: 1, .. })));
 }

@@ -6,8 +6,9 @@ use farm_tests::cli::{HEAD, fails, farm, json, keys, rows, write};
 use farm_tests::process::run;
 use serde_json::{Value, json as value};
 
+/// All commands that fit take the set-up from the session and from options.
 #[test]
-fn all_fits_take_the_set_up_from_session_and_options() {
+fn all_fits_take_the_session_set_up() {
     let farm = farm();
     let dir = farm.path();
     let profile: String = rows("R", 0.5).lines().map(|line| format!("{line},0.001\n")).collect();
@@ -30,8 +31,9 @@ fn all_fits_take_the_set_up_from_session_and_options() {
     }
 }
 
+/// Every answer of the fit has its JSON shape.
 #[test]
-fn every_answer_of_the_fit_has_its_json_shape() {
+fn every_fit_answer_has_its_json_shape() {
     let farm = farm();
     let dir = farm.path();
     write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
@@ -130,8 +132,9 @@ fn chart(dir: &Path) -> String {
     all
 }
 
+/// Mixtures give the media of their inks, as text and as JSON.
 #[test]
-fn mixtures_tell_of_their_inks() {
+fn mixtures_give_their_inks() {
     let farm = farm();
     let dir = farm.path();
     write(dir, "chart.csv", &chart(dir));
@@ -156,8 +159,9 @@ fn mixtures_tell_of_their_inks() {
     fails(dir, &command, &["mixture.material", "grey", "both"]);
 }
 
+/// A design predicts the errors that sets of slabs would give.
 #[test]
-fn a_design_tells_what_slabs_would_give() {
+fn design_predicts_the_slab_errors() {
     let farm = farm();
     let dir = farm.path();
     let medium = ["--sigma-t", "5", "--albedo", "0.99", "--g", "0.4"];

@@ -9,8 +9,9 @@ use std::process::Command;
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
 use farm_tests::process::{Process, Ran, farmctl, program, run};
 
+/// The result of every verb has one stable JSON shape.
 #[test]
-fn every_verb_tells_its_result_in_one_stable_json_shape() {
+fn every_verb_has_a_stable_json_shape() {
     let farm = farm();
     let dir = farm.path();
     let dictionary = [
@@ -120,8 +121,9 @@ fn simulate_equals_the_profile_of_the_dictionary() {
     assert_eq!(exported, one.lines().skip(1).collect::<Vec<_>>());
 }
 
+/// Reflectances on the command line make one channel.
 #[test]
-fn reflectances_on_the_command_line_make_one_channel() {
+fn reflectances_as_options_make_one_channel() {
     let dir = folder();
     let args = "simulate --sigma-t 6 --albedo 0.9 --g 0 --thickness 0.5 --scene smooth --walks 5000 --pixels 4 \
                 --width 2 --rho-light 0.9 --rho-dark 0.1";
@@ -141,8 +143,9 @@ fn commands_that_only_ask_leave_no_events() {
     assert_eq!(events.matches("COORDINATOR_STARTED").count(), 1, "{events}");
 }
 
+/// A second command joins the farm that is running.
 #[test]
-fn a_second_command_joins_the_farm_that_is_running() {
+fn second_command_joins_the_running_farm() {
     let dir = folder();
     // Some seconds of work, so that the farm still runs.
     write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 2500000"));
@@ -160,8 +163,9 @@ fn a_second_command_joins_the_farm_that_is_running() {
     submit.kill();
 }
 
+/// Commands in one folder do not interfere with each other.
 #[test]
-fn commands_in_one_folder_do_not_get_in_each_others_way() {
+fn commands_in_one_folder_do_not_interfere() {
     let farm = farm();
     write(farm.path(), "m.csv", &(HEAD.to_owned() + &rows("R", 0.5)));
     let spawn = |args: &[&str]| {
@@ -185,8 +189,9 @@ fn commands_in_one_folder_do_not_get_in_each_others_way() {
     }
 }
 
+/// An interrupted submission reports that it was interrupted, and continues with the next command.
 #[test]
-fn an_interrupted_submission_says_so_and_goes_on_later() {
+fn interrupted_submission_can_continue_later() {
     let dir = folder();
     write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 1500000"));
     let mut submit = farmctl(dir.path())
@@ -210,7 +215,7 @@ fn an_interrupted_submission_says_so_and_goes_on_later() {
 
 /// A reader that closes the pipe causes no error message.
 #[test]
-fn export_writes_whole_files_and_survives_a_closed_pipe() {
+fn export_writes_whole_files() {
     let farm = farm();
     let file = farm.path().join("out.csv");
     assert_eq!(run(farm.path(), &["export", "grid", "-o", "out.csv"]).code, 0);

@@ -13,8 +13,9 @@ fn full() -> File {
     File::options().write(true).open("/dev/full").expect("Linux has /dev/full")
 }
 
+/// An error that cannot be printed ends the program without a panic.
 #[test]
-fn an_error_that_cannot_be_printed_ends_without_a_panic() {
+fn unprintable_error_causes_no_panic() {
     let dir = folder();
     let ran: Ran =
         farmctl(dir.path()).args(["--json", "check", "none.csv"]).stdout(full()).output().unwrap().into();
@@ -36,8 +37,9 @@ fn an_error_that_cannot_be_printed_ends_without_a_panic() {
     assert_eq!(ran.code, 1);
 }
 
+/// File names that are not UTF-8 are accepted.
 #[test]
-fn names_that_are_not_utf_8_are_taken() {
+fn non_utf_8_names_are_accepted() {
     let dir = folder();
     let run = |args: &[&[u8]]| -> Ran {
         farmctl(dir.path()).args(args.iter().map(|a| OsStr::from_bytes(a))).output().unwrap().into()

@@ -45,7 +45,7 @@ fn lines(worker: &Process, what: &str) -> Vec<String> {
 
 /// The changes are joining, losing, finding and leaving the coordinator.
 #[test]
-fn a_worker_logs_each_connection_change_once() {
+fn worker_logs_each_connection_change_once() {
     let mut farm = Farm::start(&["--lease", "2"]);
     let mut worker = farm.worker("worker", &[]);
     let url = farm.url();
@@ -69,8 +69,9 @@ fn a_worker_logs_each_connection_change_once() {
     assert!(lines(&worker, "heartbeat").is_empty(), "{}", worker.log());
 }
 
+/// A worker that is gone is reported as silent, not as idle.
 #[test]
-fn a_worker_that_is_gone_is_not_called_idle() {
+fn killed_worker_is_not_called_idle() {
     let farm = Farm::start(&["--lease", "1"]);
     let mut worker = farm.worker("worker", &[]);
     let state = || farm.ask(&["workers"])["workers"][0]["state"].as_str().map(ToOwned::to_owned);

@@ -25,8 +25,9 @@ pub(super) fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
     files
 }
 
+/// A farm that lost its disk continues from its last backup.
 #[test]
-fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
+fn farm_resumes_from_its_last_backup() {
     let mut farm = Farm::start(&["--backup-every", "1s", "--keep", "2"]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
@@ -57,7 +58,7 @@ fn a_farm_goes_on_from_its_last_backup_when_its_disk_is_lost() {
 
 /// As in the deployment guide: the same access file, port and name. Records from after the backup are computed again.
 #[test]
-fn a_standby_takes_over_from_the_last_backup() {
+fn standby_takes_over_from_the_last_backup() {
     let mut farm = Farm::closed(&[], &["--lease", "2"]);
     farm.submit("grid", LONGER);
     let worker = farm.worker("worker", &[]);
@@ -83,8 +84,9 @@ fn a_standby_takes_over_from_the_last_backup() {
     drop(worker);
 }
 
+/// A backup that fails is reported and delays no work.
 #[test]
-fn a_backup_that_fails_is_told_and_keeps_nobody_from_work() {
+fn failed_backup_is_reported_without_delay() {
     let place = tempfile::tempdir().unwrap();
     // Not even root can create a folder there.
     let nowhere = place.path().join("file");

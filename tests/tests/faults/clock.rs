@@ -21,7 +21,7 @@ walks = 300000
 /// After any jump, no lease ends early or late, no worker counts as lost, nothing is computed twice, and backups are
 /// made and kept.
 #[test]
-fn a_clock_that_jumps_changes_nothing_but_what_time_it_is() {
+fn clock_jump_changes_no_result() {
     let Some(clock) = WallClock::find() else {
         eprintln!("SKIPPED: libfaketime is not installed");
         return;

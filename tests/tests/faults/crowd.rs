@@ -57,7 +57,7 @@ impl<'f> Crowd<'f> {
 
 /// 64 workers join, leave and are killed.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_changing_crowd_of_workers_stores_each_record_once() {
+async fn changing_crowd_stores_each_record_once() {
     let mut farm = Farm::start(&["--lease", "3"]);
     let start = Instant::now();
     let mut crowd = Crowd::of(&farm, WORKERS);

@@ -64,8 +64,9 @@ fn damaged_records_are_reported_and_recomputed() {
     mended(&farm);
 }
 
+/// A fit that needs damaged records is refused as data loss.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
+async fn fit_with_damaged_records_is_refused() {
     use farm_proto::wire::fits_client::FitsClient;
     use optics_model::{MeasuredProfile, Measurement};
     let farm = damaged();
@@ -88,8 +89,9 @@ async fn a_fit_with_damaged_records_is_refused_as_data_loss() {
     mended(&farm);
 }
 
+/// The doctor finds a flipped bit, and repairs it only with `--repair`.
 #[test]
-fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
+fn doctor_repairs_a_flipped_bit_on_request() {
     let farm = damaged();
     for _ in 0..2 {
         // A check without repair changes nothing.
@@ -103,7 +105,7 @@ fn the_doctor_finds_a_flipped_bit_and_mends_it_if_told_to() {
 
 /// The records are in the database's log, which is truncated and later restored.
 #[test]
-fn what_cannot_be_read_is_told_and_kept() {
+fn unreadable_log_is_reported_and_kept() {
     let farm = Farm::start(&["--verify-share", "0"]);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);

@@ -58,7 +58,7 @@ fn done(farm: &Farm) -> u64 {
 
 /// Readiness, status and explain report the reason.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_full_disk_acknowledges_nothing_until_there_is_room() {
+async fn full_disk_acknowledges_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     let Some(disk) = Small::mount(data.clone(), "6m") else {

@@ -47,8 +47,9 @@ fn files(farm: &Farm) -> Vec<String> {
     names.map(|name| name.into_string().unwrap()).filter(|name| name.contains("all.csv")).collect()
 }
 
+/// An export over a link that breaks continues where it was.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_over_a_link_that_breaks_goes_on_where_it_was() {
+async fn export_resumes_after_a_broken_link() {
     let (farm, proxy, export) = cut_in_the_middle().await;
     // In this order: held bytes are lost with their connection, and later connections pass.
     proxy.cut();
@@ -62,7 +63,7 @@ async fn an_export_over_a_link_that_breaks_goes_on_where_it_was() {
 
 /// The message gives the number of records that arrived, and no part of the file is left.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_export_fails_when_its_coordinator_is_gone() {
+async fn export_fails_when_its_coordinator_is_gone() {
     let (mut farm, proxy, export) = cut_in_the_middle().await;
     farm.kill_coordinator();
     proxy.cut();
@@ -80,7 +81,7 @@ async fn an_export_fails_when_its_coordinator_is_gone() {
 
 /// It ends with exit code 130.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_interrupted_export_leaves_no_file() {
+async fn interrupted_export_leaves_no_file() {
     let (farm, proxy, export) = cut_in_the_middle().await;
     let id = rustix::process::Pid::from_child(&export);
     rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
@@ -109,8 +110,9 @@ name = 'resin'
 sample = true
 ";
 
+/// An export may select more records than one call may name.
 #[test]
-fn exports_may_select_more_records_than_one_call() {
+fn export_may_need_more_than_one_call() {
     let farm = Farm::start(&[]);
     let albedos: Vec<String> = (1..=300).map(|i| format!("{}", f64::from(i) / 301.0)).collect();
     farm.submit("many", &format!("albedo = [{}]\n{MANY}", albedos.join(", ")));

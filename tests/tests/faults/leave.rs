@@ -30,7 +30,7 @@ fn assert_no_blame(farm: &Farm) {
 
 /// It hands back the others at once.
 #[test]
-fn a_stopping_worker_finishes_its_running_jobs() {
+fn stopping_worker_finishes_its_running_jobs() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
@@ -50,7 +50,7 @@ fn a_stopping_worker_finishes_its_running_jobs() {
 
 /// Such as when its terminal is closed, or its connection is lost.
 #[test]
-fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
+fn worker_hands_back_on_hang_up() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
@@ -60,8 +60,9 @@ fn a_worker_that_is_hung_up_on_hands_back_and_ends() {
     assert_no_blame(&farm);
 }
 
+/// A coordinator ends in order when its terminal is closed.
 #[test]
-fn a_coordinator_that_is_hung_up_on_ends_well() {
+fn coordinator_ends_well_on_hang_up() {
     let mut farm = Farm::start(&[]);
     farm.coordinator().hang_up();
     wait_for("the coordinator ends", SOON, || (!farm.coordinator_runs()).then_some(()));
@@ -70,7 +71,7 @@ fn a_coordinator_that_is_hung_up_on_ends_well() {
 
 /// `nohup` starts programs that continue when the terminal is closed.
 #[test]
-fn a_worker_that_is_to_ignore_hang_ups_does() {
+fn ignored_hang_up_stays_ignored() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", GRID);
     let mut shell = std::process::Command::new("sh");
@@ -86,7 +87,7 @@ fn a_worker_that_is_to_ignore_hang_ups_does() {
 
 /// A preempted host stops its worker, and kills it before the grace is over.
 #[test]
-fn a_worker_that_is_killed_while_it_stops_is_not_blamed() {
+fn worker_killed_while_stopping_is_not_blamed() {
     let farm = Farm::start(&["--lease", "2", "--max-attempts", "1"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "60s"]);
@@ -103,7 +104,7 @@ fn a_worker_that_is_killed_while_it_stops_is_not_blamed() {
 
 /// Its job is not blamed.
 #[test]
-fn a_worker_without_grace_stops_at_once() {
+fn worker_without_grace_stops_at_once() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("worker", &["--grace", "0s"]);
@@ -114,8 +115,9 @@ fn a_worker_without_grace_stops_at_once() {
     assert_no_blame(&farm);
 }
 
+/// A worker ends before its time limit, and no job is blamed.
 #[test]
-fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
+fn time_limit_ends_a_worker_without_blame() {
     let farm = Farm::start(&LEASE);
     // More work than fits into the time.
     farm.submit("grid", &format!("{LONG_JOBS}sample_ior = [1.3, 1.4, 1.5, 1.6]\n"));
@@ -128,8 +130,9 @@ fn a_worker_ends_before_its_time_limit_and_nobody_is_blamed() {
     assert_no_blame(&farm);
 }
 
+/// A worker that is drained finishes its jobs and ends.
 #[test]
-fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
+fn drained_worker_finishes_its_jobs() {
     let farm = Farm::start(&["--lease", "4"]);
     farm.submit("grid", LONG_JOBS);
     let mut worker = farm.worker("old", &["--grace", "60s"]);
@@ -144,8 +147,9 @@ fn a_worker_that_is_drained_finishes_what_it_has_and_ends() {
     drop(second);
 }
 
+/// A worker without work ends if it was started with `--idle-exit`.
 #[test]
-fn a_worker_for_which_there_is_no_work_ends_if_it_may() {
+fn idle_worker_ends_if_allowed() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &["--idle-exit", "1s"]);

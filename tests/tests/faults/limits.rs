@@ -48,8 +48,9 @@ async fn send_huge(mut link: Channel, path: &str) -> Status {
     Status::from_header_map(end.trailers().expect("a call ends with trailers")).unwrap()
 }
 
+/// A message of 1 GB is refused without taking its memory.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_message_of_1_gb_is_refused_without_taking_its_memory() {
+async fn huge_message_takes_no_memory() {
     let farm = Farm::start(&["--insecure"]);
     farm.submit("grid", GRID);
     let before = farm.coordinator().usage().unwrap().resident_kib;
@@ -151,8 +152,9 @@ async fn idle_connections_do_not_hinder_existing_ones() {
     drop((idle, worker));
 }
 
+/// The jobs that were given up are listed in pages.
 #[tokio::test(flavor = "multi_thread")]
-async fn jobs_that_were_given_up_come_in_pages() {
+async fn failed_jobs_are_listed_in_pages() {
     let farm = Farm::start(&["--max-attempts", "1"]);
     farm.submit("grid", GRID);
     let mut worker = farm.test_worker("test").await.unwrap();

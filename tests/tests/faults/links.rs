@@ -26,7 +26,7 @@ fn renewed(farm: &Farm) {
 
 /// No job is blamed twice.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_paused_past_its_lease_delivers_duplicates() {
+async fn paused_worker_delivers_duplicates() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", LONG_JOBS);
@@ -61,7 +61,7 @@ async fn a_worker_paused_past_its_lease_delivers_duplicates() {
 
 /// It counts as a duplicate.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_result_is_resent_when_its_acknowledgment_is_lost() {
+async fn result_is_resent_after_a_lost_reply() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
@@ -84,8 +84,9 @@ async fn a_result_is_resent_when_its_acknowledgment_is_lost() {
     assert_eq!(farm.record_rows().await, (RECORDS, 0));
 }
 
+/// Work continues after a link lost packets.
 #[tokio::test(flavor = "multi_thread")]
-async fn work_goes_on_after_a_link_swallowed_packets() {
+async fn work_resumes_after_lost_packets() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
@@ -102,7 +103,7 @@ async fn work_goes_on_after_a_link_swallowed_packets() {
 
 /// Such as when a router loses the state of a connection: it never heals, without an error, and new ones pass.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
+async fn worker_leaves_a_silently_dead_connection() {
     if effort() == 1 {
         eprintln!("skipped in the short form: pings take 40 s to find a dead connection");
         return;
@@ -120,8 +121,9 @@ async fn a_worker_leaves_a_connection_that_is_dead_without_a_word() {
     drop(worker);
 }
 
+/// Results pass a link that breaks off again and again.
 #[tokio::test(flavor = "multi_thread")]
-async fn results_get_through_a_link_that_breaks_off_again_and_again() {
+async fn results_pass_a_link_that_keeps_breaking() {
     let farm = Farm::start(&["--insecure", "--lease", "2", "--max-attempts", "1000"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);

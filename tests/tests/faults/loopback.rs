@@ -23,7 +23,7 @@ async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
 
 /// They can neither read nor change anything through the port: programs of the farm's user use a private socket.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_loopback_farm_is_closed_to_other_users() {
+async fn loopback_farm_is_closed_to_other_users() {
     let mut farm = Farm::start(&[]);
     farm.submit("grid", GRID);
     let status = ask_at_the_port(&farm).await.unwrap_err();
@@ -58,7 +58,7 @@ fn socket_of(farm: &Farm) -> PathBuf {
 
 /// Such as by a cleanup of `/tmp`.
 #[test]
-fn a_socket_that_was_removed_is_there_again() {
+fn removed_socket_is_restored() {
     let farm = Farm::start(&[]);
     let socket = socket_of(&farm);
     std::fs::remove_file(&socket).unwrap();
@@ -69,7 +69,7 @@ fn a_socket_that_was_removed_is_there_again() {
 
 /// Other users that listen on other addresses of the port, or hold idle connections, have no effect on its user.
 #[tokio::test(flavor = "multi_thread")]
-async fn neighbours_neither_hear_nor_shut_out_the_own_user() {
+async fn neighbours_do_not_disturb_the_own_user() {
     let farm = Farm::start(&[]);
     let port = farm.port();
     let ear = std::net::TcpListener::bind(("::1", port)).unwrap();
@@ -86,7 +86,7 @@ async fn neighbours_neither_hear_nor_shut_out_the_own_user() {
 
 /// Clients do not trust a port that another user has taken. The test needs root to run as another user.
 #[test]
-fn a_port_that_another_user_has_taken_is_not_believed() {
+fn port_of_another_user_is_not_trusted() {
     if !rustix::process::getuid().is_root() {
         return;
     }
@@ -132,7 +132,7 @@ fn list_in(data: &Path, user: u32) -> Ran {
 
 /// The test needs root to run as another user.
 #[test]
-fn another_user_is_told_why_and_what_would_help() {
+fn another_user_gets_reason_and_remedy() {
     if !rustix::process::getuid().is_root() {
         return;
     }
@@ -156,8 +156,9 @@ fn another_user_is_told_why_and_what_would_help() {
     assert_eq!(own.code, 0, "{}", own.stderr);
 }
 
+/// With `--insecure`, the port is open to other users.
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_wants_everybody_in_says_so() {
+async fn insecure_option_opens_the_port() {
     let farm = Farm::start(&["--insecure"]);
     ask_at_the_port(&farm).await.unwrap();
 }

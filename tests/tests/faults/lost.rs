@@ -8,8 +8,9 @@ use farm_tests::process::{Process, SOON, farmctl, wait_for};
 
 use super::{GRID, LONG_JOBS};
 
+/// A data folder that is moved away stops the coordinator.
 #[test]
-fn a_folder_that_is_moved_away_stops_the_coordinator() {
+fn moved_folder_stops_the_coordinator() {
     let mut farm = Farm::start(&[]);
     farm.submit("grid", GRID);
     let mut worker = farm.worker("worker", &[]);
@@ -25,8 +26,9 @@ fn a_folder_that_is_moved_away_stops_the_coordinator() {
     assert_eq!(worker.terminate(SOON), 0);
 }
 
+/// A command fails if the farm that it started was deleted.
 #[test]
-fn a_command_whose_farm_was_deleted_fails() {
+fn command_fails_if_its_farm_is_deleted() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("grid.toml"), LONG_JOBS).unwrap();
     let mut command = farmctl(folder.path());

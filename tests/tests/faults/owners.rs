@@ -86,8 +86,9 @@ async fn revoking_a_token_ends_its_idle_streams() {
     assert_eq!(ended.message(), "the token of this call (alice) is not let in any more");
 }
 
+/// A result that arrives after its token was revoked is not stored.
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_delivered_after_its_token_was_revoked_is_not_stored() {
+async fn result_after_revocation_is_not_stored() {
     let farm = Farm::with_tokens(&["anna"], &[]);
     farm.submit("grid", GRID);
     let mut anna = farm.test_worker_with("anna", "anna").await.unwrap();

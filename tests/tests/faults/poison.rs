@@ -10,7 +10,7 @@ use super::{GRID, JOBS, LONG_JOBS};
 
 /// The reasons are listed, and the other jobs are completed.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_whose_workers_die_is_quarantined() {
+async fn job_with_dying_workers_is_quarantined() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "3"]);
     farm.submit("grid", GRID);
     let mut poison = None;
@@ -47,8 +47,9 @@ async fn a_job_whose_workers_die_is_quarantined() {
     drop(worker);
 }
 
+/// Jobs that were not begun are not blamed for the death of their worker.
 #[tokio::test(flavor = "multi_thread")]
-async fn jobs_not_begun_are_not_blamed_for_a_dead_worker() {
+async fn unstarted_jobs_are_not_blamed() {
     let farm = Farm::start(&["--lease", "1", "--max-attempts", "1"]);
     farm.submit("grid", GRID);
     let mut victim = farm.test_worker("victim").await.unwrap();
@@ -65,7 +66,7 @@ async fn jobs_not_begun_are_not_blamed_for_a_dead_worker() {
 
 /// Even before the first heartbeat. The explanation names the worker's log.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_job_that_kills_its_worker_at_once_is_blamed() {
+async fn job_that_kills_its_worker_is_blamed() {
     // Heartbeats come every five seconds.
     let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
     farm.submit("long", LONG_JOBS);

@@ -42,7 +42,7 @@ impl Leases for Newer {
 
 /// It logs the reason and ends with exit code 4.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_of_another_physics_version_is_refused() {
+async fn worker_of_other_physics_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
@@ -84,7 +84,7 @@ fn fails(ran: &Ran, parts: &[&str]) {
 
 /// The message names the token or the role, but never the token's value.
 #[test]
-fn wrong_tokens_and_roles_are_refused_without_retries() {
+fn wrong_tokens_and_roles_are_not_retried() {
     let farm = closed(&[]);
     let (own, strange) = (token_of(&farm, "keys/worker.toml"), token_of(&farm, "strange/worker.toml"));
     forge(&farm, "keys/worker.toml", "worker.toml", |text| text.replace(&own, &strange));
@@ -111,8 +111,9 @@ fn clients_refuse_an_unknown_certificate() {
     fails(&plain, &[]);
 }
 
+/// With `--mutual`, a client without a valid certificate is refused.
 #[test]
-fn without_a_certificate_nobody_gets_in_where_all_must_show_one() {
+fn mutual_tls_needs_a_valid_certificate() {
     let farm = closed(&["--mutual"]);
     for (role, name) in [("keys/client.toml", "client.toml"), ("keys/worker.toml", "worker.toml")] {
         forge(&farm, role, name, |text| {
@@ -157,8 +158,9 @@ fn client_certificates_of_other_authorities_are_refused() {
     assert_eq!(worker.exit_within(SOON), 4, "{}", worker.log());
 }
 
+/// A coordinator whose port is taken logs no start.
 #[test]
-fn a_coordinator_with_a_taken_port_logs_no_start() {
+fn taken_port_logs_no_start() {
     let folder = tempfile::tempdir().unwrap();
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let (address, data) = (taken.local_addr().unwrap().to_string(), folder.path().join("data"));

@@ -64,8 +64,9 @@ async fn one_token_has_one_vote() {
     drop((honest, third));
 }
 
+/// Results without a lease that was granted are refused.
 #[tokio::test(flavor = "multi_thread")]
-async fn results_without_a_lease_that_was_given_are_not_taken() {
+async fn results_without_a_real_lease_are_refused() {
     let farm = Farm::with_tokens(&["liar", "honest"], &["--lease", "2"]);
     farm.submit("grid", GRID);
     let mut liar = farm.test_worker_with("liar", "liar").await.unwrap();
@@ -88,7 +89,7 @@ async fn results_without_a_lease_that_was_given_are_not_taken() {
 
 /// A machine that fails at once or delivers NaN is suspended.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
+async fn failing_machine_costs_no_job() {
     let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "20", "--verify-share", "0"]);
     farm.submit("grid", GRID);
     let mut hole = farm.test_worker_with("hole", "hole").await.unwrap();
@@ -120,7 +121,7 @@ async fn a_failing_machine_costs_no_job_beside_a_healthy_one() {
 
 /// The list of workers shows ids to all users.
 #[tokio::test(flavor = "multi_thread")]
-async fn nobody_acts_as_a_worker_whose_id_he_has_read() {
+async fn worker_id_alone_grants_nothing() {
     let farm = Farm::with_tokens(&["honest", "liar"], &[]);
     farm.submit("grid", GRID);
     let mut honest = farm.test_worker_with("honest", "honest").await.unwrap();

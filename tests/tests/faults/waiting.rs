@@ -65,8 +65,9 @@ async fn waiting_outlives_cuts_kills_and_restarts() {
     drop(worker);
 }
 
+/// Waiting commands do not follow another grid that took the name.
 #[tokio::test(flavor = "multi_thread")]
-async fn another_grid_of_the_same_name_is_not_waited_for() {
+async fn other_grid_of_same_name_ends_waiting() {
     let farm = Farm::start(&["--insecure"]);
     let link = Proxy::start(([127, 0, 0, 1], farm.port()).into()).await;
     farm.submit("grid", GRID);

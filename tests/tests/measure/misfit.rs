@@ -42,8 +42,9 @@ fn found(spoil: Spoil, swap: bool) -> Refined {
     fit.channels[0].refined.clone().unwrap()
 }
 
+/// Spoilt photographs are reported with the likeliest reason.
 #[test]
-fn spoilt_photographs_are_told_with_the_likeliest_reason() {
+fn spoilt_photographs_get_the_likeliest_reason() {
     let cases: [(&str, Spoil, bool, Cause); 5] = [
         ("edge 0.3 mm off", |x, _, _, at| at(x - 0.3), false, Cause::EdgeOffset),
         ("light rises by 5 % to the edge", |x, v, _, _| v * (1.0 + 0.05 * x / 5.0), false, Cause::Slope),
@@ -67,7 +68,7 @@ fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
 
 /// Shifts within what is known of the edge, and dust, are estimated, and the intervals hold the medium.
 #[test]
-fn the_likelihood_corrects_shifts_and_dust() {
+fn likelihood_corrects_shifts_and_dust() {
     let clean = found(|_, v, _, _| v, false);
     let shifted = found(|x, _, _, at| at(x - 0.1), false);
     let dusty = |x: f64, v: f64, _: f64, _: &dyn Fn(f64) -> f64| {
@@ -91,7 +92,7 @@ fn the_likelihood_corrects_shifts_and_dust() {
 
 /// What no nuisance explains is reported with its cause, and widens the intervals.
 #[test]
-fn the_likelihood_says_that_it_does_not_explain_a_measurement() {
+fn unexplained_measurement_is_reported() {
     let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false);
     let swapped = found(|_, v, _, _| v, true);
     for (r, cause) in [(coded, Cause::GammaCoded), (swapped, Cause::ThicknessesSwapped)] {

@@ -193,8 +193,9 @@ fn two_inks() -> Vec<Subset> {
     vec![vec![CYAN], vec![WHITE], vec![CYAN, WHITE]]
 }
 
+/// An absorber that slabs do not resolve is measured in mixtures with white.
 #[test]
-fn an_absorber_that_slabs_do_not_resolve_is_measured_in_white() {
+fn unresolved_absorber_is_measured_in_white() {
     let subsets = two_inks();
     let slabs = photographed(&subsets, 0..1, 1_000_000, 1.0, equal);
     let found = unmixed(crate::dictionary(), &subsets, &slabs);
@@ -230,8 +231,9 @@ fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
     Measurement::new(name(subset), vec![profile]).unwrap()
 }
 
+/// An absorber is measured from patches of a chart.
 #[test]
-fn an_absorber_is_measured_by_patches_of_a_chart() {
+fn absorber_is_measured_from_chart_patches() {
     let subsets = two_inks();
     let mu = 0.95;
     let mut measured = photographed(&subsets[1..2], 0..1, 1_000_000, mu, equal);
@@ -251,7 +253,7 @@ fn an_absorber_is_measured_by_patches_of_a_chart() {
 
 /// The long form, with the whole Table 1.
 #[test]
-fn all_of_table_1_comes_out_of_the_chart_of_equal_mixtures() {
+fn all_of_table_1_follows_from_mixtures() {
     if effort() < 8 {
         return;
     }

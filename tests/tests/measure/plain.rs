@@ -75,7 +75,7 @@ fn measured(materials: &[Measurement]) -> Measured {
 
 /// The g and μ of a set: their uncertainty is part of every interval.
 #[test]
-fn common_parameters_are_near_the_truth_with_valid_errors() {
+fn common_parameters_are_near_the_truth() {
     let long = effort() >= 8;
     let anisotropies: &[f64] = if long { &[0.0, 0.2, 0.4, 0.7, 0.8] } else { &[0.4] };
     let (sets, walks) = if long { (5, 4_000_000) } else { (2, 1_000_000) };
@@ -128,7 +128,7 @@ fn common_parameters_are_near_the_truth_with_valid_errors() {
 
 /// A single channel hardly determines μ: this is reported, and the intervals are wide, not wrong.
 #[test]
-fn one_channel_that_does_not_determine_the_scale_factor_says_so() {
+fn undetermined_scale_factor_is_reported() {
     let truth = Medium::new(6.3, 0.9985, 0.4).unwrap();
     let profiles = [0.5, 1.0].map(|t| photograph(&truth, 0, t, 9_901, 1_000_000, 1.0, NOISE).0);
     let found = measured(&[Measurement::new("white", profiles.to_vec()).unwrap()]);

@@ -64,7 +64,7 @@ fn is(found: Option<(Cause, f64)>, cause: Cause, amount: f64, within: f64) -> bo
 
 /// 0.9 is a mild camera curve; sRGB is close to the power 0.45 in the range of the values.
 #[test]
-fn a_camera_curve_is_named_with_its_exponent() {
+fn camera_curve_is_named_with_its_exponent() {
     assert_eq!(suspected(|v| v, None), None);
     assert_eq!(suspected(|v| 0.95 * v, None), None, "a factor is estimated");
     let curved = suspected(|v| v.powf(0.9), None);
@@ -78,7 +78,7 @@ fn a_camera_curve_is_named_with_its_exponent() {
 
 /// A given factor that is wrong by a typical error of the white reference.
 #[test]
-fn a_given_factor_that_the_data_contradict_is_named() {
+fn contradicted_scale_factor_is_named() {
     assert_eq!(suspected(|v| v, Some(1.0)), None);
     let bright = suspected(|v| 1.1 * v, Some(1.0));
     assert!(is(bright, Cause::Gain, 0.1, 0.02), "{bright:?}");

@@ -46,8 +46,9 @@ fn errors(truth: &Medium, found: &Medium) -> (f64, f64) {
     (off(found.sigma_t_per_mm(), truth.sigma_t_per_mm()), off(1.0 - found.albedo(), 1.0 - truth.albedo()))
 }
 
+/// Media whose measurements are traced with other seeds are recovered.
 #[test]
-fn media_traced_afresh_come_back() {
+fn retraced_media_are_recovered() {
     let count = 25 * effort();
     let trips = trips(count, if effort() >= 8 { 4_000_000 } else { 1_000_000 }, true);
     let refined: Vec<(f64, f64)> =
@@ -75,7 +76,7 @@ fn media_traced_afresh_come_back() {
 
 /// With g free, the estimate lies in the valley of similar media, and this is reported.
 #[test]
-fn a_free_anisotropy_is_told_to_trade_off() {
+fn free_anisotropy_reports_its_trade_off() {
     let count = 10 * effort();
     let trips = trips(count, 1_000_000, false);
     let share = |ok: fn(&Trip) -> bool| trips.iter().filter(|t| ok(t)).count() as f64 / count as f64;

@@ -41,7 +41,7 @@ fn names(folder: &Path) -> Vec<String> {
 /// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels per millimetre, lenses that blur
 /// by 36, 32 and 35 µm behind pixels of 1/26 mm. A second run writes the same bytes.
 #[test]
-fn the_example_session_gives_true_profiles_and_set_up() {
+fn example_session_gives_the_true_profiles() {
     let folder = folder();
     let captured = run(folder.path(), &["capture", text(&session()), "-o", "white", "--json"]);
     assert_eq!(captured.code, 0, "{}", captured.stderr);
@@ -91,7 +91,7 @@ fn the_example_session_gives_true_profiles_and_set_up() {
 /// σ_t within 5 % and inside its interval, with a part of the paper's grid and 100,000 walks: the error of the whole
 /// chain.
 #[test]
-fn a_captured_folder_is_measured_and_reported() {
+fn captured_folder_is_measured_and_reported() {
     let folder = folder();
     assert_eq!(run(folder.path(), &["capture", text(&session()), "-o", "white", "-q"]).code, 0);
     let grid = folder.path().join("white/grid.toml");
@@ -117,7 +117,7 @@ fn a_captured_folder_is_measured_and_reported() {
 
 /// Nothing is written.
 #[test]
-fn invalid_sessions_are_refused_with_file_and_field() {
+fn invalid_sessions_are_refused_with_field() {
     let spoilt = |change: &dyn Fn(&Path), message: &[&str]| {
         let folder = copy();
         change(folder.path());
@@ -189,8 +189,9 @@ fn profiles_are_checked_as_measure_checks_them() {
     assert!(!folder.path().join("out").exists(), "partial result");
 }
 
+/// Single photographs can be checked, and a board can be printed.
 #[test]
-fn single_photographs_are_checked_and_a_board_can_be_printed() {
+fn photographs_are_checked_and_boards_printed() {
     let folder = copy();
     let good = run(folder.path(), &["capture", "--check", "board_1.dng", "white_05_1.dng"]);
     assert_eq!(good.code, 0, "{}", good.stderr);

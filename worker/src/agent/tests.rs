@@ -89,7 +89,7 @@ fn assert_left_for_good(coordinator: &Coordinator) {
 
 /// For whole jobs and for a block of a divided job, with the expected number of bytes.
 #[tokio::test]
-async fn an_idle_worker_delivers_all_results_before_it_exits() {
+async fn idle_worker_delivers_before_exit() {
     let coordinator = coordinator();
     let (jobs, block) = (0..5, job(9).with_block(0).unwrap());
     coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
@@ -107,8 +107,9 @@ async fn an_idle_worker_delivers_all_results_before_it_exits() {
     assert_eq!(handed_back(&coordinator), [(vec![], true)]);
 }
 
+/// A worker holds one job more than it has threads.
 #[tokio::test]
-async fn a_worker_holds_one_job_more_than_it_has_threads() {
+async fn worker_holds_one_job_more_than_threads() {
     let coordinator = coordinator();
     coordinator.offer((0..9).map(|n| lease_of(n, endless_job_of(n.into()))));
     let running =
@@ -122,7 +123,7 @@ async fn a_worker_holds_one_job_more_than_it_has_threads() {
 
 /// Jobs that have not begun are handed back.
 #[tokio::test]
-async fn a_drained_worker_finishes_its_running_jobs() {
+async fn drained_worker_finishes_its_running_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job()), lease(1)]);
     let running = RunningWorker::start(&coordinator, |config| config);
@@ -136,7 +137,7 @@ async fn a_drained_worker_finishes_its_running_jobs() {
 
 /// First those that have not begun, then those that do not finish within the grace period.
 #[tokio::test]
-async fn a_stopped_worker_hands_back_unfinished_jobs() {
+async fn stopped_worker_hands_back_unfinished_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, endless_job()), lease(1)]);
     let grace = Duration::from_millis(100);
@@ -149,8 +150,9 @@ async fn a_stopped_worker_hands_back_unfinished_jobs() {
     assert_left_for_good(&coordinator);
 }
 
+/// A lost lease makes room for the next job.
 #[tokio::test]
-async fn a_lost_lease_makes_room_for_the_next_job() {
+async fn lost_lease_makes_room_for_the_next() {
     let coordinator = coordinator();
     let [lost, next] = [0, 1].map(|n| lease_of(n, endless_job()));
     coordinator.offer([lost.clone(), next]);
@@ -165,7 +167,7 @@ async fn a_lost_lease_makes_room_for_the_next_job() {
 
 /// It may be killed before its grace is over.
 #[tokio::test]
-async fn a_worker_announces_that_it_stops_before_its_grace() {
+async fn worker_announces_its_stop() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, endless_job())]);
     let grace = Duration::from_millis(200);
@@ -181,7 +183,7 @@ async fn a_worker_announces_that_it_stops_before_its_grace() {
 
 /// The worker registers again and delivers their results.
 #[tokio::test]
-async fn a_restarted_coordinator_does_not_interrupt_jobs() {
+async fn restarted_coordinator_does_not_interrupt_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job())]);
     let idle_exit = Some(Duration::from_millis(50));
@@ -195,7 +197,7 @@ async fn a_restarted_coordinator_does_not_interrupt_jobs() {
 
 /// Its jobs are stopped, and it makes no further calls for them.
 #[tokio::test]
-async fn a_fenced_worker_stops_with_the_reason() {
+async fn fenced_worker_stops_with_the_reason() {
     let coordinator = coordinator();
     let fenced = Status::permission_denied("this worker is fenced off: its records were wrong");
     coordinator.offer([lease_of(0, endless_job())]);
@@ -212,8 +214,9 @@ async fn a_fenced_worker_stops_with_the_reason() {
     assert_eq!(handed_back(&coordinator), []);
 }
 
+/// Faults of the coordinator do not end a worker before its time limit.
 #[tokio::test(start_paused = true)]
-async fn faults_are_outlasted_until_the_time_limit() {
+async fn faults_do_not_end_the_worker() {
     let coordinator = Coordinator::start();
     for _ in 0..3 {
         coordinator.answer(Method::Acquire, Answer::Error(Status::unavailable("")));
@@ -227,8 +230,9 @@ async fn faults_are_outlasted_until_the_time_limit() {
     assert!(coordinator.calls(Call::acquire).len() > 20, "it requests work until then");
 }
 
+/// A worker exits only after its time without work.
 #[tokio::test(start_paused = true)]
-async fn a_worker_is_idle_only_after_its_time_without_work() {
+async fn worker_exits_after_its_idle_time() {
     let coordinator = Coordinator::start();
     let start = Instant::now();
     let idle_exit = Some(Duration::from_secs(50));
@@ -237,8 +241,9 @@ async fn a_worker_is_idle_only_after_its_time_without_work() {
     assert!((50..52).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
 }
 
+/// Grace and delivery fit into the time limit.
 #[test]
-fn grace_and_delivery_fit_into_the_time_limit() {
+fn grace_and_delivery_fit_the_time_limit() {
     let target = Target::new(None, Some("http://test")).unwrap();
     let time = |limit_s, grace_s| {
         let time_limit = Some(Duration::from_secs(limit_s));
@@ -252,7 +257,7 @@ fn grace_and_delivery_fit_into_the_time_limit() {
 
 /// Jobs that do not stop and a delivery that never succeeds end within the documented limits.
 #[tokio::test(start_paused = true)]
-async fn what_does_not_end_is_given_up_in_time() {
+async fn endless_work_is_abandoned_in_time() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     let target = Target::new(None, Some("http://test")).unwrap();
@@ -275,7 +280,7 @@ async fn what_does_not_end_is_given_up_in_time() {
 
 /// They are traced together, and each has its own result.
 #[tokio::test]
-async fn jobs_that_share_their_walks_take_one_slot() {
+async fn jobs_with_shared_walks_take_one_slot() {
     let coordinator = coordinator();
     let set = [lease(0), lease_of(1, as_thick_as(0)), lease(2)];
     assert_eq!(sets(set.to_vec()).iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
@@ -293,14 +298,15 @@ async fn jobs_that_share_their_walks_take_one_slot() {
 
 /// The coordinator may lease several retried jobs together.
 #[test]
-fn what_came_to_nothing_before_is_traced_by_itself() {
+fn failed_job_is_traced_alone() {
     let again = |lease: Lease| Lease { key: LeaseKey { attempt: 2, ..lease.key }, ..lease };
     let retries = [lease(0), lease_of(1, as_thick_as(0))].map(again);
     assert_eq!(sets(retries.to_vec()).len(), 2);
 }
 
+/// Sets of jobs are divided so that they fit into memory.
 #[test]
-fn no_set_is_larger_than_its_memory() {
+fn sets_fit_into_memory() {
     let many: Vec<Lease> = (0..40).map(|n| lease_of(n, job(0))).collect();
     assert_eq!(sets(many).iter().map(Vec::len).collect::<Vec<_>>(), [16, 16, 8]);
 }

@@ -49,8 +49,9 @@ mod tests {
 
     use super::*;
 
+    /// Pieces fit into a message and together form the whole.
     #[test]
-    fn pieces_fit_into_a_message_and_make_up_the_whole() {
+    fn pieces_fit_messages_and_form_the_whole() {
         for len in [0, 1, PIECE - 1, PIECE, PIECE + 1, 3 * PIECE + 5] {
             let whole: Bytes = (0..len).map(|i| (i % 251) as u8).collect();
             let pieces: Vec<Bytes> = pieces(&whole).collect();
@@ -59,8 +60,9 @@ mod tests {
         }
     }
 
+    /// The time limit grows with the bytes, so that a slow link suffices.
     #[test]
-    fn a_slow_link_is_given_time_for_its_bytes() {
+    fn time_limit_grows_with_bytes() {
         assert_eq!(time_limit(0), Duration::from_mins(1));
         assert_eq!(time_limit(6_000_000), Duration::from_mins(3));
     }

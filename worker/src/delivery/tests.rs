@@ -59,8 +59,9 @@ fn pending(n: u32, bytes: usize) -> PendingResult {
     PendingResult { key: lease(n).key, identity: job.identity(), result, bytes, _room: room }
 }
 
+/// A result is delivered until it is acknowledged.
 #[tokio::test(start_paused = true)]
-async fn a_result_is_delivered_until_it_is_acknowledged() {
+async fn result_is_delivered_until_acknowledged() {
     let worker = Worker::start().await;
     let passing = [Status::unavailable(""), Status::internal("disk"), Status::resource_exhausted("")];
     for status in passing {
@@ -74,7 +75,7 @@ async fn a_result_is_delivered_until_it_is_acknowledged() {
 
 /// After the time that the slowest allowed link needs. Then the result is sent again.
 #[tokio::test(start_paused = true)]
-async fn an_unanswered_delivery_times_out() {
+async fn unanswered_delivery_times_out() {
     let worker = Worker::start().await;
     worker.coordinator.answer(Method::Complete, Answer::Never);
     let start = Instant::now();
@@ -84,8 +85,9 @@ async fn an_unanswered_delivery_times_out() {
     assert!((limit..limit + Duration::from_secs(5)).contains(&start.elapsed()), "{:?}", start.elapsed());
 }
 
+/// An hour without the coordinator loses no result.
 #[tokio::test(start_paused = true)]
-async fn an_hour_without_the_coordinator_costs_no_result() {
+async fn hour_without_coordinator_loses_no_result() {
     let worker = Worker::start().await;
     worker.coordinator.set_down(true);
     worker.finish(0..3);
@@ -100,7 +102,7 @@ async fn an_hour_without_the_coordinator_costs_no_result() {
 
 /// A restarted coordinator does not recognise the worker, which registers again, keeps its lease, and delivers.
 #[tokio::test(start_paused = true)]
-async fn a_result_is_redelivered_after_registering_again() {
+async fn result_is_redelivered_after_registering_again() {
     let worker = Worker::start().await;
     worker.coordinator.restart(Duration::from_secs(30));
     worker.finish([7]);
@@ -111,8 +113,9 @@ async fn a_result_is_redelivered_after_registering_again() {
     assert!(!announced[0].running);
 }
 
+/// Results on which the coordinator has decided are dropped.
 #[tokio::test(start_paused = true)]
-async fn what_the_coordinator_has_decided_on_is_dropped() {
+async fn decided_results_are_dropped() {
     let worker = Worker::start().await;
     let decided = [
         CompletionKind::Stored,
@@ -126,8 +129,9 @@ async fn what_the_coordinator_has_decided_on_is_dropped() {
     assert_eq!(worker.delivered().await, [[0, 1, 2, 3, 4]]);
 }
 
+/// A result that could not be stored is delivered again after the others.
 #[tokio::test(start_paused = true)]
-async fn a_result_that_could_not_be_stored_goes_behind_the_others() {
+async fn unstored_result_goes_behind_the_others() {
     let worker = Worker::start().await;
     worker.coordinator.answer(Method::Complete, Answer::Outcomes(vec![CompletionKind::NotStored]));
     for n in 0..3 {
@@ -138,7 +142,7 @@ async fn a_result_that_could_not_be_stored_goes_behind_the_others() {
 
 /// A coordinator with a full disk is called with pauses, and gets all results once it has space.
 #[tokio::test(start_paused = true)]
-async fn results_are_redelivered_with_pauses_when_not_stored() {
+async fn unstored_results_are_retried_with_pauses() {
     let worker = Worker::start().await;
     let rounds = 20;
     for _ in 0..rounds {
@@ -151,16 +155,18 @@ async fn results_are_redelivered_with_pauses_when_not_stored() {
     assert!(start.elapsed() > Duration::from_mins(1), "{:?}", start.elapsed());
 }
 
+/// Results that an answer omits are delivered again.
 #[tokio::test(start_paused = true)]
-async fn results_that_an_answer_leaves_out_are_delivered_again() {
+async fn omitted_results_are_delivered_again() {
     let worker = Worker::start().await;
     worker.coordinator.answer(Method::Complete, Answer::Outcomes(vec![CompletionKind::Stored]));
     worker.finish(0..3);
     assert_eq!(worker.delivered().await, [vec![0, 1, 2], vec![1, 2]]);
 }
 
+/// An invalid result is reported, and the others are delivered.
 #[tokio::test(start_paused = true)]
-async fn an_invalid_result_is_reported_and_harms_no_other() {
+async fn invalid_result_harms_no_other() {
     let worker = Worker::start().await;
     let invalid = || Answer::Error(Status::invalid_argument("records[3] is not finite"));
     worker.coordinator.answer(Method::Complete, invalid());
@@ -174,8 +180,9 @@ async fn an_invalid_result_is_reported_and_harms_no_other() {
     assert_eq!(failure.reason, "result refused: records[3] is not finite");
 }
 
+/// The results of a fenced worker are dropped without a report.
 #[tokio::test(start_paused = true)]
-async fn results_of_a_fenced_worker_are_dropped_unreported() {
+async fn fenced_results_are_dropped_unreported() {
     let worker = Worker::start().await;
     let fenced = Status::permission_denied("this worker is fenced off");
     worker.coordinator.answer(Method::Complete, Answer::Error(fenced));
@@ -185,8 +192,9 @@ async fn results_of_a_fenced_worker_are_dropped_unreported() {
     assert_eq!(coordinator.calls(Call::fail), []);
 }
 
+/// Records and sums arrive whole, with the identity of their job.
 #[tokio::test(start_paused = true)]
-async fn records_and_sums_arrive_whole_with_what_they_depend_on() {
+async fn records_and_sums_arrive_whole() {
     let worker = Worker::start().await;
     let block = job(2).with_block(0).unwrap();
     let mut sums = pending(1, result_bytes(&block));
@@ -218,20 +226,23 @@ fn batches(count: u32, bytes: usize) -> Vec<usize> {
     sizes
 }
 
+/// A call takes as many results as the coordinator allows.
 #[test]
-fn a_call_takes_as_many_results_as_the_coordinator_allows() {
+fn batch_size_has_the_allowed_count() {
     assert_eq!(batches(2500, 1), [1024, 1024, 452]);
 }
 
+/// A call takes no more results once it has its bytes.
 #[test]
-fn a_call_takes_no_more_results_once_it_has_its_bytes() {
+fn batch_ends_at_its_byte_limit() {
     assert_eq!(batches(9, 5 << 20), [4, 4, 1]);
     assert_eq!(batches(2, BATCH_BYTES), [1, 1]);
     assert_eq!(batches(2, 10 * BATCH_BYTES), [1, 1]);
 }
 
+/// Tracing waits for room in the buffer until a result is acknowledged.
 #[tokio::test(start_paused = true)]
-async fn tracing_waits_for_room_until_a_result_is_acknowledged() {
+async fn tracing_waits_for_buffer_room() {
     let buffer = ResultBuffer::new(10 << 10);
     let room = buffer.take(&[4 << 10, 2 << 10]).await.unwrap();
     let waits = tokio::time::timeout(Duration::from_hours(1), buffer.take(&[5 << 10])).await;

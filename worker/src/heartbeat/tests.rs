@@ -38,8 +38,9 @@ impl Beating {
     }
 }
 
+/// Leases are renewed four times within their duration.
 #[tokio::test(start_paused = true)]
-async fn leases_are_renewed_four_times_while_they_hold() {
+async fn leases_are_renewed_four_times() {
     let beating = Beating::start().await;
     let identity = job(1).identity();
     beating.held.add(lease(0).key, identity, SetSwitch::new(1));
@@ -52,8 +53,9 @@ async fn leases_are_renewed_four_times_while_they_hold() {
     assert_eq!(renewed, [(0, false), (1, true)]);
 }
 
+/// A lost lease stops its job and is not renewed any more.
 #[tokio::test(start_paused = true)]
-async fn a_lost_lease_stops_its_job_and_is_renewed_no_more() {
+async fn lost_lease_stops_its_job() {
     let beating = Beating::start().await;
     let [kept, lost] = [0, 1].map(|n| beating.held.add(lease(n).key, job(1).identity(), SetSwitch::new(1)));
     beating.coordinator.lose(lease(1).key);
@@ -75,8 +77,9 @@ async fn leases_are_renewed_while_draining() {
     assert!(beating.beats_within(2 * LEASE).await >= 7, "running jobs keep their leases");
 }
 
+/// A renewal without an answer is abandoned in time for another one.
 #[tokio::test(start_paused = true)]
-async fn renewals_that_get_no_answer_are_given_up_in_time_for_another() {
+async fn unanswered_renewals_leave_time_for_another() {
     let beating = Beating::start().await;
     for _ in 0..20 {
         beating.coordinator.answer(Method::Renew, Answer::Never);
@@ -84,8 +87,9 @@ async fn renewals_that_get_no_answer_are_given_up_in_time_for_another() {
     assert!(beating.beats_within(10 * LEASE).await >= 15, "at least three in two leases");
 }
 
+/// Renewals follow the lease duration of a restarted coordinator.
 #[tokio::test(start_paused = true)]
-async fn renewals_follow_the_restarted_coordinators_interval() {
+async fn renewals_follow_a_new_lease_duration() {
     let beating = Beating::start().await;
     sleep(LEASE).await;
     beating.coordinator.restart(LEASE / 10);
@@ -93,8 +97,9 @@ async fn renewals_follow_the_restarted_coordinators_interval() {
     assert!((39..=41).contains(&beating.beats_within(LEASE).await));
 }
 
+/// The heartbeat ends at once, even during a call.
 #[tokio::test(start_paused = true)]
-async fn a_heartbeat_ends_at_once_even_in_a_call() {
+async fn heartbeat_ends_at_once() {
     let beating = Beating::start().await;
     beating.coordinator.answer(Method::Renew, Answer::Never);
     let beats = beating.beats();

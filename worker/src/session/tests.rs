@@ -27,8 +27,9 @@ fn hold(held: &HeldLeases, count: u32) -> Vec<LeaseKey> {
         .collect()
 }
 
+/// Registration waits for a coordinator that is away.
 #[tokio::test(start_paused = true)]
-async fn registration_waits_for_a_coordinator_that_is_away() {
+async fn registration_waits_for_the_coordinator() {
     let coordinator = Coordinator::start();
     coordinator.set_down(true);
     let shutdown = CancellationToken::new();
@@ -42,8 +43,9 @@ async fn registration_waits_for_a_coordinator_that_is_away() {
     assert_eq!((registrations[0].label.as_str(), registrations[0].threads), ("test", 2));
 }
 
+/// The wait for a coordinator can be ended.
 #[tokio::test(start_paused = true)]
-async fn the_wait_for_a_coordinator_can_be_ended() {
+async fn wait_for_coordinator_can_be_ended() {
     let coordinator = Coordinator::start();
     coordinator.set_down(true);
     let shutdown = CancellationToken::new();
@@ -54,8 +56,9 @@ async fn the_wait_for_a_coordinator_can_be_ended() {
     assert!(session.unwrap().is_none());
 }
 
+/// A worker that is refused ends with the reason.
 #[tokio::test(start_paused = true)]
-async fn a_worker_that_is_refused_ends_with_the_reason() {
+async fn refused_worker_ends_with_the_reason() {
     let coordinator = Coordinator::start();
     let refusal = Status::failed_precondition("physics version 1 and 2 differ: install the same");
     coordinator.answer(Method::Register, Answer::Error(refusal));
@@ -66,7 +69,7 @@ async fn a_worker_that_is_refused_ends_with_the_reason() {
 
 /// The renewal names the leases that it holds, and which of them run.
 #[tokio::test(start_paused = true)]
-async fn an_unknown_worker_registers_and_renews_before_acquiring() {
+async fn unknown_worker_registers_and_renews() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     let identity = job(1).identity();
@@ -90,8 +93,9 @@ async fn an_unknown_worker_registers_and_renews_before_acquiring() {
     assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_token, "worker-2");
 }
 
+/// Calls that find the worker unknown at the same time register it once.
 #[tokio::test(start_paused = true)]
-async fn calls_that_find_the_worker_unknown_at_once_register_it_once() {
+async fn concurrent_calls_reregister_once() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     hold(&held, 1);
@@ -111,7 +115,7 @@ async fn calls_that_find_the_worker_unknown_at_once_register_it_once() {
 
 /// Within 50 ms, once another call has found it.
 #[tokio::test(start_paused = true)]
-async fn waiting_calls_are_sent_when_the_coordinator_returns() {
+async fn waiting_calls_go_when_coordinator_returns() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
     hold(&held, 1);
@@ -135,7 +139,7 @@ async fn waiting_calls_are_sent_when_the_coordinator_returns() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_restarted_coordinator_of_another_version_refuses() {
+async fn restarted_coordinator_of_another_version_refuses() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.restart(LEASE);
@@ -144,8 +148,9 @@ async fn a_restarted_coordinator_of_another_version_refuses() {
     assert_eq!((refused.code(), refused.message()), (Code::FailedPrecondition, "install the same"));
 }
 
+/// Leases hold for the duration that the coordinator announced last.
 #[tokio::test(start_paused = true)]
-async fn leases_hold_as_long_as_the_coordinator_said_last() {
+async fn lease_duration_is_the_last_announced() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     let shorter = Duration::from_secs(5);
@@ -191,8 +196,9 @@ async fn renewals_without_leases_report_a_drain() {
     assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], true));
 }
 
+/// A failure is reported until it is accepted.
 #[tokio::test(start_paused = true)]
-async fn a_failure_is_reported_until_it_is_taken() {
+async fn failure_is_reported_until_accepted() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::Fail, Answer::Error(Status::unavailable("")));
@@ -203,8 +209,9 @@ async fn a_failure_is_reported_until_it_is_taken() {
     assert!(calls.iter().all(|c| c.lease.as_ref().unwrap().job == 3 && c.reason == "the tracer panicked"));
 }
 
+/// A request for work that is never answered ends.
 #[tokio::test(start_paused = true)]
-async fn a_call_for_work_that_is_never_answered_ends() {
+async fn unanswered_acquire_ends() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::Acquire, Answer::Never);
@@ -213,8 +220,9 @@ async fn a_call_for_work_that_is_never_answered_ends() {
     assert!((CALL..2 * CALL).contains(&start.elapsed()), "{:?}", start.elapsed());
 }
 
+/// Leaving is tried once and ends soon.
 #[tokio::test(start_paused = true)]
-async fn leaving_is_tried_once_and_keeps_nobody_waiting() {
+async fn leaving_is_tried_once() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::HandBack, Answer::Never);

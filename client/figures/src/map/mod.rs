@@ -117,8 +117,9 @@ mod tests {
         images.map(decode).collect()
     }
 
+    /// One map or many are well laid out.
     #[test]
-    fn one_map_or_many_are_well_laid_out() {
+    fn maps_are_well_laid_out() {
         for gs in [1, 2, 3, 4, 5, 11] {
             let picture = draw(&figure(gs)).unwrap();
             assert_well_laid_out(&picture);
@@ -139,8 +140,9 @@ mod tests {
         }
     }
 
+    /// A map of noise has its own labels.
     #[test]
-    fn noise_is_named_as_such() {
+    fn noise_map_has_its_own_labels() {
         let mut map = figure(4);
         map.layers.iter_mut().for_each(|layer| layer.similar = None);
         let picture = noise_figure("paper", &map).unwrap();
@@ -181,8 +183,9 @@ mod tests {
         }
     }
 
+    /// The PNG shows the maps, and is the same every time.
     #[test]
-    fn the_png_shows_the_maps_and_is_the_same_every_time() {
+    fn png_shows_the_maps_reproducibly() {
         let figure = figure(2);
         let png = || draw(&figure).unwrap().png().unwrap();
         let bytes = png();
@@ -194,8 +197,9 @@ mod tests {
         assert!(same > 100, "{same} pixels have the colour of the first cell");
     }
 
+    /// Missing distances are grey, and the legend names them.
     #[test]
-    fn missing_distances_are_grey_and_told() {
+    fn missing_distances_are_grey() {
         let mut figure = figure(2);
         figure.layers[1].errors.iter_mut().for_each(|row| row.fill(f64::NAN));
         let picture = draw(&figure).unwrap();
@@ -203,8 +207,9 @@ mod tests {
         assert!(texts(&picture).iter().any(|text| text == "no record"));
     }
 
+    /// Unusual grids are drawn, and wrong data are refused.
     #[test]
-    fn odd_grids_are_drawn_and_wrong_data_refused() {
+    fn odd_grids_are_drawn_wrong_data_refused() {
         let layer = MapLayer { g: -0.25, errors: vec![vec![0.0, 0.0]], best: best(3.0, 0.9), similar: None };
         let mut figure = DistanceMap {
             channel: String::new(),

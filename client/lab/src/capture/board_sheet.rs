@@ -139,7 +139,7 @@ mod tests {
 
     /// Black and white squares border on it, and all is within the printable area.
     #[test]
-    fn the_boards_middle_edge_is_40_mm_long() {
+    fn middle_edge_of_board_has_40_mm() {
         let (left, top) = corner();
         let middle = [left + 0.5 * SQUARES[0] as f64 * SQUARE_MM, top + 0.5 * height_mm()];
         let is_black = |dx: f64, dy: f64| {
@@ -158,8 +158,9 @@ mod tests {
         assert!(black().iter().all(sound), "all is within what printers print");
     }
 
+    /// The objects of the PDF are at the offsets of its table.
     #[test]
-    fn the_pdf_knows_where_its_objects_are() {
+    fn pdf_objects_are_at_their_listed_offsets() {
         let file = String::from_utf8(pdf()).unwrap();
         let (_, xref) = file.split_once("xref\n0 5\n").unwrap();
         for (i, line) in xref.lines().skip(1).take(4).enumerate() {

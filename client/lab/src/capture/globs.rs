@@ -121,8 +121,9 @@ fn matches(pattern: &[u8], name: &[u8]) -> bool {
 mod tests {
     use super::*;
 
+    /// Wildcards match as in a shell.
     #[test]
-    fn wildcards_stand_for_letters() {
+    fn wildcards_match_as_in_shells() {
         for (pattern, name, expected) in [
             ("dark_*.dng", "dark_1.dng", true),
             ("dark_*.dng", "dark_.dng", true),
@@ -169,8 +170,9 @@ mod tests {
         assert!(error.contains("b is a link to disk, which cannot be read"), "{error}");
     }
 
+    /// Patterns match names in composed and in decomposed characters.
     #[test]
-    fn patterns_find_names_in_composed_and_decomposed_characters() {
+    fn patterns_match_any_unicode_form() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("wei\u{df}_u\u{308}.dng"), "").unwrap();
         std::fs::create_dir(folder.path().join("\u{fc}")).unwrap();
@@ -181,8 +183,9 @@ mod tests {
         }
     }
 
+    /// Files are sorted, and folders may be patterns too.
     #[test]
-    fn files_come_sorted_and_folders_may_be_wild() {
+    fn files_are_sorted_and_folders_may_match() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["b_2.dng", "b_10.dng", "a/x.dng", "c/x.dng"] {
             let path = folder.path().join(name);

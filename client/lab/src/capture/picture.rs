@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mosaic_is_averaged_colour_by_colour() {
+    fn mosaic_is_averaged_colour_by_colour() {
         let pattern = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
         let samples = (0..64 * 64).map(|i| [10, 20, 20, 30][2 * (i / 64 % 2) + i % 2]).collect();
         let frame = Frame::new(64, 64, Pattern::Bayer(pattern), samples).unwrap();
@@ -108,8 +108,9 @@ mod tests {
         assert!(small.data_uri([0.0; 3]).starts_with("data:image/png;base64,iVBORw0KGgo"));
     }
 
+    /// Half the light has the sRGB value 188.
     #[test]
-    fn half_the_light_is_188_in_srgb() {
+    fn half_the_light_has_srgb_188() {
         assert_eq!([0.0, 0.5, 1.0, 2.0].map(srgb), [0, 188, 255, 255]);
     }
 }

@@ -306,8 +306,9 @@ mod tests {
         assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
     }
 
+    /// A bin without samples is interpolated with a large error, so that the profile has no gap.
     #[test]
-    fn a_bin_without_samples_tells_nothing_and_leaves_no_gap() {
+    fn empty_bin_is_interpolated_without_weight() {
         let nan = f64::NAN;
         let profile = EdgeProfile {
             colour: Colour::Red,
@@ -320,8 +321,9 @@ mod tests {
         assert_eq!(points(&profile), [[-1.0, 0.1, 0.01], [0.0, 0.1, 1.0], [1.0, 0.3, 0.02]]);
     }
 
+    /// A folder with other files is left alone.
     #[test]
-    fn a_folder_with_other_files_is_left_alone() {
+    fn folder_with_other_files_is_left_alone() {
         let folder = tempfile::tempdir().unwrap();
         assert!(check_folder(folder.path()).is_ok());
         std::fs::write(folder.path().join("thesis.tex"), "").unwrap();

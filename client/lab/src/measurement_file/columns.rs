@@ -289,16 +289,18 @@ mod tests {
         Ok((columns, notes))
     }
 
+    /// Strict names of columns are read in any order, without a note.
     #[test]
-    fn strict_names_in_any_order_are_read_without_a_note() {
+    fn strict_names_are_read_in_any_order() {
         let (columns, notes) = find("value,x_mm,std_error,material,channel,thickness_mm").unwrap();
         assert!(notes.is_empty());
         assert_eq!((columns.value.place, columns.thickness.place), (0, 5));
         assert!(columns.numbers().all(|c| c.factor == 1.0));
     }
 
+    /// Synonyms and units are read, with one note.
     #[test]
-    fn synonyms_and_units_are_read_with_one_note() {
+    fn synonyms_and_units_cause_one_note() {
         for header in [
             "Sample,Channel,thickness (mm),Position,Radiance,sigma",
             "material,colour,t_mm,x,reflectance,std",
@@ -319,7 +321,7 @@ mod tests {
 
     /// Pixels and percentages are refused.
     #[test]
-    fn set_up_columns_take_any_unit_of_length() {
+    fn set_up_columns_take_any_length_unit() {
         let all = "material,channel,thickness_mm,x_mm,value";
         let (columns, notes) = find(&format!("{all},{}", names()[6..].join(","))).unwrap();
         assert!(notes.is_empty(), "{notes:?}");
@@ -334,8 +336,9 @@ mod tests {
         assert!(percent.contains("is not known"), "{percent}");
     }
 
+    /// Columns that are ambiguous or unknown are refused.
     #[test]
-    fn what_is_ambiguous_or_unknown_is_refused() {
+    fn ambiguous_columns_are_refused() {
         let refused = |header: &str| find(header).unwrap_err().to_string();
         let twice = refused("material,channel,thickness_mm,x_mm,radiance,reflectance");
         assert_eq!(

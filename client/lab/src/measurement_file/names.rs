@@ -92,8 +92,9 @@ pub(super) fn alike_thicknesses(thicknesses: &mut [(f64, u64)]) -> Option<String
 mod tests {
     use super::*;
 
+    /// Names that look the same are the same name.
     #[test]
-    fn what_is_the_same_to_the_eye_is_the_same_name() {
+    fn visually_equal_names_are_equal() {
         for spelling in ["we\u{ed}\u{df} 1", "wei\u{301}\u{df} 1", "we\u{ed}\u{200b}\u{df}\u{a0}1\u{feff}"] {
             assert_eq!(normal(spelling), "we\u{ed}\u{df} 1", "{spelling:?}");
         }

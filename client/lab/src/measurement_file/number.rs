@@ -111,8 +111,9 @@ fn like_thousands(text: &str) -> bool {
 mod tests {
     use super::*;
 
+    /// Only numbers whose comma could separate thousands are doubtful.
     #[test]
-    fn only_what_could_be_thousands_is_in_doubt() {
+    fn only_possible_thousands_are_doubtful() {
         for doubtful in ["1,234", "-4,986", "12,345", "+123,456"] {
             assert!(like_thousands(doubtful), "{doubtful}");
         }
@@ -121,8 +122,9 @@ mod tests {
         }
     }
 
+    /// Numbers are read with a point or a comma, and must be finite.
     #[test]
-    fn numbers_are_read_in_both_ways_and_must_be_finite() {
+    fn decimal_points_and_commas_are_read() {
         assert_eq!(Decimal::Comma.read("\u{2212}4,986", "x_mm").unwrap(), -4.986);
         assert_eq!(Decimal::Point.read("1e-3", "value").unwrap(), 0.001);
         let refused = |text: &str| Decimal::Point.read(text, "value").unwrap_err().to_string();

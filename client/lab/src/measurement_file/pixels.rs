@@ -239,8 +239,9 @@ mod tests {
         (0..n).filter(|i| !without.contains(i)).map(row).collect()
     }
 
+    /// Masked and absent pixels are interpolated and have no weight.
     #[test]
-    fn masked_and_absent_pixels_are_interpolated_without_weight() {
+    fn missing_pixels_get_no_weight() {
         let absent = rows(40, 0.1, &[7, 8, 20]);
         let mut masked = rows(40, 0.1, &[]);
         for i in [7, 8, 20] {
@@ -271,8 +272,9 @@ mod tests {
         assert_eq!((found.values.len(), found.missing), (360, Some((102, 3))));
     }
 
+    /// A profile with too many missing pixels is refused.
     #[test]
-    fn what_is_mostly_missing_is_refused() {
+    fn mostly_missing_profile_is_refused() {
         let mut masked = rows(40, 0.1, &[]);
         masked[10..15].iter_mut().for_each(|r| r.value = None);
         let refused = Pixels::of(&masked).unwrap_err().to_string();

@@ -65,8 +65,9 @@ mod tests {
 
     use super::*;
 
+    /// A measurement beyond the limits of a coordinator gets a note.
     #[test]
-    fn what_a_coordinator_would_refuse_is_noted() {
+    fn coordinator_limits_are_noted() {
         let x: Vec<f64> = (0..FitLimits::PIXELS).map(|i| i as f64 * 1e-3).collect();
         let profile =
             |i: usize| MeasuredProfile::new(i.to_string(), 1.0, x.clone(), x.clone(), None).unwrap();

@@ -45,8 +45,9 @@ fn reads_the_same(bytes: &[u8], code: &str, message: &str) {
     assert!(all.contains(message), "{all}");
 }
 
+/// The strict format is read without a note.
 #[test]
-fn the_strict_format_is_read_in_silence() {
+fn strict_format_is_read_without_notes() {
     let body = rows("white", "R", 0.5) + &rows("yellow", "R", 0.5) + &rows("white", "R", 1.0);
     let file = parse(&format!("# a comment\n{HEAD}{body}"));
     assert_eq!(file.notes, []);
@@ -104,8 +105,9 @@ fn wavelengths_and_other_names_of_channels_stay() {
     assert_eq!(file.notes, []);
 }
 
+/// Units in the names of columns are converted.
 #[test]
-fn units_in_the_names_of_columns_are_converted() {
+fn units_in_column_names_are_converted() {
     let row = |(x, v): (f64, f64)| format!("w,R,500,{:.4},{:.4}\n", 1000.0 * x, 100.0 * v);
     let text: String = pixels(0.5).map(row).collect();
     let file = parse(&format!("material,channel,thickness (um),x_um,value (%)\n{text}"));
@@ -114,8 +116,9 @@ fn units_in_the_names_of_columns_are_converted() {
     assert!((profile.x_mm()[0] + 29.5 / 6.0).abs() < 1e-6 && profile.values()[59] < 0.81);
 }
 
+/// Numbers that can be read in two ways are refused.
 #[test]
-fn what_can_be_read_in_two_ways_is_refused() {
+fn ambiguous_numbers_are_refused() {
     let strict = strict();
     let mixed = error(&strict.replacen("white,R,0.5,-4.91667", "white,R,\"0,5\",-4.91667", 1));
     assert!(
@@ -151,8 +154,9 @@ fn what_can_be_read_in_two_ways_is_refused() {
     );
 }
 
+/// Bad files are refused with line and column.
 #[test]
-fn bad_files_are_refused_with_line_and_column() {
+fn bad_files_are_refused_with_their_line() {
     let start = || rows("w", "R", 0.5).lines().take(2).map(|l| l.to_owned() + "\n").collect::<String>();
     let text = |body: &str| format!("# a comment\n{HEAD}{body}");
     let missing = error("material,channel,x_mm\nw,R,0\n");
@@ -173,8 +177,9 @@ fn bad_files_are_refused_with_line_and_column() {
     assert!(gap.contains("pixels must be equally spaced"), "{gap}");
 }
 
+/// Mistakes in the measured values are refused with their lines.
 #[test]
-fn mistakes_of_the_measurement_are_refused_at_their_lines() {
+fn measurement_mistakes_name_their_lines() {
     let change = |f: fn(f64, f64) -> (f64, f64)| -> String {
         let row = |(x, v)| {
             let (x, v) = f(x, v);
@@ -229,7 +234,7 @@ fn mistakes_of_the_measurement_are_refused_at_their_lines() {
 }
 
 #[test]
-fn a_row_without_x_is_a_patch() {
+fn row_without_x_is_a_patch() {
     let found = parse(&(strict() + "white,R,2,,0.61,0.004\n"));
     let patch = found.materials[0].profiles().last().unwrap();
     assert!(patch.thickness_mm() == 2.0 && patch.values().iter().all(|v| *v == 0.61));
@@ -250,8 +255,9 @@ fn with_cells(channel: &str, thickness: f64, cells: &str) -> String {
     rows("w", channel, thickness).lines().map(|line| format!("{line},{cells}\n")).collect()
 }
 
+/// The columns of the set-up are read, and their cells may be empty.
 #[test]
-fn set_up_columns_are_read_and_may_be_empty() {
+fn set_up_columns_may_be_empty() {
     let thin = with_cells("R", 0.5, "0.004,0.02,0.005,0.025,0.001");
     let file = parse(&format!("{SETUP_HEAD}{thin}{}", with_cells("R", 1.0, ",,,,")));
     assert_eq!(file.notes, []);
@@ -265,7 +271,7 @@ fn set_up_columns_are_read_and_may_be_empty() {
 
 /// The edge is expected at origin_mm, or at zero. Elsewhere it is refused with the value that would do.
 #[test]
-fn an_edge_away_from_zero_needs_origin_mm() {
+fn edge_away_from_zero_needs_origin_mm() {
     let shifted = |origin: &str| {
         let row = |(x, v): (f64, f64)| format!("w,R,0.5,{:.5},{v:.5},{origin}\n", x + 2.0);
         let body: String = pixels(0.5).map(row).collect();
@@ -318,8 +324,9 @@ fn inconsistent_set_up_columns_are_refused() {
     );
 }
 
+/// Suspicions become notes, one of each kind.
 #[test]
-fn suspicions_are_notes_one_of_a_kind() {
+fn suspicions_are_noted_once_per_kind() {
     let centimetres = strict().replace("thickness_mm,x_mm", "thickness_mm,position");
     let narrow: String = centimetres
         .lines()
@@ -343,7 +350,7 @@ fn suspicions_are_notes_one_of_a_kind() {
 
 /// Lines of old spreadsheets end in CR; a comment among them ends with its line.
 #[test]
-fn a_comment_among_lines_ending_in_cr_ends_with_its_line() {
+fn comment_ends_with_its_cr_line() {
     let lines: Vec<String> = strict().lines().map(ToOwned::to_owned).collect();
     let half = lines.len() / 2;
     let text = [&lines[..half], &["# second half".to_owned()], &lines[half..]].concat().join("\r");
@@ -364,8 +371,9 @@ fn whole_rows_among_the_comments_are_noted() {
     assert!(note.text.starts_with(&wanted), "{}", note.text);
 }
 
+/// Files that the program writes are read back without a note.
 #[test]
-fn what_is_written_is_read_back_in_silence() {
+fn own_files_are_read_back_without_notes() {
     use optics_model::{Estimate, Profile, Scene};
     let scene = Scene::paper();
     let profile = |i: usize| {

@@ -132,8 +132,9 @@ mod tests {
         units.flat_map(|u| if little { u.to_le_bytes() } else { u.to_be_bytes() }).collect()
     }
 
+    /// Every encoding gives the same text and a note.
     #[test]
-    fn every_encoding_gives_the_same_text_and_a_note() {
+    fn every_encoding_gives_the_same_text() {
         let text = "material,channel,thickness_mm\nwei\u{df},R,0.5\n";
         let western: Vec<u8> = text.chars().map(|c| c as u8).collect();
         let marked = [b"\xef\xbb\xbf", text.as_bytes()].concat();
@@ -157,8 +158,9 @@ mod tests {
         assert_eq!(decoded("a\r\nb\r\n"), "a\r\nb\r\n", "these are lines as they are");
     }
 
+    /// Gzip is unpacked, and other packed files are refused.
     #[test]
-    fn gzip_is_unpacked_and_other_packed_files_are_refused() {
+    fn only_gzip_is_unpacked() {
         use std::io::Write as _;
         let mut packed = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
         packed.write_all(b"material,channel\n").unwrap();
@@ -171,8 +173,9 @@ mod tests {
         assert!(refused(b"\x28\xb5\x2f\xfdrest").ends_with("unpack it first, as with unzstd"));
     }
 
+    /// Files other than measurements are read as UTF-8 or UTF-16.
     #[test]
-    fn other_files_are_utf_8_or_utf_16() {
+    fn utf_8_and_utf_16_are_read() {
         let text = "material = 'wei\u{df}'\n";
         let marked = [b"\xef\xbb\xbf", text.as_bytes()].concat();
         for bytes in [
@@ -186,8 +189,9 @@ mod tests {
         assert!(plain(b"wei\xdf").unwrap_err().to_string().ends_with("save it as UTF-8"));
     }
 
+    /// Data that are not text are refused.
     #[test]
-    fn what_is_no_text_is_refused() {
+    fn binary_data_are_refused() {
         let refused = |bytes: &[u8]| decode(bytes, &mut Vec::new()).unwrap_err().to_string();
         assert!(refused(b"PK\x03\x04rest").contains("spreadsheet"));
         assert!(refused(b"\x01\0\0\0\xffimage").contains("not text"));

@@ -103,8 +103,9 @@ fn seconds(text: &str) -> Option<f64> {
 mod tests {
     use super::*;
 
+    /// The times in files of cameras are read.
     #[test]
-    fn times_of_cameras_are_understood() {
+    fn camera_times_are_read() {
         assert_eq!(seconds("1970:01:02 00:00:01"), Some(86_401.0));
         assert_eq!(seconds("0000:00:00 00:00:00"), None);
         assert_eq!(seconds("yesterday"), None);

@@ -34,8 +34,9 @@ mod tests {
     use super::*;
     use crate::set_up::session::Session;
 
+    /// The blur is that of the session for the photographed channel, or the default.
     #[test]
-    fn a_session_tells_the_blur_of_the_channel_that_is_photographed() {
+    fn session_gives_the_blur_of_each_channel() {
         let named = |r: f64, g: f64| Some(ByChannel::Named(vec![("R".into(), r), ("G".into(), g)]));
         let values = Session { blur_mm: named(0.02, 0.03), ..Session::default() };
         let set_up = SetUp { values };

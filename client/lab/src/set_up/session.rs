@@ -187,8 +187,9 @@ mod tests {
         assert_eq!(parse(r#"{"format": "farmctl-session/1"}"#).unwrap(), Session::default());
     }
 
+    /// Invalid fields are refused with the allowed values.
     #[test]
-    fn invalid_fields_are_refused_with_the_allowed_values() {
+    fn invalid_fields_are_refused_with_range() {
         let with = |field: &str| {
             parse(&format!(r#"{{"format": "farmctl-session/1", {field}}}"#)).unwrap_err().to_string()
         };

@@ -19,7 +19,7 @@ const SESSION: &str = r#"{"format": "farmctl-session/1", "gain_std_error": 0.01,
 
 /// What a measurement has of its own wins over the command line, and this over the session file.
 #[test]
-fn set_up_precedence_is_measurement_command_line_session() {
+fn set_up_precedence_is_measurement_first() {
     let file = session(SESSION);
     let given = Session {
         gain_std_error: Some(ByChannel::All(0.02)),
@@ -50,7 +50,7 @@ fn set_up_precedence_is_measurement_command_line_session() {
 }
 
 #[test]
-fn what_nobody_values_is_said_to_be_assumed() {
+fn defaulted_quantities_are_listed_as_assumed() {
     let default = FitSettings::default();
     let assumed = |given: &Session, setup: ProfileSetup| {
         let set_up = SetUp::new(None, given.clone()).unwrap();
@@ -82,8 +82,9 @@ fn what_nobody_values_is_said_to_be_assumed() {
     assert_eq!(assumed(&values, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
 }
 
+/// A wrong session file is refused with its name.
 #[test]
-fn a_session_file_that_is_wrong_is_refused_by_its_name() {
+fn wrong_session_file_is_refused_by_name() {
     let refused = |text: &str| {
         let file = session(text);
         let error = format!("{:#}", SetUp::new(Some(file.path()), Session::default()).unwrap_err());

@@ -105,8 +105,9 @@ fn head(kind: &str, shape: &[usize]) -> Vec<u8> {
 mod tests {
     use super::*;
 
+    /// The headers of arrays equal those that NumPy writes.
     #[test]
-    fn heads_are_as_numpy_writes_them() {
+    fn npy_headers_equal_those_of_numpy() {
         // numpy.save of an array of float32 with the shape (2, 3).
         let expected = format!("{:<117}\n", "{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }");
         let written = head("<f4", &[2, 3]);

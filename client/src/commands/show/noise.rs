@@ -161,8 +161,9 @@ fn percent(share: f64) -> String {
 mod tests {
     use super::*;
 
+    /// A cell has the noise of its noisiest slab.
     #[test]
-    fn a_cell_has_the_noise_of_its_noisiest_slab() {
+    fn cell_has_its_noisiest_slab() {
         let grid = Grid::paper();
         let [thin, thick] = [0, 1].map(|t| grid.record_at(0, 3, 2, t, 40));
         let map = map(&grid, &[(thin, 0.01), (thick, 0.03), (grid.record_at(0, 5, 4, 0, 7), 0.02)]);
@@ -177,8 +178,9 @@ mod tests {
         picture("paper", &grid, &[(thin, 0.01)]).unwrap();
     }
 
+    /// The medians and the worst noise are listed with their media.
     #[test]
-    fn medians_and_the_worst_are_told_with_their_media() {
+    fn medians_and_worst_name_their_media() {
         let grid = Grid::paper();
         let albedos = grid.albedo().len();
         // Grows with the albedo's number, but for one record that is worse than all.

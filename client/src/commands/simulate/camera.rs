@@ -55,8 +55,9 @@ impl Camera {
 mod tests {
     use super::*;
 
+    /// The pixels scatter by the stated noise.
     #[test]
-    fn pixels_scatter_by_the_noise_that_is_stated() {
+    fn pixels_scatter_by_the_stated_noise() {
         let exact = Estimate::new(vec![0.8; 40_000], vec![0.1; 40_000]).unwrap();
         let exact = [Profile { radiance_factor: exact, derivatives: None }];
         let mut camera = Camera::new(0.01, 3).unwrap().unwrap();
@@ -74,8 +75,9 @@ mod tests {
         assert_eq!(seen.values()[0].to_bits(), 1_061_897_663);
     }
 
+    /// The noise is a share of at most one half.
     #[test]
-    fn noise_is_a_share_of_at_most_a_half() {
+    fn noise_is_at_most_a_half() {
         assert!(Camera::new(0.0, 1).unwrap().is_none());
         for noise in [-0.1, 0.6, f64::NAN] {
             assert!(Camera::new(noise, 1).unwrap_err().to_string().contains("noise"));

@@ -1,7 +1,8 @@
 use super::*;
 
+/// The lines of `squeue` give the tasks of this farm, by the name of their job, and their states.
 #[test]
-fn lines_of_squeue_tell_tasks_by_the_name_of_their_job() {
+fn squeue_lines_are_matched_by_job_name() {
     let task = |line: &str| task(line, "farm-worker@login:7700");
     let message = |state: &str, reason: &str| {
         let found = task(&format!("1234|17|{state}|{reason}|farm-worker@login:7700"));
@@ -37,8 +38,9 @@ fn names_may_have_blanks_and_bars() {
     }
 }
 
+/// The answer of `sbatch` gives the number of the job.
 #[test]
-fn sbatch_tells_the_number_of_a_job() {
+fn sbatch_answer_gives_the_job_number() {
     assert_eq!(job_id("17\n").unwrap(), 17);
     assert_eq!(job_id("17;other\n").unwrap(), 17);
     assert!(job_id("Submitted batch job 17").is_err());

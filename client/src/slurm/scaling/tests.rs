@@ -106,16 +106,18 @@ fn workers_never_exceed_the_limit() {
     assert_eq!(cluster.submissions.iter().sum::<u32>(), 6);
 }
 
+/// Jobs that other workers compute already start no worker.
 #[test]
-fn what_others_compute_brings_nobody() {
+fn foreign_work_starts_no_worker() {
     let mut scaling = Scaling::new(limits(64));
     assert_eq!(scaling.look(LOOK, &demand(0, 400), &[], &[]).action, Action::Nothing);
     let decision = scaling.look(2 * LOOK, &demand(1, 400), &[], &[]);
     assert_eq!((decision.wanted, decision.action), (1, Action::Submit(NonZeroU32::MIN)));
 }
 
+/// Work that is done soon starts no further worker.
 #[test]
-fn work_that_is_done_soon_is_worth_no_further_worker() {
+fn short_work_starts_no_further_worker() {
     let soon = Some(Duration::from_secs(100));
     let mut cluster = Cluster::new(64, 64);
     cluster.looks(3, 1000);
@@ -140,8 +142,9 @@ fn unneeded_waiting_workers_are_cancelled() {
     assert_eq!(cluster.look(12).failed, []);
 }
 
+/// Gaps between dictionaries start and end no workers.
 #[test]
-fn gaps_between_dictionaries_make_nobody_come_and_go() {
+fn gaps_between_dictionaries_change_nothing() {
     let mut cluster = Cluster::new(8, 4);
     cluster.looks(8, 1000);
     let submitted = cluster.submissions.len();
@@ -153,8 +156,9 @@ fn gaps_between_dictionaries_make_nobody_come_and_go() {
     assert_eq!(cluster.states(), (4, 4));
 }
 
+/// A queue with a limit is filled up and refilled.
 #[test]
-fn a_queue_that_takes_only_so_many_is_filled_up_and_refilled() {
+fn limited_queue_is_filled_and_refilled() {
     let mut cluster = Cluster::new(32, 32);
     cluster.takes = 10;
     cluster.looks(12, 10_000);
@@ -172,8 +176,9 @@ fn a_queue_that_takes_only_so_many_is_filled_up_and_refilled() {
     assert_eq!(cluster.states(), (10, 0), "{:?}", cluster.submissions);
 }
 
+/// Tasks that Slurm holds do not count as workers, and are not cancelled.
 #[test]
-fn tasks_that_are_held_take_no_place() {
+fn held_tasks_do_not_count() {
     let mut scaling = Scaling::new(limits(1));
     let held = [(TaskId { job: 1, task: 1 }, TaskState::Held)];
     let decision = scaling.look(LOOK, &demand(8, 0), &held, &[]);
@@ -212,7 +217,7 @@ fn missing_workers_are_retried_with_growing_pauses() {
 
 /// As long as other workers run, those that die before they join cause pauses, but no end.
 #[test]
-fn a_bad_node_slows_scaling_but_does_not_stop_it() {
+fn bad_node_slows_scaling() {
     let mut cluster = Cluster::new(4, 4);
     cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (4, 0));
@@ -233,7 +238,7 @@ fn a_bad_node_slows_scaling_but_does_not_stop_it() {
 }
 
 #[test]
-fn a_worker_that_arrives_ends_the_pause() {
+fn worker_that_arrives_ends_the_pause() {
     let mut scaling = Scaling::new(limits(8));
     let one = TaskId { job: 1, task: 1 };
     assert_eq!(scaling.look(LOOK, &demand(100, 0), &[], &[]).action, Action::Submit(NonZeroU32::MIN));
@@ -250,7 +255,7 @@ fn a_worker_that_arrives_ends_the_pause() {
 
 /// They are not submitted again, and those that end later are not failures.
 #[test]
-fn a_restarted_autoscaler_adopts_running_workers() {
+fn restarted_autoscaler_adopts_running_workers() {
     let tasks = [1, 2, 3].map(|task| (TaskId { job: 7, task }, TaskState::Running));
     let mut scaling = Scaling::new(limits(3));
     assert_eq!(scaling.look(LOOK, &demand(1000, 12), &tasks, &[]).action, Action::Nothing);
@@ -266,8 +271,9 @@ fn a_restarted_autoscaler_adopts_running_workers() {
 }
 
 proptest! {
+    /// The bounds hold, whatever the scaling observes.
     #[test]
-    fn whatever_is_told_the_bounds_hold(
+    fn scaling_bounds_always_hold(
         most in 1_u32..40,
         looks in prop::collection::vec((0_u64..400, 0_u64..100, prop::option::of(0_u64..600), 0_usize..12, 0_u8..4), 1..60),
     ) {

@@ -45,8 +45,9 @@ mod tests {
         Medium::new(sigma_t_per_mm, albedo, 0.4).unwrap().into()
     }
 
+    /// Media that scatter more look brighter.
     #[test]
-    fn white_is_bright_and_black_is_dark() {
+    fn colours_follow_the_albedo() {
         let media = vec![medium(20.0, 0.9999), medium(6.0, 0.99), medium(6.0, 0.7), medium(20.0, 0.05)];
         let factors = radiance_factors(media).unwrap();
         assert!(factors.windows(2).all(|pair| pair[0] > pair[1]), "{factors:?}");

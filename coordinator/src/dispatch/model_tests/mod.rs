@@ -38,8 +38,9 @@ fn run(mut world: World, steps: &[Op]) -> Result<(), TestCaseError> {
     world.finish_all().map_err(|why| fail(&"the last phase", why))
 }
 
+/// Blocks of a job that asked for more walks are still checked after a restart.
 #[test]
-fn blocks_of_a_job_with_more_walks_are_checked_after_a_restart() {
+fn blocks_are_checked_after_more_walks() {
     let acquire = |worker, max| Op::Acquire { worker, max };
     let steps = [
         Op::Submit(3),
@@ -61,24 +62,27 @@ fn blocks_of_a_job_with_more_walks_are_checked_after_a_restart() {
 proptest! {
     #![proptest_config(config())]
 
+    /// With correct workers all steps keep the invariants of the model, with and without checks.
     #[test]
-    fn with_honest_workers_everything_ends_well(
+    fn honest_workers_keep_all_invariants(
         steps in prop::collection::vec(ops::any(), 1..STEPS),
         checked in any::<bool>(),
     ) {
         run(World::new(0, if checked { 1.0 } else { 0.0 }), &steps)?;
     }
 
+    /// When every result is checked, results of wrong workers do not survive.
     #[test]
-    fn what_wrong_workers_compute_does_not_survive_checks(
+    fn wrong_results_do_not_survive_checks(
         steps in prop::collection::vec(ops::any(), 1..STEPS),
         wrong in 1_usize..3,
     ) {
         run(World::new(wrong, 1.0), &steps)?;
     }
 
+    /// Without checks, wrong workers do not disturb the counts.
     #[test]
-    fn without_checks_wrong_workers_harm_no_count(steps in prop::collection::vec(ops::any(), 1..STEPS)) {
+    fn unchecked_wrong_workers_keep_counts_right(steps in prop::collection::vec(ops::any(), 1..STEPS)) {
         run(World::new(2, 0.0), &steps)?;
     }
 }

@@ -159,8 +159,9 @@ mod tests {
         Machine { token: token.to_owned(), address: address.to_owned(), host: host.to_owned() }
     }
 
+    /// A machine is suspended after failures of several jobs, for growing pauses.
     #[test]
-    fn pauses_come_after_several_jobs_and_grow() {
+    fn several_failed_jobs_cause_growing_pauses() {
         let mut machines = Machines::default();
         let at = Duration::from_secs;
         assert_eq!(machines.failed(at(0), A, job(0), false), None);
@@ -183,8 +184,9 @@ mod tests {
         assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
     }
 
+    /// If other machines fail at the same job, the fault is the job's and not the machine's.
     #[test]
-    fn what_others_fail_at_too_is_the_jobs_fault() {
+    fn shared_failures_blame_the_job() {
         let mut machines = Machines::default();
         for number in 0..3 {
             machines.failed(Duration::ZERO, A, job(number), false);
@@ -194,8 +196,9 @@ mod tests {
         assert_eq!(machines.pause_left(Duration::ZERO, A), None);
     }
 
+    /// A vote is that of a machine, by address and host, or that of a token if votes are counted by token.
     #[test]
-    fn a_vote_is_a_tokens_or_a_machines() {
+    fn votes_are_per_machine_or_token() {
         let mut machines = Machines::default();
         let places =
             [("t", "::1", ""), ("t", "::2", ""), ("t", "::3", "h"), ("t", "::4", "h"), ("u", "::1", "")];
@@ -210,8 +213,9 @@ mod tests {
         assert_eq!(shared(&machines), [true, true, true, false]);
     }
 
+    /// A fence binds the machine, by address or host name, until it is lifted.
     #[test]
-    fn a_fence_holds_for_the_machine_and_is_lifted() {
+    fn fence_binds_the_machine_until_lifted() {
         let mut machines = Machines::default();
         machines.met(A, machine("t", "::1", "h"), "a");
         machines.fence(A, "wrong".to_owned());

@@ -28,8 +28,9 @@ mod tests {
 
     const SECRET: Secret = Secret([1; 32]);
 
+    /// A worker token cannot be made from the worker's id without the secret.
     #[test]
-    fn a_worker_token_cannot_be_made_from_the_id() {
+    fn worker_token_needs_the_secret() {
         let [a, b] = ["a.1", "b"].map(|id| WorkerId(id.to_owned()));
         let token = issue(&SECRET, &a);
         assert_eq!(verify(&SECRET, &token), Some(a.clone()));

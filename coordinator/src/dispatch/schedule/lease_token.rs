@@ -37,8 +37,9 @@ mod tests {
 
     const SECRET: Secret = Secret([1; 32]);
 
+    /// A lease token is valid for its lease and its holder only.
     #[test]
-    fn a_token_holds_for_its_lease_and_its_holder_alone() {
+    fn lease_token_binds_lease_and_holder() {
         let bare = LeaseKey { dictionary: DictionaryId(1), job: 2, attempt: 3, token: Token(0), part: 4 };
         let key = LeaseKey { token: issue(&SECRET, &bare, 7, "a"), ..bare };
         assert!(verify(&SECRET, &key, "a"));

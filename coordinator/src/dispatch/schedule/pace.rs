@@ -133,7 +133,7 @@ mod tests {
 
     /// Never before 2 s, and after a minute as long as no part was finished.
     #[test]
-    fn a_part_is_late_after_three_times_the_usual_time() {
+    fn part_is_late_after_three_usual_times() {
         let mut pace = Pace::default();
         assert!(!pace.is_late(1.0, seconds(59.0)) && pace.is_late(1.0, seconds(61.0)));
         pace.completed(seconds(100.0), 2.0, seconds(80.0));
@@ -143,7 +143,7 @@ mod tests {
 
     /// There is none before. With a steady pace it is right within a factor of 2.3 at first, and within 23 % later.
     #[test]
-    fn a_rate_is_given_after_each_slot_finished_a_part() {
+    fn rate_needs_one_part_per_slot() {
         let mut pace = Pace::default();
         let seen = rates(&mut pace, 40, 0.4, 6000, 100.0);
         assert_eq!(seen.len(), 2 * 6000 - (2 * 40 - 1));
@@ -151,8 +151,9 @@ mod tests {
         assert_near(&seen[400..], 100.0, 0.2);
     }
 
+    /// Time without work does not slow the pace.
     #[test]
-    fn a_pause_without_work_does_not_slow_the_pace() {
+    fn idle_time_does_not_slow_the_pace() {
         let mut pace = Pace::default();
         rates(&mut pace, 4, 1.0, 400, 0.0);
         assert_near(&[pace.rate(seconds(160.0), 4).unwrap()], 4.0, 0.05);
@@ -161,24 +162,27 @@ mod tests {
         assert_near(&seen, 4.0, 0.1);
     }
 
+    /// Parts that take minutes do not make the pace jump.
     #[test]
-    fn parts_that_take_minutes_do_not_make_the_pace_leap() {
+    fn long_parts_do_not_disturb_the_pace() {
         let mut pace = Pace::default();
         let seen = rates(&mut pace, 4, 120.0, 40, 0.0);
         // Just before the second round is finished, what is known is four parts in twice the time.
         assert_near(&seen, 4.0 / 120.0, 0.85);
     }
 
+    /// After a long time without work, there is no rate.
     #[test]
-    fn the_pace_of_long_ago_is_forgotten() {
+    fn old_pace_is_forgotten() {
         let mut pace = Pace::default();
         rates(&mut pace, 4, 1.0, 400, 0.0);
         pace.working(seconds(1e4), true);
         assert_eq!(pace.rate(seconds(1e4), 1), None);
     }
 
+    /// Workers that have fallen silent slow the pace.
     #[test]
-    fn workers_that_have_fallen_silent_slow_the_pace() {
+    fn silent_workers_slow_the_pace() {
         let mut pace = Pace::default();
         pace.working(seconds(0.0), true);
         (1..=100_u32).for_each(|s| pace.completed(seconds(s.into()), 1.0, seconds(1.0)));
@@ -186,8 +190,9 @@ mod tests {
         assert!(after.unwrap() < 0.2 * before.unwrap(), "{before:?} {after:?}");
     }
 
+    /// A part is late only if it takes much longer than usual, and never within two seconds.
     #[test]
-    fn only_what_takes_much_longer_than_usual_is_late() {
+    fn only_much_slower_parts_are_late() {
         let mut pace = Pace::default();
         for i in 0..50 {
             pace.completed(seconds(f64::from(i)), 10.0, seconds(20.0));

@@ -65,8 +65,9 @@ mod tests {
         Duration::from_secs(s)
     }
 
+    /// Periods are contiguous from the start of the history.
     #[test]
-    fn periods_follow_each_other_from_the_start() {
+    fn periods_are_contiguous_from_the_start() {
         let mut history = PaceHistory::default();
         assert_eq!(history.periods(seconds(0)).len(), 1);
         assert_eq!(history.periods(seconds(25)).len(), 3);
@@ -79,8 +80,9 @@ mod tests {
         assert_eq!(history.periods(seconds(59))[2].jobs, 1);
     }
 
+    /// The history of the pace covers one hour; older periods are dropped.
     #[test]
-    fn an_hour_is_kept_and_what_is_older_is_forgotten() {
+    fn pace_history_covers_one_hour() {
         let mut history = PaceHistory::default();
         history.part_done(seconds(0), 1.0);
         history.part_done(seconds(3600), 2.0);

@@ -31,7 +31,7 @@ impl Bench {
 
 /// Its failures alone give up no job while other machines are connected.
 #[test]
-fn a_failing_machine_is_suspended_for_growing_pauses() {
+fn failing_machine_is_suspended() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.fail_all(0, "a"), 3, "each of the jobs once");
     assert_eq!(bench.status().jobs_failed, 0);
@@ -45,7 +45,7 @@ fn a_failing_machine_is_suspended_for_growing_pauses() {
 
 /// After its pause a machine gets one job, however many processes it runs, and a good result ends the suspension.
 #[test]
-fn a_suspended_machine_is_tried_with_one_job() {
+fn suspended_machine_is_tried_with_one_job() {
     let mut bench = Bench::new(&[]);
     bench.fail_all(0, "a");
     // Nobody else is heard of any more.
@@ -77,8 +77,9 @@ fn failures_on_one_machine_count_once() {
     assert_eq!(bench.status().jobs_failed, 1, "two machines are as many as are allowed");
 }
 
+/// A job that fails on every machine suspends none of them.
 #[test]
-fn a_job_that_fails_everywhere_suspends_nobody() {
+fn job_that_fails_everywhere_blames_itself() {
     let mut bench = Bench::new(&[]);
     bench.farm.leave(&worker("c"));
     bench.fail_all(0, "a");
@@ -89,8 +90,9 @@ fn a_job_that_fails_everywhere_suspends_nobody() {
     }
 }
 
+/// With a single machine, a job is given up after the allowed number of attempts.
 #[test]
-fn alone_a_machine_gives_a_job_up_after_the_allowed_attempts() {
+fn lone_machine_gives_up_after_its_attempts() {
     let mut bench = Bench::new(&[]);
     for name in ["b", "c"] {
         bench.farm.leave(&worker(name));
@@ -103,8 +105,9 @@ fn alone_a_machine_gives_a_job_up_after_the_allowed_attempts() {
     assert_eq!(bench.status().jobs_failed, 1);
 }
 
+/// A worker that renews for a day without a result loses its lease.
 #[test]
-fn a_worker_that_renews_for_ever_loses_its_lease_in_the_end() {
+fn endless_renewal_loses_the_lease() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let day = 24 * 3600;

@@ -9,7 +9,7 @@ use crate::stored::Origin;
 
 /// It is given up after the allowed number of failures, and a retry puts it back into the queue.
 #[test]
-fn a_given_up_job_has_the_reasons_of_all_attempts() {
+fn given_up_job_keeps_all_reasons() {
     let mut bench = Bench::new(&[]);
     let first = bench.acquire(0, "a", 1);
     bench.farm.failed(seconds(1), &worker("a"), &first[0].key, "boom").unwrap();
@@ -35,7 +35,7 @@ fn a_given_up_job_has_the_reasons_of_all_attempts() {
 
 /// A host that is preempted lets a worker know, and kills it when its time is up.
 #[test]
-fn silence_after_a_request_to_stop_is_nobodys_fault() {
+fn silence_after_preemption_has_no_blame() {
     let mut bench = Bench::new(&[]);
     let mut at = 0;
     // More often than a job may fail.
@@ -56,8 +56,9 @@ fn silence_after_a_request_to_stop_is_nobodys_fault() {
     assert_eq!(bench.state(), DictionaryState::Running);
 }
 
+/// The explanation of a failed job gives the place of the worker's log.
 #[test]
-fn who_asks_about_a_failed_job_is_told_where_the_log_is() {
+fn failed_job_names_its_log() {
     let mut bench = Bench::new(&[]);
     let logged = |name: &str| {
         let facts = MachineFacts { log: format!("node7:/var/log/{name}.out"), ..MachineFacts::default() };
@@ -85,8 +86,9 @@ fn who_asks_about_a_failed_job_is_told_where_the_log_is() {
     assert!(text.contains(expected), "{text}");
 }
 
+/// When a worker dies, only the job that was running is blamed.
 #[test]
-fn only_a_job_that_was_running_is_blamed_for_its_workers_death() {
+fn crash_blames_only_running_jobs() {
     let mut bench = Bench::new(&[]);
     for round in 0..2 {
         let at = 100 * round;
@@ -108,8 +110,9 @@ fn only_a_job_that_was_running_is_blamed_for_its_workers_death() {
     assert_eq!(job_of(&bench.acquire(300, "b", 9)), [1, 0], "the others go on");
 }
 
+/// A worker that comes back lifts the blame from its jobs.
 #[test]
-fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
+fn returning_worker_lifts_blame_from_jobs() {
     let mut bench = Bench::new(&[]);
     for round in 0..5 {
         let at = 100 * round;
@@ -126,8 +129,9 @@ fn a_worker_that_comes_back_takes_the_blame_from_its_jobs() {
     }
 }
 
+/// A coordinator that was itself stopped does not expire leases for that time.
 #[test]
-fn a_coordinator_that_was_stopped_itself_blames_nobody() {
+fn stopped_coordinator_blames_no_worker() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     bench.farm.look_over(seconds(1));
@@ -135,8 +139,9 @@ fn a_coordinator_that_was_stopped_itself_blames_nobody() {
     assert!(bench.renew(1001, "a", &lease[0], true));
 }
 
+/// Leases that are handed back do not count as failures.
 #[test]
-fn handing_back_blames_nobody() {
+fn returned_leases_carry_no_blame() {
     let mut bench = Bench::new(&[]);
     for _ in 0..5 {
         let lease = bench.acquire(0, "a", 1);
@@ -146,8 +151,9 @@ fn handing_back_blames_nobody() {
     assert_eq!(bench.state(), DictionaryState::Running);
 }
 
+/// A result that is not needed ends its lease without blame.
 #[test]
-fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
+fn unwanted_result_ends_its_lease() {
     let mut bench = Bench::new(&[]);
     for second in (0..20).step_by(4) {
         let lease = bench.acquire(second, "a", 1);
@@ -159,7 +165,7 @@ fn a_result_that_nobody_wants_ends_its_lease_without_blame() {
 
 /// A worker that was removed for its silence and registers again did not crash, so its job is not to blame.
 #[test]
-fn a_returning_worker_clears_its_jobs_of_blame() {
+fn reregistered_worker_clears_its_jobs() {
     let mut bench = Bench::new(&[]);
     for round in 0..3 {
         let at = 1000 * round;

@@ -30,8 +30,9 @@ pub(super) fn divided(check_share: f64) -> Bench {
     bench
 }
 
+/// A divided job is leased block by block.
 #[test]
-fn a_divided_job_is_given_out_block_by_block() {
+fn divided_job_is_leased_by_blocks() {
     let mut bench = divided(0.0);
     let leases = bench.acquire(0, "a", 2);
     assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
@@ -46,8 +47,9 @@ fn a_divided_job_is_given_out_block_by_block() {
     assert_eq!(bench.state(), DictionaryState::Done);
 }
 
+/// A job that needs more walks is leased again with the new number.
 #[test]
-fn more_walks_begin_the_job_again() {
+fn more_walks_restart_the_job() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let more = Walks::new(500_000).unwrap();
@@ -59,7 +61,7 @@ fn more_walks_begin_the_job_again() {
 
 /// Two workers compute the same job and both ask for more walks: the second request changes nothing.
 #[test]
-fn only_the_first_copy_of_a_job_adds_walks() {
+fn only_the_first_copy_adds_walks() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let more = Walks::new(500_000).unwrap();
@@ -70,8 +72,9 @@ fn only_the_first_copy_of_a_job_adds_walks() {
     assert!(!job_of(&bench.acquire(5, "c", 9)).contains(&again[0].key.job));
 }
 
+/// Blocks that the store no longer has are computed again.
 #[test]
-fn blocks_that_the_store_has_forgotten_are_computed_again() {
+fn blocks_lost_by_the_store_are_recomputed() {
     let mut bench = divided(0.0);
     let leases = bench.acquire(0, "a", 2);
     arrive("a", &leases[0], |arrived| bench.farm.part_finished(seconds(1), arrived));

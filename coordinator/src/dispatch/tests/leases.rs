@@ -10,7 +10,7 @@ use crate::stored::DesiredState;
 
 /// The late result of the first worker still counts, and the second result is compared with it.
 #[test]
-fn an_expired_lease_goes_to_another_worker() {
+fn expired_lease_goes_to_another_worker() {
     let mut bench = Bench::new(&[]);
     let old = bench.acquire(0, "a", 1);
     assert_eq!(bench.farm.look_over(seconds(29)), 0);
@@ -24,8 +24,9 @@ fn an_expired_lease_goes_to_another_worker() {
     assert!(matches!(bench.admit("b", &new[0]), Ok(Admission::Compare { stored: DIGEST, .. })));
 }
 
+/// A renewed lease is valid for its whole duration from the renewal on.
 #[test]
-fn renewed_leases_live_on() {
+fn renewed_leases_do_not_expire() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     assert!(bench.renew(20, "a", &lease[0], true));
@@ -37,8 +38,9 @@ fn renewed_leases_live_on() {
     assert_eq!(bench.farm.look_over(seconds(50)), 1);
 }
 
+/// A guessed token ends no lease, nor does the token of another worker.
 #[test]
-fn a_guessed_token_is_worth_nothing() {
+fn guessed_token_is_refused() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let forged = LeaseKey { token: Token(99), ..lease[0].key };
@@ -60,8 +62,9 @@ fn leases_survive_a_restart_of_the_coordinator() {
     assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
 }
 
+/// A worker that leaves frees all its leases, including those whose grant it has not received.
 #[test]
-fn a_worker_that_leaves_frees_also_what_it_has_not_heard_of() {
+fn leaving_worker_frees_all_its_leases() {
     let mut bench = Bench::new(&[]);
     bench.acquire(0, "a", 2);
     bench.farm.leave(&worker("a"));
@@ -70,8 +73,9 @@ fn a_worker_that_leaves_frees_also_what_it_has_not_heard_of() {
     assert!(late.is_err(), "one that has left gets no more");
 }
 
+/// A late job is leased to a second worker, and the first result counts.
 #[test]
-fn a_straggler_gets_a_second_copy_and_the_first_result_counts() {
+fn straggler_gets_a_second_copy() {
     let mut bench = Bench::new(&[]);
     let leases = bench.acquire(0, "a", 3);
     bench.finish(1, "a", &leases[1]);
@@ -91,8 +95,9 @@ fn a_straggler_gets_a_second_copy_and_the_first_result_counts() {
     assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is told to stop");
 }
 
+/// Parts that are leased stay leased when other jobs are reopened.
 #[test]
-fn what_is_held_stays_held_when_other_jobs_begin_again() {
+fn held_parts_stay_leased_on_reopening() {
     let mut bench = Bench::new(&[]);
     let leases = bench.acquire(0, "a", 2);
     bench.finish(1, "a", &leases[0]);
@@ -104,7 +109,7 @@ fn what_is_held_stays_held_when_other_jobs_begin_again() {
 
 /// Results of leases from before the pause are stored. No lease is granted, not even for a second copy.
 #[test]
-fn a_paused_dictionary_only_finishes_its_leases() {
+fn paused_dictionary_only_finishes_its_leases() {
     let mut bench = Bench::new(&[]);
     let leases = bench.acquire(0, "a", 3);
     bench.finish(1, "a", &leases[1]);
@@ -119,7 +124,7 @@ fn a_paused_dictionary_only_finishes_its_leases() {
 
 /// A worker cannot claim a free part with the token of another lease.
 #[test]
-fn a_lease_token_is_valid_for_its_part_only() {
+fn lease_token_is_valid_for_one_part() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     let other = bench.acquire(0, "b", 2);

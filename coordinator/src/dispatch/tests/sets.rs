@@ -34,8 +34,9 @@ fn sets(bench: &mut Bench, at: u64, name: &str, parts: usize) -> Vec<Lease> {
     bench.farm.acquire(seconds(at), &worker(name), wish, &mut bench.chance).unwrap().leases
 }
 
+/// Jobs that share walks are leased together, on top of the requested number.
 #[test]
-fn what_shares_its_walks_comes_on_top_of_what_was_asked_for() {
+fn shared_walks_come_on_top() {
     let mut bench = bench(5000);
     assert_eq!(job_of(&sets(&mut bench, 0, "a", 1)), [3]);
     assert_eq!(job_of(&sets(&mut bench, 0, "a", 1)), [1, 2], "both are 2 thick");
@@ -43,8 +44,9 @@ fn what_shares_its_walks_comes_on_top_of_what_was_asked_for() {
     assert!(sets(&mut bench, 0, "c", 9).is_empty());
 }
 
+/// A worker that does not ask for sets gets exactly the number of jobs it asks for.
 #[test]
-fn who_does_not_ask_for_sets_gets_what_it_asks_for() {
+fn sets_are_leased_only_on_request() {
     let mut bench = bench(5000);
     assert_eq!(job_of(&bench.acquire(0, "a", 2)), [3, 1]);
     assert_eq!(job_of(&sets(&mut bench, 0, "b", 1)), [2], "the other of its set is out");
@@ -52,7 +54,7 @@ fn who_does_not_ask_for_sets_gets_what_it_asks_for() {
 
 /// One that kills its worker must not drag others down a second time.
 #[test]
-fn what_has_failed_is_tried_again_by_itself() {
+fn failed_job_is_retried_alone() {
     let mut bench = bench(5000);
     sets(&mut bench, 0, "b", 1);
     let both = sets(&mut bench, 0, "a", 1);
@@ -66,7 +68,7 @@ fn what_has_failed_is_tried_again_by_itself() {
 
 /// One job at a time, to see whether it does any better.
 #[test]
-fn a_machine_on_trial_gets_no_set() {
+fn machine_on_trial_gets_no_set() {
     let mut bench = bench(5000);
     for at in 0..3 {
         let lease = bench.acquire(at, "a", 1);
@@ -78,7 +80,7 @@ fn a_machine_on_trial_gets_no_set() {
 
 /// Of divided jobs the same block goes together.
 #[test]
-fn blocks_of_a_set_are_given_out_one_by_one() {
+fn set_blocks_are_leased_one_by_one() {
     let mut bench = bench(2_000_000);
     let of = |leases: Vec<Lease>| leases.iter().map(|l| (l.key.job, l.key.part)).collect::<Vec<_>>();
     sets(&mut bench, 0, "b", 2);

@@ -59,23 +59,25 @@ fn shared_walks_are_computed_once() {
     assert!(bench.farm.schedule.served_by((FIRST, 2)).is_empty());
 }
 
+/// A job with more albedos is leased first, regardless of priorities.
 #[test]
-fn a_job_for_more_albedos_goes_first_whatever_the_priorities() {
+fn most_albedos_go_first() {
     let mut bench = overlapping(vec![0.5, 0.9, 0.95]);
     bench.farm.set_priority(FIRST, 5);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(SECOND, 2), (SECOND, 0), (FIRST, 0), (SECOND, 1)]);
 }
 
+/// Jobs with the same walks but different albedos are both leased.
 #[test]
-fn jobs_for_other_albedos_are_given_out_both() {
+fn other_albedos_are_computed_separately() {
     let mut bench = overlapping(vec![0.9, 0.95]);
     assert_eq!(bench.acquire(0, "a", 9).len(), 6);
 }
 
 /// The second dictionary computes them when the first is paused, cancelled or deleted, or gives up the job.
 #[test]
-fn shared_walks_are_taken_over_when_the_first_stops() {
+fn stopped_shared_walks_are_taken_over() {
     for how in 0..4 {
         let mut bench = overlapping(vec![0.9]);
         let held = bench.acquire(0, "a", 9);
@@ -97,8 +99,9 @@ fn shared_walks_are_taken_over_when_the_first_stops() {
     }
 }
 
+/// The first dictionary waits for shared walks that the second has begun.
 #[test]
-fn what_the_second_has_begun_the_first_waits_for() {
+fn first_waits_for_walks_of_the_second() {
     let mut bench = overlapping(vec![0.5, 0.9]);
     bench.farm.set_desire(FIRST, DesiredState::Pause, String::new());
     assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
@@ -108,7 +111,7 @@ fn what_the_second_has_begun_the_first_waits_for() {
 
 /// It goes on in the other dictionary that has the records: otherwise they would never be checked.
 #[test]
-fn a_check_outlives_the_deletion_of_its_dictionary() {
+fn check_outlives_its_dictionary() {
     for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
         let mut bench = overlapping_with_checks(albedo, 1.0);
         let lease = bench.acquire(0, "a", 1).remove(0);
@@ -124,8 +127,9 @@ fn a_check_outlives_the_deletion_of_its_dictionary() {
     }
 }
 
+/// A late job whose walks are needed by another dictionary gets a second copy.
 #[test]
-fn a_straggler_that_others_wait_for_gets_a_second_copy() {
+fn shared_straggler_gets_a_second_copy() {
     let mut bench = overlapping(vec![0.9]);
     let leases = bench.acquire(0, "a", 9);
     for lease in &leases[1..] {

@@ -5,8 +5,9 @@ use farm_proto::status::JobState::{Checked, Computing, Done, Failed, Waiting};
 
 use super::{Bench, DIGEST};
 
+/// A job waits, is computed, done and checked, or given up.
 #[test]
-fn a_job_waits_is_computed_done_and_checked_or_given_up() {
+fn job_states_follow_its_life() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let states = |bench: &Bench| bench.farm.job_states(DictionaryId(1));
     assert_eq!(states(&bench), [Waiting; 3]);

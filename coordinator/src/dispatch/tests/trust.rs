@@ -9,7 +9,7 @@ use crate::stored::{EndedJob, Origin};
 
 /// One vote against one decides nothing. The third fences the machine with the wrong result.
 #[test]
-fn a_third_worker_settles_a_failed_check() {
+fn third_worker_settles_a_failed_check() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
@@ -35,7 +35,7 @@ fn a_third_worker_settles_a_failed_check() {
 
 /// Equal results of two machines agree. A machine's own repetition confirms nothing, but a different one fences it.
 #[test]
-fn a_worker_that_contradicts_itself_is_fenced() {
+fn worker_that_contradicts_itself_is_fenced() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1);
     bench.finish(1, "a", &lease[0]);
@@ -50,8 +50,9 @@ fn a_worker_that_contradicts_itself_is_fenced() {
     assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(1), .. }]));
 }
 
+/// A part whose result is being checked is not late.
 #[test]
-fn a_part_whose_result_is_being_checked_is_not_late() {
+fn part_under_check_is_not_late() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let leases = bench.acquire(0, "a", 3);
     bench.finish(1, "a", &leases[1]);
@@ -64,8 +65,9 @@ fn a_part_whose_result_is_being_checked_is_not_late() {
     assert!(bench.acquire(20, "c", 3).is_empty());
 }
 
+/// Checks that were not made before a restart are requested after it.
 #[test]
-fn checks_that_nobody_has_made_are_wanted_after_a_restart_too() {
+fn open_checks_are_resumed_after_restart() {
     let done = |job, by, reused| EndedJob::Done {
         job,
         walks: Walks::PAPER,
@@ -126,8 +128,9 @@ fn simultaneous_different_results_trigger_a_check() {
     assert_eq!(job_of(&bench.acquire(2, "b", 1)), job_of(&lease));
 }
 
+/// Checks that no connected machine may make are explained.
 #[test]
-fn checks_that_no_machine_can_take_are_explained() {
+fn blocked_checks_are_explained() {
     let mut bench = Bench::with_checks(&[], 1.0);
     for name in ["b", "c"] {
         bench.farm.leave(&worker(name));
@@ -144,7 +147,7 @@ fn checks_that_no_machine_can_take_are_explained() {
 
 /// The workers of one token leave room for those of others, and what was registered can register again.
 #[test]
-fn one_token_has_so_many_workers() {
+fn workers_per_token_are_limited() {
     use crate::dispatch::roster::WORKERS_OF_ONE;
     let mut bench = Bench::with_checks(&[], 1.0);
     let of = |token: &str, instance: usize| {

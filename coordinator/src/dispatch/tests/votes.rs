@@ -29,8 +29,9 @@ fn notes(bench: &mut Bench) -> Vec<OpenCheck> {
         .collect()
 }
 
+/// A machine has one vote, regardless of its number of processes.
 #[test]
-fn however_many_processes_a_machine_has_it_has_one_vote() {
+fn one_machine_has_one_vote() {
     let (mut bench, lease) = computed();
     for name in ["d", "e", "f"] {
         bench.farm.register(seconds(1), worker(name), origin("b"), on("b", name)).unwrap();
@@ -54,7 +55,7 @@ fn however_many_processes_a_machine_has_it_has_one_vote() {
 
 /// Different results from machines without a lease of their own fence no machine. The check that follows decides.
 #[test]
-fn unrequested_results_trigger_a_check_but_do_not_vote() {
+fn unrequested_results_do_not_vote() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1).remove(0);
     bench.finish(1, "a", &lease);
@@ -70,7 +71,7 @@ fn unrequested_results_trigger_a_check_but_do_not_vote() {
 
 /// Forged tokens and attempts are refused. A restarted coordinator accepts leases from before.
 #[test]
-fn results_need_a_genuine_lease_even_after_a_restart() {
+fn results_need_a_genuine_lease() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1).remove(0);
     let forged = |key: LeaseKey| Lease { key, ..lease.clone() };
@@ -89,8 +90,9 @@ fn results_need_a_genuine_lease_even_after_a_restart() {
     assert!(after.renew(0, "a", &lease, true));
 }
 
+/// A result on which several machines agree is not undone by fewer.
 #[test]
-fn what_several_have_found_is_not_undone_by_fewer() {
+fn majority_is_not_undone_by_fewer() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, DIGEST);
@@ -106,7 +108,7 @@ fn what_several_have_found_is_not_undone_by_fewer() {
 
 /// Records that a second machine confirmed stay when the first is fenced, and a third machine checks them.
 #[test]
-fn confirmed_records_survive_the_fence_of_their_author() {
+fn confirmed_records_survive_a_fence() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, DIGEST);
@@ -122,7 +124,7 @@ fn confirmed_records_survive_the_fence_of_their_author() {
 
 /// The votes are restored, and the dispute is shown for a dictionary that is otherwise done.
 #[test]
-fn a_dispute_survives_a_restart() {
+fn dispute_survives_a_restart() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, WRONG);
@@ -163,7 +165,7 @@ fn block(bench: &mut Bench, name: &str, lease: &Lease, digest: Digest) {
 
 /// Also once the job is done. A dispute about one block leaves the others alone.
 #[test]
-fn blocks_of_divided_jobs_are_checked_one_by_one() {
+fn blocks_are_checked_one_by_one() {
     let mut bench = divided(1.0);
     let leases = bench.acquire(0, "a", 3);
     block(&mut bench, "a", &leases[0], WRONG);
@@ -188,8 +190,9 @@ fn blocks_of_divided_jobs_are_checked_one_by_one() {
     assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(1), .. }]));
 }
 
+/// When a job gets more walks, the checks of its earlier blocks end.
 #[test]
-fn more_walks_end_the_checks_of_the_blocks_of_fewer() {
+fn more_walks_end_the_old_block_checks() {
     let mut bench = divided(1.0);
     let leases = bench.acquire(0, "a", 2);
     block(&mut bench, "a", &leases[0], DIGEST);
@@ -201,7 +204,7 @@ fn more_walks_end_the_checks_of_the_blocks_of_fewer() {
 
 /// It is there when the job is tried again.
 #[test]
-fn a_block_that_comes_after_its_job_was_given_up_is_checked_too() {
+fn late_block_of_abandoned_job_is_checked() {
     let mut bench = divided(1.0);
     let late = bench.acquire(0, "a", 2).pop().unwrap();
     for (at, name) in (1..).zip(["b", "c", "d", "e", "f"]) {

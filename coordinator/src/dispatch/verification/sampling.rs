@@ -32,8 +32,9 @@ mod tests {
         Digest::of_bytes(&number.to_le_bytes())
     }
 
+    /// The share of sampled results is the one that was requested.
     #[test]
-    fn the_sampled_share_has_the_size_asked_for() {
+    fn sampled_share_has_the_requested_size() {
         let is_sampled = |i, share| is_sampled(&SECRET, part(0), digest(i), share);
         let sampled = |share| (0..20_000).filter(|i| is_sampled(*i, share)).count();
         assert_eq!((sampled(0.0), sampled(1.0)), (0, 20_000));
@@ -43,7 +44,7 @@ mod tests {
 
     /// Which results are checked cannot be predicted without the secret, nor from the samples of another job.
     #[test]
-    fn samples_depend_on_the_secret_and_the_job() {
+    fn samples_depend_on_secret_and_job() {
         let differ = |a: &dyn Fn(u32) -> bool, b: &dyn Fn(u32) -> bool| {
             let unequal = (0..20_000).filter(|i| a(*i) != b(*i)).count();
             // Independent samples of one half differ in one half: five standard deviations.

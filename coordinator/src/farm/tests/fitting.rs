@@ -25,7 +25,7 @@ async fn met(farm: &Farm, names: &[&str]) -> Result<Vec<usize>, FarmError> {
 
 /// Where there is no room for all, a fit reads its own channels only, and those that are in memory are not read again.
 #[tokio::test]
-async fn fits_keep_the_most_recently_used_channels_in_memory() {
+async fn recent_channels_stay_in_memory() {
     let (farm, dir) = with_room_for(2).await;
     assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
     assert_eq!(met(&farm, &["R", "G"]).await.unwrap(), [0, 1]);
@@ -37,8 +37,9 @@ async fn fits_keep_the_most_recently_used_channels_in_memory() {
     assert!(matches!(met(&farm, &["R"]).await, Err(FarmError::Damaged { .. })), "red is read again");
 }
 
+/// A dictionary that fits into memory is read as a whole.
 #[tokio::test]
-async fn a_dictionary_for_which_there_is_room_is_read_as_a_whole() {
+async fn dictionary_that_fits_is_read_whole() {
     let (farm, dir) = with_room_for(3).await;
     assert_eq!(met(&farm, &["G"]).await.unwrap(), [0, 1, 2]);
     change(&dir, "DELETE FROM records").await;
@@ -49,7 +50,7 @@ async fn a_dictionary_for_which_there_is_room_is_read_as_a_whole() {
 
 /// The message gives the number of channels and the option that sets the limit.
 #[tokio::test]
-async fn a_fit_beyond_the_memory_limit_is_refused() {
+async fn fit_beyond_the_memory_limit_is_refused() {
     let (farm, _dir) = with_room_for(2).await;
     let refused = met(&farm, &["R", "G", "B"]).await.unwrap_err();
     assert!(matches!(refused, FarmError::TooLarge { channels: 3, .. }), "{refused:?}");
@@ -60,7 +61,7 @@ async fn a_fit_beyond_the_memory_limit_is_refused() {
 
 /// The cores go to those who wait.
 #[tokio::test]
-async fn a_question_ends_when_nobody_waits_for_its_answer() {
+async fn abandoned_question_ends() {
     let (farm, _dir) = with_room_for(3).await;
     let (begun, has_begun) = tokio::sync::oneshot::channel();
     let (left, ended) = tokio::sync::oneshot::channel::<()>();

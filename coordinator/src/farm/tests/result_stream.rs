@@ -38,7 +38,7 @@ async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Result<Outc
 
 /// The other results of the stream are stored. A worker that contradicts itself loses all its records.
 #[tokio::test]
-async fn a_refused_result_does_not_affect_its_stream() {
+async fn refused_result_does_not_end_its_stream() {
     let (farm, worker, leases, _dir) = begun().await;
     let mut stream = pieces(&worker, &leases[0], 0.25);
     stream.push(header(&worker, leases[1].key, Digest::from_bytes([1; 32])));
@@ -62,7 +62,7 @@ async fn a_refused_result_does_not_affect_its_stream() {
 
 /// Nothing of them is stored.
 #[tokio::test]
-async fn malformed_result_streams_are_refused_with_the_field() {
+async fn malformed_results_are_refused_with_field() {
     let (farm, worker, leases, _dir) = begun().await;
     let whole = || pieces(&worker, &leases[0], 0.25);
     let too_short = || whole().into_iter().take(2).collect::<Vec<_>>();

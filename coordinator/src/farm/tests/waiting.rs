@@ -17,8 +17,9 @@ async fn empty() -> (Arc<Farm>, tempfile::TempDir) {
     (load(store).await, dir)
 }
 
+/// A worker waits for work until there is some or its waiting time ends.
 #[tokio::test]
-async fn a_worker_waits_until_there_is_work_or_its_patience_ends() {
+async fn acquire_waits_for_work_or_times_out() {
     let (farm, _dir) = empty().await;
     let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
     assert!(farm.acquire(&worker, 1, SOON, &stop).await.unwrap().is_none());
@@ -49,8 +50,9 @@ async fn drain_and_stop_wake_waiting_workers() {
     assert!(matches!(stopped.await.unwrap(), Err(FarmError::Stopping)));
 }
 
+/// A job that its worker hands back goes to a worker that waits.
 #[tokio::test]
-async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
+async fn returned_job_goes_to_a_waiting_worker() {
     let (farm, _dir) = empty().await;
     farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
@@ -65,8 +67,9 @@ async fn a_job_that_its_worker_gives_back_goes_to_one_that_waits() {
     assert_eq!(grant.leases[0].key.job, all[3].key.job);
 }
 
+/// A watch reports every change and ends with the dictionary.
 #[tokio::test]
-async fn a_watch_tells_every_change_and_ends_with_the_dictionary() {
+async fn watch_reports_every_change() {
     let (farm, _dir) = empty().await;
     farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     let mut watch = farm.watch(name()).unwrap();
@@ -84,7 +87,7 @@ async fn a_watch_tells_every_change_and_ends_with_the_dictionary() {
 
 /// It has the finished records from an index on, or those that are requested, in the order of the request.
 #[tokio::test]
-async fn an_export_is_ordered_and_announces_its_length() {
+async fn export_is_ordered_and_announces_length() {
     let (farm, _dir) = done().await;
     let mut numbers = Vec::new();
     let mut export = farm.export(name(), 71, &[]).unwrap();
@@ -109,7 +112,7 @@ async fn an_export_is_ordered_and_announces_its_length() {
 
 /// A decision that cannot be stored is not forgotten.
 #[tokio::test]
-async fn a_failed_write_is_retried_at_the_next_look() {
+async fn failed_write_is_retried() {
     let (farm, dir) = empty().await;
     let id = farm.store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap().id;
     farm.close().await;
@@ -136,8 +139,9 @@ async fn a_failed_write_is_retried_at_the_next_look() {
     assert_eq!(ended.iter().map(crate::stored::EndedJob::job).collect::<Vec<_>>(), [job]);
 }
 
+/// A watch ends when its dictionary is deleted, even if another one takes its name.
 #[tokio::test]
-async fn a_watch_is_of_one_dictionary_and_not_of_a_name() {
+async fn watch_follows_a_dictionary_not_a_name() {
     let (farm, _dir) = empty().await;
     let by = Actor::default();
     farm.submit(&by, name(), grid(), 0).await.unwrap();
@@ -149,8 +153,9 @@ async fn a_watch_is_of_one_dictionary_and_not_of_a_name() {
     assert!(matches!(watch.next().await, Err(FarmError::Deleted { .. })));
 }
 
+/// A watch without changes repeats the last state every 15 seconds.
 #[tokio::test]
-async fn a_watch_without_news_says_something_every_fifteen_seconds() {
+async fn quiet_watch_repeats_every_15_seconds() {
     let (farm, _dir) = empty().await;
     farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
     tokio::time::pause();

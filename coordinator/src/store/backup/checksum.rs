@@ -59,8 +59,9 @@ fn parse(bytes: &[u8]) -> Option<blake3::Hash> {
 mod tests {
     use super::*;
 
+    /// A written checksum line is read back, whatever the file's name.
     #[test]
-    fn what_is_written_is_read_whatever_the_name() {
+    fn checksums_round_trip_for_any_file_name() {
         let digest = blake3::hash(b"x");
         for name in ["farm.backup", "two words", "back\\slash", "line\nbreak", "ü"] {
             assert_eq!(parse(line(name, digest).as_bytes()), Some(digest), "{name:?}");
@@ -69,8 +70,9 @@ mod tests {
         assert_eq!(line("a\nb", digest), format!("\\{digest}  a\\nb\n"));
     }
 
+    /// Text that is not a checksum is not taken for one.
     #[test]
-    fn what_is_no_checksum_is_not_taken_for_one() {
+    fn malformed_checksum_is_not_read() {
         let hex = blake3::hash(b"x").to_string();
         for text in [String::new(), hex[..63].to_owned(), format!("{hex}0  a"), format!("g{}", &hex[1..])] {
             assert_eq!(parse(text.as_bytes()), None, "{text}");

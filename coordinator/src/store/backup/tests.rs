@@ -127,8 +127,9 @@ async fn refusal(file: &Path) -> BackupError {
     verified
 }
 
+/// A backup is restored byte for byte.
 #[tokio::test]
-async fn what_was_backed_up_is_restored_to_the_byte() {
+async fn backup_is_restored_byte_for_byte() {
     let (dir, copy) = with_backup().await;
     let report = verify(&copy, newest()).await.unwrap();
     assert_eq!(report.checksum, Checksum::Agrees);
@@ -177,7 +178,7 @@ async fn backups_of_a_busy_database_are_complete() {
 }
 
 #[tokio::test]
-async fn a_changed_page_header_is_refused() {
+async fn changed_page_header_is_refused() {
     // The page's kind, and its count of stray bytes: no query stumbles over the latter.
     for (offset, message) in [(0, ""), (7, "ragmentation")] {
         let (_dir, copy) = with_backup().await;
@@ -190,8 +191,9 @@ async fn a_changed_page_header_is_refused() {
     }
 }
 
+/// A changed bit within a profile is found by the checksum only.
 #[tokio::test]
-async fn a_changed_bit_within_a_profile_is_seen_by_the_checksum_alone() {
+async fn only_the_checksum_finds_a_flipped_bit() {
     let (_dir, copy) = with_backup().await;
     let at = position(&copy, MARK);
     change(&copy, at, |byte| byte ^ 1);
@@ -202,15 +204,17 @@ async fn a_changed_bit_within_a_profile_is_seen_by_the_checksum_alone() {
     assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Absent);
 }
 
+/// A checksum file with other content is refused.
 #[tokio::test]
-async fn a_checksum_that_is_none_is_refused() {
+async fn malformed_checksum_file_is_refused() {
     let (_dir, copy) = with_backup().await;
     std::fs::write(checksum::sidecar(&copy), "not a checksum").unwrap();
     assert!(matches!(refusal(&copy).await, BackupError::NotAChecksum { .. }));
 }
 
+/// A file that was cut short is refused.
 #[tokio::test]
-async fn a_file_that_was_cut_short_is_refused() {
+async fn truncated_file_is_refused() {
     let (_dir, copy) = with_backup().await;
     without_checksum(&copy);
     let whole = std::fs::metadata(&copy).unwrap().len();
@@ -224,8 +228,9 @@ async fn a_file_that_was_cut_short_is_refused() {
     }
 }
 
+/// A file that is not a farm's database is refused with the reason.
 #[tokio::test]
-async fn what_is_no_farms_database_is_refused_with_the_reason() {
+async fn foreign_file_is_refused_with_reason() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("file");
     let reasons = [
@@ -242,8 +247,9 @@ async fn what_is_no_farms_database_is_refused_with_the_reason() {
     assert!(matches!(refusal(&dir.path().join("nowhere")).await, BackupError::File { .. }));
 }
 
+/// The database of another program is refused.
 #[tokio::test]
-async fn another_programs_database_is_refused() {
+async fn foreign_database_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("other.db");
     let pool = open(&file).await;
@@ -259,7 +265,7 @@ async fn another_programs_database_is_refused() {
 
 /// Triggers and views act when others read and write, and no farm has one.
 #[tokio::test]
-async fn a_database_with_foreign_triggers_or_views_is_refused() {
+async fn foreign_triggers_and_views_are_refused() {
     for foreign in [
         "CREATE TRIGGER t AFTER INSERT ON jobs BEGIN DELETE FROM records; END",
         "CREATE VIEW v AS SELECT * FROM records",
@@ -274,8 +280,9 @@ async fn a_database_with_foreign_triggers_or_views_is_refused() {
     }
 }
 
+/// The application id of the database is in its backup.
 #[tokio::test]
-async fn the_farms_number_survives_a_backup() {
+async fn application_id_survives_a_backup() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     run(&pool, &format!("PRAGMA application_id = {APPLICATION_ID}")).await;
@@ -285,8 +292,9 @@ async fn the_farms_number_survives_a_backup() {
     verify(&copy, newest()).await.unwrap();
 }
 
+/// A database with a newer schema is refused, and the message asks for the newer version.
 #[tokio::test]
-async fn a_newer_schema_asks_for_a_newer_version() {
+async fn newer_schema_asks_for_newer_version() {
     let (_dir, copy) = with_backup().await;
     let error = verify(&copy, newest() - 1).await.unwrap_err();
     assert!(matches!(error, BackupError::NewerSchema { .. }), "{error}");
@@ -298,8 +306,9 @@ async fn a_newer_schema_asks_for_a_newer_version() {
     assert!(error.to_string().contains(&told), "{error}");
 }
 
+/// A reference to a row that is missing is damage.
 #[tokio::test]
-async fn a_reference_to_nothing_is_damage() {
+async fn dangling_reference_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("farm.db");
     let pool = filled(dir.path()).await;
@@ -313,8 +322,9 @@ async fn a_reference_to_nothing_is_damage() {
     );
 }
 
+/// A database whose write-ahead log is not merged is refused.
 #[tokio::test]
-async fn a_database_whose_log_is_not_merged_is_refused() {
+async fn unmerged_log_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     assert!(matches!(refusal(&dir.path().join("farm.db")).await, BackupError::Unmerged { .. }));
@@ -338,8 +348,9 @@ async fn nothing_that_exists_is_overwritten() {
     assert_eq!(std::fs::read(dir.path().join("late")).unwrap(), b"dear");
 }
 
+/// A restore refuses a data folder that holds a database or its log.
 #[tokio::test]
-async fn a_data_directory_with_a_database_or_its_log_is_left_alone() {
+async fn restore_spares_an_existing_database() {
     let (dir, copy) = with_backup().await;
     let home = dir.path().join("home");
     let locked = DataDir::lock(&home).unwrap();
@@ -374,8 +385,9 @@ async fn drafts_of_killed_backups_are_removed() {
     assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Agrees);
 }
 
+/// A backup that is abandoned leaves no files.
 #[tokio::test]
-async fn a_backup_that_is_given_up_leaves_nothing() {
+async fn abandoned_backup_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     let copy = dir.path().join("copy");
@@ -394,8 +406,9 @@ async fn a_backup_that_is_given_up_leaves_nothing() {
     assert!(given_up > 0, "no backup was given up");
 }
 
+/// SQLite does not create a draft again that was removed.
 #[tokio::test]
-async fn sqlite_does_not_create_a_draft_that_was_removed() {
+async fn removed_draft_is_not_recreated() {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
     let gone = dir.path().join("copy.draft");

@@ -30,8 +30,9 @@ async fn damage(store: &Store, d: &StoredDictionary) -> String {
     what.clone()
 }
 
+/// Stored jobs are read back unchanged and in order.
 #[tokio::test]
-async fn stored_jobs_are_read_back_in_order_unchanged() {
+async fn stored_jobs_are_read_back_in_order() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
@@ -45,7 +46,7 @@ async fn stored_jobs_are_read_back_in_order_unchanged() {
 
 /// A point may hold more albedos than one of the dictionaries asks for.
 #[tokio::test]
-async fn records_of_other_albedos_are_passed_over() {
+async fn records_of_other_albedos_are_skipped() {
     let dir = tempfile::tempdir().unwrap();
     let (store, _) = finished(&dir).await;
     let finer = overlapping(&store, "e", vec![0.9, 0.95]).await;
@@ -55,7 +56,7 @@ async fn records_of_other_albedos_are_passed_over() {
 }
 
 #[tokio::test]
-async fn a_record_that_is_missing_is_damage() {
+async fn record_that_is_missing_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(&store, "DELETE FROM records WHERE id = 2").await;
@@ -65,7 +66,7 @@ async fn a_record_that_is_missing_is_damage() {
 }
 
 #[tokio::test]
-async fn a_record_under_another_albedo_is_damage() {
+async fn record_under_another_albedo_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(&store, "UPDATE records SET albedo = 0.75 WHERE id = 2").await;
@@ -88,7 +89,7 @@ async fn one_changed_bit_is_damage() {
 }
 
 #[tokio::test]
-async fn a_changed_digest_is_damage() {
+async fn changed_digest_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(&store, "UPDATE jobs SET records_digest = zeroblob(32) WHERE job = 0").await;
@@ -109,7 +110,7 @@ async fn records_that_are_swapped_are_damage() {
 }
 
 #[tokio::test]
-async fn a_record_of_another_length_is_damage() {
+async fn record_of_another_length_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     for cut in [
@@ -129,7 +130,7 @@ async fn a_record_of_another_length_is_damage() {
 
 /// Even if the digest says that it was stored so.
 #[tokio::test]
-async fn a_number_that_cannot_be_is_damage() {
+async fn impossible_number_is_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(
@@ -145,7 +146,7 @@ async fn a_number_that_cannot_be_is_damage() {
 
 /// The row that ends a job is missing. That is damage where all jobs are known to be finished; elsewhere the job is open.
 #[tokio::test]
-async fn a_missing_end_is_damage_only_in_finished_jobs() {
+async fn missing_end_is_damage_in_finished_jobs() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     change(&store, "DELETE FROM jobs WHERE job = 0").await;
@@ -162,7 +163,7 @@ async fn a_missing_end_is_damage_only_in_finished_jobs() {
 
 /// The records lie in the database's log, which is cut short.
 #[tokio::test]
-async fn an_error_of_reading_is_no_damage() {
+async fn read_error_is_not_damage() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = finished(&dir).await;
     let log = std::fs::File::options().write(true).open(dir.path().join("farm.db-wal")).unwrap();

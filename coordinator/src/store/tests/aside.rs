@@ -39,7 +39,7 @@ async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>
 
 /// Its token and address identify it. Its label and host name stay as they were first.
 #[tokio::test]
-async fn a_machine_keeps_its_row_and_fence_under_any_name() {
+async fn machine_keeps_row_and_fence_when_renamed() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     let machine = Machine { token: "t".to_owned(), host: "h".to_owned(), ..Machine::at("10.0.0.1") };
@@ -56,7 +56,7 @@ async fn a_machine_keeps_its_row_and_fence_under_any_name() {
 
 /// They are set aside and not read, and go when other records take their place.
 #[tokio::test]
-async fn records_of_a_fenced_machine_are_kept_until_recomputed() {
+async fn fenced_records_are_kept_until_recomputed() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     assert_eq!(store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap(), [(d.id, 1)]);
@@ -68,8 +68,9 @@ async fn records_of_a_fenced_machine_are_kept_until_recomputed() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
+/// A machine whose fence is lifted gets its records back, also after a restart.
 #[tokio::test]
-async fn a_machine_that_is_let_in_again_brings_its_records_back() {
+async fn readmitted_machine_restores_its_records() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     let before = all_records(&store, &d).await;
@@ -90,8 +91,9 @@ async fn a_machine_that_is_let_in_again_brings_its_records_back() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
+/// Records that others have confirmed stay when their author is fenced, under the names of those others.
 #[tokio::test]
-async fn what_others_have_confirmed_stays_in_their_name() {
+async fn confirmed_records_pass_to_confirmers() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     store.note_agreement(d.id, 0, BAD).await.unwrap();
@@ -106,8 +108,9 @@ async fn what_others_have_confirmed_stays_in_their_name() {
     );
 }
 
+/// Deleting a dictionary also deletes its records that were set aside.
 #[tokio::test]
-async fn deleting_a_dictionary_deletes_its_records_set_aside() {
+async fn deletion_includes_records_set_aside() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap();
@@ -118,8 +121,9 @@ async fn deleting_a_dictionary_deletes_its_records_set_aside() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
+/// Machines are forgotten only if no record, vote or fence refers to them.
 #[tokio::test]
-async fn machines_of_no_use_are_forgotten_and_no_others() {
+async fn only_unused_machines_are_forgotten() {
     let dir = tempfile::tempdir().unwrap();
     let (store, d) = good_and_bad(&dir).await;
     for name in ["useless", "fenced", "voter"] {

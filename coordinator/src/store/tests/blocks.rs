@@ -24,7 +24,7 @@ fn block_sums(job: &JobSpec, block: u32) -> Sums {
 
 /// The bytes are the same, also with a restart in between.
 #[tokio::test]
-async fn blocks_in_any_order_sum_to_the_undivided_job() {
+async fn blocks_sum_to_the_undivided_job() {
     let axes = Axes {
         sigma_t_per_mm: vec![1.0],
         albedo: vec![0.5, 0.9],
@@ -109,7 +109,7 @@ async fn complete_with(
 
 /// It may be what others are asked to check.
 #[tokio::test]
-async fn of_two_copies_of_a_block_the_first_stays() {
+async fn first_of_two_block_copies_stays() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -124,8 +124,9 @@ async fn of_two_copies_of_a_block_the_first_stays() {
     assert_eq!(complete_block(&store, &d, 0, Origin(1)).await, Outcome::Finished { records });
 }
 
+/// Blocks with the same walks but other albedos are not mixed.
 #[tokio::test]
-async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
+async fn blocks_of_other_albedos_are_not_mixed() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -140,7 +141,7 @@ async fn blocks_of_the_same_walks_with_other_albedos_are_not_mixed() {
 
 /// The records are of all blocks: there is nothing to compare one block with.
 #[tokio::test]
-async fn a_late_block_of_a_finished_job_is_unwanted() {
+async fn late_block_of_finished_job_is_unwanted() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -150,8 +151,9 @@ async fn a_late_block_of_a_finished_job_is_unwanted() {
     assert_eq!(complete_block(&store, &d, 1, Origin(1)).await, Outcome::Unwanted);
 }
 
+/// A block that a worker sent before it was fenced is not stored afterwards.
 #[tokio::test]
-async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
+async fn fenced_blocks_are_not_stored_later() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("good"), "label").await.unwrap();
@@ -168,8 +170,9 @@ async fn what_a_fenced_worker_sent_before_is_not_stored_after() {
     assert_eq!(store.complete(late).await.unwrap(), Outcome::Unwanted);
 }
 
+/// A fence on the author of one block sets aside the whole job.
 #[tokio::test]
-async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
+async fn fence_of_a_block_covers_the_job() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("good"), "label").await.unwrap();
@@ -180,8 +183,9 @@ async fn whoever_computed_a_block_is_fenced_off_with_the_whole_job() {
     assert_eq!(store.ledger().exclusive().await.fence(bad, "wrong").await.unwrap(), [(d.0.id, 0)]);
 }
 
+/// Deleting a dictionary deletes its blocks and no others.
 #[tokio::test]
-async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
+async fn deletion_removes_only_its_own_blocks() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -195,8 +199,9 @@ async fn blocks_of_a_deleted_dictionary_go_with_it_and_no_others() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
+/// A damaged block is found before it is merged.
 #[tokio::test]
-async fn a_damaged_block_is_noticed_before_it_is_merged() {
+async fn damaged_block_is_found_before_merging() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -220,7 +225,7 @@ async fn a_damaged_block_is_noticed_before_it_is_merged() {
 
 /// A bit that has flipped in an exponent: finite as a 64-bit float, but not as the 32-bit float of a record.
 #[tokio::test]
-async fn sums_that_no_record_could_tell_are_refused() {
+async fn sums_beyond_record_range_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     let (_, job) = divided(&store, "d", vec![0.5]).await;

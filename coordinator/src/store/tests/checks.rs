@@ -6,8 +6,9 @@ fn vote(by: Option<i64>, byte: u8) -> Vote {
     Vote { by: by.map(Origin), digest: Digest::from_bytes([byte; 32]) }
 }
 
+/// Open checks survive a restart unchanged, with their votes.
 #[tokio::test]
-async fn open_checks_outlive_a_restart_as_they_stand() {
+async fn open_checks_survive_a_restart() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     for name in ["a", "b"] {
@@ -32,8 +33,9 @@ async fn open_checks_outlive_a_restart_as_they_stand() {
     assert!(store.open_checks().await.unwrap().is_empty());
 }
 
+/// The secret is stored once, and stays the same after a restart.
 #[tokio::test]
-async fn the_secret_is_made_once() {
+async fn secret_is_stored_once() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     assert_eq!(store.secret(Secret([1; 32])).await.unwrap().0, [1; 32]);

@@ -11,7 +11,7 @@ use crate::stored::{Completion, JobResult, Machine, Origin, Outcome};
 /// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
 /// the same store works on.
 #[tokio::test]
-async fn after_a_full_disk_the_store_works_on() {
+async fn store_recovers_from_a_full_disk() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -31,8 +31,9 @@ async fn after_a_full_disk_the_store_works_on() {
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
+/// Damaged records are not used for another dictionary.
 #[tokio::test]
-async fn damaged_records_are_not_used_for_another_dictionary() {
+async fn damaged_records_are_not_reused() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -84,7 +85,7 @@ async fn conflicting_records_for_shared_walks_are_refused() {
 
 /// Whoever holds the database makes results wait once, not one after the other.
 #[tokio::test]
-async fn a_database_that_is_held_fails_all_results_at_once() {
+async fn held_database_fails_all_results_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let (sender, commits) = std::sync::mpsc::channel();
     let store =
@@ -113,7 +114,7 @@ async fn a_database_that_is_held_fails_all_results_at_once() {
 
 /// A defect, played by a panic before a commit: the result that brings it fails alone, and the writer goes on.
 #[tokio::test]
-async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
+async fn panic_while_writing_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let store = open(dir.path()).await;
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
@@ -126,8 +127,9 @@ async fn a_panic_while_writing_is_an_error_and_leaves_nothing_behind() {
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }
 
+/// Once the database file was moved or deleted, no result is acknowledged.
 #[tokio::test]
-async fn nothing_is_acknowledged_once_the_file_has_lost_its_name() {
+async fn lost_database_acknowledges_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let [data, away] = ["data", "away"].map(|name| folder.path().join(name));
     let store = open(&data).await;

@@ -141,8 +141,9 @@ fn config() -> ProptestConfig {
 proptest! {
     #![proptest_config(config())]
 
+    /// Data read from a damaged backup equal the data that were stored.
     #[test]
-    fn what_is_read_from_a_damaged_backup_is_what_was_stored(all in prop::collection::vec(damage(), 1..4)) {
+    fn damaged_backup_yields_only_true_data(all in prop::collection::vec(damage(), 1..4)) {
         let mut bytes = whole().0.clone();
         for damage in &all {
             damage.act(&mut bytes);
@@ -151,8 +152,9 @@ proptest! {
     }
 }
 
+/// Damage to a backup is refused at the restore or when the data are read.
 #[test]
-fn what_is_damaged_is_refused_where_it_is_found() {
+fn damage_is_refused_where_it_is_found() {
     let whole = &whole().0;
     let after = |damage: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = whole.clone();

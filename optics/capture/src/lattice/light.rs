@@ -209,8 +209,9 @@ mod tests {
         (0..count).map(|i| centre * (1.0 + 0.01 * (i as f64 / count as f64 - 0.5))).collect()
     }
 
+    /// The brightest ratio that is common to many points is that of the free board.
     #[test]
-    fn the_brightest_common_ratio_is_the_free_board() {
+    fn brightest_common_ratio_is_the_free_board() {
         // A clear slab over most of the board takes 8 %, lamps 5 %; single points are brighter by chance.
         let mut ratios = scattered(0.95 * 0.92, 900);
         ratios.extend(scattered(0.95, 100));
@@ -225,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_larger_change_of_light_is_refused() {
+    fn larger_change_of_light_is_refused() {
         let changed = |by: f64| check("slab_2", &[0.0, 0.0, by].map(|by| Estimate::new(1.0 + by, 1e-3)));
         assert!(changed(-0.045).is_ok() && changed(0.052).is_ok());
         let refusal = changed(-0.2).unwrap_err();
@@ -238,8 +239,9 @@ mod tests {
         assert!(refusal.to_string() == expected.to_string(), "{refusal}");
     }
 
+    /// A change within three standard errors counts as none, and widens the error.
     #[test]
-    fn a_change_that_chance_explains_is_none() {
+    fn insignificant_change_is_ignored() {
         let of = |change: f64| less_chance(Estimate::new(1.0 + change, 1e-3));
         assert!([0.0, 1e-3, -2.9e-3].into_iter().all(|change| (of(change).value - 1.0).abs() < 1e-12));
         assert!((of(-2.9e-3).std_error / 1e-3_f64.hypot(2.9e-3) - 1.0).abs() < 1e-9);
@@ -247,8 +249,9 @@ mod tests {
         assert!((far.value - 0.960_225).abs() < 1e-9 && far.std_error < 1.03e-3, "{far:?}");
     }
 
+    /// Bands of flicker increase the error of the factor.
     #[test]
-    fn bands_of_flicker_are_an_error_of_the_factor() {
+    fn flicker_bands_widen_the_factor_error() {
         let bare = readings(|_| 0.8);
         let noise = |k: usize| if k.is_multiple_of(2) { 1e-3 } else { -1e-3 };
         let even = readings(|k| 0.96 * (0.8 + noise(k)));

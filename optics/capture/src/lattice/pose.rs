@@ -288,8 +288,9 @@ mod tests {
         Pose { centre: [600.0, 400.0], half_diagonal: 721.0, p }
     }
 
+    /// The mapping from pixels to squares is invertible.
     #[test]
-    fn pixels_and_squares_go_there_and_back() {
+    fn pixel_mapping_is_invertible() {
         let pose = pose(-0.01);
         for px in [[20.0, 30.0], [600.0, 400.0], [1190.0, 700.0]] {
             let back = pose.px(pose.squares(px));
@@ -316,8 +317,9 @@ mod tests {
         vec![line(0), line(1)]
     }
 
+    /// The pose is found from two lines in each direction.
     #[test]
-    fn a_pose_comes_back_from_two_lines_each_way() {
+    fn two_lines_each_way_give_the_pose() {
         for k1 in [0.0, 0.02] {
             let truth = pose(k1);
             let found = fit(&lines(&truth, Run::Down), &lines(&truth, Run::Across), [1200.0, 800.0]).unwrap();
@@ -326,8 +328,9 @@ mod tests {
         }
     }
 
+    /// One line in each direction does not determine the scale.
     #[test]
-    fn one_line_each_way_tells_no_scale() {
+    fn one_line_each_way_gives_no_scale() {
         let truth = pose(0.0);
         let one = |run| vec![lines(&truth, run).swap_remove(0)];
         assert!(fit(&one(Run::Down), &one(Run::Across), [1200.0, 800.0]).is_err());

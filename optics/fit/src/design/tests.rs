@@ -63,7 +63,7 @@ fn centres() -> impl Iterator<Item = f64> {
 /// With σ_t alone unknown the variance is 1/Σ (∂f/∂ln σ_t)²/σ². Between the nodes the derivative comes from a local
 /// polynomial: 2 %.
 #[test]
-fn one_unknown_has_the_variance_of_the_textbook() {
+fn one_unknown_has_the_textbook_variance() {
     let dictionary = dictionary(Axes { albedo: vec![0.62], g: vec![0.3], ..dense_axes() });
     let found = sets(&dictionary, settings(guess(), perfect(), &[&[0.5], &[1.0], &[0.5, 1.0]], &[1]));
     let information = |thickness: f64| -> f64 {
@@ -86,7 +86,7 @@ fn one_unknown_has_the_variance_of_the_textbook() {
 /// The formula is proportional to the albedo, and so is every profile to its own gain: the two variances add up for one
 /// slab, and the mean of two slabs has half of each.
 #[test]
-fn what_is_known_of_the_set_up_adds_to_the_noise() {
+fn set_up_errors_add_to_the_noise() {
     let dictionary = dictionary(Axes { sigma_t_per_mm: vec![3.1], g: vec![0.3], ..dense_axes() });
     let set_up = FitSettings { gain_std_error: 0.004, ..perfect() };
     let found = sets(&dictionary, settings(guess(), set_up, &[&[0.5], &[0.5, 0.5]], &[1]));
@@ -107,8 +107,9 @@ fn what_is_known_of_the_set_up_adds_to_the_noise() {
     close(scale.removed.unwrap().albedo, 0.62 * Z * NOISE / f64::from(2 * PIXELS).sqrt(), 1e-3);
 }
 
+/// Twice the shots reduce the standard error by √2 only as far as it comes from noise.
 #[test]
-fn twice_the_shots_take_a_factor_of_root_two_from_noise_alone() {
+fn two_shots_halve_only_the_noise_variance() {
     let dictionary = dictionary(dense_axes());
     let all = |set: &SlabSet| {
         let w = set.g_held;
@@ -164,8 +165,9 @@ fn as_planned(medium: &Medium) -> Measurement {
     Measurement::new("planned", vec![profile(0.5), profile(1.0)]).unwrap()
 }
 
+/// A fit of the planned measurement gives the bound that the design predicts.
 #[test]
-fn a_fit_of_the_measurement_tells_the_same_bound() {
+fn fit_has_the_bound_of_its_design() {
     let dictionary = dictionary(dense_axes());
     let set_up = FitSettings { mu_std_error: 0.01, ..FitSettings::default() };
     let options = FitOptions::new(FitSettings {
@@ -188,7 +190,7 @@ fn a_fit_of_the_measurement_tells_the_same_bound() {
 
 /// The formula knows σ_t and g by σ_t (1 − g) alone.
 #[test]
-fn what_no_pixel_tells_is_not_told() {
+fn undetermined_parameters_are_reported_so() {
     let dictionary = dictionary(dense_axes());
     let set = &sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]))[0];
     let free = set.g_free.unwrap();
@@ -198,8 +200,9 @@ fn what_no_pixel_tells_is_not_told() {
     assert!(set.g_held.of_sigma_t(&guess()) < 0.05, "{:?}", set.g_held);
 }
 
+/// A better known part of the set-up reduces the errors; parts that are known already are not listed.
 #[test]
-fn what_is_better_known_tells_more() {
+fn improvements_are_ordered_and_bounded() {
     let dictionary = dictionary(dense_axes());
     let set_up = FitSettings { mu_std_error: 0.01, slope_std_error: 0.0, ..FitSettings::default() };
     let set = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[1])).remove(0);
@@ -226,7 +229,7 @@ fn what_is_better_known_tells_more() {
 
 /// What would be told with something better known is what is told where it is so.
 #[test]
-fn improvements_are_those_of_a_better_set_up() {
+fn improvements_match_a_better_set_up() {
     let dictionary = dictionary(dense_axes());
     let as_is = FitSettings { mu_std_error: 0.01, blur_mm: 0.02, ..FitSettings::default() };
     let plan = |set_up: FitSettings, shots: u32| {
@@ -260,7 +263,7 @@ fn improvements_are_those_of_a_better_set_up() {
 
 /// Two slabs are better than two photographs of one, since each has its own error.
 #[test]
-fn sets_combine_dictionary_thicknesses_and_mark_the_best() {
+fn slab_sets_combine_with_best_marked() {
     let dictionary = dictionary(dense_axes());
     let found = sets(&dictionary, settings(guess(), FitSettings::default(), &[], &[1, 2]));
     let tried: Vec<(Vec<f64>, u32)> = found.iter().map(|s| (s.slabs_mm.clone(), s.shots)).collect();
@@ -278,8 +281,9 @@ fn sets_combine_dictionary_thicknesses_and_mark_the_best() {
     assert_eq!(super::choices(&[1.0, 2.0, 3.0], 2), [[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]]);
 }
 
+/// Designs that the dictionary does not cover are refused with the field.
 #[test]
-fn what_the_dictionary_cannot_tell_is_refused() {
+fn designs_beyond_the_dictionary_are_refused() {
     let dictionary = dictionary(dense_axes());
     let refused = |settings: DesignSettings| -> Invalid {
         design(&dictionary, &DesignQuestion::new(settings).unwrap()).unwrap_err()
@@ -314,7 +318,7 @@ fn one_medium_is_not_measured() {
 
 /// Pixels that cover only a part of the profile determine less.
 #[test]
-fn fewer_pixels_tell_less() {
+fn fewer_pixels_widen_the_errors() {
     let dictionary = dictionary(dense_axes());
     let with = |pixels: Option<PixelRow>| {
         let asked = settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]);

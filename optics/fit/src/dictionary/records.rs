@@ -225,8 +225,9 @@ mod tests {
         (0..20).map(|i| scale * 1e-5 * 1.8_f32.powi(i)).chain([0.0]).collect()
     }
 
+    /// The rounding of stored values stays within the bound that is stated for it.
     #[test]
-    fn rounded_values_are_off_by_no_more_than_is_told() {
+    fn rounding_stays_within_its_stated_bound() {
         let scene = Scene::paper().with_sensor(Sensor::new(10.0, 21, 0.0).unwrap());
         let grid = Arc::new(Grid::new(scene, coarse_axes(), Walks::PAPER, 1, false).unwrap());
         let mut records = Records::kept(grid, false);

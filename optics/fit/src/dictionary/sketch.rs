@@ -245,8 +245,9 @@ mod tests {
         (0..count).map(|i| (0..60).map(|x| value(i, x)).collect()).collect()
     }
 
+    /// Lower bounds never exceed the distance, and are close to it.
     #[test]
-    fn bounds_never_exceed_the_distance_and_are_sharp() {
+    fn bounds_stay_below_the_distance() {
         let profiles = profiles(300);
         let rows: Vec<&[f32]> = profiles.iter().map(Vec::as_slice).collect();
         let basis = Basis::of(&rows[..100]);

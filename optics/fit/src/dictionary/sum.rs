@@ -93,8 +93,9 @@ pub(crate) fn dots<const N: usize>(a: &[f64], b: [&[f64]; N]) -> [f64; N] {
 mod tests {
     use super::*;
 
+    /// Sums over stripes include every term once.
     #[test]
-    fn striped_sums_take_every_term_once() {
+    fn striped_sums_include_every_term_once() {
         for n in [1, 7, 8, 9, 31] {
             let a: Vec<f64> = (0..n).map(f64::from).collect();
             let b: Vec<f32> = (0..n).map(|i| 2.0 * i as f32 + 1.0).collect();

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mixture_adds_scattering_and_absorption() {
+    fn mixture_adds_scattering_and_absorption() {
         let x = unknowns();
         let part = |fraction: f64, first: usize| Part { fraction, ink: [first, first + 1, first + 2] };
         let blend = unlimited(vec![part(0.75, 0), part(0.25, 3)]);

@@ -31,8 +31,9 @@ pub(super) fn prior(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
 mod tests {
     use super::*;
 
+    /// The coordinate and the variance are inverse functions, with the given slope.
     #[test]
-    fn the_coordinate_and_the_variance_are_inverse_with_this_slope() {
+    fn blur_coordinate_inverts_the_variance() {
         for blur_mm in [0.0_f64, 0.002, 0.01, 0.03, 0.4] {
             let variance = blur_mm * blur_mm;
             let u = coordinate(variance);
@@ -42,8 +43,9 @@ mod tests {
         }
     }
 
+    /// One standard error of the blur is one standard error of the coordinate.
     #[test]
-    fn one_standard_error_of_the_blur_is_one_of_the_coordinate() {
+    fn blur_error_maps_to_one_coordinate_unit() {
         let (mean, deviation) = prior(0.025, 0.001);
         assert!((variance_mm2(mean + deviation).sqrt() - 0.026).abs() < 1e-12);
         let (mean, deviation) = prior(0.0, 0.03);

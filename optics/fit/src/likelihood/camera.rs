@@ -260,8 +260,9 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
 
+    /// With the same pixels and no shift, the camera returns the profile unchanged.
     #[test]
-    fn the_same_pixels_see_the_profile_as_it_is() {
+    fn identical_pixels_keep_the_profile() {
         let camera = Camera::new(&x(PIXELS, 0.0), WIDTH_MM / 360.0, WIDTH_MM, PIXELS);
         let profile = edge(PIXELS, 0.0, 0.1);
         let seen = camera.values(&profile, 0.0, 0.0);
@@ -290,7 +291,7 @@ mod tests {
 
     /// What thin slabs show: a step that is as sharp in a shifted picture as in the dictionary's.
     #[test]
-    fn a_step_is_as_sharp_between_pixels_as_on_them() {
+    fn steps_stay_sharp_between_pixels() {
         let stepped = |pixels: usize, origin: f64| -> Line {
             let pitch = WIDTH_MM / pixels as f64;
             let light = |x: f64| (x - origin + 0.5 * pitch).clamp(0.0, pitch) / pitch;
@@ -304,8 +305,9 @@ mod tests {
         }
     }
 
+    /// The derivatives by origin and blur match difference quotients.
     #[test]
-    fn derivatives_are_those_of_the_values() {
+    fn derivatives_match_difference_quotients() {
         let profile = edge(PIXELS, 0.0, 0.12);
         let camera = Camera::new(&x(180, 0.003), WIDTH_MM / 180.0, WIDTH_MM, PIXELS);
         let (origin, blur, step) = (0.013, 0.0009, 1e-5);
@@ -321,8 +323,9 @@ mod tests {
         assert!(largest(&by_blur, &seen.by_blur) < 1e-3 * 20.0);
     }
 
+    /// Beyond its ends a profile continues in a straight line.
     #[test]
-    fn a_profile_goes_on_in_a_straight_line() {
+    fn profile_continues_in_a_straight_line() {
         let line: Line = (0..PIXELS).map(|i| 0.3 + 0.001 * i as f64).collect();
         let padded = pad(&line);
         assert!(padded.windows(2).all(|w| (w[1] - w[0] - 0.001).abs() < 1e-12));

@@ -19,7 +19,7 @@ mod tests {
 
     /// Quantiles from tables of χ².
     #[test]
-    fn tabled_quantiles_come_out() {
+    fn chi2_matches_tabled_quantiles() {
         for (chi2, k, p) in [
             (3.940, 10.0, 0.95),
             (9.342, 10.0, 0.5),

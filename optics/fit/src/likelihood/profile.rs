@@ -254,8 +254,9 @@ pub(super) fn interval([low, high]: [End; 2], forward: impl Fn(f64) -> f64, fall
 mod tests {
     use super::*;
 
+    /// The end of an interval is where the objective has risen by the requested amount.
     #[test]
-    fn an_end_is_where_the_rise_is_the_wanted_one() {
+    fn interval_ends_at_the_requested_rise() {
         let curved = |distance: f64| distance + 0.3 * distance * distance;
         let found = reach(1.96, 1.0, 100.0, curved).unwrap();
         assert!((curved(found) / 1.96 - 1.0).abs() < CLOSE, "{found}");
@@ -264,8 +265,9 @@ mod tests {
         assert!((1e3 * found / 1.96 - 1.0).abs() < CLOSE, "{found}");
     }
 
+    /// An objective that rises too little, or at once, gives no end of the interval.
     #[test]
-    fn what_does_not_rise_enough_or_rises_at_once_has_no_end() {
+    fn flat_or_steep_rise_has_no_end() {
         assert_eq!(reach(1.96, 1.0, 100.0, |_| 0.5), None);
         assert_eq!(reach(1.96, 1.0, 100.0, |_| 40.0), None);
     }

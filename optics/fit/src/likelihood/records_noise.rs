@@ -73,8 +73,9 @@ fn too_small_by(degrees: f64, directions: usize) -> f64 {
 mod tests {
     use super::*;
 
+    /// The fewer profiles support a covariance, the larger the factor it is multiplied by, up to a limit.
     #[test]
-    fn the_fewer_profiles_show_a_covariance_the_larger_it_may_be() {
+    fn few_profiles_enlarge_the_covariance() {
         assert_eq!(
             [too_small_by(0.0, 0), too_small_by(30.0, 8), too_small_by(1e9, 8).round()],
             [1.0, 1.45, 1.0]
@@ -85,7 +86,7 @@ mod tests {
 
     /// Smooth noise is kept nearly whole by a few modes, and what they leave is on the diagonal.
     #[test]
-    fn modes_and_what_they_leave_make_up_the_covariance() {
+    fn modes_and_remainder_form_the_covariance() {
         let n = 60;
         let factor = |k: usize| -> Line {
             (0..n).map(|i| ((i * k) as f64 * 0.05).cos() / (1.0 + k as f64).powi(2)).collect()

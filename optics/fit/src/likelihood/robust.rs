@@ -79,8 +79,9 @@ mod tests {
         assert!(weight(2.0) > 0.99 && weight(6.0) < 0.01);
     }
 
+    /// A speck is excluded together with its rim.
     #[test]
-    fn a_speck_is_left_out_with_its_rim() {
+    fn speck_is_excluded_with_its_rim() {
         let mut residuals = vec![0.4, -0.7, 0.2, 0.9, -0.1, 0.3, -0.4, 0.1];
         assert!(specks(&residuals).iter().all(|s| !s));
         residuals.splice(2..6, [-1.5, -9.0, -3.0, -0.2]);

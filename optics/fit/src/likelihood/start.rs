@@ -5,7 +5,7 @@
 //! columns of these are taken from the measurement itself, smoothed, and so are the same for all media. A minimum of the
 //! continuous likelihood lies next to a medium that is lower than its neighbours along all axes. From every such medium
 //! that is not hopeless a descent in the basis, between the records, finds that minimum; the lowest of them are where
-//! the full likelihood begins. `finds_the_minimum_of_brute_force` holds this against comparing everything.
+//! the full likelihood begins. `descent_finds_the_global_minimum` holds this against comparing everything.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;

@@ -75,7 +75,7 @@ fn refined_with(dictionary: &FitDictionary, measurement: &Measurement, settings:
 /// A large dictionary's rounding moves a medium by less than descents stop short of their minimum: up to 0.003 in −2 ln L,
 /// about 0.03 of half an interval each. With descents to the very bottom rounding moves these by less than 0.006.
 #[test]
-fn rounded_values_answer_as_exact_ones() {
+fn rounded_values_give_the_exact_answer() {
     let (grid, record) = noisy_records(dense_axes(), 120, 0.003);
     let (exact, rounded) = (dictionary_of(&grid, &record), rounded_dictionary_of(&grid, &record));
     for (seed, medium) in [(1, MEDIUM), (2, (6.3, 0.45, 0.12))] {
@@ -93,8 +93,9 @@ fn rounded_values_answer_as_exact_ones() {
     }
 }
 
+/// The nuisances are found, and the medium with them.
 #[test]
-fn nuisances_are_found_and_the_medium_beside_them() {
+fn nuisances_and_medium_are_found_together() {
     let flaws = Flaws { origin_mm: 0.06, gain: 0.001, zero: -0.0015, slope: 0.003, dust: true };
     for seed in 1..=4 {
         let measured = measured(MEDIUM, seed, flaws);
@@ -132,7 +133,7 @@ fn absorption_is_open_where_the_dictionary_ends() {
 
 /// One pixel without noise among others is refused, with its place.
 #[test]
-fn a_standard_error_of_zero_is_refused_with_its_place() {
+fn zero_standard_error_is_refused_with_place() {
     let exact = measured(MEDIUM, 1, Flaws::default());
     let with = |errors: fn(usize, f64) -> f64| {
         let profiles = exact.profiles().iter().map(|p| {
@@ -153,7 +154,7 @@ fn a_standard_error_of_zero_is_refused_with_its_place() {
 
 /// Told exactly, or not known at all, gains do what they must: a prior of zero is not a nuisance.
 #[test]
-fn what_is_known_exactly_is_no_nuisance() {
+fn exactly_given_quantities_are_no_nuisances() {
     let exact = FitSettings {
         origin_std_error_mm: 0.0,
         gain_std_error: 0.0,
@@ -173,7 +174,7 @@ fn what_is_known_exactly_is_no_nuisance() {
 
 /// With everything but σ_t told, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
 #[test]
-fn the_bound_of_one_parameter_is_that_of_the_formula() {
+fn single_parameter_bound_matches_the_formula() {
     let one = FitSettings {
         origin_std_error_mm: 0.0,
         gain_std_error: 0.0,
@@ -206,7 +207,7 @@ fn the_bound_of_one_parameter_is_that_of_the_formula() {
 
 /// No descent from any fifth medium of the dictionary ends lower than the one that is chosen.
 #[test]
-fn finds_the_minimum_of_brute_force() {
+fn descent_finds_the_global_minimum() {
     let dictionary = dictionary();
     let options = FitOptions::new(settings()).unwrap();
     for (seed, medium) in [(4, MEDIUM), (5, (1.6, 0.35, 0.05)), (6, (6.4, 0.985, 0.55))] {
@@ -234,7 +235,7 @@ fn finds_the_minimum_of_brute_force() {
 
 /// The minimum does not depend on what a measurement's pixels are.
 #[test]
-fn coarser_pixels_beside_the_edge_give_the_same_medium() {
+fn coarser_pixels_give_the_same_medium() {
     let fine = measured(MEDIUM, 7, Flaws::default());
     let coarse = |p: &MeasuredProfile| {
         let pairs = |v: &[f64]| -> Vec<f64> { v.chunks(2).map(|c| 0.5 * (c[0] + c[1])).collect() };
@@ -249,8 +250,9 @@ fn coarser_pixels_beside_the_edge_give_the_same_medium() {
     assert!(off < 0.5 * deviation, "{off} of {deviation}");
 }
 
+/// Measurements to which no likelihood can be given are refused with the field.
 #[test]
-fn what_cannot_be_weighed_is_refused() {
+fn unweighable_measurements_are_refused() {
     let dictionary = dictionary();
     let options = FitOptions::new(settings()).unwrap();
     let good = measured(MEDIUM, 8, Flaws::default());
@@ -310,7 +312,7 @@ fn dictionary_with_white(knows_white: bool) -> FitDictionary {
 
 /// The column by the scale has what goes through ρ; blur, origin and gain are not at their defaults.
 #[test]
-fn the_derivative_by_the_scale_is_that_of_the_model() {
+fn scale_derivative_matches_the_model() {
     let (dictionary, measurement) = (dictionary_with_white(true), measured(MEDIUM, 3, Flaws::default()));
     let told = FitSettings { mu: 0.98, mu_std_error: 0.01, blur_mm: 0.08, ..settings() };
     let options = FitOptions::new(told).unwrap();

@@ -290,8 +290,9 @@ mod tests {
         media.iter().zip(0..).map(|(m, seed)| divided(&noisy_measurement(*m, seed, false), mu)).collect()
     }
 
+    /// The curve over the scale factor has the values of separate fits.
     #[test]
-    fn the_curve_is_that_of_fits_one_by_one() {
+    fn scale_curve_matches_separate_fits() {
         let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
         let materials = materials(0.93);
         let range = MuRange::new(0.85, 1.0, 0.05).unwrap();
@@ -324,7 +325,7 @@ mod tests {
 
     /// Some of the media lie at the ends of the albedos, so that no other factor is as good.
     #[test]
-    fn a_hidden_factor_is_found_within_its_error() {
+    fn hidden_factor_is_found_within_its_error() {
         let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
         for hidden in [0.87, 0.913, 0.98] {
             let curve =
@@ -337,8 +338,9 @@ mod tests {
         assert!(curve.at_end && curve.best.mu == 0.95);
     }
 
+    /// A single channel has no jackknife error, and errors name the material.
     #[test]
-    fn one_channel_has_no_jackknife_and_errors_name_the_material() {
+    fn one_channel_has_no_jackknife() {
         let dictionary = noisy_dictionary(dense_axes(), 90, 0.0);
         let one = &materials(1.0)[..1];
         let curve = scale(&dictionary, one, &FitOptions::default(), &MuRange::default()).unwrap();

@@ -16,8 +16,9 @@ pub fn similar(medium: &Medium, g: f64) -> Result<Medium, Invalid> {
 mod tests {
     use super::*;
 
+    /// Similar media have the same absorption and the same reduced scattering.
     #[test]
-    fn similar_media_absorb_alike_and_scatter_alike_after_reduction() {
+    fn similar_media_agree_after_reduction() {
         let white = Medium::new(6.0, 0.9991, 0.4).unwrap();
         for g in [-0.5, 0.0, 0.4, 0.8] {
             let other = similar(&white, g).unwrap();
@@ -33,8 +34,9 @@ mod tests {
         assert!((same.sigma_t_per_mm() - 6.0).abs() < 1e-12 && (same.albedo() - 0.9991).abs() < 1e-12);
     }
 
+    /// A medium without scattering keeps its coefficients; impossible media are refused.
     #[test]
-    fn black_media_stay_and_impossible_ones_are_refused() {
+    fn black_media_stay_black() {
         let black = Medium::new(3.0, 0.0, 0.2).unwrap();
         assert_eq!(similar(&black, 0.7).unwrap(), Medium::new(3.0, 0.0, 0.7).unwrap());
         assert!(similar(&black, 1.0).is_err());

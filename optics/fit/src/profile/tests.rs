@@ -44,8 +44,9 @@ fn interpolated_profiles_match_within_their_errors() {
     assert!((near / slope - 1.0).abs() < 0.1, "{near} for {slope}");
 }
 
+/// A medium of the dictionary is marked as recorded, and too few records give no standard error.
 #[test]
-fn a_record_is_said_to_be_one_and_few_records_tell_no_error() {
+fn exact_record_is_marked_as_recorded() {
     let coarse = dictionary(PIXELS);
     let found = profile(&coarse, &question(Medium::new(2.0, 0.6, 0.4).unwrap(), 1.0, &[])).unwrap();
     assert!(found.recorded);
@@ -53,8 +54,9 @@ fn a_record_is_said_to_be_one_and_few_records_tell_no_error() {
     assert_eq!(found.channels[0].std_errors, None, "eight records of a thickness");
 }
 
+/// Media, thicknesses and channels beyond the dictionary are refused with the field.
 #[test]
-fn what_lies_beyond_the_dictionary_is_refused() {
+fn questions_beyond_the_dictionary_are_refused() {
     let coarse = dictionary(PIXELS);
     let refused = |medium: (f64, f64, f64), thickness_mm, channels: &[&str]| {
         let medium = Medium::new(medium.0, medium.1, medium.2).unwrap();

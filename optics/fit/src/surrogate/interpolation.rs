@@ -100,8 +100,9 @@ const fn over_at_node() -> [[f64; NODES]; NODES] {
 mod tests {
     use super::*;
 
+    /// Integrals of polynomials up to degree five are exact next to a step.
     #[test]
-    fn quintic_integrals_are_exact_beside_a_step() {
+    fn integrals_are_exact_next_to_a_step() {
         let of = |x: f64| {
             if x < 9.0 { 0.1 * (x - 9.0).powi(5) } else { 0.4 * (x - 9.0) - 0.02 * (x - 9.0).powi(4) }
         };
@@ -114,8 +115,9 @@ mod tests {
         }
     }
 
+    /// At a step the integrand is the mean of both sides.
     #[test]
-    fn at_a_step_the_integrand_is_the_mean_of_both_sides() {
+    fn integrand_at_a_step_is_the_mean() {
         let nodes: Vec<f64> =
             (0..20).map(|i| f64::from(i - 9)).map(|x| x * if x < 0.0 { 0.2 } else { 0.8 }).collect();
         let place = Place::at_step(9, 9.0);

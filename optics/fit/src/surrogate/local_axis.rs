@@ -240,8 +240,9 @@ mod tests {
         (0..n).map(|i| (1.0 + i as f64 + 0.3 * (i % 3) as f64).ln()).collect()
     }
 
+    /// Weights at nearby places are similar, and those without a common node are orthogonal.
     #[test]
-    fn weights_are_alike_where_they_share_nodes() {
+    fn nearby_weights_share_nodes() {
         let axis = LocalAxis::new(nodes(40), 0.6);
         let (low, high) = axis.range();
         let middle = 0.5 * (low + high);
@@ -283,7 +284,7 @@ mod tests {
     /// Along ln(1 − g), at the paper's anisotropies and between them: backscattered light as it is, and diffuse light, of
     /// which powers alone take care.
     #[test]
-    fn light_scattered_once_and_light_scattered_often_come_back() {
+    fn single_and_diffuse_scattering_is_recovered() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];
         let nodes: Vec<f64> = g.iter().map(|g: &f64| (1.0 - g).ln()).collect();
         let axis = LocalAxis::with_shapes(nodes, 1.0, &BACKSCATTERED);
@@ -315,8 +316,9 @@ mod tests {
         powers.into_iter().chain(shapes).chain([anisotropies(11, 0.68, 0.72)]).collect()
     }
 
+    /// Weights change without jumps, and their slopes are the derivatives.
     #[test]
-    fn weights_change_without_jumps_and_as_their_slopes_say() {
+    fn weights_are_smooth_with_matching_slopes() {
         for axis in axes() {
             let n = axis.nodes.len();
             let (low, high) = axis.range();

@@ -115,8 +115,9 @@ mod tests {
         Sensor::new(10.0, n, 0.0).unwrap()
     }
 
+    /// A profile with the sensor's own pixels is unchanged by resampling.
     #[test]
-    fn the_same_pixels_come_back_unchanged() {
+    fn same_pixels_stay_unchanged() {
         let profile = measured(360, 10.0, 0.0, |x| x * x);
         let resampled = of(&profile, sensor(360));
         assert_eq!(resampled.pixels, 0..360);

@@ -280,8 +280,9 @@ mod tests {
         DesignSettings::of(Medium::new(6.0, 0.999, 0.4).unwrap())
     }
 
+    /// Settings of a design that make no sense are refused with the field.
     #[test]
-    fn what_makes_no_sense_is_refused_with_its_field() {
+    fn invalid_settings_are_refused_with_field() {
         let unsure = FitOptions::new(FitSettings { mu_std_error: 0.02, ..FitSettings::default() }).unwrap();
         for (settings, field) in [
             (DesignSettings { noise: -0.01, ..settings() }, "noise"),
@@ -313,8 +314,9 @@ mod tests {
         assert_eq!(PixelRow::new(-1.0, 1.0, f64::NAN).unwrap_err().field(), "pixels.pitch_mm");
     }
 
+    /// Relative half widths are relative to the quantities of the medium.
     #[test]
-    fn shares_are_those_of_the_medium() {
+    fn relative_widths_refer_to_the_medium() {
         let medium = Medium::new(6.0, 0.9, 0.4).unwrap();
         let widths = HalfWidths { sigma_t_per_mm: 0.06, albedo: 0.02, ..HalfWidths::UNKNOWN };
         assert!((widths.of_sigma_t(&medium) - 0.01).abs() < 1e-12);

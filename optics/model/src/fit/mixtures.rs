@@ -236,8 +236,9 @@ mod tests {
         Mixture::new(material, parts.iter().map(|(ink, f)| ((*ink).to_owned(), *f)))
     }
 
+    /// Fractions that do not add up to 1, repeat a part or are out of range are refused.
     #[test]
-    fn fractions_that_do_not_add_up_or_repeat_are_refused() {
+    fn invalid_fractions_are_refused() {
         for (parts, told) in [
             (&[("white", 0.5), ("cyan", 0.4)][..], "add up to 1"),
             (&[("white", 1.5), ("cyan", -0.5)], "above 0"),
@@ -253,8 +254,9 @@ mod tests {
         assert!((third.parts()[0].volume_fraction() - 1.0 / 3.0).abs() < 1e-12);
     }
 
+    /// The inks are the parts of which mixtures consist.
     #[test]
-    fn inks_are_what_mixtures_are_made_of() {
+    fn inks_are_the_parts_of_mixtures() {
         let both = mixture("both", &[("white", 0.5), ("cyan", 0.5)]).unwrap();
         let all = Mixtures::new(vec![both.clone()]).unwrap();
         assert_eq!(all.inks(), ["white", "cyan"]);

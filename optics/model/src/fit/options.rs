@@ -253,8 +253,9 @@ impl Default for MuRange {
 mod tests {
     use super::*;
 
+    /// Settings out of range are refused with the field, the value and the range.
     #[test]
-    fn settings_out_of_range_are_refused_with_field_value_and_range() {
+    fn settings_out_of_range_are_refused() {
         let default = FitSettings::default;
         for (settings, field) in [
             (FitSettings { mu: 0.0, ..default() }, "mu"),
@@ -285,8 +286,9 @@ mod tests {
         assert!(Bounds::new("g", None, Some(0.4)).unwrap().contains(-0.5));
     }
 
+    /// The scale factors are by default those of the paper, and their number is bounded.
     #[test]
-    fn scale_factors_are_those_of_the_paper_and_bounded_in_number() {
+    fn scale_factors_match_the_paper() {
         let values = MuRange::default().values();
         assert_eq!((values.len(), values[0], values[113], values[300]), (301, 0.8, 0.913, 1.1));
         assert_eq!(MuRange::new(0.0, 1.0, 0.1).unwrap_err().field(), "mu_min");

@@ -91,8 +91,9 @@ mod tests {
         level.walks(&TransportPoint::new(sigma_t, 0.4, 1.0, 1.53).unwrap()).get()
     }
 
+    /// Thick samples need more walks than thin ones for the same noise.
     #[test]
-    fn thick_samples_need_more_walks_than_thin_ones() {
+    fn thick_samples_need_more_walks() {
         assert_eq!([0.5, 2.0, 30.0].map(|tau| walks(NoiseLevel::Paper, tau)), [27_500, 35_000, 50_500]);
         assert_eq!(walks(NoiseLevel::Draft, 2.0), 3_500);
         assert_eq!(walks(NoiseLevel::Fine, 2.0), 350_000);

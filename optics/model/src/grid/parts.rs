@@ -43,8 +43,9 @@ mod tests {
     use super::*;
     use crate::scene::Scene;
 
+    /// The refusal of a grid with too many parts gives the number of walks that is allowed.
     #[test]
-    fn a_grid_of_too_many_parts_tells_how_many_walks_are_allowed() {
+    fn too_many_parts_name_the_allowed_walks() {
         let with = |walks: u64, most: Option<u64>| {
             let of = |walks| Walks::new(walks).unwrap();
             let points = (1..=40).map(f64::from).collect();
@@ -64,8 +65,9 @@ mod tests {
         assert_eq!(Grid::paper().check_parts(), Ok(()));
     }
 
+    /// A grid with too many transport points is refused.
     #[test]
-    fn a_grid_of_too_many_points_is_not_taken() {
+    fn too_many_points_are_refused() {
         let axes = Axes {
             sigma_t_per_mm: (1..=1001).map(|i| f64::from(i) / 100.0).collect(),
             albedo: vec![0.5],

@@ -110,8 +110,9 @@ impl Quality {
 mod tests {
     use super::*;
 
+    /// The refusal of a number of walks names the nearest valid one.
     #[test]
-    fn a_refused_number_of_walks_names_the_nearest_valid_one() {
+    fn refused_walks_name_the_nearest_valid_one() {
         for (given, nearest) in [
             (0, 1000),
             (749, 1000),
@@ -127,8 +128,9 @@ mod tests {
         }
     }
 
+    /// Walks are whole batches, and enough of them for a standard error.
     #[test]
-    fn walks_are_whole_batches_and_enough_for_an_error() {
+    fn walks_are_multiples_of_the_batch() {
         assert!(Walks::new(1_000).is_ok());
         for bad in [0, 500, 1_200] {
             assert!(Walks::new(bad).unwrap_err().to_string().contains("multiples of 500"));

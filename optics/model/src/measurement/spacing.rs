@@ -59,8 +59,9 @@ mod tests {
         (0..n).map(|i| ((i as f64 + 0.5) * pitch - 5.0) * unit).map(|x| x.round() / unit).collect()
     }
 
+    /// Rounded positions are restored to the even spacing.
     #[test]
-    fn rounded_places_are_put_where_they_were() {
+    fn rounded_positions_are_restored() {
         for (n, pitch, decimals) in [
             (360, 1.0 / 36.0, 2),
             (360, 1.0 / 36.0, 3),
@@ -79,8 +80,9 @@ mod tests {
         assert_eq!(even(exact.clone()).unwrap(), exact, "nothing is moved without need");
     }
 
+    /// A missing pixel is not taken for rounding.
     #[test]
-    fn a_missing_pixel_is_no_rounding() {
+    fn missing_pixel_is_not_taken_for_rounding() {
         for missing in [1, 5, 180, 357] {
             let mut x = rounded(360, 1.0 / 36.0, 2);
             x.remove(missing);

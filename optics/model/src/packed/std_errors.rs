@@ -109,8 +109,9 @@ mod tests {
         (0..20_000).map(|i| 1e-6 * 1.001_f32.powi(i)).chain((0..10_000).map(|i| 0.9 + 2e-5 * i as f32))
     }
 
+    /// Rounded standard errors are within 1/32 of the original and unbiased.
     #[test]
-    fn rounded_errors_are_within_3_percent_and_unbiased() {
+    fn rounded_errors_are_close_and_unbiased() {
         let (mut squares, mut n) = (0.0, 0.0);
         for error in many() {
             let mut told = [error];
@@ -123,8 +124,9 @@ mod tests {
         assert!((squares / n).abs() < 0.001, "{}", squares / n);
     }
 
+    /// Errors that were rounded once are read back exactly, and rounding again changes nothing.
     #[test]
-    fn what_is_read_is_what_was_written_and_stays_the_same() {
+    fn errors_round_trip_once_rounded() {
         let mut errors = vec![3.2e-4, 0.0, 5.1e-3, 2.2e-3, 1e-5, 1.9e-6];
         round(&mut errors);
         let bytes = written(&errors);
@@ -135,8 +137,9 @@ mod tests {
         assert_eq!(errors, again);
     }
 
+    /// Errors far below the largest are rounded up.
     #[test]
-    fn what_is_far_below_the_largest_is_rounded_up() {
+    fn tiny_errors_are_rounded_up() {
         let mut errors = [1.0, 1e-5, 1e-6, f32::MIN_POSITIVE];
         round(&mut errors);
         let least = 2.0_f32.powi(-16) * 1.125;
@@ -144,8 +147,9 @@ mod tests {
         assert!(errors[1] < least * 1.01, "{}", errors[1]);
     }
 
+    /// The largest and the smallest errors stay finite and above zero after rounding.
     #[test]
-    fn extremes_are_numbers() {
+    fn extreme_errors_stay_finite() {
         for extreme in [f32::MAX, f32::MIN_POSITIVE, f32::from_bits(1)] {
             let mut errors = [extreme, 0.0];
             round(&mut errors);
@@ -155,8 +159,9 @@ mod tests {
         assert!(is_sound(&written(&[0.0; 3])));
     }
 
+    /// Bytes that the writer never produces are not sound.
     #[test]
-    fn what_nobody_writes_is_not_sound() {
+    fn impossible_bytes_are_not_sound() {
         let [low, high] = (largest_grade(&[1e-3]) as u16).to_le_bytes();
         assert!(is_sound(&[low, high, 255, 7]));
         assert!(!is_sound(&[low, high, 254, 7]), "none is the largest");

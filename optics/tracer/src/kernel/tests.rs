@@ -83,8 +83,9 @@ fn cases() -> Vec<(Scene, [f64; 4])> {
     ]
 }
 
+/// All kernels run the same walks, to the last bit.
 #[test]
-fn all_kernels_run_the_same_walks_to_the_last_bit() {
+fn all_kernels_agree_bit_by_bit() {
     for (scene, [sigma_t, g, thickness, ior]) in cases() {
         let point = TransportPoint::new(sigma_t, g, thickness, ior).expect("valid");
         let stack = Stack::new(&scene, &point);
@@ -103,7 +104,7 @@ fn all_kernels_run_the_same_walks_to_the_last_bit() {
 
 /// Fewer walks than lanes, and than two vectors.
 #[test]
-fn chunks_smaller_than_a_vector_are_run_in_full() {
+fn small_chunks_are_run_in_full() {
     let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");
     let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
     let picked =
@@ -145,8 +146,9 @@ fn caught_rays_end_by_roulette() {
     }
 }
 
+/// Each kernel has a unique name and is found by it.
 #[test]
-fn kernels_have_names_of_their_own() {
+fn kernel_names_are_unique() {
     let mut names: Vec<_> = Kernel::all().into_iter().map(Kernel::name).collect();
     assert!(names.contains(&Kernel::fastest().name()) && names.len() > 1);
     assert!(names.iter().all(|name| Kernel::named(name).is_some_and(|kernel| kernel.name() == *name)));

@@ -343,7 +343,7 @@ mod tests {
 
     /// Four times as many rays give the same.
     #[test]
-    fn rays_are_many_enough() {
+    fn more_rays_change_nothing() {
         let stack = stack(&Scene::paper());
         let [few, many] = [1, 4].map(|times| Arrivals::follow(&stack, times * RAYS[1]));
         for tau in [0.5, 2.0, 10.0] {
@@ -360,7 +360,7 @@ mod tests {
     /// Through smooth faces everything follows from Fresnel's formulas. Between two media of one index under air, light
     /// passes the upper face once, and no other reflects.
     #[test]
-    fn smooth_faces_let_through_what_fresnel_says() {
+    fn smooth_faces_transmit_per_fresnel() {
         let layers = vec![optics_model::scene::Layer::sample("sample", 0.0).unwrap()];
         let paper = Scene::paper();
         let scene =

@@ -21,8 +21,9 @@ fn exact(stack: &Stack, arrivals: &Arrivals, z: f64, u: f64) -> f64 {
     PI * (outer - inner) / n2 * arrivals.sample.iter().map(term).sum::<f64>()
 }
 
+/// The table gives the sum of the rays.
 #[test]
-fn the_table_gives_what_the_rays_add_up_to() {
+fn table_matches_the_sum_of_rays() {
     for point in [
         [1.0, 0.0, 0.25, 1.53],
         [6.0, 0.4, 0.5, 1.53],

@@ -95,7 +95,7 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 /// Giovanelli 1955: albedo 0.9, isotropic, n = 1.5, normal incidence, R 0.2600 with the specular part. A slab of 40
 /// mean free paths stands for the half space: what is lost below is less than exp(−20).
 #[test]
-fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
+fn half_space_reflects_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
     let reflected = walks(&stack, 400_000, 2, down, left_or_through).map(|(walk, event)| {
         if event == WalkEvent::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
@@ -106,7 +106,7 @@ fn half_space_with_an_index_of_its_own_reflects_as_tabulated() {
 /// Mean path length of diffuse light in a slab, whatever σ_t and g (Blanco and Fournier 2003, with the factor n² of
 /// the denser medium): 2 t n² between two open faces, 4 t n² over a white base.
 #[test]
-fn mean_length_in_the_slab_depends_on_thickness_and_index_alone() {
+fn mean_path_depends_on_thickness_and_index() {
     for (sigma_t, g) in [(0.5, 0.0), (5.0, 0.8), (20.0, 0.4)] {
         let point = TransportPoint::new(sigma_t, g, 0.5, 1.5).unwrap();
         let open = Stack::new(&scene(sample_over_air(0.0)), &point);

@@ -83,8 +83,9 @@ async fn call(mut link: Link) -> Status {
     }
 }
 
+/// A client without a certificate gets the reason at every call.
 #[tokio::test]
-async fn whoever_shows_no_certificate_is_told_at_every_call() {
+async fn missing_certificate_is_refused_each_call() {
     let target = target(coordinator(ca()), false);
     for n in 0..CALLS {
         let link = if n % 2 == 0 { target.connect_lazy() } else { target.connect().await.unwrap() };
@@ -94,8 +95,9 @@ async fn whoever_shows_no_certificate_is_told_at_every_call() {
     }
 }
 
+/// A client with a certificate of another authority gets the reason at every call.
 #[tokio::test]
-async fn whoever_shows_a_strange_certificate_is_told_at_every_call() {
+async fn foreign_certificate_is_refused_each_call() {
     let target = target(coordinator(ca()), true);
     for n in 0..CALLS {
         let status = call(target.connect_lazy()).await;
@@ -104,8 +106,9 @@ async fn whoever_shows_a_strange_certificate_is_told_at_every_call() {
     }
 }
 
+/// If the reason for a refusal was lost, it is asked for.
 #[tokio::test]
-async fn whoever_does_not_hear_the_reason_asks_for_it() {
+async fn lost_refusal_is_asked_for_again() {
     for connect_lazily in [true, false] {
         let target = target(breaking_once(coordinator(ca())).await, false);
         let link = if connect_lazily { target.connect_lazy() } else { target.connect().await.unwrap() };
@@ -114,15 +117,17 @@ async fn whoever_does_not_hear_the_reason_asks_for_it() {
     }
 }
 
+/// A client with the right certificate gets in.
 #[tokio::test]
-async fn whoever_shows_the_right_certificate_gets_in() {
+async fn accepted_certificate_gets_in() {
     let target = target(coordinator(certificate()), true);
     assert_eq!(call(target.connect_lazy()).await.code(), Code::Unimplemented);
     assert!(target.handshake().unwrap().refusal().await.is_none());
 }
 
+/// A coordinator that has ended is unavailable, and does not count as refusing.
 #[tokio::test]
-async fn a_coordinator_that_has_ended_refuses_nobody() {
+async fn ended_coordinator_refuses_no_client() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let target = target(listener.local_addr().unwrap(), false);
     drop(listener);
@@ -130,8 +135,9 @@ async fn a_coordinator_that_has_ended_refuses_nobody() {
     assert_eq!(call(target.connect_lazy()).await.code(), Code::Unavailable);
 }
 
+/// A coordinator that sends nothing is waited for only briefly.
 #[tokio::test(start_paused = true)]
-async fn a_coordinator_that_says_nothing_is_not_listened_to_for_long() {
+async fn silent_coordinator_is_abandoned_soon() {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let target = target(listener.local_addr().unwrap(), false);
     let start = tokio::time::Instant::now();

@@ -73,8 +73,9 @@ mod tests {
     /// More than a pipe holds.
     const LONG: usize = 1 << 20;
 
+    /// A line that was written has arrived at the reader.
     #[test]
-    fn what_was_written_has_arrived() {
+    fn written_lines_have_arrived() {
         let (mut reader, writer) = pipe().unwrap();
         let mut patient = Patient::new(writer).unwrap();
         patient.write_all(b"one\n").unwrap();
@@ -84,8 +85,9 @@ mod tests {
         assert_eq!(&text, b"one\ntwo\n");
     }
 
+    /// An output that accepts nothing does not delay the writer for long.
     #[test]
-    fn an_output_that_takes_nothing_holds_nobody_up() {
+    fn blocked_output_delays_no_writer() {
         let (mut reader, writer) = pipe().unwrap();
         let mut patient = Patient::new(writer).unwrap();
         let start = Instant::now();
@@ -99,8 +101,9 @@ mod tests {
         assert!(text.ends_with(b"line\nline\n"));
     }
 
+    /// Writing to an output without a reader succeeds.
     #[test]
-    fn an_output_without_a_reader_is_none() {
+    fn output_without_a_reader_is_ignored() {
         let (reader, writer) = pipe().unwrap();
         drop(reader);
         let mut patient = Patient::new(writer).unwrap();

@@ -12,8 +12,9 @@ use super::{folder_with_dictionary, go_to, let_in, measure_the_example};
 /// Number of presses of the tab key that reach every element.
 const MOST_TABS: usize = 120;
 
+/// The accessibility checker finds no violation in any view, light or dark.
 #[tokio::test(flavor = "multi_thread")]
-async fn axe_finds_nothing_in_any_place_light_or_dark() {
+async fn axe_finds_no_violation_in_any_view() {
     if !browser::is_there() {
         return;
     }
@@ -51,8 +52,9 @@ async fn violations(browser: &Browser, axe: &str) -> String {
     found.json().as_str().unwrap_or("axe returned nothing").to_owned()
 }
 
+/// A measurement can be made with the keyboard alone.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_keyboard_alone_gets_through_measure() {
+async fn measuring_works_by_keyboard_alone() {
     if !browser::is_there() {
         return;
     }

@@ -8,8 +8,9 @@ use thirtyfour::By;
 
 use super::{folder_with_dictionary, go_to, let_in};
 
+/// Every kind of bad measurement is refused with the reason.
 #[tokio::test(flavor = "multi_thread")]
-async fn every_kind_of_bad_measurement_is_told_with_what_is_wrong() {
+async fn every_bad_measurement_is_explained() {
     if !browser::is_there() {
         return;
     }

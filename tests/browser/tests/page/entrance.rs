@@ -18,8 +18,9 @@ use tokio::net::TcpListener;
 
 use super::{GRID, folder_with_dictionary, go_to, let_in, measure_the_example};
 
+/// A deep link into a page without state shows the view it was copied from.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
+async fn deep_link_restores_its_view() {
     if !browser::is_there() {
         return;
     }
@@ -54,8 +55,9 @@ async fn a_deep_link_opened_cold_shows_what_it_was_taken_from() {
     browser.end().await;
 }
 
+/// Behind a proxy with a path prefix, everything works the same.
 #[tokio::test(flavor = "multi_thread")]
-async fn behind_a_proxy_with_a_prefix_everything_works_the_same() {
+async fn prefix_proxy_changes_nothing() {
     if !browser::is_there() {
         return;
     }
@@ -74,8 +76,9 @@ async fn behind_a_proxy_with_a_prefix_everything_works_the_same() {
     browser.end().await;
 }
 
+/// Without the token, or from another site, access is refused.
 #[tokio::test(flavor = "multi_thread")]
-async fn without_the_token_or_from_other_sites_nobody_gets_in() {
+async fn page_needs_token_and_same_site() {
     if !browser::is_there() {
         return;
     }

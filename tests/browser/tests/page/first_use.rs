@@ -8,8 +8,9 @@ use thirtyfour::By;
 
 use super::{go_to, let_in, measure_the_example, write_grid};
 
+/// A grid is computed, the example is measured, and the media are saved.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_grid_is_computed_the_example_measured_and_media_saved() {
+async fn first_use_computes_measures_and_saves() {
     if !browser::is_there() {
         return;
     }
@@ -106,8 +107,9 @@ async fn same_numbers(browser: &Browser, answer: &Value) {
     }
 }
 
+/// A capture is measured with a dictionary of its own grid.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_capture_is_measured_with_a_dictionary_of_its_own() {
+async fn capture_is_measured_with_its_own_grid() {
     if !browser::is_there() {
         return;
     }

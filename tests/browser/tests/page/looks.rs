@@ -13,8 +13,9 @@ use super::{go_to, let_in, measure_the_example, write_grid};
 const WIDE: u32 = 1280;
 const NARROW: u32 = 390;
 
+/// Nothing is cut off on a desktop or a phone, in the light or the dark scheme.
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_is_cut_off_on_a_desk_or_a_phone_by_day_or_by_night() {
+async fn nothing_is_cut_off_at_any_size() {
     if !browser::is_there() {
         return;
     }

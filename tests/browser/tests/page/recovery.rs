@@ -14,7 +14,7 @@ const LONG_GRID: &str = "sigma_t_per_mm = [2, 3, 4, 6, 8, 12, 16, 24]\nalbedo = 
 
 /// A killed worker and a restarted coordinator are shown, and the page continues without a reload.
 #[tokio::test(flavor = "multi_thread")]
-async fn the_page_survives_worker_and_coordinator_failures() {
+async fn page_survives_worker_and_coordinator_failures() {
     if !browser::is_there() {
         return;
     }

@@ -141,8 +141,9 @@ mod tests {
         Truth { pitch_mm: sensor.pitch_mm() / FINE as f64, values }
     }
 
+    /// A shift and a blur change a parabola as calculus predicts.
     #[test]
-    fn a_shift_and_a_blur_do_to_a_parabola_what_calculus_says() {
+    fn parabola_is_shifted_and_blurred_exactly() {
         let pitch = scene().sensor().pitch_mm();
         let (origin, sigma) = (3.3, 2.7);
         let seen = seen(&parabola(), origin * pitch, sigma * pitch);
@@ -154,8 +155,9 @@ mod tests {
         }
     }
 
+    /// The flaws have the standard deviations that their row states.
     #[test]
-    fn flaws_have_the_standard_deviations_that_the_row_says() {
+    fn flaws_have_the_stated_deviations() {
         let row = Row::named("all x3");
         let drawn: Vec<Flaws> =
             (0..1000).flat_map(|s| [0, 1].map(|slab| Flaws::draw(&row, s, slab))).collect();
@@ -169,8 +171,9 @@ mod tests {
         assert!(drawn.iter().all(|f| f.specks.len() == 45 && f.blur_mm == 3.0 * BLUR_MM && f.mu == 1.0));
     }
 
+    /// Without flaws only the stated noise is added.
     #[test]
-    fn without_flaws_only_the_stated_noise_is_added() {
+    fn without_flaws_only_noise_is_added() {
         let (row, truth) = (Row::named("none"), parabola());
         let found = photographed(&truth, &row, 7, 0);
         let exact = seen(&truth, 0.0, 0.0);

@@ -131,8 +131,9 @@ mod tests {
         }
     }
 
+    /// Widths of intervals are given relative to the bound of the same data.
     #[test]
-    fn widths_are_told_over_the_bound_of_the_same_data() {
+    fn interval_widths_are_compared_with_the_bound() {
         let [held, free] = Way::ALL;
         let rows = [Row::named("none")];
         let found = [outcome(free, 0.15, Some(0.05)), outcome(held, 0.06, Some(0.05))];
@@ -142,8 +143,9 @@ mod tests {
         assert_eq!(efficiency(&rows, &[outcome(free, 0.15, None)]), None);
     }
 
+    /// A row has errors, coverage and verdicts.
     #[test]
-    fn a_row_tells_errors_coverage_and_verdicts() {
+    fn row_has_errors_coverage_and_verdicts() {
         let held = Way::ALL[0];
         let found = [outcome(held, 0.15, Some(0.1)), outcome(held, 0.05, Some(0.1))];
         let text = imperfections(&[Row::named("none")], &found, held);
@@ -152,8 +154,9 @@ mod tests {
         assert!(text.contains(line), "{text}");
     }
 
+    /// The CSV file has a line for each answer.
     #[test]
-    fn a_spreadsheet_has_a_line_for_each_answer() {
+    fn csv_has_a_line_per_answer() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("answers.csv");
         let found = [outcome(Way::ALL[0], 0.15, None), outcome(Way::ALL[1], 0.15, Some(0.1))];

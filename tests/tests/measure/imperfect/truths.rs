@@ -85,8 +85,9 @@ fn write_whole(file: &Path, bytes: &[u8]) {
 mod tests {
     use super::*;
 
+    /// The fine pixels average to those of the dictionary.
     #[test]
-    fn fine_pixels_add_up_to_those_of_the_dictionary() {
+    fn fine_pixels_sum_to_dictionary_pixels() {
         let job = job(&Subject::draw(3, (0.4, 0.4)), 0, 1.0, Walks::new(25_000).unwrap());
         let coarse =
             JobSpec::new(scene(), job.point(), job.albedo().to_vec(), job.walks(), job.seed(), false);
@@ -98,8 +99,9 @@ mod tests {
         }
     }
 
+    /// The records in the folder are those that were traced.
     #[test]
-    fn what_the_folder_holds_is_what_was_traced() {
+    fn stored_truths_are_the_traced_ones() {
         let folder = tempfile::tempdir().unwrap();
         let job = |number| job(&Subject::draw(number, (0.4, 0.4)), 1, 0.0, Walks::new(5000).unwrap());
         let traced = records_within(Some(folder.path()), &job(1));

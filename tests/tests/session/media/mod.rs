@@ -109,8 +109,9 @@ impl Trial {
     }
 }
 
+/// The media from photographs have intervals that hold the truth.
 #[test]
-fn photographs_become_media_and_intervals_hold_the_truth() {
+fn photographs_become_media() {
     let trial = if effort() >= 10 { Trial::long() } else { Trial::normal() };
     let answers = trial.answers();
     let share = |q: usize| Share::of(answers.iter().map(|a| a.holds(q))).unwrap();

@@ -39,8 +39,9 @@ fn refused(from: &str, to: &str) -> String {
     read((from, to)).unwrap_err().to_string()
 }
 
+/// Fields that a session file omits have the paper's values.
 #[test]
-fn what_is_left_out_is_the_papers() {
+fn absent_session_fields_are_the_paper_values() {
     let session = read(("", "")).unwrap();
     assert_eq!(session.target, Target { square_mm: 20.0, square_std_error_mm: 0.01, dark_side: None });
     assert_eq!(session.samples[0].thickness_std_error_mm, 0.005);
@@ -53,7 +54,7 @@ fn what_is_left_out_is_the_papers() {
 
 /// The message names file, line and field, and the values that are allowed.
 #[test]
-fn invalid_values_are_refused_with_place_and_range() {
+fn invalid_values_are_refused_with_range() {
     let message = refused("thickness_mm = 0.512", "thickness_mm = -1");
     assert_eq!(
         message,
@@ -90,22 +91,24 @@ fn invalid_values_are_refused_with_place_and_range() {
 }
 
 #[test]
-fn a_slab_has_one_entry() {
+fn slab_has_one_entry() {
     let twice =
         "[[sample]]\nmaterial = \"white\"\nthickness_mm = 0.512\nshots = [\"white_1.pgm\"]\n\n[[sample]]";
     let message = refused("[[sample]]", twice).replace("white_*", "white_2");
     assert!(message.contains("also in sample[0].shots"), "{message}");
 }
 
+/// `mono` is the pattern of a monochrome camera; other names are refused.
 #[test]
-fn a_monochrome_camera_has_a_pattern_of_its_own() {
+fn mono_is_a_valid_pattern() {
     assert_eq!(pattern("mono").unwrap(), pattern("RGGB").unwrap());
     let refused = pattern("grey").unwrap_err().to_string();
     assert!(refused.ends_with("and \"mono\""), "{refused}");
 }
 
+/// Numbers that are hardly intended are named with the usual range.
 #[test]
-fn numbers_that_are_hardly_meant_are_named() {
+fn implausible_numbers_are_named() {
     let doubts = |from: &str, to: &str| read((from, to)).unwrap().doubts.join("; ");
     assert_eq!(doubts("", ""), "");
     for (from, to, message) in [
@@ -132,7 +135,7 @@ fn numbers_that_are_hardly_meant_are_named() {
 
 /// As editors of Windows, and users of decimal commas, write them.
 #[test]
-fn byte_order_marks_are_read_and_decimal_commas_named() {
+fn byte_order_marks_are_read() {
     assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().dark.len(), 2);
     let comma = refused("0.512", "0,512");
     assert!(

@@ -2,8 +2,9 @@
 
 use super::*;
 
+/// Headers in comments and other separators are read.
 #[test]
-fn headers_in_comments_and_other_separators_are_read() {
+fn commented_headers_are_read() {
     let strict = strict();
     reads_the_same(strict.replace(',', "|").as_bytes(), "SEPARATOR", "separated by '|'");
     let (comment, rest) = strict.split_once("material").unwrap();
@@ -13,8 +14,9 @@ fn headers_in_comments_and_other_separators_are_read() {
     reads_the_same(blanks.as_bytes(), "COMMENTED_HEADER SEPARATOR", "separated by blanks");
 }
 
+/// Preambles and rows of units are refused with their lines.
 #[test]
-fn preambles_and_rows_of_units_are_refused_with_their_lines() {
+fn preambles_and_unit_rows_are_refused() {
     let preamble = format!("Spectrometer run 7\nOperator;Ä. B.\n\n{HEAD}{}", rows("w", "R", 0.5));
     let wanted =
         "line 1 does not name the columns; line 4 seems to: delete the lines before it, or begin them with #";

@@ -48,8 +48,9 @@ fn pixels_without_a_value_have_no_weight() {
     }
 }
 
+/// The standard error may be empty for a profile, but not for a row.
 #[test]
-fn std_error_may_be_empty_for_a_profile_and_not_for_a_row() {
+fn std_error_is_empty_for_whole_profiles() {
     let without = rows("vv", "R", 0.5).replace(",0.002\n", ",\n");
     let file = parse(&format!("{HEAD}{}{without}", rows("w", "R", 0.5)));
     assert_eq!(codes(&file), ["STD_ERRORS"]);

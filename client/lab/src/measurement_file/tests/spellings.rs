@@ -18,16 +18,18 @@ fn names_in_different_characters_are_one_name() {
     }
 }
 
+/// An invisible blank in a name gets a note.
 #[test]
-fn a_plain_name_with_a_blank_of_no_width_is_noted() {
+fn invisible_blank_in_a_name_is_noted() {
     let body = rows("w", "R", 0.5) + &rows("w", "G", 0.5).replace("w,", "w\u{200b},");
     let file = parse(&(HEAD.to_owned() + &body));
     assert_eq!((file.materials.len(), file.notes.len()), (1, 1));
     assert!(file.notes[0].text.ends_with("\"w\" (line 62)"), "{:?}", file.notes);
 }
 
+/// Names and thicknesses that look alike get a note.
 #[test]
-fn names_and_thicknesses_that_look_alike_are_noted() {
+fn similar_names_are_noted() {
     let case = parse(&(HEAD.to_owned() + &rows("White", "R", 0.5) + &rows("white", "G", 0.5)));
     assert_eq!(case.notes.iter().map(|n| n.code).collect::<Vec<_>>(), ["ALIKE_NAMES"]);
     let wanted = "materials with names that look alike are taken for different ones: \"White\" (line 2) and \"white\" (line 62)";

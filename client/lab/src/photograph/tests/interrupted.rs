@@ -44,8 +44,9 @@ pub(super) fn noise(count: usize) -> Vec<u16> {
     (0..count as u32).map(|i| 1000 + (i.wrapping_mul(2_654_435_761) >> 23) as u16).collect()
 }
 
+/// Lossless JPEG data that end early are refused with the rows that are missing.
 #[test]
-fn lossless_jpeg_that_ends_early_is_refused_with_its_rows() {
+fn truncated_jpeg_is_refused_with_its_rows() {
     let samples = noise(40 * 30);
     let jpeg = lossless(&samples, 20, 2);
     let whole = Maker { width: 40, height: 30, strip: jpeg.clone(), ..Maker::dng() }.with(259, &[7]);
@@ -70,7 +71,7 @@ fn lossless_jpeg_that_ends_early_is_refused_with_its_rows() {
 
 /// Three restart intervals of a row each.
 #[test]
-fn lossless_jpeg_without_a_restart_marker_is_refused() {
+fn missing_restart_marker_is_refused() {
     let samples = noise(3 * 8);
     let mut parts = samples.chunks(8).map(|row| lossless(row, 8, 1));
     let head = |part: &[u8]| part.windows(2).position(|w| w == [0xff, 0xda]).unwrap();
@@ -95,8 +96,9 @@ fn lossless_jpeg_without_a_restart_marker_is_refused() {
     assert!(cut.refused().contains(": 1 of its 3 rows are there"), "{}", cut.refused());
 }
 
+/// Rows of zeros at the end are refused, except in a dark frame.
 #[test]
-fn rows_of_zeros_at_the_end_are_refused_but_not_in_the_dark() {
+fn final_zero_rows_are_refused() {
     let pgm = |samples: &[u16]| {
         let mut bytes = b"P5 40 30 65535\n".to_vec();
         bytes.extend(samples.iter().flat_map(|v| v.to_be_bytes()));
@@ -114,8 +116,9 @@ fn rows_of_zeros_at_the_end_are_refused_but_not_in_the_dark() {
     assert!(pgm(&[0; 1200]).is_ok());
 }
 
+/// The orientation is that of the picture or of the first directory.
 #[test]
-fn orientation_is_of_the_picture_or_the_first_directory() {
+fn orientation_is_that_of_the_picture() {
     let orientation = |maker: Maker| maker.decode().unwrap().about.orientation.map(Orientation::number);
     assert_eq!(orientation(Maker::dng()), None);
     assert_eq!(orientation(Maker::dng().with(274, &[6])), Some(6));

@@ -24,8 +24,9 @@ fn grey() -> Maker {
     Maker { tags: vec![], ..Maker::dng() }.with(262, &[1])
 }
 
+/// A file with several pictures is refused with their number.
 #[test]
-fn a_file_of_several_pictures_is_refused_with_their_number() {
+fn file_with_several_pictures_is_refused() {
     let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
     assert_eq!(decode(&pages(1, |_, page| page)).unwrap().samples, counting());
     for kind in [0, 2] {

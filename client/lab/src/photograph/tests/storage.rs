@@ -40,8 +40,9 @@ fn chunks(side: (usize, usize), is_tiled: bool, encode: impl Fn(usize, usize) ->
     }
 }
 
+/// The last tiles and strips may be whole or cut to the picture.
 #[test]
-fn last_tiles_and_strips_may_be_whole_or_cut_to_the_picture() {
+fn last_tiles_may_be_whole_or_cut() {
     let samples = noise(WIDTH * HEIGHT);
     for side in [(WIDTH, 16), (32, 16), (32, HEIGHT)] {
         let cut = |left: usize, top: usize| (side.0.min(WIDTH - left), side.1.min(HEIGHT - top));
@@ -74,16 +75,18 @@ fn last_tiles_and_strips_may_be_whole_or_cut_to_the_picture() {
     assert_eq!(pairs.with(259, &[7]).decode().unwrap().samples, samples);
 }
 
+/// Sizes of tiles in a file with strips are ignored.
 #[test]
-fn sizes_of_tiles_beside_strips_mean_nothing() {
+fn tile_sizes_of_strips_are_ignored() {
     let samples = noise(WIDTH * HEIGHT);
     let strips = chunks((WIDTH, 16), false, |left, top| little(&part(&samples, left, top, WIDTH, 16)));
     let both = strips.with(322, &[WIDTH as u32]).with(323, &[HEIGHT as u32]);
     assert_eq!(both.decode().unwrap().samples, samples);
 }
 
+/// Words of 16 bits are read if the file states fewer bits, as long as the values fit.
 #[test]
-fn words_of_16_bits_are_read_where_fewer_are_told() {
+fn words_may_be_wider_than_their_bits() {
     let samples: Vec<u16> = noise(WIDTH * HEIGHT).iter().map(|v| 10 * v).collect();
     let message = |bits: u32, samples: &[u16]| Maker { strip: little(samples), ..maker() }.with(258, &[bits]);
     assert_eq!(message(14, &samples).decode().unwrap().samples, samples);
@@ -150,8 +153,9 @@ fn compressions_that_are_not_read_are_named() {
     }
 }
 
+/// Linear grey and numbers as text are read.
 #[test]
-fn linear_grey_and_numbers_as_text_are_read() {
+fn linear_grey_and_text_numbers_are_read() {
     let mono = Maker { tags: vec![], ..Maker::dng() }.with(262, &[34_892]).decode().unwrap();
     assert_eq!((mono.layout, mono.samples), (Layout::Mosaic(None), counting()));
     let text = decode(b"P2\n# text\n3 2\n65535\n1 2 3\n400 5\n65535\n").unwrap();
@@ -163,8 +167,9 @@ fn linear_grey_and_numbers_as_text_are_read() {
     assert_eq!(refused(b"P2 1 1 1023 1024"), "the file is damaged: a sample is 1024, the greatest is 1023");
 }
 
+/// Areas that reach a little beyond the picture are cut to it.
 #[test]
-fn areas_that_reach_a_little_beyond_the_picture_are_cut_to_it() {
+fn overlapping_areas_are_cut_to_the_picture() {
     let samples = noise(WIDTH * HEIGHT);
     let maker = Maker { strip: little(&samples), ..maker() };
     let area = |area: [u32; 4]| maker.clone().with(50_829, &area);
@@ -182,7 +187,7 @@ fn areas_that_reach_a_little_beyond_the_picture_are_cut_to_it() {
 }
 
 #[test]
-fn the_white_level_may_differ_between_channels() {
+fn white_level_may_differ_between_channels() {
     let white = |maker: Maker, levels: &[u32]| maker.with(50_717, levels).decode().unwrap().white.unwrap();
     assert_eq!(white(Maker::rgb(), &[1023, 1023, 450]), [1023.0, 1023.0, 450.0, 1023.0]);
     assert_eq!(white(Maker::rgb(), &[300, 1023, 1023]), [300.0, 1023.0, 1023.0, 1023.0]);

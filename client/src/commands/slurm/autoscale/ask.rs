@@ -68,8 +68,9 @@ fn task(label: &str) -> Option<TaskId> {
 mod tests {
     use super::*;
 
+    /// A worker is matched by the label of the job script.
     #[test]
-    fn a_worker_is_known_by_the_label_of_the_job_script() {
+    fn worker_is_matched_by_its_script_label() {
         assert_eq!(task("slurm:17.2@node1"), Some(TaskId { job: 17, task: 2 }));
         for label in ["node1", "slurm:17@node1", "slurm:17.x@node1", "pbs:17.2@node1"] {
             assert_eq!(task(label), None, "{label}");

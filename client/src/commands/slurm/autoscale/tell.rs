@@ -127,8 +127,9 @@ fn text(line: &StepJson) -> String {
 mod tests {
     use super::*;
 
+    /// A lasting state is reported once, until it is over.
     #[test]
-    fn what_lasts_is_told_once_until_it_is_over() {
+    fn lasting_state_is_reported_once() {
         let output = Output::new(false);
         let mut teller = Teller::new(&output, true);
         let tell = |teller: &mut Teller, step| teller.tell(step, "so".to_owned(), None).unwrap();

@@ -21,8 +21,9 @@ impl Drop for SmallDisk {
     }
 }
 
+/// On a full disk a backup fails with that reason and leaves no files.
 #[tokio::test]
-async fn a_full_disk_is_told_and_leaves_nothing() {
+async fn full_disk_fails_the_backup_cleanly() {
     let Some(disk) = SmallDisk::mount() else {
         // Past the capture of output, so that nobody takes this for a test that was run.
         let _ = writeln!(std::io::stderr(), "SKIPPED: a full disk was not tested; mounting one needs root");

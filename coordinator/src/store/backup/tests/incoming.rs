@@ -18,8 +18,9 @@ fn received(file: &Path, bytes: &[u8]) -> Incoming {
     incoming
 }
 
+/// A backup that was received in full gets its name and its checksum.
 #[tokio::test]
-async fn a_whole_backup_gets_its_name_and_its_checksum() {
+async fn whole_backup_gets_name_and_checksum() {
     let (dir, bytes, digest) = sent().await;
     let file = dir.path().join("received");
     received(&file, &bytes).publish(&digest, newest()).await.unwrap();
@@ -27,8 +28,9 @@ async fn a_whole_backup_gets_its_name_and_its_checksum() {
     assert_eq!((verified.checksum, verified.counts.jobs), (Checksum::Agrees, 60));
 }
 
+/// Another file that took the name of an incoming backup keeps its checksum.
 #[tokio::test]
-async fn another_file_that_took_the_name_keeps_its_checksum() {
+async fn occupied_name_keeps_its_checksum() {
     let (dir, bytes, digest) = sent().await;
     let (file, checksum) = (dir.path().join("received"), dir.path().join("received.b3"));
     let incoming = received(&file, &bytes);
@@ -42,8 +44,9 @@ async fn another_file_that_took_the_name_keeps_its_checksum() {
     assert_eq!(std::fs::read_to_string(&checksum).unwrap(), "its checksum");
 }
 
+/// A backup that arrives truncated or changed leaves no files.
 #[tokio::test]
-async fn a_backup_that_came_in_short_or_changed_leaves_nothing() {
+async fn incomplete_incoming_backup_leaves_nothing() {
     let (dir, bytes, digest) = sent().await;
     let file = dir.path().join("received");
     let mut changed = bytes.clone();

@@ -34,7 +34,7 @@ fn found(thicknesses_mm: [f64; 2], objective: Option<Objective>) -> Result<Measu
 
 /// A common g is one number, to the last bit: renderers make one medium of such channels.
 #[test]
-fn common_g_is_the_same_number_in_every_channel() {
+fn common_g_is_identical_in_every_channel() {
     let found = found([0.5, 1.0], None).unwrap();
     let g = found.common.g.unwrap();
     let channels = &found.materials[0].channels;

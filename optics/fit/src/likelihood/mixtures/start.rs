@@ -67,15 +67,17 @@ mod tests {
         assert!((found[0] - 6.0).abs() < 0.05 && (found[1] - 8.0).abs() < 0.4, "{found:?}");
     }
 
+    /// No ink is negative, and an ink that the equations leave open gets the usual value.
     #[test]
-    fn no_ink_is_negative_and_one_that_nothing_tells_is_usual() {
+    fn no_ink_is_negative() {
         let equations = [equation(&[1.0, 0.0, 0.0], 6.0, 0.01), equation(&[0.5, 0.5, 0.0], 2.9, 0.01)];
         let found = solve(&equations, 3, 2.0);
         assert!(found[1] == 0.0 && (found[2] - 2.0).abs() < 1e-9, "{found:?}");
     }
 
+    /// Mixtures with the same fractions do not separate their inks.
     #[test]
-    fn mixtures_that_are_alike_do_not_tell_inks_apart() {
+    fn similar_mixtures_do_not_separate_inks() {
         assert_eq!(rank(&[vec![0.5, 0.5], vec![0.5, 0.5]], 2), 1);
         assert_eq!(rank(&[vec![0.5, 0.5], vec![0.25, 0.75]], 2), 2);
         assert_eq!(rank(&[vec![0.5, 0.5]], 2), 1);

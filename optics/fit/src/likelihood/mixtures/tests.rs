@@ -69,8 +69,9 @@ fn against_truth(found: &Unmixed) -> Vec<(String, Interval, f64)> {
     INKS.iter().filter_map(of_ink).flatten().collect()
 }
 
+/// The intervals of inks hold the truth as often as they claim.
 #[test]
-fn intervals_of_inks_hold_them_as_often_as_they_say() {
+fn ink_intervals_cover_the_truth_as_claimed() {
     let (mut held, mut count) = (0, 0);
     for seed in 0..25 {
         let found = unmixed(&[WHITE, GREY, ("half", HALF, HALF), ("light", LIGHT, LIGHT)], seed).unwrap();
@@ -86,8 +87,9 @@ fn intervals_of_inks_hold_them_as_often_as_they_say() {
     assert!((270..=298).contains(&held), "{held} of {count}");
 }
 
+/// An ink that was never measured pure is found from its mixtures with white.
 #[test]
-fn an_ink_that_was_never_measured_pure_is_found_in_white() {
+fn unmeasured_ink_is_found_from_its_mixtures() {
     let found = unmixed(&[WHITE, ("light", LIGHT, LIGHT)], 1).unwrap();
     let black = &found.inks[1].channels[0];
     assert!(found.inks[1].material == "black" && black.from_mixtures && black.resolved, "{black:?}");
@@ -99,8 +101,9 @@ fn an_ink_that_was_never_measured_pure_is_found_in_white() {
     assert!(told.fold(0.0, f64::max) < 2.0, "{:?}", found.mixtures);
 }
 
+/// Slabs beyond the dictionary are left out, and the answer gives the reason.
 #[test]
-fn slabs_beyond_the_dictionary_are_left_out_and_said_so() {
+fn slabs_beyond_the_dictionary_are_excluded() {
     let found = unmixed(&[WHITE, BLACK, ("light", LIGHT, LIGHT)], 2).unwrap();
     let black = found.mixtures.iter().find(|m| m.material == "black").unwrap();
     let why = black.left_out.as_ref().unwrap();
@@ -114,7 +117,7 @@ fn slabs_beyond_the_dictionary_are_left_out_and_said_so() {
 }
 
 #[test]
-fn a_wrong_fraction_shows_and_widens_intervals() {
+fn wrong_fraction_shows_and_widens_intervals() {
     let wrong: Recipe = ("half", HALF, &[("white", 0.65), ("grey", 0.35)]);
     let good = unmixed(&[WHITE, GREY, ("half", HALF, HALF)], 3).unwrap();
     let bad = unmixed(&[WHITE, GREY, wrong], 3).unwrap();
@@ -127,8 +130,9 @@ fn a_wrong_fraction_shows_and_widens_intervals() {
     assert!(width(&bad) > 2.0 * width(&good), "{} {}", width(&bad), width(&good));
 }
 
+/// Mixtures that do not separate their inks are refused.
 #[test]
-fn mixtures_that_do_not_tell_their_inks_apart_are_refused() {
+fn inseparable_mixtures_are_refused() {
     let error = unmixed(&[("half", HALF, HALF)], 4).unwrap_err();
     assert!(error.to_string().contains("distinguish only 1 of white, grey"), "{error}");
     let error = unmixed(&[WHITE, ("half", HALF, HALF), ("light", LIGHT, LIGHT), BLACK], 4);

@@ -14,8 +14,9 @@ fn ln_sigma_t(found: &Refined) -> f64 {
     found.best.medium.sigma_t_per_mm().ln()
 }
 
+/// The shares of a budget add up to 1.
 #[test]
-fn shares_of_a_budget_add_up_to_one() {
+fn budget_shares_sum_to_one() {
     for g in [settings().g, Bounds::fixed(MEDIUM.2)] {
         let found = refined(&measured(MEDIUM, 1, Flaws::default()), FitSettings { g, ..settings() });
         let budget = &found.likelihood.as_ref().unwrap().budget;
@@ -29,7 +30,7 @@ fn shares_of_a_budget_add_up_to_one() {
 
 /// What σ_t's variance grows by as g is left free.
 #[test]
-fn the_share_of_g_is_what_the_variance_grows_by() {
+fn share_of_g_is_its_variance_increase() {
     let data = measured(MEDIUM, 2, Flaws::default());
     let free = refined(&data, settings());
     let held = refined(&data, FitSettings { g: Bounds::fixed(free.best.medium.g()), ..settings() });
@@ -42,7 +43,7 @@ fn the_share_of_g_is_what_the_variance_grows_by() {
 /// Moving what a source gets wrong in one profile by one standard error moves the estimate by the root of what that profile
 /// adds to the variance; profiles err independently.
 #[test]
-fn a_share_is_the_response_to_one_standard_error() {
+fn share_is_the_response_to_one_error() {
     let errors = FitSettings {
         g: Bounds::fixed(MEDIUM.2),
         offset_std_error: 0.004,

@@ -37,7 +37,7 @@ fn medium(seed: u64) -> (f64, f64, f64) {
 /// 60 media at least 51 must hold the truth (the binomial probability of fewer is 0.3 %), and the errors must be well
 /// below the grid's.
 #[test]
-fn intervals_hold_the_truth_as_often_as_they_claim() {
+fn intervals_cover_the_truth_as_claimed() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.01);
     let (mut sigma_t_held, mut albedo_held, mut better) = (0, 0, 0);
     let mut widths = Vec::new();
@@ -62,7 +62,7 @@ fn intervals_hold_the_truth_as_often_as_they_claim() {
 
 /// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end.
 #[test]
-fn the_valley_between_extinction_and_anisotropy_is_told() {
+fn extinction_anisotropy_valley_is_reported() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
     for seed in 0..5 {
         let (sigma_t, albedo, g) = medium(seed);
@@ -83,7 +83,7 @@ fn the_valley_between_extinction_and_anisotropy_is_told() {
 
 /// Where the profile does not depend on σ_t any more, the data give a bound on one side at best.
 #[test]
-fn a_flat_profile_is_unresolved() {
+fn flat_profile_is_unresolved() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
     let mut profiles = noisy_measurement((3.0, 0.5, 0.3), 1, true).profiles().to_vec();
     for p in &mut profiles {
@@ -109,8 +109,9 @@ fn a_flat_profile_is_unresolved() {
     );
 }
 
+/// Noise is estimated where no standard errors are given.
 #[test]
-fn noise_is_estimated_where_it_is_not_told() {
+fn missing_noise_is_estimated() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
     let m = (3.1, 0.62, 0.3);
     let told = refined(&dictionary, m, 7, Some(0.3));
@@ -146,8 +147,9 @@ fn scale_and_gain_errors_widen_the_intervals() {
     assert!(plain < offset, "{plain} {offset}");
 }
 
+/// The bounds of parameters also hold between the nodes.
 #[test]
-fn bounds_hold_between_the_nodes_too() {
+fn bounds_hold_between_nodes() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
     let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
     let mut settings = *options(Some(0.27)).settings();
@@ -161,7 +163,7 @@ fn bounds_hold_between_the_nodes_too() {
 
 /// Axes too short for local fits are interpolated; a dictionary of one medium has nowhere to go.
 #[test]
-fn short_axes_are_interpolated_and_single_nodes_held() {
+fn short_axes_are_interpolated_or_held() {
     let dictionary = noisy_dictionary(coarse_axes(), 360, 0.0);
     let found = refined(&dictionary, (3.0, 0.7, 0.4), 1, Some(0.4));
     assert!((found.best.medium.albedo() - 0.7).abs() < 0.02, "{found:?}");

@@ -17,7 +17,7 @@ fn best(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions) -> Ve
 }
 
 #[test]
-fn the_medium_that_was_measured_is_found() {
+fn medium_that_was_measured_is_found() {
     let dictionary = dictionary(360);
     for (sigma_t, albedo, g) in [(1.0, 0.3, 0.4), (4.0, 0.9, 0.0), (8.0, 0.6, 0.4)] {
         for (pixels, width) in [(360, 10.0), (720, 10.0), (90, 10.0), (200, 6.0)] {
@@ -60,8 +60,9 @@ fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions
     all
 }
 
+/// The search finds the same candidates as a comparison with every record.
 #[test]
-fn the_answer_is_that_of_brute_force() {
+fn search_equals_brute_force() {
     let rounded = || {
         let (grid, record) = noisy_records(coarse_axes(), 90, 0.0);
         rounded_dictionary_of(&grid, record)
@@ -88,7 +89,7 @@ fn the_answer_is_that_of_brute_force() {
 
 /// A dictionary whose profiles depend on the extinction alone: all media with the same one are equally good.
 #[test]
-fn equal_errors_come_in_the_order_of_the_records() {
+fn equal_errors_keep_the_record_order() {
     let grid = dictionary(360).grid().clone();
     let record = |index: usize| {
         let (point, _) = grid.parameters(index);
@@ -108,8 +109,9 @@ fn equal_errors_come_in_the_order_of_the_records() {
     assert!(found.iter().all(|c| c.error == found[0].error));
 }
 
+/// The error of a candidate is the sum of its terms.
 #[test]
-fn an_error_is_the_sum_of_its_terms() {
+fn error_is_the_sum_of_its_terms() {
     let dictionary = dictionary(360);
     for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &options(|_| {})) {
         let sum: f64 = candidate.thicknesses.iter().map(|t| t.value_rms + 20.0 * t.gradient_rms).sum();
@@ -119,8 +121,9 @@ fn an_error_is_the_sum_of_its_terms() {
     }
 }
 
+/// Candidates keep the bounds, and bounds outside the dictionary are refused.
 #[test]
-fn bounds_are_kept_and_those_outside_the_dictionary_refused() {
+fn bounds_are_kept_or_refused() {
     let dictionary = dictionary(360);
     let m = measured(4.0, 0.9, 0.0, 360, 10.0);
     let fixed = options(|s| {
@@ -157,7 +160,7 @@ fn bounds_are_kept_and_those_outside_the_dictionary_refused() {
 
 /// The view over a part of the pixels, and those of other wavelets, go through the same bounds and sums.
 #[test]
-fn parts_wavelets_and_levels_have_answers_of_their_own() {
+fn parts_wavelets_and_levels_differ() {
     let dictionary = dictionary(360);
     let part = measured(8.0, 0.6, 0.4, 200, 6.0);
     for (wavelet, level) in [(Wavelet::QuadraticSpline, 2), (Wavelet::Haar, 4), (Wavelet::QuadraticSpline, 4)]
@@ -175,8 +178,9 @@ fn parts_wavelets_and_levels_have_answers_of_their_own() {
     }
 }
 
+/// Profiles brighter or darker than all records are fitted and marked.
 #[test]
-fn profiles_beyond_all_records_are_fitted_and_marked() {
+fn profiles_beyond_all_records_are_marked() {
     let dictionary = dictionary(360);
     let outside = |factor: f64| {
         let m = measured(4.0, 0.9, 0.0, 360, 10.0);
@@ -211,8 +215,9 @@ fn profiles_outside_the_dictionary_are_refused() {
     assert!(range.contains("it covers 0 pixels of the dictionary's -5 to 5 mm, 8 are needed"), "{range}");
 }
 
+/// Profiles with too many different ranges of x are refused.
 #[test]
-fn profiles_of_too_many_ranges_are_refused() {
+fn too_many_x_ranges_are_refused() {
     let dictionary = dictionary(360);
     let several: Vec<_> = [10.0, 9.5, 9.0, 8.5, 8.0].map(|width| measured(4.0, 0.9, 0.0, 180, width)).into();
     let (options, range) = (options(|_| {}), MuRange::new(1.0, 1.0, 1.0).unwrap());

@@ -159,15 +159,17 @@ mod tests {
         }
     }
 
+    /// With the edge in the middle of a pixel, a straight line stays a straight line.
     #[test]
-    fn an_edge_in_the_middle_of_a_pixel_is_no_trouble() {
+    fn edge_within_a_pixel_keeps_lines_straight() {
         let smooth: Vec<f64> = (0..9).map(|i| f64::from(i) - 4.0).collect();
         let stretched = Stretch::new(9, 1.25).apply(&smooth, TAIL);
         assert!(stretched.iter().zip(&smooth).all(|(a, b)| (a - b / 1.25).abs() < 1e-12), "{stretched:?}");
     }
 
+    /// Profiles with few pixels are scaled as well.
     #[test]
-    fn few_pixels_are_scaled_too() {
+    fn few_pixels_are_scaled() {
         for n in 1..8 {
             for ratio in [0.5, 0.9, 1.1] {
                 let stretched = Stretch::new(n, ratio).apply(&vec![0.3; n], TAIL);
@@ -176,8 +178,9 @@ mod tests {
         }
     }
 
+    /// The slope is the derivative by the logarithm of the ratio.
     #[test]
-    fn the_slope_is_the_derivative_by_the_logarithm_of_the_ratio() {
+    fn slope_is_the_log_ratio_derivative() {
         let profile = means(|x| (x / 0.7).cosh().ln() + 0.3 * x);
         for (ratio, tail) in [(0.88, TAIL), (0.613, Tail::Vanishes(30.0)), (1.0, TAIL), (1.31, TAIL)] {
             let (values, slope) = Stretch::new(PIXELS, ratio).apply_with_slope(&profile, tail);

@@ -74,8 +74,9 @@ fn dictionary_thicknesses_are_predicted_from_records() {
     }
 }
 
+/// The slopes of predictions match difference quotients.
 #[test]
-fn slopes_are_derivatives() {
+fn slopes_match_difference_quotients() {
     let dictionary = dictionary(&[0.5, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let step = 1e-5;
@@ -129,8 +130,9 @@ fn slabs_of_any_thickness_are_predicted() {
     }
 }
 
+/// Predictions change without jumps over thickness and σ_t.
 #[test]
-fn predictions_change_without_jumps() {
+fn predictions_are_continuous() {
     let dictionary = dictionary(&[0.5, 0.8, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let greatest_jump = |at: &dyn Fn(f64) -> (f64, f64)| {
@@ -150,8 +152,9 @@ fn predictions_change_without_jumps() {
     }
 }
 
+/// A thickness too far from the records is refused, with the grid to compute.
 #[test]
-fn what_is_too_far_off_is_refused_with_what_to_compute() {
+fn distant_thickness_names_the_grid_to_compute() {
     let refused = |dictionary: &FitDictionary, mm: f64| {
         Surrogate::new(dictionary, 0, 0).supported(mm).unwrap_err().to_string()
     };
@@ -170,8 +173,9 @@ fn what_is_too_far_off_is_refused_with_what_to_compute() {
     assert!(refused(&thin, 0.105).contains("0.0993 to 0.1007 mm"), "{}", refused(&thin, 0.105));
 }
 
+/// σ_t is limited by the optical thicknesses of the grid.
 #[test]
-fn sigma_t_is_limited_by_the_optical_thicknesses_of_the_grid() {
+fn sigma_t_limits_follow_optical_thickness() {
     let dictionary = dictionary(&[0.5, 1.0]);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let (low, high) = surrogate.limits()[SIGMA_T];
@@ -299,7 +303,7 @@ fn allowed(mm: f64) -> f64 {
 /// Below an optical thickness of 1 and above 10 one of the two records has to be guessed, which may cost a quarter of the
 /// noise where the thickness is more than a tenth off both.
 #[test]
-fn the_error_stays_below_a_fifth_of_the_records_noise() {
+fn error_stays_below_allowed_noise_share() {
     let albedo = vec![0.8, 0.95, 0.99, 0.999];
     let traced = Traced { g: 0.8, albedo, walks: 200_000 };
     for (tau, thicknesses_mm) in [(0.75, [0.45, 0.55, 0.7]), (1.2, [0.45, 0.7, 1.1]), (12.0, [0.7, 0.9, 1.1])]
@@ -315,7 +319,7 @@ fn the_error_stays_below_a_fifth_of_the_records_noise() {
 
 /// Records at one thickness are scaled, as far as that stays below a fifth of their noise, and no further.
 #[test]
-fn one_thickness_suffices_for_slabs_that_are_nearly_as_thick() {
+fn one_thickness_serves_similar_slabs() {
     let traced = Traced { g: 0.8, albedo: vec![0.8, 0.95, 0.99, 0.999], walks: 200_000 };
     for only in [0.5, 1.0] {
         let dictionary = traced.dictionary(1.0, &[only]);
@@ -333,7 +337,7 @@ fn one_thickness_suffices_for_slabs_that_are_nearly_as_thick() {
 /// `cargo test -p optics-fit --lib over_the_grid -- --ignored --nocapture`.
 #[test]
 #[ignore = "traces for some minutes"]
-fn the_error_over_the_grid_is_below_a_fifth_of_the_noise() {
+fn error_over_the_grid_stays_small() {
     let albedo = vec![0.4, 0.8, 0.9, 0.95, 0.99, 0.999];
     let mut worst = 0.0_f64;
     for tau in [0.5, 0.75, 1.5, 3.0, 6.0, 12.0, 20.0] {

@@ -71,8 +71,9 @@ mod tests {
         MeasuredProfile::new("R", 0.5, x, values, Some(vec![stated; 180])).unwrap()
     }
 
+    /// Standard errors that look as if they were in another unit are noted with the factor.
     #[test]
-    fn errors_in_another_unit_are_noted_with_the_factor() {
+    fn errors_in_another_unit_are_noted() {
         let message = |noise: f64, error: f64| far_from_scatter(&profile(noise, error)).map(|seen| seen.text);
         for right in [0.004, 0.002, 0.04, 0.0005] {
             assert_eq!(message(0.004, right), None);
@@ -88,8 +89,9 @@ mod tests {
         assert_eq!(far_from_scatter(&profile(1e-5, 0.01)), None);
     }
 
+    /// Profiles without scatter, since they are smooth, rounded or simulated, get no note.
     #[test]
-    fn smooth_rounded_and_simulated_profiles_are_not() {
+    fn profiles_without_scatter_get_no_note() {
         assert_eq!(far_from_scatter(&profile(0.0, 0.002)), None);
         let smooth = profile(0.0, 0.002);
         let rounded = smooth.values().iter().map(|v| (1e5 * v).round() / 1e5).collect();

@@ -124,8 +124,9 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
 mod tests {
     use super::*;
 
+    /// The windows of a trace follow from lengths in mm and from shares of its pixels.
     #[test]
-    fn windows_count_lengths_and_shares_of_pixels() {
+    fn windows_have_lengths_and_pixel_shares() {
         let x: Vec<f64> = (0..40).map(|i| (f64::from(i) - 19.5) * 0.1).collect();
         let trace = Trace::new(&x, &x.iter().map(|x| x.abs()).collect::<Vec<_>>(), None);
         assert_eq!((trace.edge(), trace.pixels(0.52, 3), trace.pixels(0.1, 3)), (20, 5, 3));
@@ -134,8 +135,9 @@ mod tests {
         assert!(trace.rise(20, 5).abs() < 1e-12);
     }
 
+    /// Noise is estimated on a slope too, and long profiles are averaged.
     #[test]
-    fn noise_is_found_on_a_slope_and_long_profiles_are_averaged() {
+    fn noise_is_found_on_a_slope() {
         let noisy = |i: usize| 0.01 * i as f64 + if i.is_multiple_of(3) { 0.2 } else { -0.1 };
         let x: Vec<f64> = (0..5000).map(|i| f64::from(i) * 0.001).collect();
         let short = Trace::new(&x[..300], &(0..300).map(noisy).collect::<Vec<_>>(), None);
