@@ -1,10 +1,11 @@
-//! The quantities of a set-up, in one table. Settings, columns, messages, arguments, checks and documents are made from it.
+//! Lists the quantities of a set-up in one table, from which settings, columns, messages, arguments, checks and documents
+//! are made.
 
 use crate::invalid::{Invalid, Result};
 
 /// Passes rows of the table to the macro `$then`: those of a fit's `options`, those of single `profiles`, or `all`.
-/// A row is `name { unit, default, [lowest, highest], form, "label", "help" }`; its group decides where the quantity may stand.
-/// The label names its default among what was assumed, and is empty where that is not reported.
+/// A row is `name { unit, default, [lowest, highest], form, "label", "help" }`; its group decides where the quantity may
+/// stand. The label names its default among what was assumed, and is empty where that is not reported.
 #[macro_export]
 macro_rules! with_quantities {
     ($which:ident $then:ident) => {
