@@ -29,7 +29,7 @@ pub(crate) fn misfit(refined: &Refined) -> Option<String> {
 fn absorbed(refined: &Refined) -> Option<String> {
     let suspicion = absorbed_by_media(refined)?;
     let text = "the intervals are not to be trusted, although χ² is small";
-    Some(format!("{text}: all materials together contradict the set-up as given; {}", reason(suspicion)))
+    Some(format!("{text}: the measurements contradict the set-up as given; {}", reason(suspicion)))
 }
 
 fn reason(s: &Suspicion) -> String {

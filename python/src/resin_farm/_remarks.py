@@ -41,7 +41,7 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
             )
         elif refined.suspicion:
             yield (
-                f"{name}: {chi2}, but all materials together contradict the set-up as given: the intervals are not to "
+                f"{name}: {chi2}, but the measurements contradict the set-up as given: the intervals are not to "
                 f"be trusted{cause}"
             )
         elif likelihood.degrees_of_freedom >= 100 and likelihood.chi2 < 0.5 * likelihood.degrees_of_freedom:

@@ -77,6 +77,7 @@ fn every_fit_answer_has_its_json_shape() {
         "error",
         "g",
         "g_interval",
+        "likelihood",
         "measurement_noise",
         "misfit",
         "reduced_scattering_interval",

@@ -22,7 +22,7 @@ use crate::dictionary::view::Slope;
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability of χ² below which residuals count as more than noise.
-pub(super) const UNLIKELY: f64 = 0.001;
+const UNLIKELY: f64 = 0.001;
 
 /// A channel is resolved if its intervals of σ_t and of the albedo span at most this factor …
 const RESOLVED_FACTOR: f64 = 2.0;

@@ -7,15 +7,15 @@ use optics_model::fit::{Cause, FitOptions, MISFIT, Nuisance, NuisanceEstimate, S
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
 use super::LN_SCALE;
-use super::answer::{Found, Goodness, UNLIKELY};
+use super::answer::{Found, Goodness};
 use super::channel::minimum;
 use super::problem::ChannelData;
 
-/// Share of the unexplained χ² that a correction must take away, …
+/// Share of the unexplained χ² that a cause must explain, …
 const CONVINCING: f64 = 0.6;
 /// … and the misfit that it may leave, or that share of the whole: a poor fit explains nothing.
 const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
-/// Standard deviations of its prior from which on an estimate is suspicious.
+/// Standard deviations of its prior from which on an estimate is suspicious, however well the data are explained.
 const PULLED: f64 = 5.0;
 
 impl Found<'_, '_> {
@@ -29,7 +29,8 @@ impl Found<'_, '_> {
         }
         let unknown =
             Suspicion { cause: Cause::Unknown, thickness_mm: None, amount: 0.0, misfit_left: misfit };
-        let pulled = if goodness.probability < UNLIKELY { self.pulled(goodness, nuisances) } else { None };
+        let pulled = self.pulled(goodness, nuisances);
+        let pulled = pulled.filter(|s| misfit <= MISFIT || is_convincing(s, misfit));
         pulled.or((misfit > MISFIT).then_some(unknown))
     }
 
@@ -40,15 +41,11 @@ impl Found<'_, '_> {
             let misfit_left = self.misfit_of(profiles, &options).ok()?;
             Some(Suspicion { cause, thickness_mm: None, amount: 0.0, misfit_left })
         };
-        let convincing = |s: &Suspicion| {
-            misfit.powi(2) - s.misfit_left.powi(2) >= CONVINCING * (misfit.powi(2) - 1.0)
-                && s.misfit_left <= LEFT.0.max(LEFT.1 * misfit)
-        };
         let profiles: Vec<&MeasuredProfile> = self.data.profiles.iter().map(|p| p.profile).collect();
         let decoded = decoded(&profiles).map(|profiles| (Cause::GammaCoded, profiles));
         let swapped = swapped(&profiles).map(|profiles| (Cause::ThicknessesSwapped, profiles));
         let tried = [decoded, swapped].into_iter().flatten().filter_map(attempt);
-        tried.filter(convincing).min_by(|a, b| a.misfit_left.total_cmp(&b.misfit_left))
+        tried.filter(|s| is_convincing(s, misfit)).min_by(|a, b| a.misfit_left.total_cmp(&b.misfit_left))
     }
 
     /// With the common factor and the anisotropy as they were found.
@@ -96,6 +93,13 @@ impl Found<'_, '_> {
         let found = causes.into_iter().filter_map(suspicion);
         found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, suspicion)| suspicion)
     }
+}
+
+/// Whether a cause explains most of the misfit.
+fn is_convincing(suspicion: &Suspicion, misfit: f64) -> bool {
+    let left = suspicion.misfit_left;
+    misfit.powi(2) - left.powi(2) >= CONVINCING * (misfit.powi(2) - 1.0)
+        && left <= LEFT.0.max(LEFT.1 * misfit)
 }
 
 /// The profiles with linear values, if those that were measured may be coded as sRGB.

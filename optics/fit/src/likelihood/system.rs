@@ -12,9 +12,11 @@ use super::unknowns::{Unknown, clamped, damped_step, free, inverse_over_free};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point, SHARED};
 use crate::surrogate::Surrogate;
 
+/// The valleys of mixtures are longer: inks trade off through the media that they make.
+const STEPS_OF_MIXTURES: usize = 60;
 /// Descents of all unknowns.
 const DESCENT: Descent =
-    Descent { most_steps: 60, damping: (1e-9, 1e-4, 1e6), factors: (30.0, 0.03), tolerance: 0.0 };
+    Descent { most_steps: 40, damping: (1e-9, 1e-4, 1e6), factors: (30.0, 0.03), tolerance: 0.0 };
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -211,7 +213,9 @@ impl System<'_> {
             self.advance(&mut there, normal, &(&x - &state.x));
             Some(self.place(State { x, ..there }))
         };
-        Descent { tolerance, ..DESCENT }.run(self.place(from), total, step).state
+        let is_blended = self.terms.iter().any(|term| term.blend.is_some());
+        let most_steps = if is_blended { STEPS_OF_MIXTURES } else { DESCENT.most_steps };
+        Descent { tolerance, most_steps, ..DESCENT }.run(self.place(from), total, step).state
     }
 
     fn place(&self, mut state: State) -> Place {
