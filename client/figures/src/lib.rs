@@ -26,6 +26,7 @@ mod profile;
 mod scale;
 mod sheet;
 #[cfg(any(test, feature = "testing"))]
+#[expect(clippy::unwrap_used, reason = "data of tests; with the feature they are not compiled as a test")]
 pub mod testing;
 mod text;
 

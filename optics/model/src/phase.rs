@@ -77,6 +77,10 @@ impl PhaseSampler {
     /// The inverse of the distribution function, written without a division by g:
     /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², good for every g including 0. Rounding may
     /// carry it past ±1 by an ulp or two.
+    #[expect(
+        clippy::inline_always,
+        reason = "the vector kernel compiles for its instructions what is inlined into it"
+    )]
     #[inline(always)]
     pub fn cosine<L>(&self, xi: L) -> L
     where

@@ -95,6 +95,7 @@ pub(super) fn required<T>(field: &str, value: Option<T>) -> Result<T> {
 pub(super) mod required {
     use super::{Invalid, Result};
 
+    #[expect(clippy::unnecessary_wraps, reason = "a field that is a message is an option on the wire")]
     pub fn to_wire<M, W: From<M>>(value: M) -> Option<W> {
         Some(value.into())
     }
@@ -209,6 +210,7 @@ pub(super) mod matrix {
         matrix.as_flattened().to_vec()
     }
 
+    #[expect(clippy::needless_pass_by_value, reason = "adaptors take the field")]
     pub fn from_wire(field: &str, numbers: Vec<f64>) -> Result<[[f64; 3]; 3]> {
         let count = numbers.len();
         let matrix = match numbers.as_chunks::<3>() {

@@ -215,7 +215,7 @@ impl System<'_> {
         };
         let is_blended = self.terms.iter().any(|term| term.blend.is_some());
         let most_steps = if is_blended { STEPS_OF_MIXTURES } else { DESCENT.most_steps };
-        Descent { tolerance, most_steps, ..DESCENT }.run(self.place(from), total, step).state
+        Descent { most_steps, tolerance, ..DESCENT }.run(self.place(from), total, step).state
     }
 
     fn place(&self, mut state: State) -> Place {
@@ -229,12 +229,11 @@ impl System<'_> {
         let from = state.x.clone();
         state.x = clamped(&self.unknowns, &state.x + step);
         for (i, (reduced, own)) in normal.reduced.iter().zip(&mut state.own).enumerate() {
-            let shared = match &self.terms[i].blend {
-                None => DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| step[*s])),
-                Some(_) => {
-                    let (from, to) = (self.point(i, &from), self.point(i, &state.x));
-                    DVector::from_fn(SHARED, |k, _| to.0[k] - from.0[k])
-                }
+            let shared = if self.terms[i].blend.is_some() {
+                let (from, to) = (self.point(i, &from), self.point(i, &state.x));
+                DVector::from_fn(SHARED, |k, _| to.0[k] - from.0[k])
+            } else {
+                DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| step[*s]))
             };
             own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
         }
