@@ -4,8 +4,8 @@
 //! tokens from a [`TokenSource`], results as calls. What must be made durable, recorded, counted or woken is in the
 //! [`Outbox`].
 //!
-//! Three modules own the state: [`schedule`] the jobs and leases, [`verification`] the comparison of results between
-//! machines, [`roster`] the workers and machines. Verification uses the schedule and the roster, and the schedule reads
+//! Three modules own the state: `schedule` the jobs and leases, `verification` the comparison of results between
+//! machines, `roster` the workers and machines. Verification uses the schedule and the roster, and the schedule reads
 //! the roster.
 
 mod admission;
