@@ -29,7 +29,7 @@ pub(crate) struct UsedOptions<'a> {
     albedo_range: Bounds,
     wavelet: Wavelet,
     level: u32,
-    /// Null if it is chosen by whether every profile has standard errors.
+    /// Null stands for the likelihood.
     objective: Option<Objective>,
     #[serde(flatten)]
     set_up: SetUpJson<'a>,
