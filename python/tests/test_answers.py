@@ -110,10 +110,11 @@ def test_numbers_in_memory_are_checked_as_files_are(farm: resin_farm.Farm, white
         warnings.simplefilter("error")
         farm.fit(eight_bit, g=0.4)
     too_bright = with_values(white, lambda v: 1.1 * v)
-    fit = farm.fit(too_bright, g=0.4, objective="paper")
-    assert any("misfit" in remark or "brighter" in remark for remark in fit.remarks), fit.remarks
+    fit = farm.fit(too_bright, g=0.4)
+    assert any("χ²" in remark or "brighter" in remark for remark in fit.remarks), fit.remarks
     assert fit.remarks[0] in str(fit) and "<p>white" in fit._repr_html_()
-    assert "assumed" not in str(fit), "the paper's distance assumes nothing"
+    paper = farm.fit(white, g=0.4, objective="paper")
+    assert "assumed" not in str(paper), "the paper's distance assumes nothing"
     assert "assumed: thickness_std_error_mm" in str(farm.fit(white, g=0.4))
 
 

@@ -11,7 +11,7 @@ use farm_link::logs::tell;
 use farm_proto::DictionaryName;
 use farm_proto::wire::MeasureRequest;
 use optics_model::fit::{
-    Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, ScaleCurve, Unmixed,
+    Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
 use serde::Serialize;
 
@@ -108,6 +108,7 @@ impl Inputs {
         let [mu, mu_std_error] = mu.unwrap_or([1.0, 0.0]);
         let curves = self.plot.is_some() || folder.is_some();
         self.options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
+        self.check_objective(folder.is_some())?;
         chosen_dictionary::check(self.dictionary.as_ref())?;
         self.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
         if let Some(folder) = folder {
@@ -119,6 +120,22 @@ impl Inputs {
             self.folder = Some(folder);
         }
         Ok(self)
+    }
+}
+
+impl Inputs {
+    /// The paper's objective gives the best records, from which neither media nor intervals follow.
+    fn check_objective(&self, is_session: bool) -> Result<()> {
+        let needs = match () {
+            () if self.options.objective() == Objective::Likelihood => return Ok(()),
+            () if self.output.is_some() => "--output",
+            () if self.bound => "--bound",
+            () if is_session => "the folder of a session, whose report has media",
+            () => return Ok(()),
+        };
+        bail!(
+            "--objective paper gives records of the dictionary without intervals: leave it out with {needs}"
+        )
     }
 }
 
@@ -308,5 +325,22 @@ mod tests {
         let [parsed, direct] = [Inputs::of(args), Inputs::of_folder(folder.path())].map(Result::unwrap);
         assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
         assert_eq!(direct.options.settings().mu_std_error, 0.01);
+    }
+
+    /// The paper's objective is refused where media or intervals are wanted.
+    #[test]
+    fn paper_objective_gives_no_media() {
+        let inputs = |more: &[&str]| {
+            let cli = Cli::try_parse_from(
+                [&["farmctl", "measure", "a.csv", "--objective", "paper"][..], more].concat(),
+            );
+            let Command::Measure(args) = cli.unwrap().command else { panic!("not the verb") };
+            Inputs::of(args).map(|_| ()).map_err(|e| e.to_string())
+        };
+        assert_eq!(inputs(&[]), Ok(()));
+        for (more, named) in [(&["-o", "media"][..], "--output"), (&["--bound"], "--bound")] {
+            let error = inputs(more).unwrap_err();
+            assert!(error.contains("--objective paper") && error.ends_with(named), "{error}");
+        }
     }
 }
