@@ -1,9 +1,7 @@
-//! Channels of dictionaries in memory, loaded at the first question and kept for the next.
+//! Keeps channels of dictionaries in memory from the first question on, up to a limit, and drops the least recently used.
 //!
-//! All that is kept together stays below a limit: what was not asked for longest makes room. Questions under way hold on
-//! to their channels meanwhile. A dictionary that fits as
-//! a whole is read as a whole, so that its next question waits for nothing; of a larger one a question reads its own
-//! channels.
+//! Questions under way keep their channels. A dictionary below the limit is read as a whole, so that its next question
+//! waits for nothing; of a larger one a question reads its own channels.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

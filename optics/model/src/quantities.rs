@@ -1,5 +1,5 @@
-//! Lists the quantities of a set-up in one table, from which settings, columns, messages, arguments, checks and documents
-//! are made.
+//! Lists the quantities of a set-up in one table, from which settings, columns, messages, arguments and checks are made;
+//! the tables of the documents are compared with it.
 
 use crate::invalid::{Invalid, Result};
 

@@ -24,7 +24,7 @@ pub(super) struct Row {
 }
 
 impl Row {
-    /// Of a patch it does not matter.
+    /// Unused for patches.
     pub fn x(&self) -> f64 {
         self.x_mm.unwrap_or_default()
     }

@@ -227,7 +227,7 @@ fn improvements_are_ordered_and_bounded() {
     }
 }
 
-/// What would be told with something better known is what is told where it is so.
+/// A predicted improvement equals the bound of the better set-up.
 #[test]
 fn improvements_match_a_better_set_up() {
     let dictionary = dictionary(dense_axes());

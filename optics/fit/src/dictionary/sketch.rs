@@ -157,7 +157,7 @@ pub(crate) struct Sketch {
 /// Profiles that one thread describes at a time.
 const TOGETHER: usize = 256;
 
-/// Of no profile.
+/// The levels of an empty set.
 const NO_LEVELS: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
 /// Least and greatest of both.

@@ -2,7 +2,7 @@
 //!
 //! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
 //! whole's: every range of pixels needs its own. Only the paper's distance looks at gradients, so they are taken, and
-//! described, at the first question that does: one by that distance, or one that looks for the cause of a misfit.
+//! described, at the first question that uses it.
 
 use std::borrow::Cow;
 use std::ops::Range;

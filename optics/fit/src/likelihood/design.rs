@@ -1,5 +1,5 @@
-//! The Cramér–Rao bound of photographs that are not made yet: what `bound` tells of a measurement, at a guess of the
-//! medium and with the model itself for the values.
+//! The Cramér–Rao bound of a planned measurement: that of `bound`, at a guess of the medium and with the model itself for
+//! the values.
 
 use nalgebra::DVector;
 use optics_model::fit::{HalfWidths, PixelRow};
