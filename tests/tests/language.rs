@@ -39,10 +39,10 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 177),
-    ("coordinator", 127),
+    ("client", 175),
+    ("coordinator", 126),
     ("deploy", 0),
-    ("docs", 3),
+    ("docs", 1),
     ("examples", 0),
     ("optics", 81),
     ("proto", 11),

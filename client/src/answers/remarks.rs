@@ -47,7 +47,7 @@ fn unresolved(sigma_t: &Interval) -> String {
     let (side, end) = if sigma_t.open_high { ("above", sigma_t.high) } else { ("below", sigma_t.low) };
     format!(
         "unresolved: σ_t may lie {side} {} /mm, where the dictionary or --sigma-t ends; compute a wider dictionary, or \
-         tell g",
+         give g",
         significant(end, 3)
     )
 }

@@ -14,7 +14,7 @@ pub(crate) fn common_text(common: &Common) -> String {
     } else if i.open_low && i.open_high {
         lines.push(format!(
             "scale factor μ: not determined by these data; taken as {} ± {} (tried: {} to {}). If the photographs are \
-             calibrated, tell it: --mu 1",
+             calibrated, give it: --mu 1",
             significant(common.mu, 4),
             significant(common.mu_std_error, 1),
             i.low,
@@ -36,6 +36,9 @@ pub(crate) fn common_text(common: &Common) -> String {
                 significant(g, 3)
             ));
         }
+        (Some(g), None) if common.by_g.len() > 1 => lines.push(format!(
+            "anisotropy g = {g}, of the dictionary's that with the least error of all channels together"
+        )),
         (Some(g), None) => lines.push(format!("anisotropy g = {g}: given, or the dictionary's only one")),
         (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
     }
@@ -84,7 +87,7 @@ fn given_text(common: &Common) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use optics_model::fit::Interval;
+    use optics_model::fit::{GError, Interval};
 
     /// The curve around its minimum is printed as it is.
     #[test]
@@ -118,6 +121,12 @@ mod tests {
         );
         common.mu_std_error = 0.0;
         assert!(common_text(&common).starts_with("scale factor μ = 1, as given"));
+        common.g_interval = None;
+        let text = |common: &Common| common_text(common).replace("\n  ", " ");
+        assert!(text(&common).ends_with("given, or the dictionary's only one"));
+        let by_g = [0.35, 0.45].map(|g| GError { g, error: 0.2, best_mu: 1.0, best_mu_error: 0.2 });
+        common.by_g = by_g.to_vec();
+        assert!(text(&common).ends_with("that with the least error of all channels together"));
         let scale = |curvature| ScaleCurve {
             points: Vec::new(),
             best: optics_model::fit::ScalePoint { mu: 0.913, error: 0.2 },

@@ -112,7 +112,7 @@ fn results_are_not_compared_with_replaced_records() {
     for _ in 0..3 {
         assert!(!bench.compare("b", &lease[0], wrong, right));
     }
-    assert_eq!(bench.farm.verification.counts(), (0, 0, 0), "nobody is accused");
+    assert_eq!(bench.farm.verification.counts(), (0, 0, 0), "no machine is accused");
     assert!(bench.effects().is_empty());
 }
 
