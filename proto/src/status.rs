@@ -109,8 +109,9 @@ impl DictionaryStatus {
         self.grid.job_count()
     }
 
+    /// Records of the axes and of the responses.
     pub fn records_total(&self) -> usize {
-        self.grid.record_count()
+        self.grid.stored_records()
     }
 
     pub fn records_done(&self) -> usize {

@@ -244,7 +244,7 @@ async fn ask_once(
 
 fn announce(global: &Global, wanted: &Wanted) {
     let Wanted { name, grid, records_done } = wanted;
-    let total = grid.record_count();
+    let total = grid.stored_records();
     if !global.quiet {
         tell(format_args!(
             "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",

@@ -9,7 +9,7 @@ const ROWS: usize = 16;
 /// What the characters mean.
 pub(super) const LEGEND: &str = "σ_t →   █ done   ▒ in part   + computing   · waiting   × failed";
 
-/// The states of all jobs of a grid.
+/// The states of the jobs of a grid's axes.
 #[derive(Debug)]
 pub(crate) struct Cells {
     states: Vec<JobState>,
@@ -21,8 +21,8 @@ pub(crate) struct Cells {
 impl Cells {
     pub fn new(grid: &Grid) -> Self {
         let columns = grid.sigma_t_per_mm().len() * grid.sample_ior().len();
-        let of_column = grid.job_count() / columns;
-        Self { states: vec![JobState::Waiting; grid.job_count()], columns, of_column }
+        let jobs = grid.nominal_jobs();
+        Self { states: vec![JobState::Waiting; jobs], columns, of_column: jobs / columns }
     }
 
     /// Takes up the states from one job on; what is not of the grid is left out.

@@ -78,9 +78,9 @@ impl Desk for TheDesk {
                 wire::NoiseLevel::Fine => grid.with_effort(NoiseLevel::Fine)?,
             };
             Ok(ReadGridResponse {
-                records: grid.record_count() as u64,
+                records: grid.stored_records() as u64,
                 jobs: grid.job_count() as u64,
-                bytes: (grid.record_count() * grid.record_bytes()) as u64,
+                bytes: (grid.stored_records() * grid.record_bytes()) as u64,
                 grid: Some((&grid).into()),
             })
         })

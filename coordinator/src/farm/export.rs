@@ -22,7 +22,8 @@ pub(crate) struct Export {
 }
 
 impl Farm {
-    /// The finished records from the number `first` on, or those of the `indices` that are not below it.
+    /// The finished records of the axes from the number `first` on, or those of the `indices` that are not below it; these
+    /// may be of responses.
     pub(crate) fn export(
         self: &Arc<Self>,
         name: DictionaryName,
@@ -71,17 +72,18 @@ fn at_a_time(grid: &Grid) -> usize {
 /// The numbers of the records that are wanted, in pieces that are read at once.
 fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
     let (total, chunk) = (grid.record_count(), at_a_time(grid));
+    let stored = grid.stored_records();
     if indices.len() > RequestLimits::INDICES {
         let allowed =
             format!("at most {} are allowed: ask for the others in another call", RequestLimits::INDICES);
         return Err(Invalid::new("indices", format!("{} numbers", indices.len()), allowed));
     }
-    let allowed = || format!("the dictionary has records 0 to {}", total - 1);
-    if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= total) {
+    let allowed = || format!("the dictionary has records 0 to {}", stored - 1);
+    if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= stored) {
         return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
     }
     // One beyond the last is what a client asks for that has everything.
-    if first > total {
+    if first > stored {
         return Err(Invalid::new("first", first, allowed()));
     }
     if indices.is_empty() {

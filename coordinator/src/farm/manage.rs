@@ -108,7 +108,7 @@ impl Farm {
         self.find_blocks(&shared, id).await?;
         // What came in the meantime.
         self.take_over_done(&shared, id).await?;
-        let (jobs, records) = (grid.job_count(), grid.record_count());
+        let (jobs, records) = (grid.job_count(), grid.stored_records());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
         self.scheduler
             .transition_by(by, |dispatcher, _| dispatcher.note(id, None, EventKind::Submitted, message));

@@ -4,6 +4,7 @@ pub(crate) mod axes;
 mod channel;
 pub(crate) mod gradient;
 pub(crate) mod records;
+mod responses;
 pub(crate) mod sketch;
 pub(crate) mod sum;
 pub(crate) mod view;
@@ -19,6 +20,7 @@ use rayon::prelude::*;
 use crate::stop::{Stop, Stopped};
 use channel::ChannelRecords;
 use records::Records;
+use responses::ResponseRecords;
 use view::{View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
@@ -26,7 +28,7 @@ use view::{View, ViewKey};
 pub struct DictionaryBuilder {
     grid: Arc<Grid>,
     /// Those that are collected, by their index among the scene's.
-    channels: Vec<(usize, Records)>,
+    channels: Vec<(usize, Records, ResponseRecords)>,
     /// Which records have come.
     present: Vec<bool>,
 }
@@ -40,8 +42,9 @@ impl DictionaryBuilder {
 
     /// For some channels of the grid's scene, by their indices.
     pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
-        let channels = channels.into_iter().map(|index| (index, Records::new(grid.clone()))).collect();
-        let present = vec![false; grid.record_count()];
+        let channel = |index| (index, Records::new(grid.clone()), ResponseRecords::new(grid.clone()));
+        let channels = channels.into_iter().map(channel).collect();
+        let present = vec![false; grid.stored_records()];
         Self { grid, channels, present }
     }
 
@@ -49,7 +52,7 @@ impl DictionaryBuilder {
     #[cfg(test)]
     pub(crate) fn rounded(grid: &Grid) -> Self {
         let mut builder = Self::new(grid.clone());
-        for (_, records) in &mut builder.channels {
+        for (_, records, _) in &mut builder.channels {
             *records = Records::kept(builder.grid.clone(), false);
         }
         builder
@@ -62,8 +65,13 @@ impl DictionaryBuilder {
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
-            for (index, channel) in &mut self.channels {
-                channel.set(number, records.radiance_factors(number, *index));
+            for (index, channel, responses) in &mut self.channels {
+                let values = records.radiance_factors(number, *index);
+                if number < self.grid.record_count() {
+                    channel.set(number, values);
+                } else {
+                    responses.set(number, values);
+                }
             }
         }
     }
@@ -77,8 +85,9 @@ impl DictionaryBuilder {
         assert!(self.present.iter().all(|present| *present), "every record has come");
         // No photograph is compared with the others.
         let seen: Vec<usize> = self.grid.scene().seen_channels().collect();
-        let described = |(index, records): (usize, Records)| {
-            let channel = ChannelRecords::new(records);
+        let described = |(index, records, responses): (usize, Records, ResponseRecords)| {
+            let responses = responses.subtract(&records);
+            let channel = ChannelRecords::new(records, responses);
             if seen.contains(&index) {
                 channel.whole_view();
             }
@@ -94,10 +103,11 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Bytes that a channel of a grid takes at most: values, descriptions and, of smaller dictionaries, gradients, for the
+    /// Bytes that a channel of a grid takes at most: values, responses, descriptions and, of smaller dictionaries, gradients, for the
     /// whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid) -> usize {
-        records::bytes_of(grid).saturating_add(2 * view::bytes_of(grid))
+        let views = 2 * view::bytes_of(grid);
+        records::bytes_of(grid).saturating_add(responses::bytes_of(grid)).saturating_add(views)
     }
 }
 
@@ -144,6 +154,10 @@ impl FitDictionary {
     pub fn values(&self, record: usize, channel: usize) -> Cow<'_, [f32]> {
         let records = self.records(channel);
         records.values(record, 0..records.pixels())
+    }
+
+    pub(crate) fn responses(&self, channel: usize) -> &ResponseRecords {
+        self.channel(channel).responses()
     }
 
     pub(crate) fn records(&self, channel: usize) -> &Records {

@@ -63,11 +63,13 @@ pub(super) const LN_SCALE: usize = 3;
 /// The camera's blur (`blur`).
 pub(super) const BLUR: usize = 4;
 pub(super) const LN_THICKNESS: usize = 5;
+/// The uncertain quantities of the scene follow, in its order, each by its difference from the scene's value in units of
+/// its prior's standard deviation.
 pub(super) const SHARED: usize = 6;
 
 /// Values of the shared unknowns of one profile.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Point(pub [f64; SHARED]);
+#[derive(Debug, Clone)]
+pub(super) struct Point(pub Line);
 
 impl Point {
     fn medium(&self) -> [f64; 3] {
@@ -89,6 +91,11 @@ impl Point {
 
     fn thickness_mm(&self) -> f64 {
         self.0[LN_THICKNESS].exp()
+    }
+
+    /// The uncertain quantities of the scene.
+    fn scene(&self) -> &[f64] {
+        &self.0[SHARED..]
     }
 }
 

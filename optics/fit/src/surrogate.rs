@@ -10,6 +10,7 @@ mod local_axis;
 mod noise;
 pub(crate) mod place;
 pub(crate) mod resample;
+pub(crate) mod responses;
 pub(crate) mod thickness;
 
 use std::borrow::Cow;

@@ -5,8 +5,8 @@
 //! encoding: fields in the order of their numbers, numbers that are zero and texts that are empty left out, repeated
 //! numbers packed. `proto` has a test that holds them against the messages of today.
 
-use crate::grid::{Effort, Grid, NoiseLevel};
-use crate::scene::{Layer, LayerMedium, Scene};
+use crate::grid::{Effort, Grid, NoiseLevel, Responses};
+use crate::scene::{Channel, Layer, LayerMedium, Scene};
 
 /// Protobuf's wire types.
 const VARINT: u32 = 0;
@@ -19,11 +19,7 @@ pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
         message(&mut bytes, 1, &self::layer(layer));
     }
     for channel in scene.channels() {
-        let mut of_channel = Vec::new();
-        text(&mut of_channel, 1, channel.name());
-        number(&mut of_channel, 2, channel.rho_light());
-        number(&mut of_channel, 3, channel.rho_dark());
-        message(&mut bytes, 2, &of_channel);
+        message(&mut bytes, 2, &self::channel(channel));
     }
     let mut light = Vec::new();
     number(&mut light, 1, scene.light().inner_deg());
@@ -35,6 +31,39 @@ pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
     number(&mut sensor, 3, scene.sensor().polar_deg());
     message(&mut bytes, 4, &sensor);
     whole(&mut bytes, 5, u64::from(scene.multiple_scattering()));
+    number(&mut bytes, 6, scene.sample_ior_offset());
+    bytes
+}
+
+/// Priors and responses, which no record of the axes depends on.
+fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for prior in scene.priors() {
+        let mut of_prior = Vec::new();
+        whole(&mut of_prior, 1, prior.kind() as u64 + 1);
+        let layers: Vec<u8> = prior.layers().iter().map(|l| *l as u8).collect();
+        message(&mut of_prior, 2, &layers);
+        number(&mut of_prior, 3, prior.std_error());
+        whole(&mut of_prior, 4, prior.scope() as u64 + 1);
+        message(&mut bytes, 1, &of_prior);
+    }
+    for variant in responses.variants() {
+        let mut of_variant = Vec::new();
+        whole(&mut of_variant, 1, variant.prior as u64);
+        number(&mut of_variant, 2, variant.step);
+        for channel in &variant.channels {
+            message(&mut of_variant, 3, &self::channel(channel));
+        }
+        message(&mut bytes, 2, &of_variant);
+    }
+    bytes
+}
+
+fn channel(channel: &Channel) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    text(&mut bytes, 1, channel.name());
+    number(&mut bytes, 2, channel.rho_light());
+    number(&mut bytes, 3, channel.rho_dark());
     bytes
 }
 
@@ -79,6 +108,9 @@ pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
         message(&mut bytes, 10, &quality);
     }
     whole(&mut bytes, 11, level);
+    if let Some(responses) = grid.responses() {
+        message(&mut bytes, 12, &self::responses(grid.scene(), responses));
+    }
     bytes
 }
 

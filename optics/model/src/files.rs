@@ -1,10 +1,13 @@
-//! Grid and scene files, in TOML.
+//! Grid files, in TOML; `scene` has those of scenes.
+
+mod scene;
 
 use serde::{Deserialize, Serialize};
 
 use crate::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
 use crate::invalid::{Invalid, Result};
-use crate::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+use crate::scene::Scene;
+pub use scene::SceneFile;
 
 /// Most walks of a transport point under a quality target, unless the file has another number.
 const MAX_WALKS: u64 = 25_000_000;
@@ -141,97 +144,6 @@ impl GridFile {
     }
 }
 
-/// Content of a scene file. Tables that are left out are those of the paper.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SceneFile {
-    #[serde(default)]
-    pub multiple_scattering: bool,
-    pub light: Option<LightTable>,
-    pub sensor: Option<SensorTable>,
-    #[serde(rename = "channel", default)]
-    pub channels: Vec<ChannelTable>,
-    #[serde(rename = "layer")]
-    pub layers: Vec<LayerTable>,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LightTable {
-    pub ring_deg: [f64; 2],
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct SensorTable {
-    pub width_mm: f64,
-    pub pixels: u32,
-    #[serde(default)]
-    pub polar_deg: f64,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ChannelTable {
-    pub name: String,
-    pub rho_light: f64,
-    pub rho_dark: f64,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct LayerTable {
-    pub name: String,
-    /// The sample takes index and thickness from the grid.
-    #[serde(default)]
-    pub sample: bool,
-    pub ior: Option<f64>,
-    pub thickness_mm: Option<f64>,
-    /// GGX α of the upper face.
-    #[serde(default)]
-    pub roughness: f64,
-}
-
-impl TryFrom<SceneFile> for Scene {
-    type Error = Invalid;
-
-    fn try_from(file: SceneFile) -> Result<Self> {
-        let paper = Scene::paper();
-        let light = match file.light {
-            Some(t) => ring_light(t.ring_deg)?,
-            None => paper.light(),
-        };
-        let sensor = match file.sensor {
-            Some(t) => Sensor::new(t.width_mm, t.pixels, t.polar_deg).map_err(|e| e.within("sensor"))?,
-            None => paper.sensor(),
-        };
-        let channels = if file.channels.is_empty() {
-            paper.channels().to_vec()
-        } else {
-            crate::invalid::each("channel", file.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?
-        };
-        let layers = crate::invalid::each("layer", file.layers, layer)?;
-        let scene = Scene::new(layers, channels, light, sensor, file.multiple_scattering);
-        // In a file it is `[[layer]]` and `[[channel]]`.
-        scene.map_err(|e| {
-            let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
-            e.renamed(field)
-        })
-    }
-}
-
-/// A file has one key for both angles.
-fn ring_light([inner, outer]: [f64; 2]) -> Result<RingLight> {
-    RingLight::new(inner, outer).map_err(|_| {
-        let angles = format!("[{inner}, {outer}]");
-        Invalid::new(
-            "light.ring_deg",
-            angles,
-            "two angles from 0 to 90 degrees are needed, the second at least 0.01 above the first",
-        )
-    })
-}
-
 /// A whole number that may be written as 1_000_000 or 1e6.
 fn whole_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
     #[derive(Deserialize)]
@@ -257,66 +169,9 @@ pub fn whole(number: f64) -> Option<u64> {
     ((0.0..=EXACT).contains(&number) && number.fract() == 0.0).then_some(number as u64)
 }
 
-fn layer(table: LayerTable) -> Result<Layer> {
-    let LayerTable { name, sample, ior, thickness_mm, roughness } = table;
-    match (sample, ior, thickness_mm) {
-        (true, None, None) => Layer::sample(name, roughness),
-        (true, ..) => Err(Invalid::new(
-            "sample",
-            "true with ior or thickness_mm",
-            "those of the sample come from the grid",
-        )),
-        (false, Some(ior), Some(thickness)) => Layer::clear(name, ior, thickness, roughness),
-        (false, None, _) => Err(Invalid::new("ior", "missing", "a layer that is not the sample needs one")),
-        (false, _, None) => {
-            Err(Invalid::new("thickness_mm", "missing", "a layer that is not the sample needs one"))
-        }
-    }
-}
-
-impl From<&Scene> for SceneFile {
-    fn from(scene: &Scene) -> Self {
-        let layers = scene.layers().iter().map(|l| {
-            let (ior, thickness_mm) = match l.medium() {
-                LayerMedium::Clear { ior, thickness_mm } => (Some(ior), Some(thickness_mm)),
-                LayerMedium::Sample => (None, None),
-            };
-            let (name, roughness) = (l.name().to_owned(), l.roughness());
-            LayerTable { name, sample: ior.is_none(), ior, thickness_mm, roughness }
-        });
-        let channels = scene.channels().iter().map(|c| ChannelTable {
-            name: c.name().to_owned(),
-            rho_light: c.rho_light(),
-            rho_dark: c.rho_dark(),
-        });
-        let sensor = scene.sensor();
-        Self {
-            multiple_scattering: scene.multiple_scattering(),
-            light: Some(LightTable { ring_deg: [scene.light().inner_deg(), scene.light().outer_deg()] }),
-            sensor: Some(SensorTable {
-                width_mm: sensor.width_mm(),
-                pixels: sensor.pixels() as u32,
-                polar_deg: sensor.polar_deg(),
-            }),
-            channels: channels.collect(),
-            layers: layers.collect(),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// The built-in scenes are unchanged after conversion to TOML and back.
-    #[test]
-    fn built_in_scenes_survive_toml() {
-        for scene in [Scene::paper(), Scene::smooth().with_multiple_scattering(true)] {
-            let text = toml::to_string(&SceneFile::from(&scene)).unwrap();
-            let back: SceneFile = toml::from_str(&text).unwrap();
-            assert_eq!(Scene::try_from(back).unwrap(), scene);
-        }
-    }
 
     /// An empty grid file means the paper's grid.
     #[test]

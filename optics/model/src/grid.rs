@@ -2,6 +2,7 @@
 
 mod effort;
 mod parts;
+mod responses;
 mod walks;
 
 use std::sync::Arc;
@@ -17,6 +18,7 @@ use crate::profile::RecordShape;
 use crate::scene::Scene;
 pub use effort::{Effort, NoiseLevel};
 pub use parts::MAX_PARTS;
+pub use responses::{Responses, Variant};
 pub use walks::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES, Quality, Walks};
 
 /// Most records of one dictionary.
@@ -27,7 +29,8 @@ pub const MAX_JOB_BYTES: u64 = 64 << 20;
 /// Everything that a dictionary depends on: axes, scene, effort and seed.
 ///
 /// Records are numbered with the albedo running fastest, then thickness, g, σ_t and sample index.
-/// A *job* is one transport point with all its albedos, so its records are consecutive.
+/// A *job* is one transport point with all its albedos, so its records are consecutive. Those of the responses, if there
+/// are some, follow those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     scene: Arc<Scene>,
@@ -36,6 +39,14 @@ pub struct Grid {
     seed: u64,
     derivatives: bool,
     quality: Option<Quality>,
+    responses: Option<Arc<Responses>>,
+}
+
+/// A job of the responses: a variant of the scene at the transport point of one of the axes' jobs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ResponseJob {
+    pub variant: usize,
+    pub nominal_job: usize,
 }
 
 /// The axes of a grid; each must be strictly rising and not empty.
@@ -67,11 +78,8 @@ impl Grid {
         let last = |axis: &[f64]| axis[axis.len() - 1];
         check_optical_thickness(last(&axes.sigma_t_per_mm), last(&axes.thickness_mm))?;
         let effort = effort.into();
-        let grid = Self { scene, axes, effort, seed, derivatives, quality: None };
-        let records = grid.job_count() as u128 * grid.albedo().len() as u128;
-        if records > u128::from(MAX_RECORDS) {
-            return Err(Invalid::new("records", records, format!("a grid may have at most {MAX_RECORDS}")));
-        }
+        let grid = Self { scene, axes, effort, seed, derivatives, quality: None, responses: None };
+        grid.check_records()?;
         let job_bytes = grid.albedo().len() as u64 * grid.record_bytes() as u64;
         if job_bytes > MAX_JOB_BYTES {
             return Err(Invalid::new(
@@ -109,6 +117,25 @@ impl Grid {
             sample_ior: vec![1.53],
         };
         Self::new(Scene::paper(), axes, NoiseLevel::Paper, 1, false).expect("the paper's grid is valid")
+    }
+
+    fn check_records(&self) -> Result<()> {
+        let records = self.job_count() as u128 * self.albedo().len() as u128;
+        if records > u128::from(MAX_RECORDS) {
+            return Err(Invalid::new("records", records, format!("a grid may have at most {MAX_RECORDS}")));
+        }
+        Ok(())
+    }
+
+    /// The same grid with responses of its scene's uncertain quantities.
+    pub fn with_responses(self, responses: Responses) -> Result<Self> {
+        let grid = Self { responses: Some(Arc::new(responses)), ..self };
+        grid.check_records()?;
+        Ok(grid)
+    }
+
+    pub fn responses(&self) -> Option<&Responses> {
+        self.responses.as_deref()
     }
 
     /// The same grid with more walks where the noise is above a target.
@@ -196,13 +223,65 @@ impl Grid {
         self.derivatives
     }
 
-    /// Transport points, each of them one job.
+    /// Jobs: transport points of the axes, then those of the responses.
     pub fn job_count(&self) -> usize {
+        let of_variant = self.response_lengths().iter().product::<usize>();
+        self.nominal_jobs() + self.responses().map_or(0, |r| r.variants().len() * of_variant)
+    }
+
+    /// Transport points of the axes, each of them one job.
+    pub fn nominal_jobs(&self) -> usize {
         self.axis_lengths().iter().product()
     }
 
+    /// Records of the axes. Those of the responses are numbered after them, up to [`Self::stored_records`].
     pub fn record_count(&self) -> usize {
+        self.nominal_jobs() * self.albedo().len()
+    }
+
+    /// Records of all jobs.
+    pub fn stored_records(&self) -> usize {
         self.job_count() * self.albedo().len()
+    }
+
+    /// What a job of the responses computes; None for those of the axes.
+    pub fn response_of(&self, job: usize) -> Option<ResponseJob> {
+        let responses = self.responses()?;
+        let index = job.checked_sub(self.nominal_jobs())?;
+        let [n_ior, n_sigma, n_g, n_t] = self.response_lengths();
+        let (rest, t) = (index / n_t, index % n_t);
+        let (rest, g) = (rest / n_g, rest % n_g);
+        let (rest, sigma) = (rest / n_sigma, rest % n_sigma);
+        let (variant, ior) = (rest / n_ior, rest % n_ior);
+        let nominal_job = self.job_of([ior, responses.sigma_t()[sigma], responses.g()[g], t]);
+        (variant < responses.variants().len()).then_some(ResponseJob { variant, nominal_job })
+    }
+
+    /// The job of a variant at the transport point of a job of the axes; None if it is not traced there.
+    pub fn response_job(&self, variant: usize, nominal_job: usize) -> Option<usize> {
+        let responses = self.responses()?;
+        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
+        let (rest, t) = (nominal_job / n_t, nominal_job % n_t);
+        let (rest, g) = (rest / n_g, rest % n_g);
+        let (ior, sigma) = (rest / n_sigma, rest % n_sigma);
+        let sigma = responses.sigma_t().binary_search(&sigma).ok()?;
+        let g = responses.g().binary_search(&g).ok()?;
+        let [n_ior, n_sigma, n_g, n_t] = self.response_lengths();
+        Some(self.nominal_jobs() + (((variant * n_ior + ior) * n_sigma + sigma) * n_g + g) * n_t + t)
+    }
+
+    /// The scene that a job is traced in.
+    pub fn scene_of(&self, job: usize) -> &Arc<Scene> {
+        match (self.response_of(job), self.responses()) {
+            (Some(place), Some(responses)) => responses.scene(place.variant),
+            _ => &self.scene,
+        }
+    }
+
+    /// Lengths of the axes that number the jobs of a variant, as [`Self::axis_lengths`].
+    fn response_lengths(&self) -> [usize; 4] {
+        let [n_ior, .., n_t] = self.axis_lengths();
+        self.responses().map_or([0; 4], |r| [n_ior, r.sigma_t().len(), r.g().len(), n_t])
     }
 
     /// Bytes of one record's numbers.
@@ -217,6 +296,7 @@ impl Grid {
     pub fn point(&self, job: usize) -> TransportPoint {
         let [_, n_sigma, n_g, n_t] = self.axis_lengths();
         assert!(job < self.job_count(), "job {job} is not of this grid");
+        let job = self.response_of(job).map_or(job, |place| place.nominal_job);
         let (rest, t) = (job / n_t, job % n_t);
         let (rest, g) = (rest / n_g, rest % n_g);
         let (ior, sigma) = (rest / n_sigma, rest % n_sigma);
@@ -229,14 +309,18 @@ impl Grid {
         .expect("axes hold checked values")
     }
 
-    /// The job of a transport point, if it is one of this grid's.
+    /// The axes' job of a transport point, if it is one of this grid's.
     pub fn job_at(&self, point: &TransportPoint) -> Option<usize> {
-        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
         let index = |axis: &[f64], value: f64| axis.binary_search_by(|v| v.total_cmp(&value)).ok();
         let ior = index(self.sample_ior(), point.sample_ior())?;
         let sigma = index(self.sigma_t_per_mm(), point.sigma_t_per_mm())?;
         let (g, t) = (index(self.g(), point.g())?, index(self.thickness_mm(), point.thickness_mm())?);
-        Some(((ior * n_sigma + sigma) * n_g + g) * n_t + t)
+        Some(self.job_of([ior, sigma, g, t]))
+    }
+
+    fn job_of(&self, [ior, sigma_t, g, thickness]: [usize; 4]) -> usize {
+        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
+        ((ior * n_sigma + sigma_t) * n_g + g) * n_t + thickness
     }
 
     /// Number of the first record of a job; its others follow.
@@ -255,8 +339,7 @@ impl Grid {
 
     /// Number of the record at these indices into the axes.
     pub fn record_at(&self, ior: usize, sigma_t: usize, g: usize, thickness: usize, albedo: usize) -> usize {
-        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
-        (((ior * n_sigma + sigma_t) * n_g + g) * n_t + thickness) * self.albedo().len() + albedo
+        self.first_record(self.job_of([ior, sigma_t, g, thickness])) + albedo
     }
 
     /// Lengths of the axes that number the jobs, slowest first.

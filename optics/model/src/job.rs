@@ -56,7 +56,7 @@ impl JobSpec {
     /// # Panics
     /// If the grid has no such job.
     pub fn of(grid: &Grid, job: usize) -> Self {
-        let (scene, albedo) = (grid.shared_scene().clone(), grid.albedo().to_vec());
+        let (scene, albedo) = (grid.scene_of(job).clone(), grid.albedo().to_vec());
         Self::checked(scene, grid.point(job), albedo, grid.walks_of(job), grid.seed(), grid.derivatives())
             .numbered_from(grid.first_record(job))
     }

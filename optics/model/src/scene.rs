@@ -2,8 +2,11 @@
 //!
 //! Setting after Elek, Sumin et al. 2017, supplement, Secs. 4 and 5.1.
 
+mod priors;
+
 use crate::invalid::{Invalid, Result, check};
 use crate::medium::{check_ior, check_thickness};
+pub use priors::{MAX_PRIORS, Prior, PriorKind, Scope};
 
 /// Most layers, channels and pixels that a scene may have.
 pub const MAX_LAYERS: usize = 32;
@@ -221,6 +224,8 @@ pub struct Scene {
     light: RingLight,
     sensor: Sensor,
     multiple_scattering: bool,
+    sample_ior_offset: f64,
+    priors: Vec<Prior>,
 }
 
 impl Scene {
@@ -244,15 +249,9 @@ impl Scene {
                 "exactly one layer must be the sample",
             ));
         }
-        if !(1..=MAX_CHANNELS).contains(&channels.len()) {
-            return Err(Invalid::new("channels", channels.len(), format!("1 to {MAX_CHANNELS} are allowed")));
-        }
-        for (i, channel) in channels.iter().enumerate() {
-            if channels[..i].iter().any(|c| c.name == channel.name) {
-                return Err(Invalid::new(format!("channels[{i}].name"), &channel.name, "names must differ"));
-            }
-        }
-        Ok(Self { layers, channels, light, sensor, multiple_scattering })
+        check_channels(&channels)?;
+        let (sample_ior_offset, priors) = (0.0, Vec::new());
+        Ok(Self { layers, channels, light, sensor, multiple_scattering, sample_ior_offset, priors })
     }
 
     /// The set-up of the paper: glass slip, gel, rough sample, gel, coated signal source; R, G, B.
@@ -265,6 +264,28 @@ impl Scene {
             Layer::clear("coat", 1.49, 0.0, 0.15),
         ];
         Self::built_in(layers)
+    }
+
+    /// The set-up of the paper as a laboratory has it: surfaces lose no light, and numbers that are rarely measured are
+    /// uncertain.
+    pub fn lab() -> Self {
+        use PriorKind::{Index, RingAngle, Roughness, Thickness};
+        use Scope::{Material, Session, Slab};
+        let [slip, gels, sample, faces, coat] = [vec![0], vec![1, 3], vec![2], vec![2, 3], vec![4]];
+        let priors = [
+            (Roughness, faces, 0.03, Material),
+            (Roughness, coat.clone(), 0.05, Session),
+            (Thickness, slip, 0.02, Session),
+            (Thickness, gels.clone(), 0.02, Slab),
+            (Index, gels, 0.01, Session),
+            (Index, sample, 0.01, Material),
+            (Index, coat, 0.03, Session),
+            (RingAngle, Vec::new(), 1.0, Session),
+        ];
+        let prior = |(kind, layers, sd, scope)| Prior::new(kind, layers, sd, scope);
+        let priors = priors.into_iter().map(prior).collect::<Result<_>>();
+        let scene = Self::paper().with_multiple_scattering(true);
+        priors.and_then(|priors| scene.with_priors(priors)).expect("the built-in scenes are valid")
     }
 
     /// The set-up of the paper with smooth interfaces and without the coat; it has exact solutions.
@@ -307,9 +328,9 @@ impl Scene {
         (0..self.channels.len()).filter(move |i| !darker.contains(i))
     }
 
-    pub fn with_channels(mut self, channels: Vec<Channel>) -> Result<Self> {
-        self.channels = channels;
-        Self::new(self.layers, self.channels, self.light, self.sensor, self.multiple_scattering)
+    pub fn with_channels(self, channels: Vec<Channel>) -> Result<Self> {
+        check_channels(&channels)?;
+        Ok(Self { channels, ..self })
     }
 
     #[must_use]
@@ -325,6 +346,17 @@ impl Scene {
     #[must_use]
     pub fn with_multiple_scattering(self, multiple_scattering: bool) -> Self {
         Self { multiple_scattering, ..self }
+    }
+
+    /// With the sample's index off the grid's by as much: a scene in which that index has another value.
+    #[must_use]
+    pub fn with_sample_ior_offset(self, sample_ior_offset: f64) -> Self {
+        Self { sample_ior_offset, ..self }
+    }
+
+    /// By how much the sample's refractive index is off that of the transport point.
+    pub fn sample_ior_offset(&self) -> f64 {
+        self.sample_ior_offset
     }
 
     pub fn layers(&self) -> &[Layer] {
@@ -346,6 +378,18 @@ impl Scene {
     pub fn multiple_scattering(&self) -> bool {
         self.multiple_scattering
     }
+}
+
+fn check_channels(channels: &[Channel]) -> Result<()> {
+    if !(1..=MAX_CHANNELS).contains(&channels.len()) {
+        return Err(Invalid::new("channels", channels.len(), format!("1 to {MAX_CHANNELS} are allowed")));
+    }
+    for (i, channel) in channels.iter().enumerate() {
+        if channels[..i].iter().any(|c| c.name == channel.name) {
+            return Err(Invalid::new(format!("channels[{i}].name"), &channel.name, "names must differ"));
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@
 //! (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"): good to 1e-4.
 
 use glam::Vec3;
-use optics_model::scene::{LayerMedium, sin2};
+use optics_model::scene::{Channel, LayerMedium, sin2};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
 
@@ -62,6 +62,28 @@ impl BareBoard {
     pub fn apparent(&self, rho: f64) -> f64 {
         self.specular + self.gain * rho / (1.0 - self.returned * rho)
     }
+
+    /// Reflectance of the base of a board with this radiance factor: the inverse of [`Self::apparent`].
+    pub fn reflectance(&self, apparent: f64) -> f64 {
+        let diffuse = apparent - self.specular;
+        diffuse / (self.gain + self.returned * diffuse)
+    }
+}
+
+/// The channels of a varied scene: its base has the reflectances with which it looks, without a slab, as that of `scene`.
+///
+/// ρ of a base is known from photographs of it, through the scene. So it follows when what is known of the coat or of the
+/// lamps changes. Reflectances that would leave 0 to 1 end there.
+pub fn base_as_seen(scene: &Scene, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
+    if Coat::of(scene)? == Coat::of(varied)?
+        && (scene.light(), scene.sensor().polar_deg()) == (varied.light(), varied.sensor().polar_deg())
+    {
+        return Ok(scene.channels().to_vec());
+    }
+    let (known, other) = (BareBoard::of(scene)?, BareBoard::of(varied)?);
+    let rho = |rho: f64| other.reflectance(known.apparent(rho)).clamp(0.0, 1.0);
+    let channel = |c: &Channel| Channel::new(c.name(), rho(c.rho_light()), rho(c.rho_dark()));
+    scene.channels().iter().map(channel).collect()
 }
 
 /// A point of the unit cube.
@@ -97,7 +119,7 @@ fn share(rays: &Rays, counts: impl Fn(Vec3) -> bool) -> f64 {
 }
 
 /// A coat with air above.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Coat {
     ior: f64,
     alpha: f32,

@@ -48,7 +48,7 @@ impl Stack {
                 LayerMedium::Clear { ior, thickness_mm } => (ior, thickness_mm as f32),
                 LayerMedium::Sample => {
                     sample = thickness.len();
-                    (point.sample_ior(), point.walked_thickness())
+                    (point.sample_ior() + scene.sample_ior_offset(), point.walked_thickness())
                 }
             };
             iors.push(ior);

@@ -2,11 +2,11 @@
 
 use super::mirror::{Numbered, mirror, mirror_enum, required};
 use crate::wire;
-use optics_model::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Walks};
+use optics_model::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Responses, Variant, Walks};
 use optics_model::invalid::{Invalid, Result, each};
 use optics_model::medium::{Medium, TransportPoint};
 use optics_model::profile::{Derivatives, Estimate, Profile, Record};
-use optics_model::scene::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+use optics_model::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
 
 impl From<&Scene> for wire::Scene {
     fn from(scene: &Scene) -> Self {
@@ -20,15 +20,10 @@ impl From<&Scene> for wire::Scene {
                 LayerMedium::Sample => wire::layer::Medium::Sample(wire::SampleMedium {}),
             }),
         };
-        let channel = |c: &Channel| wire::Channel {
-            name: c.name().to_owned(),
-            rho_light: c.rho_light(),
-            rho_dark: c.rho_dark(),
-        };
         let (light, sensor) = (scene.light(), scene.sensor());
         Self {
             layers: scene.layers().iter().map(layer).collect(),
-            channels: scene.channels().iter().map(channel).collect(),
+            channels: scene.channels().iter().map(Into::into).collect(),
             light: Some(wire::RingLight { inner_deg: light.inner_deg(), outer_deg: light.outer_deg() }),
             sensor: Some(wire::Sensor {
                 width_mm: sensor.width_mm(),
@@ -36,7 +31,63 @@ impl From<&Scene> for wire::Scene {
                 polar_deg: sensor.polar_deg(),
             }),
             multiple_scattering: scene.multiple_scattering(),
+            sample_ior_offset: scene.sample_ior_offset(),
+            priors: scene.priors().iter().map(Into::into).collect(),
         }
+    }
+}
+
+impl From<&Channel> for wire::Channel {
+    fn from(channel: &Channel) -> Self {
+        let name = channel.name().to_owned();
+        Self { name, rho_light: channel.rho_light(), rho_dark: channel.rho_dark() }
+    }
+}
+
+impl TryFrom<wire::Channel> for Channel {
+    type Error = Invalid;
+
+    fn try_from(channel: wire::Channel) -> Result<Self> {
+        Self::new(channel.name, channel.rho_light, channel.rho_dark)
+    }
+}
+
+impl From<&Prior> for wire::Prior {
+    fn from(prior: &Prior) -> Self {
+        Self {
+            kind: prior.kind().number(),
+            layers: prior.layers().iter().map(|l| *l as u32).collect(),
+            std_error: prior.std_error(),
+            scope: prior.scope().number(),
+        }
+    }
+}
+
+impl TryFrom<wire::Prior> for Prior {
+    type Error = Invalid;
+
+    fn try_from(prior: wire::Prior) -> Result<Self> {
+        let newer =
+            |field: &str, number| Invalid::new(field, number, "this version does not have it: upgrade");
+        let kind = PriorKind::of_number(prior.kind).ok_or_else(|| newer("kind", prior.kind))?;
+        let scope = Scope::of_number(prior.scope).ok_or_else(|| newer("scope", prior.scope))?;
+        Self::new(kind, prior.layers.into_iter().map(|l| l as usize).collect(), prior.std_error, scope)
+    }
+}
+
+impl From<&Variant> for wire::Variant {
+    fn from(variant: &Variant) -> Self {
+        let channels = variant.channels.iter().map(Into::into).collect();
+        Self { prior: variant.prior as u32, step: variant.step, channels }
+    }
+}
+
+impl TryFrom<wire::Variant> for Variant {
+    type Error = Invalid;
+
+    fn try_from(variant: wire::Variant) -> Result<Self> {
+        let channels = each("channels", variant.channels, Channel::try_from)?;
+        Ok(Self { prior: variant.prior as usize, step: variant.step, channels })
     }
 }
 
@@ -50,13 +101,22 @@ impl TryFrom<wire::Scene> for Scene {
         };
         let light = required("light", scene.light)?;
         let sensor = required("sensor", scene.sensor)?;
-        Scene::new(
+        if !scene.sample_ior_offset.is_finite() {
+            return Err(Invalid::new(
+                "sample_ior_offset",
+                scene.sample_ior_offset,
+                "a finite number is needed",
+            ));
+        }
+        let exact = Scene::new(
             each("layers", scene.layers, layer)?,
-            each("channels", scene.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?,
+            each("channels", scene.channels, Channel::try_from)?,
             RingLight::new(light.inner_deg, light.outer_deg).map_err(|e| e.within("light"))?,
             Sensor::new(sensor.width_mm, sensor.pixels, sensor.polar_deg).map_err(|e| e.within("sensor"))?,
             scene.multiple_scattering,
-        )
+        )?;
+        let exact = exact.with_sample_ior_offset(scene.sample_ior_offset);
+        exact.with_priors(each("priors", scene.priors, Prior::try_from)?)
     }
 }
 
@@ -83,6 +143,7 @@ impl From<&Grid> for wire::Grid {
                 Effort::Walks(_) => 0,
                 Effort::Noise(level) => level.number(),
             },
+            responses: grid.responses().into_iter().flat_map(Responses::variants).map(Into::into).collect(),
         }
     }
 }
@@ -105,7 +166,14 @@ impl TryFrom<wire::Grid> for Grid {
             Quality::new(q.relative_std_error, max_walks).map_err(|e| e.within("quality"))
         });
         let quality = quality.transpose()?;
+        let variants = each("responses", grid.responses, Variant::try_from)?;
         let grid = Grid::new(scene, axes, effort, grid.seed, grid.derivatives)?;
+        let grid = if variants.is_empty() {
+            grid
+        } else {
+            let responses = Responses::new(grid.scene(), grid.axes(), variants)?;
+            grid.with_responses(responses)?
+        };
         quality.map_or(Ok(grid.clone()), |q| grid.with_quality(q))
     }
 }
@@ -125,6 +193,8 @@ fn effort(walks: u64, noise: i32) -> Result<Effort> {
 mirror!(TransportPoint::new(sigma_t_per_mm, g, thickness_mm, sample_ior));
 mirror!(Medium::new(sigma_t_per_mm, albedo, g));
 mirror_enum!(NoiseLevel { Draft, Paper, Fine });
+mirror_enum!(PriorKind { Roughness, Index, Thickness, RingAngle, SensorAngle });
+mirror_enum!(Scope { Session, Slab, Material });
 
 impl From<Estimate> for wire::Estimate {
     fn from(estimate: Estimate) -> Self {
@@ -183,8 +253,13 @@ mod tests {
 
     #[test]
     fn grid_survives_the_wire() {
-        let grid = Grid::paper();
-        assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
+        let paper = Grid::paper();
+        let (scene, axes) = (Scene::lab(), paper.axes().clone());
+        let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap();
+        let lab = Grid::new(scene, axes, NoiseLevel::Draft, 1, false).unwrap();
+        for grid in [paper, lab.with_responses(responses.unwrap()).unwrap()] {
+            assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
+        }
     }
 
     /// The canonical bytes that grids and scenes are digested by are those of the messages.

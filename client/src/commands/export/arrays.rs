@@ -118,8 +118,8 @@ impl<'a> Complete<'a> {
         chosen: &ChosenAxes,
     ) -> Result<Self> {
         let indices = chosen.records(&dictionary.grid);
-        let (done, total) = (dictionary.records_done(), dictionary.grid.record_count());
-        if indices.len() == total && done < total {
+        let (done, total) = (dictionary.records_done(), dictionary.records_total());
+        if indices.len() == dictionary.grid.record_count() && done < total {
             bail!(
                 "{} of {} records are done: arrays have no place for what is missing; wait, choose others with \
                  --sigma-t, --albedo, --g, --thickness, or write CSV",

@@ -31,7 +31,7 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
         options: Some((&options).into()),
         mu_known: known.is_some(),
         dictionary,
-        records: grid.record_count() as u64,
+        records: grid.stored_records() as u64,
         grid: Some((&grid).into()),
     })
 }

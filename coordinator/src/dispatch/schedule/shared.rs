@@ -19,9 +19,11 @@ fn holds(all: &[f64], some: &[f64]) -> bool {
 }
 
 impl Schedule {
-    /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos.
+    /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos. Those of responses are shared
+    /// with none while they are computed: their scenes differ.
     fn kin(&self, (id, job): JobRef) -> impl Iterator<Item = (&Dictionary, u32)> {
-        let own = self.dictionaries.get(&id).and_then(|own| {
+        let of_axes = |own: &&Dictionary| own.grid().response_of(job as usize).is_none();
+        let own = self.dictionaries.get(&id).filter(of_axes).and_then(|own| {
             let walks = own.jobs.get(job as usize)?.walks;
             Some((own.family?, walks, own.grid().point(job as usize)))
         });

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use crate::dictionary::records::Records;
+use crate::dictionary::responses::ResponseRecords;
 use crate::dictionary::view::{View, ViewKey, made_once};
 
 /// Views kept besides the one over all pixels with the default wavelet.
@@ -13,13 +14,18 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 #[derive(Debug)]
 pub(crate) struct ChannelRecords {
     records: Arc<Records>,
+    responses: ResponseRecords,
     /// The default first, then the last other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
-    pub(crate) fn new(records: Records) -> Self {
-        Self { records: Arc::new(records), views: Mutex::default() }
+    pub(crate) fn new(records: Records, responses: ResponseRecords) -> Self {
+        Self { records: Arc::new(records), responses, views: Mutex::default() }
+    }
+
+    pub(crate) fn responses(&self) -> &ResponseRecords {
+        &self.responses
     }
 
     pub(crate) fn records(&self) -> &Records {

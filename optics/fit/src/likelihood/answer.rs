@@ -58,7 +58,7 @@ impl Goodness {
 }
 
 impl Found<'_, '_> {
-    pub(super) fn slots(&self) -> &[usize; SHARED] {
+    pub(super) fn slots(&self) -> &[usize] {
         &self.system.slots[0]
     }
 

@@ -6,7 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, LN_THICKNESS, ROOT_CO_ALBEDO, SHARED};
+use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
 
 /// Slots of an ink's σ_s, √σ_a and ln(1 − g) among the unknowns.
 pub(super) type Ink = [usize; 3];
@@ -29,7 +29,7 @@ pub(super) struct Blend {
 /// A profile's shared unknowns at some place of the system's, and their derivatives by those in `slots`.
 #[derive(Debug)]
 pub(super) struct Place {
-    pub point: [f64; SHARED],
+    pub point: Line,
     pub slots: Vec<usize>,
     pub slopes: DMatrix<f64>,
 }
@@ -73,21 +73,21 @@ impl Blend {
         Blended { medium: [sigma_t.ln(), root, (reduced / scattering).ln()], slopes }
     }
 
-    /// With the slots of the factor on μ, of the blur and of the slab's thickness.
-    pub(super) fn place(&self, slots: &[usize; SHARED], x: &DVector<f64>) -> Place {
+    /// With the slots of the set-up: those from the factor on μ on.
+    pub(super) fn place(&self, slots: &[usize], x: &DVector<f64>) -> Place {
         let blended = self.at(x);
         let parts = 3 * self.parts.len();
-        let set_up = [LN_SCALE, BLUR, LN_THICKNESS];
-        let used: Vec<usize> = self.slots().chain(set_up.map(|i| slots[i])).collect();
-        let mut slopes = DMatrix::zeros(SHARED, used.len());
-        let mut point = [0.0; SHARED];
+        let set_up = LN_SCALE..slots.len();
+        let used: Vec<usize> = self.slots().chain(slots[set_up.clone()].iter().copied()).collect();
+        let mut slopes = DMatrix::zeros(slots.len(), used.len());
+        let mut point = vec![0.0; slots.len()];
         for (i, (low, high)) in self.limits.into_iter().enumerate() {
             point[i] = blended.medium[i].clamp(low, high);
             if point[i] == blended.medium[i] {
                 slopes.view_mut((i, 0), (1, parts)).copy_from(&blended.slopes.row(i));
             }
         }
-        for (k, i) in set_up.into_iter().enumerate() {
+        for (k, i) in set_up.enumerate() {
             point[i] = x[slots[i]];
             slopes[(i, parts + k)] = 1.0;
         }

@@ -79,7 +79,10 @@ impl Found<'_, '_> {
             add(&mut parts, ErrorSource::OtherChannels, others.max(0.0));
         }
         for (i, (term, linear)) in system.terms.iter().zip(linear).enumerate() {
-            let shared = DVector::from_iterator(SHARED, system.slots[i].iter().map(|slot| response[*slot]));
+            let shared = DVector::from_iterator(
+                system.slots[i].len(),
+                system.slots[i].iter().map(|slot| response[*slot]),
+            );
             let own = normal.reduced[i].own_response(&shared);
             for (k, response) in own.iter().enumerate() {
                 let source = match term.priors.get(k).map(|prior| prior.own) {

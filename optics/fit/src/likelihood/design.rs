@@ -52,10 +52,10 @@ impl Plan<'_> {
     /// How well slabs of these thicknesses determine the medium.
     pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &Known) -> HalfWidths {
         let (system, state) = self.system(slabs_mm, known);
-        let slots = system.slots[0];
+        let slots = &system.slots[0];
         let covariance = ideal_covariance(&system, &state).filter(|c| c.iter().all(|v| v.is_finite()));
         let Some(covariance) = covariance else { return HalfWidths::UNKNOWN };
-        let bound = bound(&covariance, &state, &slots);
+        let bound = bound(&covariance, &state, slots);
         let ends = [
             bound.sigma_t_per_mm,
             bound.albedo,
@@ -66,7 +66,7 @@ impl Plan<'_> {
         // √σ_a is √(1 − α), which is at most 1, times √σ_t.
         let units = [1.0, 1.0, 1.0, 1.0, (0.5 * self.medium[SIGMA_T]).exp()];
         let mut widths =
-            Quantity::all(&slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
+            Quantity::all(slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
                 let gradient = quantity.gradient(&state.x);
                 let deviation = gradient.dot(&(&covariance * &gradient)).max(0.0).sqrt();
                 if deviation < UNDETERMINED * unit { 0.5 * (ends.high - ends.low) } else { f64::INFINITY }
@@ -99,13 +99,13 @@ impl Plan<'_> {
         let blur = add(prior, held, value);
         let slots = slabs_mm.iter().map(|slab| {
             let (prior, held, value) = known_to(slab.ln(), known.thickness_mm / slab);
-            [s, a, g, scale, blur, add(prior, held, value)]
+            vec![s, a, g, scale, blur, add(prior, held, value)]
         });
         let slots: Vec<_> = slots.collect();
         let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, known)).collect();
         let own: Vec<Line> = terms.iter().map(|t| vec![0.0; t.own_count()]).collect();
         let surrogates = vec![self.surrogate; terms.len()];
-        let mut system = System { terms, surrogates, slots, unknowns, coupling: None };
+        let mut system = System { terms, surrogates, slots, unknowns, of_scene: Vec::new(), coupling: None };
         let state = State { x: DVector::from_vec(x), own, cost: 0.0 };
         let models = system.linear(&state.x, &state.own).into_iter().map(|linear| linear.model);
         for (term, model) in system.terms.iter_mut().zip(models.collect::<Vec<_>>()) {
@@ -143,6 +143,7 @@ impl Plan<'_> {
             robust: false,
             softness: 1.0,
             near: None,
+            responses: None,
             white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
             x_mm,
         }

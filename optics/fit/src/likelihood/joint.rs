@@ -17,12 +17,12 @@ use optics_model::fit::{
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::LN_SCALE;
 use super::answer::Found;
 use super::outside;
 use super::problem::{ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
 use super::unknowns::inverse_over_free;
+use super::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, g};
@@ -202,7 +202,7 @@ impl<'a> Set<'a> {
 
     fn answer(&self, joint: &Joint, plan: &MeasurePlan, base: f64, cells: &[Cell]) -> Measured {
         let system = &joint.assembly.system;
-        let [.., g_slot, scale_slot, _, _] = system.slots[0];
+        let (g_slot, scale_slot) = (system.slots[0][LN_ONE_MINUS_G], system.slots[0][LN_SCALE]);
         let common_g = cells[0].g.is_some();
         let g_interval = common_g.then(|| joint.g_interval(g_slot));
         let grid = self.dictionary.grid();

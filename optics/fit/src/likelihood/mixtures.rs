@@ -147,9 +147,9 @@ fn slabs<'a>(
     let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
         let parts = mixtures.parts_of(materials[data.material].material()).unwrap_or_default();
         let of = |ink: &&str| parts.iter().find(|(name, _)| name == ink).map_or(0.0, |(_, f)| *f);
-        let slots = system.slots[terms.start];
+        let slots = &system.slots[terms.start];
         let std_errors = [0, 1].map(|which| {
-            let quantity = Quantity::all(&slots)[3 + which];
+            let quantity = Quantity::all(slots)[3 + which];
             let gradient = quantity.gradient(&state.x);
             let variance = covariance.as_ref().map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
             let value = quantity.value(&state.x);
@@ -227,8 +227,14 @@ impl<'a> Unmixing<'a, '_> {
             }
         }
         let inks = self.ink_unknowns(&mut unknowns, &mut x);
-        let mut system =
-            System { terms: Vec::new(), surrogates: Vec::new(), slots: Vec::new(), unknowns, coupling: None };
+        let mut system = System {
+            terms: Vec::new(),
+            surrogates: Vec::new(),
+            slots: Vec::new(),
+            unknowns,
+            of_scene: whole.of_scene.clone(),
+            coupling: None,
+        };
         let mut own = Vec::new();
         for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
             let of_channel =
@@ -242,7 +248,7 @@ impl<'a> Unmixing<'a, '_> {
                 let blend = Some(Blend { parts: parts.clone(), limits });
                 system.terms.push(Term { blend, ..term });
                 system.surrogates.push(whole.surrogates[i]);
-                system.slots.push(whole.slots[i]);
+                system.slots.push(whole.slots[i].clone());
                 own.push(from.own[i].clone());
             }
         }

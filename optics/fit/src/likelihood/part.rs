@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 use super::LN_SCALE;
 use super::system::{Coupling, Normal, State, System};
 use super::term::Term;
-use super::unknowns::eliminate;
+use super::unknowns::{SceneUnknown, eliminate};
 
 impl System<'_> {
     /// The information of some profiles on the unknowns at a state, and their pull.
@@ -27,7 +27,7 @@ impl System<'_> {
     pub(super) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
         let of_term = |i: &usize| -> Vec<usize> {
             match &self.terms[*i].blend {
-                None => self.slots[*i].to_vec(),
+                None => self.slots[*i].clone(),
                 Some(blend) => blend.slots().chain(self.slots[*i][LN_SCALE..].iter().copied()).collect(),
             }
         };
@@ -62,8 +62,14 @@ impl System<'_> {
         let system = Self {
             terms: terms.iter().map(term).collect(),
             surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
-            slots: terms.iter().map(|i| self.slots[*i].each_ref().map(place)).collect(),
+            slots: terms.iter().map(|i| self.slots[*i].iter().map(place).collect()).collect(),
             unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
+            of_scene: self
+                .of_scene
+                .iter()
+                .filter(|u| used.contains(&u.slot))
+                .map(|u| SceneUnknown { slot: place(&u.slot), ..*u })
+                .collect(),
             coupling: Some(coupling),
         };
         let own = terms.iter().map(|i| state.own[*i].clone()).collect();

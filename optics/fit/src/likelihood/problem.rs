@@ -3,6 +3,7 @@
 use nalgebra::DVector;
 use optics_model::fit::{FitOptions, Outside};
 use optics_model::measurement::MIN_PIXELS;
+use optics_model::scene::{Prior, Scope};
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
 use super::camera::Camera;
@@ -11,7 +12,7 @@ use super::scatter::scatter_by_side;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System};
 use super::term::{Own, OwnPrior, Term, White};
-use super::unknowns::Unknown;
+use super::unknowns::{SceneUnknown, Unknown};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
@@ -132,6 +133,7 @@ impl<'a> ProfileData<'a> {
             softness: 1.0,
             near: surrogate.near(self.profile.thickness_mm(), medium),
             white: White::of(surrogate, self.profile.thickness_mm(), medium, settings.mu.ln()),
+            responses: surrogate.responses(self.profile.thickness_mm(), medium),
             x_mm,
         }
     }
@@ -225,6 +227,7 @@ struct Unknowns {
     x: Vec<f64>,
     blurs: Vec<(String, (f64, f64), usize)>,
     thicknesses: Vec<(usize, f64, usize)>,
+    of_scene: Vec<SceneUnknown>,
 }
 
 impl Unknowns {
@@ -258,6 +261,31 @@ impl Unknowns {
     }
 }
 
+/// Unknowns for the uncertain quantities of a grid's scene, in their order, of a slab; none without responses.
+fn scene_slots(unknowns: &mut Unknowns, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
+    if grid.responses().is_none() {
+        return Vec::new();
+    }
+    let slot = |(index, prior): (usize, &Prior)| {
+        let (material, slab_mm) = match prior.scope() {
+            Scope::Session => (None, None),
+            Scope::Material => (Some(material), None),
+            Scope::Slab => (Some(material), Some(thickness_mm)),
+        };
+        let known =
+            unknowns.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm) == (index, material, slab_mm));
+        if let Some(known) = known {
+            return known.slot;
+        }
+        let (low, high) = prior.range(grid.scene());
+        let limits = (low / prior.std_error(), high / prior.std_error());
+        let slot = unknowns.add(Some((0.0, 1.0)), limits, false, 0.0);
+        unknowns.of_scene.push(SceneUnknown { prior: index, material, slab_mm, slot });
+        slot
+    };
+    grid.scene().priors().iter().enumerate().map(slot).collect()
+}
+
 /// All channels as one system, beginning at these media.
 pub(super) fn assemble<'a>(
     channels: &[ChannelData],
@@ -289,14 +317,23 @@ pub(super) fn assemble<'a>(
         for profile in &data.profiles {
             let blur = unknowns.blur(data.name, profile.blur);
             let thickness = unknowns.thickness(data.material, profile);
-            slots.push([s, a, g, scale_slot, blur, thickness]);
+            let grid = data.dictionary.grid();
+            let scene = scene_slots(&mut unknowns, grid, data.material, profile.profile.thickness_mm());
+            slots.push([vec![s, a, g, scale_slot, blur, thickness], scene].concat());
             terms.push(profile.term(data.dictionary.grid(), &data.options, surrogate, *medium));
             used.push(*surrogate);
         }
         ranges.push(first..terms.len());
     }
     let own: Vec<Line> = terms.iter().map(|t: &Term| vec![0.0; t.own_count()]).collect();
-    let system = System { terms, surrogates: used, slots, unknowns: unknowns.all, coupling: None };
+    let system = System {
+        terms,
+        surrogates: used,
+        slots,
+        unknowns: unknowns.all,
+        of_scene: unknowns.of_scene,
+        coupling: None,
+    };
     let state = State { x: DVector::from_vec(unknowns.x), own, cost: f64::INFINITY };
     (Assembly { system, terms: ranges }, state)
 }

@@ -3,7 +3,7 @@
 use nalgebra::DVector;
 
 use super::blend::Ink;
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO, SHARED};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 
 /// A function of the unknowns whose value can be held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +61,7 @@ impl Quantity {
     }
 
     /// Of a channel's medium.
-    pub(super) fn all(slots: &[usize; SHARED]) -> [Self; 5] {
+    pub(super) fn all(slots: &[usize]) -> [Self; 5] {
         let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
         [
             Self::Unknown(medium[0]),

@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use super::descent::Descent;
 use super::quantity::Quantity;
 use super::term::{Linear, Reduced, Term};
-use super::unknowns::{Unknown, clamped, damped_step, free, inverse_over_free};
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point, SHARED};
+use super::unknowns::{SceneUnknown, Unknown, clamped, damped_step, free, inverse_over_free};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point};
 use crate::surrogate::Surrogate;
 
 /// The valleys of mixtures are longer: inks trade off through the media that they make.
@@ -41,8 +41,10 @@ impl Coupling {
 pub(super) struct System<'a> {
     pub terms: Vec<Term>,
     pub surrogates: Vec<&'a Surrogate<'a>>,
-    pub slots: Vec<[usize; SHARED]>,
+    pub slots: Vec<Vec<usize>>,
     pub unknowns: Vec<Unknown>,
+    /// Those that are of the scene.
+    pub of_scene: Vec<SceneUnknown>,
     pub coupling: Option<Coupling>,
 }
 
@@ -82,7 +84,7 @@ impl System<'_> {
     pub(super) fn point(&self, term: usize, x: &DVector<f64>) -> Point {
         let slots = &self.slots[term];
         match &self.terms[term].blend {
-            None => Point(slots.map(|slot| x[slot])),
+            None => Point(slots.iter().map(|slot| x[*slot]).collect()),
             Some(blend) => Point(blend.place(slots, x).point),
         }
     }
@@ -97,6 +99,7 @@ impl System<'_> {
             surrogates: self.surrogates.clone(),
             slots: self.slots.clone(),
             unknowns: self.unknowns.clone(),
+            of_scene: self.of_scene.clone(),
             coupling: self.coupling.clone(),
         }
     }
@@ -133,12 +136,15 @@ impl System<'_> {
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
-    /// Looks up other thicknesses, and what the white reference does, again where the media now are.
+    /// Looks up other thicknesses, and what the white reference and the scene do, again where the media now are.
     pub(super) fn move_near(&mut self, x: &DVector<f64>) {
         let points: Vec<Point> = (0..self.terms.len()).map(|i| self.point(i, x)).collect();
         let each = self.terms.par_iter_mut().zip(&self.surrogates).zip(&points);
         each.for_each(|((term, surrogate), point)| {
             term.near = surrogate.near(term.thickness_mm, point.medium());
+            if term.responses.is_some() {
+                term.responses = surrogate.responses(point.thickness_mm(), point.medium());
+            }
             let white = term.white.as_ref();
             term.white = white.and_then(|w| w.moved(surrogate, point.thickness_mm(), point.medium()));
         });
@@ -231,9 +237,9 @@ impl System<'_> {
         for (i, (reduced, own)) in normal.reduced.iter().zip(&mut state.own).enumerate() {
             let shared = if self.terms[i].blend.is_some() {
                 let (from, to) = (self.point(i, &from), self.point(i, &state.x));
-                DVector::from_fn(SHARED, |k, _| to.0[k] - from.0[k])
+                DVector::from_fn(to.0.len(), |k, _| to.0[k] - from.0[k])
             } else {
-                DVector::from_iterator(SHARED, self.slots[i].iter().map(|s| step[*s]))
+                DVector::from_iterator(self.slots[i].len(), self.slots[i].iter().map(|s| step[*s]))
             };
             own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
         }

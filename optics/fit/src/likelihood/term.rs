@@ -21,8 +21,9 @@ use super::robust::{rho, weight};
 use super::{Line, Point, SHARED, blur};
 use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
+use crate::surrogate::responses::LocalResponses;
 use crate::surrogate::thickness::NearThickness;
-use crate::surrogate::{Coordinates, Surrogate};
+use crate::surrogate::{Coordinates, Surrogate, add_scaled};
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,6 +71,8 @@ pub(super) struct Term {
     /// For predictions about the dictionary's thickness, if it is one.
     pub near: Option<NearThickness>,
     pub white: Option<White>,
+    /// What the uncertain quantities of the scene do; none if it is exact.
+    pub responses: Option<LocalResponses>,
 }
 
 /// How an error of the white reference changes the simulated profile, since the base's ρ was measured with it.
@@ -161,6 +164,11 @@ impl Term {
         own[self.priors.len()..].iter_mut().for_each(|c| *c /= factor.sqrt());
     }
 
+    /// Unknowns that the profile may share with others.
+    fn shared_count(&self) -> usize {
+        SHARED + self.responses.as_ref().map_or(0, LocalResponses::count)
+    }
+
     pub(super) fn own_count(&self) -> usize {
         self.priors.len() + self.modes.len()
     }
@@ -190,8 +198,15 @@ impl Term {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
             None => surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), medium),
         };
+        let change = self.responses.as_ref().map(|r| r.change(medium, shared.scene()));
+        if let Some(change) = &change {
+            add_scaled(&mut predicted.values, 1.0, &change.values);
+            let slopes = predicted.slopes.iter_mut().zip(&change.slopes);
+            slopes.for_each(|(slope, by)| add_scaled(slope, 1.0, by));
+        }
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);
+        slopes.extend(change.into_iter().flat_map(|change| change.by_quantity));
         if let Some(white) = &self.white {
             let off = shared.ln_scale() + white.ln_mu;
             predicted.values.iter_mut().zip(&white.slope).for_each(|(v, by)| *v += off * by);
@@ -213,9 +228,9 @@ impl Term {
         }
         let inverse: Line = (0..n).map(|i| 1.0 / self.deviation(i)).collect();
         let over_noise = |f: &dyn Fn(usize) -> f64| -> Line { (0..n).map(|i| f(i) * inverse[i]).collect() };
-        let mut columns = Vec::with_capacity(SHARED + self.own_count());
-        let [by_sigma_t, by_albedo, by_g, by_thickness] = &seen.slopes[..] else {
-            unreachable!("four slopes")
+        let mut columns = Vec::with_capacity(self.shared_count() + self.own_count());
+        let [by_sigma_t, by_albedo, by_g, by_thickness, by_scene @ ..] = &seen.slopes[..] else {
+            unreachable!("four slopes at least")
         };
         for by in [by_sigma_t, by_albedo, by_g] {
             columns.push(over_noise(&|i| by[i] * factors[i]));
@@ -225,6 +240,7 @@ impl Term {
         let by_blur = blur::slope(shared.blur());
         columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
         columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
+        columns.extend(by_scene.iter().map(|by| over_noise(&|i| by[i] * factors[i])));
         for OwnPrior { own, std_error: sd } in &self.priors {
             columns.push(match own {
                 Own::Origin => over_noise(&|i| sd * seen.by_origin[i] * factors[i]),
@@ -254,6 +270,7 @@ impl Term {
 
     /// The profile's information on the shared unknowns, its own eliminated.
     pub(super) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
+        let shared = self.shared_count();
         let weights = self.weights(linear);
         let n = linear.columns.len();
         let weighted: Vec<Line> =
@@ -273,17 +290,17 @@ impl Term {
         );
         let mut downhill = DVector::from_iterator(n, weighted.iter().map(|w| dot(w, &linear.residuals)));
         for (i, own) in own.iter().enumerate() {
-            all[(SHARED + i, SHARED + i)] += 1.0;
-            downhill[SHARED + i] -= own;
+            all[(shared + i, shared + i)] += 1.0;
+            downhill[shared + i] -= own;
         }
-        let owns = n - SHARED;
-        let of_shared = all.view((0, 0), (SHARED, SHARED)).clone_owned();
-        let mixed = all.view((SHARED, 0), (owns, SHARED)).clone_owned();
-        let of_own = all.view((SHARED, SHARED), (owns, owns)).clone_owned();
+        let owns = n - shared;
+        let of_shared = all.view((0, 0), (shared, shared)).clone_owned();
+        let mixed = all.view((shared, 0), (owns, shared)).clone_owned();
+        let of_own = all.view((shared, shared), (owns, owns)).clone_owned();
         let own = Cholesky::new(of_own).expect("a prior's 1 is on the diagonal");
-        let own_downhill = downhill.rows(SHARED, owns).clone_owned();
+        let own_downhill = downhill.rows(shared, owns).clone_owned();
         let information = of_shared - mixed.transpose() * own.solve(&mixed);
-        let downhill = downhill.rows(0, SHARED) - mixed.transpose() * own.solve(&own_downhill);
+        let downhill = downhill.rows(0, shared) - mixed.transpose() * own.solve(&own_downhill);
         Reduced { downhill, information, own_downhill, mixed, own }
     }
 }

@@ -16,6 +16,18 @@ pub(super) struct Unknown {
     pub held: bool,
 }
 
+/// An uncertain quantity of the scene among the unknowns.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct SceneUnknown {
+    /// Index into the scene's priors.
+    pub prior: usize,
+    /// The material that it belongs to; none if it is the session's.
+    pub material: Option<usize>,
+    /// Thickness of the slab that it belongs to.
+    pub slab_mm: Option<f64>,
+    pub slot: usize,
+}
+
 /// Indices of the unknowns that can move.
 pub(super) fn free(unknowns: &[Unknown]) -> Vec<usize> {
     (0..unknowns.len()).filter(|i| !unknowns[*i].held).collect()

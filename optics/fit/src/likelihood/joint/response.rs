@@ -132,6 +132,7 @@ fn with_terms<'a>(joint: &Joint<'a>, change: impl Fn(&Term) -> Term) -> System<'
         surrogates: system.surrogates.clone(),
         slots: system.slots.clone(),
         unknowns: system.unknowns.clone(),
+        of_scene: system.of_scene.clone(),
         coupling: None,
     }
 }

@@ -1,0 +1,427 @@
+//! Scene files, in TOML: a number of the set-up is exact, or a table with its standard error.
+
+use serde::{Deserialize, Serialize};
+
+use crate::invalid::{Invalid, Result};
+use crate::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
+
+/// Content of a scene file. Tables that are left out are those of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    #[serde(default)]
+    pub multiple_scattering: bool,
+    pub light: Option<LightTable>,
+    pub sensor: Option<SensorTable>,
+    #[serde(rename = "channel", default)]
+    pub channels: Vec<ChannelTable>,
+    #[serde(rename = "layer")]
+    pub layers: Vec<LayerTable>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LightTable {
+    pub ring_deg: [f64; 2],
+    /// Of the mean of both angles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub std_error_deg: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorTable {
+    pub width_mm: f64,
+    pub pixels: u32,
+    #[serde(default)]
+    pub polar_deg: f64,
+    /// Of `polar_deg`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub std_error_deg: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ChannelTable {
+    pub name: String,
+    pub rho_light: f64,
+    pub rho_dark: f64,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LayerTable {
+    pub name: String,
+    /// The sample takes index and thickness from the grid.
+    #[serde(default)]
+    pub sample: bool,
+    /// Of the sample a table without a value: `{ std_error = 0.01 }`.
+    pub ior: Option<Number>,
+    pub thickness_mm: Option<Number>,
+    /// GGX α of the upper face, or the name of the layer that has the same: the sample's, for its lower face.
+    #[serde(default)]
+    pub roughness: Number,
+}
+
+/// A number of a layer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Number {
+    Exact(f64),
+    Uncertain(UncertainNumber),
+    /// That of another layer, by its name.
+    SameAs(String),
+}
+
+/// A number with its standard error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UncertainNumber {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<f64>,
+    pub std_error: f64,
+    /// "session", "slab" or "material": what has one value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub per: Option<String>,
+}
+
+impl Default for Number {
+    fn default() -> Self {
+        Self::Exact(0.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct AnyNumber;
+
+        impl<'de> serde::de::Visitor<'de> for AnyNumber {
+            type Value = Number;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(
+                    "a number, a table { value, std_error }, or the name of a layer with the same number",
+                )
+            }
+
+            fn visit_f64<E>(self, number: f64) -> Result<Number, E> {
+                Ok(Number::Exact(number))
+            }
+
+            fn visit_i64<E>(self, number: i64) -> Result<Number, E> {
+                Ok(Number::Exact(number as f64))
+            }
+
+            fn visit_str<E>(self, name: &str) -> Result<Number, E> {
+                Ok(Number::SameAs(name.to_owned()))
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Number, A::Error> {
+                let table = serde::de::value::MapAccessDeserializer::new(map);
+                UncertainNumber::deserialize(table).map(Number::Uncertain)
+            }
+        }
+
+        deserializer.deserialize_any(AnyNumber)
+    }
+}
+
+impl Number {
+    fn value(&self) -> Option<f64> {
+        match self {
+            Self::Exact(value) => Some(*value),
+            Self::Uncertain(number) => number.value,
+            Self::SameAs(_) => None,
+        }
+    }
+}
+
+impl TryFrom<SceneFile> for Scene {
+    type Error = Invalid;
+
+    fn try_from(file: SceneFile) -> Result<Self> {
+        let paper = Scene::paper();
+        let (ring_error, sensor_error) = (
+            file.light.as_ref().and_then(|t| t.std_error_deg),
+            file.sensor.as_ref().and_then(|t| t.std_error_deg),
+        );
+        let light = match file.light {
+            Some(t) => ring_light(t.ring_deg)?,
+            None => paper.light(),
+        };
+        let sensor = match file.sensor {
+            Some(t) => Sensor::new(t.width_mm, t.pixels, t.polar_deg).map_err(|e| e.within("sensor"))?,
+            None => paper.sensor(),
+        };
+        let channels = if file.channels.is_empty() {
+            paper.channels().to_vec()
+        } else {
+            crate::invalid::each("channel", file.channels, |c| Channel::new(c.name, c.rho_light, c.rho_dark))?
+        };
+        let tables = resolved(file.layers)?;
+        let layers = crate::invalid::each("layer", &tables, layer)?;
+        let scene = Scene::new(layers, channels, light, sensor, file.multiple_scattering);
+        // In a file it is `[[layer]]` and `[[channel]]`.
+        let scene = scene.map_err(|e| {
+            let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
+            e.renamed(field)
+        })?;
+        let angles = [
+            (PriorKind::RingAngle, "light.std_error_deg", ring_error),
+            (PriorKind::SensorAngle, "sensor.std_error_deg", sensor_error),
+        ];
+        let priors = priors(&scene, &tables, angles)?;
+        let names: Vec<String> = priors.iter().map(|p| scene.name_of(p)).collect();
+        scene.with_priors(priors).map_err(|e| {
+            // Priors have no place of their own in a file.
+            let index = e.field().split(['[', ']']).nth(1).and_then(|i| i.parse::<usize>().ok());
+            let name = index.and_then(|i| names.get(i).cloned());
+            let field = name.unwrap_or_else(|| e.field().to_owned());
+            e.renamed(field)
+        })
+    }
+}
+
+/// The tables with the numbers of other layers filled in: they are then uncertain together.
+fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
+    let all = tables.clone();
+    crate::invalid::each("layer", tables, |mut table| {
+        let Number::SameAs(name) = &table.roughness else { return Ok(table) };
+        let other = all.iter().find(|t| t.name == *name).map(|t| &t.roughness);
+        match other {
+            Some(number) if !matches!(number, Number::SameAs(_)) => table.roughness = number.clone(),
+            _ => {
+                let names: Vec<&str> = all.iter().map(|t| t.name.as_str()).collect();
+                let allowed = format!("a number, or the name of a layer that has one: {}", names.join(", "));
+                return Err(Invalid::new("roughness", name, allowed));
+            }
+        }
+        Ok(table)
+    })
+}
+
+/// Quantities with a standard error. Layers share one if they have the same name, or if one was referred to.
+fn priors(
+    scene: &Scene,
+    tables: &[LayerTable],
+    angles: [(PriorKind, &str, Option<f64>); 2],
+) -> Result<Vec<Prior>> {
+    let mut found: Vec<(PriorKind, &UncertainNumber, Vec<usize>)> = Vec::new();
+    for kind in [PriorKind::Roughness, PriorKind::Thickness, PriorKind::Index] {
+        for (i, table) in tables.iter().enumerate() {
+            let number = match kind {
+                PriorKind::Roughness => Some(&table.roughness),
+                PriorKind::Thickness => table.thickness_mm.as_ref(),
+                _ => table.ior.as_ref(),
+            };
+            let Some(Number::Uncertain(number)) = number else { continue };
+            // The lower face of the sample is named after what lies below.
+            let shares = |layer: &usize| tables[*layer].name == table.name || tables[*layer].sample;
+            let group = found
+                .iter_mut()
+                .find(|(k, n, layers)| *k == kind && *n == number && layers.iter().any(shares));
+            match group {
+                Some((.., layers)) => layers.push(i),
+                None => found.push((kind, number, vec![i])),
+            }
+        }
+    }
+    let mut priors = Vec::new();
+    for (kind, number, layers) in found {
+        let place =
+            format!("layer[{}].{}", layers[0], if kind == PriorKind::Index { "ior" } else { kind.name() });
+        let scope = match &number.per {
+            None => default_scope(scene, kind, &layers),
+            Some(name) => Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| {
+                Invalid::new(format!("{place}.per"), name, "allowed are session, slab and material")
+            })?,
+        };
+        priors.push(Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(place))?);
+    }
+    for (kind, field, std_error) in angles {
+        if let Some(std_error) = std_error {
+            let prior = Prior::new(kind, Vec::new(), std_error, Scope::Session);
+            priors.push(prior.map_err(|e| e.renamed(field))?);
+        }
+    }
+    Ok(priors)
+}
+
+/// The sample's roughness and index are its material's. A layer of some thickness that touches it holds the slab, and is as
+/// thick as this mounting made it. All else is the set-up's.
+fn default_scope(scene: &Scene, kind: PriorKind, layers: &[usize]) -> Scope {
+    let sample = scene.sample_layer();
+    match kind {
+        PriorKind::Roughness | PriorKind::Index if layers.contains(&sample) => Scope::Material,
+        PriorKind::Thickness if layers.iter().any(|l| l.abs_diff(sample) == 1) => Scope::Slab,
+        _ => Scope::Session,
+    }
+}
+
+/// A file has one key for both angles.
+fn ring_light([inner, outer]: [f64; 2]) -> Result<RingLight> {
+    RingLight::new(inner, outer).map_err(|_| {
+        let angles = format!("[{inner}, {outer}]");
+        Invalid::new(
+            "light.ring_deg",
+            angles,
+            "two angles from 0 to 90 degrees are needed, the second at least 0.01 above the first",
+        )
+    })
+}
+
+fn layer(table: &LayerTable) -> Result<Layer> {
+    let needed = |field: &str, number: Option<&Number>| {
+        number.and_then(Number::value).ok_or_else(|| {
+            Invalid::new(
+                field,
+                "missing",
+                "a layer that is not the sample needs one, or a table with its value",
+            )
+        })
+    };
+    let LayerTable { name, sample, ior, thickness_mm, roughness } = table;
+    let roughness = needed("roughness", Some(roughness))?;
+    if !sample {
+        let (ior, thickness_mm) =
+            (needed("ior", ior.as_ref())?, needed("thickness_mm", thickness_mm.as_ref())?);
+        return Layer::clear(name, ior, thickness_mm, roughness);
+    }
+    match (ior.as_ref().and_then(Number::value), thickness_mm) {
+        (None, None) => Layer::sample(name, roughness),
+        _ => {
+            let allowed =
+                "those of the sample come from the grid; `ior = { std_error = … }` makes its index uncertain";
+            Err(Invalid::new("sample", "true with ior or thickness_mm", allowed))
+        }
+    }
+}
+
+impl From<&Scene> for SceneFile {
+    fn from(scene: &Scene) -> Self {
+        let number = |kind: PriorKind, layer: usize, value: Option<f64>| {
+            let prior = scene.priors().iter().find(|p| p.kind() == kind && p.layers().contains(&layer));
+            let name = |layer: usize| scene.layers()[layer].name();
+            match prior {
+                Some(prior) if name(prior.layers()[0]) != name(layer) => {
+                    Some(Number::SameAs(name(prior.layers()[0]).to_owned()))
+                }
+                Some(prior) => {
+                    let per =
+                        Some(prior.scope()).filter(|s| *s != default_scope(scene, kind, prior.layers()));
+                    let per = per.map(|scope| scope.name().to_owned());
+                    Some(Number::Uncertain(UncertainNumber { value, std_error: prior.std_error(), per }))
+                }
+                None => value.map(Number::Exact),
+            }
+        };
+        let layers = scene.layers().iter().enumerate().map(|(i, l)| {
+            let (ior, thickness_mm) = match l.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => (Some(ior), Some(thickness_mm)),
+                LayerMedium::Sample => (None, None),
+            };
+            LayerTable {
+                name: l.name().to_owned(),
+                sample: ior.is_none(),
+                ior: number(PriorKind::Index, i, ior),
+                thickness_mm: number(PriorKind::Thickness, i, thickness_mm),
+                roughness: number(PriorKind::Roughness, i, Some(l.roughness())).unwrap_or_default(),
+            }
+        });
+        let channels = scene.channels().iter().map(|c| ChannelTable {
+            name: c.name().to_owned(),
+            rho_light: c.rho_light(),
+            rho_dark: c.rho_dark(),
+        });
+        let error_of = |kind| scene.priors().iter().find(|p| p.kind() == kind).map(Prior::std_error);
+        let (light, sensor) = (scene.light(), scene.sensor());
+        Self {
+            multiple_scattering: scene.multiple_scattering(),
+            light: Some(LightTable {
+                ring_deg: [light.inner_deg(), light.outer_deg()],
+                std_error_deg: error_of(PriorKind::RingAngle),
+            }),
+            sensor: Some(SensorTable {
+                width_mm: sensor.width_mm(),
+                pixels: sensor.pixels() as u32,
+                polar_deg: sensor.polar_deg(),
+                std_error_deg: error_of(PriorKind::SensorAngle),
+            }),
+            channels: channels.collect(),
+            layers: layers.collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(text: &str) -> Result<Scene> {
+        Scene::try_from(toml::from_str::<SceneFile>(text).unwrap())
+    }
+
+    /// The built-in scenes are unchanged after conversion to TOML and back.
+    #[test]
+    fn built_in_scenes_survive_toml() {
+        for built_in in [Scene::paper(), Scene::smooth().with_multiple_scattering(true), Scene::lab()] {
+            let text = toml::to_string(&SceneFile::from(&built_in)).unwrap();
+            assert_eq!(scene(&text).unwrap(), built_in, "{text}");
+        }
+    }
+
+    /// The lower face of the sample has the sample's roughness, by its name.
+    #[test]
+    fn roughness_may_be_that_of_another_layer() {
+        let text = "[[layer]]\nname = 'resin'\nsample = true\nior = { std_error = 0.02 }\n\
+                    roughness = { value = 0.1, std_error = 0.05 }\n\
+                    [[layer]]\nname = 'gel'\nior = 1.4\nthickness_mm = { value = 0.1, std_error = 0.02, per = 'session' }\n\
+                    roughness = 'resin'\n";
+        let scene = scene(text).unwrap();
+        assert_eq!(scene.layers()[1].roughness(), 0.1);
+        let named: Vec<_> =
+            scene.priors().iter().map(|p| (scene.name_of(p), p.layers(), p.scope())).collect();
+        assert_eq!(
+            named,
+            [
+                ("resin roughness".to_owned(), &[0, 1][..], Scope::Material),
+                ("gel thickness".to_owned(), &[1][..], Scope::Session),
+                ("resin index".to_owned(), &[0][..], Scope::Material),
+            ]
+        );
+    }
+
+    /// Refusals name the number as it stands in the file.
+    #[test]
+    fn wrong_uncertain_numbers_are_refused() {
+        let sample = "[[layer]]\nname = 's'\nsample = true\n";
+        for (text, expected) in [
+            (
+                format!("{sample}roughness = 'gel'"),
+                "layer[0].roughness = gel is not valid: a number, or the name",
+            ),
+            (
+                format!("{sample}roughness = {{ value = 0.05, std_error = 0 }}"),
+                "layer[0].roughness.std_error = 0",
+            ),
+            (format!("{sample}roughness = {{ std_error = 0.1 }}"), "layer[0].roughness = missing"),
+            (
+                format!("{sample}ior = {{ std_error = 0.1, per = 'day' }}"),
+                "layer[0].ior.per = day is not valid: allowed are session, slab and material",
+            ),
+            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = -1"), "light.std_error_deg = -1"),
+            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = 60"), "ring angle = 60"),
+            (
+                format!(
+                    "{sample}[[layer]]\nname = 'g'\nior = {{ value = 1.3, std_error = 4 }}\nthickness_mm = 1"
+                ),
+                "g index = 4",
+            ),
+        ] {
+            let error = scene(&text).unwrap_err().to_string();
+            assert!(error.starts_with(expected), "{error}");
+        }
+        let error = toml::from_str::<SceneFile>(&format!("{sample}roughness = {{ mean = 1 }}")).unwrap_err();
+        assert!(error.to_string().contains("unknown field `mean`"), "{error}");
+    }
+}

@@ -1,0 +1,195 @@
+//! How profiles change with the uncertain quantities of a scene: some transport points of a grid are traced again in
+//! scenes in which one quantity has another value.
+//!
+//! They have the seeds of the grid's own points, so that both follow the same random walks as far as possible: the
+//! difference of two such records has little noise. It is smooth in σ_t and g, so every few nodes of these axes will do.
+
+use std::sync::Arc;
+
+use super::Axes;
+use crate::invalid::{Invalid, Result};
+use crate::scene::{Channel, Scene};
+
+/// Widest ratio of two extinctions of the responses, unless the grid's are farther apart.
+const SIGMA_T_RATIO: f64 = 2.0;
+/// Most anisotropies.
+const MOST_G: usize = 3;
+
+/// A scene in which one quantity has another value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Variant {
+    /// Index into the scene's priors.
+    pub prior: usize,
+    /// By how much the quantity is larger.
+    pub step: f64,
+    /// The base as its photographs without a slab then show it: its ρ follow from these, through the scene.
+    pub channels: Vec<Channel>,
+}
+
+/// The variants of a grid's scene, and the places of the axes at which they are traced.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Responses {
+    variants: Vec<Variant>,
+    scenes: Vec<Arc<Scene>>,
+    sigma_t: Vec<usize>,
+    g: Vec<usize>,
+}
+
+impl Responses {
+    /// For all uncertain quantities of a scene; None if there are none. `base` gives the channels of a varied scene.
+    pub fn of(
+        scene: &Scene,
+        axes: &Axes,
+        base: impl Fn(&Scene) -> Result<Vec<Channel>>,
+    ) -> Result<Option<Self>> {
+        let mut variants = Vec::new();
+        for (index, prior) in scene.priors().iter().enumerate() {
+            for step in prior.steps(scene) {
+                let channels = base(&scene.varied(prior, step, scene.channels().to_vec())?)?;
+                variants.push(Variant { prior: index, step, channels });
+            }
+        }
+        if variants.is_empty() { Ok(None) } else { Self::new(scene, axes, variants).map(Some) }
+    }
+
+    /// From variants: every step of every prior of the scene, in their order.
+    pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>) -> Result<Self> {
+        let steps = |(i, prior): (usize, &crate::scene::Prior)| -> Vec<(usize, f64)> {
+            prior.steps(scene).into_iter().map(|step| (i, step)).collect()
+        };
+        let wanted: Vec<_> = scene.priors().iter().enumerate().flat_map(steps).collect();
+        let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
+        if wanted != given {
+            let steps = |of: &[(usize, f64)]| format!("{of:?}");
+            let allowed = format!("the scene's priors need the (prior, step) {}", steps(&wanted));
+            return Err(Invalid::new("responses", steps(&given), allowed));
+        }
+        let names = |channels: &[Channel]| channels.iter().map(|c| c.name().to_owned()).collect::<Vec<_>>();
+        let scene_of = |(i, variant): (usize, &Variant)| {
+            let at = |e: Invalid| e.within(format_args!("responses[{i}]"));
+            if names(&variant.channels) != names(scene.channels()) {
+                let given = names(&variant.channels).join(", ");
+                return Err(at(Invalid::new(
+                    "channels",
+                    given,
+                    "the channels of the scene are needed, in their order",
+                )));
+            }
+            let prior = &scene.priors()[variant.prior];
+            scene.varied(prior, variant.step, variant.channels.clone()).map(Arc::new).map_err(at)
+        };
+        let scenes = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
+        Ok(Self {
+            variants,
+            scenes,
+            sigma_t: spread_extinctions(&axes.sigma_t_per_mm),
+            g: spread_anisotropies(&axes.g),
+        })
+    }
+
+    pub fn variants(&self) -> &[Variant] {
+        &self.variants
+    }
+
+    /// The scene of a variant.
+    pub fn scene(&self, variant: usize) -> &Arc<Scene> {
+        &self.scenes[variant]
+    }
+
+    /// Indices into the grid's extinctions.
+    pub fn sigma_t(&self) -> &[usize] {
+        &self.sigma_t
+    }
+
+    /// Indices into the grid's anisotropies.
+    pub fn g(&self) -> &[usize] {
+        &self.g
+    }
+}
+
+/// The nodes next to evenly spread logarithms, both ends included.
+fn spread_extinctions(axis: &[f64]) -> Vec<usize> {
+    let logs: Vec<f64> = axis.iter().map(|v| v.ln()).collect();
+    let span = (logs[logs.len() - 1] - logs[0]) / SIGMA_T_RATIO.ln();
+    spread(&logs, span.round() as usize + 1)
+}
+
+/// The same for ln(1 − g).
+fn spread_anisotropies(axis: &[f64]) -> Vec<usize> {
+    let logs: Vec<f64> = axis.iter().map(|v| -(1.0 - v).ln()).collect();
+    spread(&logs, MOST_G)
+}
+
+/// Indices of the rising nodes that are nearest to `count` evenly spread places, each once.
+fn spread(nodes: &[f64], count: usize) -> Vec<usize> {
+    let (first, last) = (nodes[0], nodes[nodes.len() - 1]);
+    let count = count.max(if nodes.len() > 1 { 2 } else { 1 });
+    let place = |i: usize| first + (last - first) * i as f64 / (count - 1).max(1) as f64;
+    let nearest = |x: f64| {
+        let off = |i: &usize| (nodes[*i] - x).abs();
+        (0..nodes.len()).min_by(|a, b| off(a).total_cmp(&off(b))).expect("an axis is not empty")
+    };
+    let mut indices: Vec<usize> = (0..count).map(|i| nearest(place(i))).collect();
+    indices.dedup();
+    indices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{Grid, Walks};
+    use crate::job::JobSpec;
+
+    fn lab() -> Grid {
+        let (scene, axes) = (Scene::lab(), Grid::paper().axes().clone());
+        let responses = Responses::of(&scene, &axes, |s| Ok(s.channels().to_vec())).unwrap();
+        let grid = Grid::new(scene, axes, Walks::new(1000).unwrap(), 1, false).unwrap();
+        grid.with_responses(responses.unwrap()).unwrap()
+    }
+
+    /// Responses of the paper's grid are traced at 6 extinctions and 3 anisotropies.
+    #[test]
+    fn responses_are_traced_at_few_nodes() {
+        let grid = lab();
+        let responses = grid.responses().unwrap();
+        let sigma_t: Vec<f64> = responses.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i]).collect();
+        assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
+        assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
+        assert_eq!(responses.variants().len(), 11);
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 11 * 6 * 3 * 2));
+        assert_eq!(spread(&[1.0], 3), [0]);
+        assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
+    }
+
+    /// A job of a variant has the point and the seed of the grid's own job, and another scene.
+    #[test]
+    fn jobs_of_variants_follow_the_nominal_ones() {
+        let grid = lab();
+        let mut seen = std::collections::BTreeSet::new();
+        for job in grid.nominal_jobs()..grid.job_count() {
+            let place = grid.response_of(job).unwrap();
+            let nominal = JobSpec::of(&grid, place.nominal_job);
+            let spec = JobSpec::of(&grid, job);
+            assert_eq!(
+                (spec.point(), spec.walks(), spec.seed()),
+                (nominal.point(), nominal.walks(), nominal.seed())
+            );
+            assert_eq!(spec.scene(), &**grid.responses().unwrap().scene(place.variant));
+            assert_ne!(spec.identity(), nominal.identity());
+            assert_eq!(grid.response_job(place.variant, place.nominal_job), Some(job));
+            assert!(seen.insert((place.variant, place.nominal_job)), "each once");
+        }
+        assert_eq!(grid.response_of(5), None);
+        assert_eq!(grid.response_job(0, grid.job_at(&grid.point(3)).unwrap()), grid.response_job(0, 3));
+    }
+
+    /// Variants of another prior are refused, with what is needed.
+    #[test]
+    fn responses_of_other_priors_are_refused() {
+        let grid = lab();
+        let mut variants = grid.responses().unwrap().variants().to_vec();
+        variants[0].step *= 2.0;
+        let error = Responses::new(grid.scene(), grid.axes(), variants).unwrap_err();
+        assert_eq!(error.field(), "responses");
+    }
+}

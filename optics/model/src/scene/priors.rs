@@ -1,0 +1,330 @@
+//! Quantities of a scene that are known with a standard error, and the scenes in which one of them has another value.
+//!
+//! A fit estimates them together with the medium. Each belongs to a session, to a slab or to a material.
+
+use super::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+use crate::invalid::{Invalid, Result};
+
+/// Most uncertain quantities of a scene.
+pub const MAX_PRIORS: usize = 32;
+
+/// Which number of a scene a quantity is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PriorKind {
+    /// GGX α of the upper faces of layers.
+    Roughness,
+    /// Refractive index of layers; that of the sample is the grid's.
+    Index,
+    /// Thickness of clear layers in mm.
+    Thickness,
+    /// Mean polar angle of the ring in degrees: both of its angles move by the same amount.
+    RingAngle,
+    /// Polar angle of the viewing direction in degrees.
+    SensorAngle,
+}
+
+impl PriorKind {
+    pub const ALL: [Self; 5] =
+        [Self::Roughness, Self::Index, Self::Thickness, Self::RingAngle, Self::SensorAngle];
+
+    /// As in names of quantities and in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Roughness => "roughness",
+            Self::Index => "index",
+            Self::Thickness => "thickness",
+            Self::RingAngle => "ring angle",
+            Self::SensorAngle => "sensor angle",
+        }
+    }
+
+    /// Of its values, for people; empty for pure numbers.
+    pub fn unit(self) -> &'static str {
+        match self {
+            Self::Roughness | Self::Index => "",
+            Self::Thickness => "mm",
+            Self::RingAngle | Self::SensorAngle => "°",
+        }
+    }
+}
+
+/// What has one value of a quantity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scope {
+    /// All photographs with one set-up.
+    Session,
+    /// Every slab has its own: each is mounted by itself.
+    Slab,
+    /// All slabs of a material: they are cut and polished alike.
+    Material,
+}
+
+impl Scope {
+    pub const ALL: [Self; 3] = [Self::Session, Self::Slab, Self::Material];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Session => "session",
+            Self::Slab => "slab",
+            Self::Material => "material",
+        }
+    }
+}
+
+/// The prior of a number of a scene: normal, about the scene's value.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prior {
+    kind: PriorKind,
+    layers: Vec<usize>,
+    std_error: f64,
+    scope: Scope,
+}
+
+impl Prior {
+    /// `layers` are the indices of those whose number it is; none for angles. Whether they exist and agree is checked by
+    /// [`Scene::with_priors`].
+    pub fn new(kind: PriorKind, layers: Vec<usize>, std_error: f64, scope: Scope) -> Result<Self> {
+        if std_error.is_finite() && std_error > 0.0 {
+            Ok(Self { kind, layers, std_error, scope })
+        } else {
+            Err(Invalid::new(
+                "std_error",
+                std_error,
+                "allowed are numbers above 0; an exact quantity has none",
+            ))
+        }
+    }
+
+    pub fn kind(&self) -> PriorKind {
+        self.kind
+    }
+
+    pub fn layers(&self) -> &[usize] {
+        &self.layers
+    }
+
+    pub fn std_error(&self) -> f64 {
+        self.std_error
+    }
+
+    pub fn scope(&self) -> Scope {
+        self.scope
+    }
+
+    /// Whether it is the refractive index of the sample, which the grid has and not the scene.
+    pub fn is_sample_index(&self, scene: &Scene) -> bool {
+        self.kind == PriorKind::Index && self.layers.iter().all(|i| *i == scene.sample_layer())
+    }
+
+    /// Differences from the scene's value at which profiles are traced: one for a first-order response, or two on both
+    /// sides for one of second order, where the prior is wide.
+    ///
+    /// Roughnesses and thicknesses above 0 stay above 0.
+    pub fn steps(&self, scene: &Scene) -> Vec<f64> {
+        /// Share of the value from which on a prior is wide.
+        const WIDE: f64 = 0.2;
+        /// Least share of the value that the lower step leaves.
+        const LEAST: f64 = 0.25;
+        let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
+        match self.kind {
+            PriorKind::Roughness | PriorKind::Thickness if value == 0.0 => vec![sd, 2.5 * sd],
+            PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
+                // Profiles follow a thickness over a longer way than a roughness.
+                let most =
+                    if self.kind == PriorKind::Roughness { (2.5 * sd).min(1.0 - value) } else { 4.0 * sd };
+                vec![-sd.min((1.0 - LEAST) * value), most]
+            }
+            PriorKind::RingAngle if scene.light().outer_deg() + sd > 90.0 => vec![-sd],
+            _ => vec![sd],
+        }
+    }
+
+    /// Least and greatest difference from the scene's value for which the responses hold.
+    pub fn range(&self, scene: &Scene) -> (f64, f64) {
+        /// Standard deviations over which a first-order response holds.
+        const FAR: f64 = 4.0;
+        match self.steps(scene)[..] {
+            [low, high] => (low.min(0.0), high),
+            _ => (-FAR * self.std_error, FAR * self.std_error),
+        }
+    }
+}
+
+impl Scene {
+    /// The same scene with these quantities uncertain.
+    pub fn with_priors(self, priors: Vec<Prior>) -> Result<Self> {
+        if priors.len() > MAX_PRIORS {
+            return Err(Invalid::new("priors", priors.len(), format!("at most {MAX_PRIORS} are allowed")));
+        }
+        for (i, prior) in priors.iter().enumerate() {
+            let at = |e: Invalid| e.within(format_args!("priors[{i}]"));
+            self.check_prior(prior).map_err(at)?;
+            let same = |other: &&Prior| {
+                other.kind == prior.kind
+                    && (prior.layers.is_empty() || other.layers.iter().any(|l| prior.layers.contains(l)))
+            };
+            if priors[..i].iter().any(|other| same(&other)) {
+                return Err(at(Invalid::new("kind", prior.kind.name(), "a quantity may have one prior")));
+            }
+        }
+        Ok(Self { priors, ..self })
+    }
+
+    /// Quantities that are not known exactly.
+    pub fn priors(&self) -> &[Prior] {
+        &self.priors
+    }
+
+    /// Index of the layer under test.
+    pub fn sample_layer(&self) -> usize {
+        self.layers.iter().position(|l| l.medium() == LayerMedium::Sample).expect("a scene has a sample")
+    }
+
+    /// As people read it: `gel thickness`, `ring angle`.
+    pub fn name_of(&self, prior: &Prior) -> String {
+        match prior.layers.iter().min_by_key(|i| i.abs_diff(self.sample_layer())) {
+            Some(layer) => format!("{} {}", self.layers[*layer].name(), prior.kind.name()),
+            None => prior.kind.name().to_owned(),
+        }
+    }
+
+    /// The scene's value of a quantity; None for the index of the sample, which is the grid's.
+    pub fn value_of(&self, prior: &Prior) -> Option<f64> {
+        match prior.kind {
+            PriorKind::RingAngle => Some(0.5 * (self.light.inner_deg() + self.light.outer_deg())),
+            PriorKind::SensorAngle => Some(self.sensor.polar_deg()),
+            kind => self.number(kind, *prior.layers.first()?),
+        }
+    }
+
+    /// A number of a layer; None where the grid has it.
+    fn number(&self, kind: PriorKind, layer: usize) -> Option<f64> {
+        match (kind, self.layers.get(layer)?.medium()) {
+            (PriorKind::Roughness, _) => Some(self.layers[layer].roughness()),
+            (PriorKind::Index, LayerMedium::Clear { ior, .. }) => Some(ior),
+            (PriorKind::Thickness, LayerMedium::Clear { thickness_mm, .. }) => Some(thickness_mm),
+            _ => None,
+        }
+    }
+
+    fn check_prior(&self, prior: &Prior) -> Result<()> {
+        let of_layers = !matches!(prior.kind, PriorKind::RingAngle | PriorKind::SensorAngle);
+        if of_layers == prior.layers.is_empty() {
+            let given = format!("{} layers for a {}", prior.layers.len(), prior.kind.name());
+            return Err(Invalid::new("layers", given, "angles have none, other quantities at least one"));
+        }
+        if let Some(layer) = prior.layers.iter().find(|l| **l >= self.layers.len()) {
+            return Err(Invalid::new("layers", layer, format!("the scene has {} layers", self.layers.len())));
+        }
+        let sample = prior.layers.contains(&self.sample_layer());
+        if sample && prior.kind == PriorKind::Thickness {
+            let allowed = "that of the sample is thickness_std_error_mm of a measurement";
+            return Err(Invalid::new("layers", "the thickness of the sample", allowed));
+        }
+        let values: Vec<_> = prior.layers.iter().map(|l| self.number(prior.kind, *l)).collect();
+        if values.iter().any(|v| *v != values[0]) {
+            let names: Vec<&str> = prior.layers.iter().map(|l| self.layers[*l].name()).collect();
+            let allowed = format!("layers that share a {} must have the same value", prior.kind.name());
+            return Err(Invalid::new("layers", names.join(", "), allowed));
+        }
+        for step in prior.steps(self) {
+            self.varied(prior, step, self.channels.clone()).map_err(|e| {
+                let allowed = format!("its {} would be {}: {}", self.name_of(prior), e.given(), e.allowed());
+                Invalid::new("std_error", prior.std_error, allowed)
+            })?;
+        }
+        Ok(())
+    }
+
+    /// The scene with a quantity larger by `step`, and the base as it then looks (`channels`); all is exact in it.
+    pub fn varied(&self, prior: &Prior, step: f64, channels: Vec<Channel>) -> Result<Self> {
+        let mut scene = Self { priors: Vec::new(), ..self.clone() };
+        match prior.kind {
+            PriorKind::RingAngle => {
+                scene.light = RingLight::new(self.light.inner_deg() + step, self.light.outer_deg() + step)?;
+            }
+            PriorKind::SensorAngle => {
+                let (width, pixels) = (self.sensor.width_mm(), self.sensor.pixels() as u32);
+                scene.sensor = Sensor::new(width, pixels, self.sensor.polar_deg() + step)?;
+            }
+            kind => {
+                for layer in &prior.layers {
+                    scene.layers[*layer] = varied_layer(&self.layers[*layer], kind, step)?;
+                }
+                if prior.is_sample_index(self) {
+                    scene.sample_ior_offset = step;
+                }
+            }
+        }
+        scene.with_channels(channels)
+    }
+}
+
+fn varied_layer(layer: &Layer, kind: PriorKind, step: f64) -> Result<Layer> {
+    let roughness = layer.roughness() + if kind == PriorKind::Roughness { step } else { 0.0 };
+    match layer.medium() {
+        LayerMedium::Sample => Layer::sample(layer.name(), roughness),
+        LayerMedium::Clear { ior, thickness_mm } => {
+            let by = |own| if kind == own { step } else { 0.0 };
+            let (ior, thickness) = (ior + by(PriorKind::Index), thickness_mm + by(PriorKind::Thickness));
+            Layer::clear(layer.name(), ior, thickness, roughness)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn prior(kind: PriorKind, layers: &[usize], std_error: f64) -> Prior {
+        Prior::new(kind, layers.to_vec(), std_error, Scope::Session).unwrap()
+    }
+
+    /// One step where a response of first order will do, two where the prior is wide.
+    #[test]
+    fn wide_priors_have_two_steps() {
+        let scene = Scene::paper();
+        let steps = |kind, layers: &[usize], sd| prior(kind, layers, sd).steps(&scene);
+        assert_eq!(steps(PriorKind::Index, &[1, 3], 0.01), [0.01]);
+        assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [1.0]);
+        assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [0.02]);
+        let gel = prior(PriorKind::Thickness, &[1, 3], 0.02);
+        assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
+        assert_eq!(gel.range(&scene), (-0.015, 0.08));
+    }
+
+    /// A varied scene differs in the quantity alone, in all layers that share it.
+    #[test]
+    fn varied_scene_differs_in_one_quantity() {
+        let scene = Scene::paper();
+        let rough = prior(PriorKind::Roughness, &[2, 3], 0.03);
+        let varied = scene.varied(&rough, 0.03, scene.channels().to_vec()).unwrap();
+        let roughness = |s: &Scene| s.layers().iter().map(Layer::roughness).collect::<Vec<_>>();
+        assert_eq!(roughness(&varied), [0.0, 0.0, 0.08, 0.08, 0.15]);
+        assert_eq!((varied.light(), varied.sensor()), (scene.light(), scene.sensor()));
+        let index = prior(PriorKind::Index, &[2], 0.01);
+        assert!(index.is_sample_index(&scene));
+        let varied = scene.varied(&index, 0.01, scene.channels().to_vec()).unwrap();
+        assert_eq!((varied.sample_ior_offset(), varied.layers()), (0.01, scene.layers()));
+    }
+
+    /// Refusals name the prior and what is allowed.
+    #[test]
+    fn impossible_priors_are_refused() {
+        let refused = |priors: Vec<Prior>| Scene::paper().with_priors(priors).unwrap_err().to_string();
+        for (bad, expected) in [
+            (prior(PriorKind::Thickness, &[2], 0.1), "priors[0].layers = the thickness of the sample"),
+            (prior(PriorKind::Roughness, &[1, 3], 0.1), "priors[0].layers = gel, gel"),
+            (prior(PriorKind::Roughness, &[9], 0.1), "priors[0].layers = 9"),
+            (prior(PriorKind::RingAngle, &[1], 0.1), "priors[0].layers = 1 layers for a ring angle"),
+            (prior(PriorKind::Index, &[0], 3.0), "priors[0].std_error = 3"),
+            (prior(PriorKind::RingAngle, &[], 60.0), "priors[0].std_error = 60"),
+        ] {
+            let error = refused(vec![bad]);
+            assert!(error.starts_with(expected), "{error}");
+        }
+        let twice = prior(PriorKind::Index, &[1, 3], 0.01);
+        assert!(refused(vec![twice.clone(), twice]).starts_with("priors[1].kind = index"));
+        assert!(Prior::new(PriorKind::Index, vec![0], 0.0, Scope::Slab).is_err());
+    }
+}
