@@ -104,6 +104,7 @@ pub fn likelihood(chi2: f64, probability: f64) -> Likelihood {
     };
     let ends = |low, high| Ends { low, high };
     let share = |source, sigma_t| SourceShare {
+        quantity: None,
         source,
         sigma_t,
         albedo: sigma_t,
@@ -135,6 +136,7 @@ pub fn likelihood(chi2: f64, probability: f64) -> Likelihood {
             reduced_scattering_per_mm: ends(13.5, 14.5),
             absorption_per_mm: ends(0.000_25, 0.0055),
         },
+        scene: Vec::new(),
         budget: vec![
             share(ErrorSource::Noise, 0.08),
             share(ErrorSource::Thickness, 0.116),

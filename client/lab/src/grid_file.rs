@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use optics_model::grid::Responses;
 use optics_model::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
 use toml::de::DeTable;
 
@@ -34,7 +35,16 @@ pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -
             Scene::try_from(scene.clone()).map_err(|e| in_file(e.within("scene"), text, path, "grid file"))?
         }
     };
-    file.into_grid(scene).map_err(|e| in_file(e, text, path, "grid file"))
+    file.into_grid(scene).and_then(with_responses).map_err(|e| in_file(e, text, path, "grid file"))
+}
+
+/// The grid with responses of its scene's uncertain quantities, if there are some.
+pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
+    let base = |varied: &Scene| optics_tracer::base_as_seen(grid.scene(), varied);
+    match Responses::of(grid.scene(), grid.axes(), base)? {
+        Some(responses) => grid.with_responses(responses),
+        None => Ok(grid),
+    }
 }
 
 /// The scene of a name, `paper` or `smooth`, or of a TOML file.
@@ -49,13 +59,14 @@ pub fn read_scene_beside(name: &str, folder: &Path) -> Result<Scene> {
 
 fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
     match name {
+        "lab" => Ok(Scene::lab()),
         "paper" => Ok(Scene::paper()),
         "smooth" => Ok(Scene::smooth()),
         file => {
             let path: PathBuf = folder.join(file);
             if !path.exists() {
                 bail!(
-                    "scene {name:?} is neither \"paper\" nor \"smooth\" nor a file ({} does not exist)",
+                    "scene {name:?} is none of \"lab\", \"paper\", \"smooth\", and no file ({} does not exist)",
                     path.display()
                 );
             }

@@ -21,7 +21,7 @@ pub(crate) fn budget_text(fits: &[MaterialFit]) -> Option<String> {
         })
         .collect();
     let budgets: Vec<&[SourceShare]> = with_budget.iter().map(|(.., budget)| *budget).collect();
-    let (source, share) = largest(&budgets)?;
+    let (first, share) = largest(&budgets)?;
     let mut text = "error budget of σ_t (95 %): shares of the variance, 100 % in all".to_owned();
     for (name, refined, budget) in &with_budget {
         let sigma_t = interval(&refined.sigma_t_per_mm, |v| significant(v, 3));
@@ -29,9 +29,9 @@ pub(crate) fn budget_text(fits: &[MaterialFit]) -> Option<String> {
     }
     let line = format!(
         "to improve first: {}, {:.0} % of the variance on average: {}",
-        name(source),
+        name(first),
         100.0 * share,
-        remedy(source)
+        remedy(first.source)
     );
     Some(text + &format!("\n{}", wrapped(&line)))
 }
@@ -42,7 +42,7 @@ fn shares(budget: &[SourceShare]) -> String {
     large.sort_by(|a, b| b.sigma_t.total_cmp(&a.sigma_t));
     // Rounded to the next whole numbers that add up to 100: largest remainders first.
     let rest = 1.0 - large.iter().map(|s| s.sigma_t).sum::<f64>();
-    let named = large.iter().map(|s| (name(s.source), s.sigma_t)).chain([("rest", rest.max(0.0))]);
+    let named = large.iter().map(|s| (name(s), s.sigma_t)).chain([("rest", rest.max(0.0))]);
     let named: Vec<(&str, f64)> = named.map(|(name, share)| (name, 100.0 * share)).collect();
     let mut whole: Vec<f64> = named.iter().map(|(_, percent)| percent.floor()).collect();
     let mut by_remainder: Vec<usize> = (0..named.len()).collect();
@@ -54,20 +54,21 @@ fn shares(budget: &[SourceShare]) -> String {
 }
 
 /// The source with the largest share of σ_t's variance, over all channels.
-fn largest(budgets: &[&[SourceShare]]) -> Option<(ErrorSource, f64)> {
-    let mut mean: Vec<(ErrorSource, f64)> = Vec::new();
+fn largest<'a>(budgets: &[&'a [SourceShare]]) -> Option<(&'a SourceShare, f64)> {
+    let mut mean: Vec<(&SourceShare, f64)> = Vec::new();
     for share in budgets.iter().copied().flatten() {
         let part = share.sigma_t / budgets.len() as f64;
-        match mean.iter_mut().find(|(source, _)| *source == share.source) {
+        match mean.iter_mut().find(|(other, _)| name(other) == name(share)) {
             Some((_, sum)) => *sum += part,
-            None => mean.push((share.source, part)),
+            None => mean.push((share, part)),
         }
     }
     mean.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-fn name(source: ErrorSource) -> &'static str {
-    match source {
+fn name(share: &SourceShare) -> &str {
+    match share.source {
+        ErrorSource::Scene => share.quantity.as_deref().unwrap_or("scene"),
         ErrorSource::Noise => "noise",
         ErrorSource::Dictionary => "noise of the dictionary",
         ErrorSource::Thickness => "thickness",
@@ -85,6 +86,7 @@ fn name(source: ErrorSource) -> &'static str {
 
 fn remedy(source: ErrorSource) -> &'static str {
     match source {
+        ErrorSource::Scene => "measure it, and put the value with its standard error into the scene file",
         ErrorSource::Noise => "more shots",
         ErrorSource::Dictionary => "a dictionary of more walks",
         ErrorSource::Thickness => "measure the slabs again, at several places",
@@ -109,7 +111,7 @@ mod tests {
     use super::*;
 
     fn share(source: ErrorSource, sigma_t: f64) -> SourceShare {
-        SourceShare { source, sigma_t, albedo: 0.0, reduced_scattering: 0.0, absorption: 0.0 }
+        SourceShare { source, quantity: None, sigma_t, albedo: 0.0, reduced_scattering: 0.0, absorption: 0.0 }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use farm_figures::numbers::short;
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
+use super::scene::scene_text;
 use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
@@ -28,6 +29,9 @@ pub(crate) fn fits_text(report: &Report) -> String {
     text += &media(fits);
     if report.bound {
         text += &format!("\n\n{}\n", bounds(fits));
+    }
+    if let Some(scene) = scene_text(fits) {
+        text += &format!("\n\n{scene}\n");
     }
     for line in objective(fits, report.assumed.clone()) {
         text += &format!("\n{}", wrapped(&line));

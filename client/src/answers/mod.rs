@@ -11,6 +11,7 @@ mod misfit;
 mod options;
 mod remarks;
 mod scale;
+mod scene;
 mod summary;
 mod table;
 

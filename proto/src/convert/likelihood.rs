@@ -2,7 +2,8 @@
 
 use super::mirror::{known_ones, list, mirror, mirror_enum, number, required};
 use optics_model::fit::{
-    Bound, Ends, ErrorSource, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, SourceShare, Stretch,
+    Bound, Ends, ErrorSource, Likelihood, Nuisance, NuisanceEstimate, OutlierPixel, SceneEstimate,
+    SourceShare, Stretch,
 };
 
 mirror!(Likelihood {
@@ -14,6 +15,18 @@ mirror!(Likelihood {
     stretches: list,
     bound: required,
     budget: list,
+    scene: list,
+});
+mirror!(SceneEstimate {
+    quantity,
+    unit,
+    scope: number,
+    slab_mm,
+    value,
+    std_error,
+    prior,
+    prior_std_error,
+    at_end,
 });
 mirror!(NuisanceEstimate { nuisance: number, profile_mm, value, std_error, prior, prior_std_error });
 mirror_enum!(Nuisance { Scale, BlurVariance, Thickness, Origin, Gain, Zero, Slope });
@@ -28,13 +41,15 @@ mirror!(Bound {
 });
 mirror!(Ends { low, high });
 // A source of a newer version stays, without its name: the shares still add up to 1.
-mirror!(SourceShare { source: number, sigma_t, albedo, reduced_scattering, absorption });
+mirror!(SourceShare { source: number, quantity, sigma_t, albedo, reduced_scattering, absorption });
 mirror_enum!(ErrorSource {
-    Noise, Dictionary, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, OtherChannels, G,
+    Noise, Dictionary, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, OtherChannels, G, Scene,
 } or Unknown);
 
 #[cfg(test)]
 mod tests {
+    use optics_model::scene::Scope;
+
     use super::*;
     use crate::convert::mirror::Numbered;
     use crate::wire;
@@ -56,6 +71,7 @@ mod tests {
             let n = f64::from(number);
             SourceShare {
                 source: ErrorSource::of_number(number).unwrap(),
+                quantity: (number == 12).then(|| "gel thickness".to_owned()),
                 sigma_t: n + 0.1,
                 albedo: n + 0.2,
                 reduced_scattering: n + 0.3,
@@ -76,7 +92,18 @@ mod tests {
                 reduced_scattering_per_mm: ends(2.0),
                 absorption_per_mm: ends(0.01),
             },
-            budget: (0..=11).map(share).collect(),
+            budget: (0..=12).map(share).collect(),
+            scene: vec![SceneEstimate {
+                quantity: "gel thickness".to_owned(),
+                unit: "mm".to_owned(),
+                scope: Scope::Slab,
+                slab_mm: Some(0.5),
+                value: 0.031,
+                std_error: 0.004,
+                prior: 0.02,
+                prior_std_error: 0.02,
+                at_end: true,
+            }],
         }
     }
 

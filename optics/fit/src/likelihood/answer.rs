@@ -15,7 +15,7 @@ use super::residuals::{clustering, outliers, stretches};
 use super::system::{Normal, State, System};
 use super::term::Linear;
 use super::unknowns::inverse_over_free;
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO, SHARED};
+use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
@@ -138,6 +138,7 @@ impl Found<'_, '_> {
                 nuisances,
                 outliers: outliers(self.system, &linear),
                 stretches: stretches(self.system, &linear),
+                scene: self.scene_estimates(&covariance),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
                 budget,
             }),

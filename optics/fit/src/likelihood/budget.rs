@@ -13,10 +13,10 @@ use super::quantity::Quantity;
 use super::system::Normal;
 use super::term::{Linear, Own};
 use super::unknowns::inverse_over;
-use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SHARED};
+use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS};
 use crate::dictionary::sum::dot;
 
-/// In the order in which shares are listed.
+/// In the order in which shares are listed; those of the quantities of the scene follow.
 const SOURCES: [ErrorSource; 11] = [
     ErrorSource::Noise,
     ErrorSource::Dictionary,
@@ -31,8 +31,8 @@ const SOURCES: [ErrorSource; 11] = [
     ErrorSource::G,
 ];
 
-/// Variance of one quantity by source.
-type Parts = [f64; SOURCES.len()];
+/// Variance of one quantity by source, in the order of the shares.
+type Parts = Vec<f64>;
 
 impl Found<'_, '_> {
     /// Sources that make a part of any variance. Empty if the information is singular.
@@ -52,26 +52,34 @@ impl Found<'_, '_> {
             let mut parts = self.parts(linear, normal, &(&held * &gradient));
             let whole = of(covariance);
             add(&mut parts, ErrorSource::G, (whole - of(&held)).max(0.0));
-            parts.map(|part| if whole > 0.0 { part / whole } else { 0.0 })
+            parts.iter().map(|part| if whole > 0.0 { part / whole } else { 0.0 }).collect::<Parts>()
         });
-        let share = |(i, source)| SourceShare {
+        let scene = self.data.dictionary.grid().scene();
+        let named = SOURCES.into_iter().map(|source| (source, None));
+        let of_scene = scene.priors().iter().map(|prior| (ErrorSource::Scene, Some(scene.name_of(prior))));
+        let share = |(i, (source, quantity))| SourceShare {
             source,
+            quantity,
             sigma_t: sigma_t[i],
             albedo: albedo[i],
             reduced_scattering: reduced[i],
             absorption: absorption[i],
         };
-        let all = SOURCES.into_iter().enumerate().map(share);
+        let all = named.chain(of_scene).enumerate().map(share);
         all.filter(|s| s.sigma_t + s.albedo + s.reduced_scattering + s.absorption > 0.0).collect()
     }
 
     /// The variances that make up that of a quantity to whose gradient the unknowns respond so.
     fn parts(&self, linear: &[Linear], normal: &Normal, response: &DVector<f64>) -> Parts {
-        let mut parts = [0.0; SOURCES.len()];
         let system = self.system;
+        let mut parts = vec![0.0; SOURCES.len() + self.data.dictionary.grid().scene().priors().len()];
         for (i, unknown) in system.unknowns.iter().enumerate() {
             if let Some((_, std_error)) = unknown.prior.filter(|_| !unknown.held) {
-                add(&mut parts, self.source(i), (response[i] / std_error).powi(2));
+                let part = (response[i] / std_error).powi(2);
+                match system.of_scene.iter().find(|unknown| unknown.slot == i) {
+                    Some(unknown) => parts[SOURCES.len() + unknown.prior] += part,
+                    None => add(&mut parts, self.source(i), part),
+                }
             }
         }
         if let Some(coupling) = &system.coupling {
@@ -117,7 +125,7 @@ impl Found<'_, '_> {
     }
 }
 
-fn add(parts: &mut Parts, source: ErrorSource, variance: f64) {
+fn add(parts: &mut [f64], source: ErrorSource, variance: f64) {
     let i = SOURCES.iter().position(|s| *s == source).expect("all sources are listed");
     parts[i] += variance;
 }

@@ -1,14 +1,38 @@
 //! Estimates of the set-up's nuisances, each with its prior.
 
 use nalgebra::DMatrix;
-use optics_model::fit::{Nuisance, NuisanceEstimate};
+use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
 
 use super::answer::Found;
 use super::term::{Own, Reduced};
-use super::unknowns::submatrix;
+use super::unknowns::{SceneUnknown, submatrix};
 use super::{BLUR, LN_SCALE, LN_THICKNESS, blur};
 
 impl Found<'_, '_> {
+    /// The uncertain quantities of the scene, in its order.
+    pub(super) fn scene_estimates(&self, covariance: &DMatrix<f64>) -> Vec<SceneEstimate> {
+        let scene = self.data.dictionary.grid().scene();
+        let estimate = |unknown: &SceneUnknown| {
+            let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
+            let (u, limits) = (self.state.x[slot], self.system.unknowns[slot].limits);
+            let (mean, sd) = (scene.value_of(prior).unwrap_or(self.sample_ior), prior.std_error());
+            SceneEstimate {
+                quantity: scene.name_of(prior),
+                unit: prior.kind().unit().to_owned(),
+                scope: prior.scope(),
+                slab_mm: unknown.slab_mm,
+                value: mean + sd * u,
+                std_error: sd * covariance[(slot, slot)].max(0.0).sqrt(),
+                prior: mean,
+                prior_std_error: sd,
+                at_end: u <= limits.0 || u >= limits.1,
+            }
+        };
+        let mut all: Vec<&SceneUnknown> = self.system.of_scene.iter().collect();
+        all.sort_by_key(|unknown| unknown.prior);
+        all.into_iter().map(estimate).collect()
+    }
+
     /// In the order of the answer: common ones first, then by profile.
     pub(super) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
         let settings = self.data.options.settings();

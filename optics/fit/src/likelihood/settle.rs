@@ -8,10 +8,9 @@ use super::form::without_specks;
 use super::records_noise::Modes;
 use super::robust::{is_dust, specks};
 use super::system::{State, System};
-use super::term::{Own, White};
+use super::term::Own;
 use super::unknowns::submatrix;
 use crate::surrogate::NoisePlace;
-use crate::surrogate::thickness::NearThickness;
 
 /// Cost by which a rough descent, and the last one, may miss their minimum.
 const ROUGHLY: f64 = 0.5;
@@ -52,8 +51,10 @@ impl System<'_> {
                 state = self.descend(state, None, WELL);
             }
         }
-        let far = |a: &State, b: &State| (&a.x - &b.x).amax() > FAR;
-        if far(&state, &modes_at) {
+        // The quantities of the scene do not change what they do.
+        let of_scene = |i: usize| self.of_scene.iter().any(|unknown| unknown.slot == i);
+        let is_far = |i: usize| (state.x[i] - modes_at.x[i]).abs() > FAR && !of_scene(i);
+        if (0..state.x.len()).any(is_far) {
             self.add_modes(&mut state);
             state = self.descend(state, None, WELL);
         }
@@ -106,22 +107,17 @@ impl System<'_> {
         }
     }
 
-    /// Updates what depends on the state in every profile: the records' noise, the part of other thicknesses, and the
-    /// effect of the white reference.
+    /// Updates what depends on the state in every profile: the records' noise, and all that `move_near` does.
     fn add_modes(&mut self, state: &mut State) {
+        self.move_near(&state.x);
         let modes = |i: usize| {
             let (term, point) = (&self.terms[i], self.point(i, &state.x));
             let noise = self.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
             let origin = term.origin_mm(&state.own[i]);
-            let near = self.surrogates[i].near(term.thickness_mm, point.medium());
-            let white = term.white.as_ref();
-            let white = white.and_then(|w| w.moved(self.surrogates[i], point.thickness_mm(), point.medium()));
-            (Modes::new(&noise, &term.camera, origin, &term.std_errors), near, white)
+            Modes::new(&noise, &term.camera, origin, &term.std_errors)
         };
-        let found: Vec<(Modes, Option<NearThickness>, Option<White>)> =
-            (0..self.terms.len()).into_par_iter().map(modes).collect();
-        for ((term, own), (found, near, white)) in self.terms.iter_mut().zip(&mut state.own).zip(found) {
-            (term.near, term.white) = (near, white);
+        let found: Vec<Modes> = (0..self.terms.len()).into_par_iter().map(modes).collect();
+        for ((term, own), found) in self.terms.iter_mut().zip(&mut state.own).zip(found) {
             own.truncate(term.priors.len());
             own.resize(term.priors.len() + found.modes.len(), 0.0);
             (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);

@@ -23,7 +23,7 @@ use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
 use crate::surrogate::responses::LocalResponses;
 use crate::surrogate::thickness::NearThickness;
-use crate::surrogate::{Coordinates, Surrogate, add_scaled};
+use crate::surrogate::{Coordinates, SIGMA_T, Surrogate, add_scaled};
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -198,11 +198,12 @@ impl Term {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
             None => surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), medium),
         };
-        let change = self.responses.as_ref().map(|r| r.change(medium, shared.scene()));
+        let change = self.responses.as_ref().map(|r| r.change(thickness_mm, medium, shared.scene()));
         if let Some(change) = &change {
             add_scaled(&mut predicted.values, 1.0, &change.values);
             let slopes = predicted.slopes.iter_mut().zip(&change.slopes);
             slopes.for_each(|(slope, by)| add_scaled(slope, 1.0, by));
+            add_scaled(&mut predicted.by_ln_thickness, 1.0, &change.slopes[SIGMA_T]);
         }
         let mut slopes = predicted.slopes.to_vec();
         slopes.push(predicted.by_ln_thickness);

@@ -20,6 +20,7 @@ pub(crate) struct LocalResponse {
 /// All responses about one medium.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalResponses {
+    /// With the optical thickness for σ_t.
     at: Coordinates,
     /// By prior of the scene.
     each: Vec<LocalResponse>,
@@ -41,9 +42,11 @@ impl LocalResponses {
         self.each.len()
     }
 
-    /// The change of a profile of a medium near by, with the quantities at these differences from the scene.
-    pub(crate) fn change(&self, x: Coordinates, quantities: &[f64]) -> Change {
+    /// The change of a profile of a medium and a thickness near by, with the quantities at these differences from the
+    /// scene. Its derivative by the logarithm of the thickness is that by ln σ_t.
+    pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> Change {
         let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
+        x[SIGMA_T] += thickness_mm.ln();
         let off: [f64; 3] = std::array::from_fn(|i| x[i] - self.at[i]);
         let zero = || vec![0.0; pixels];
         let mut change = Change { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
@@ -91,7 +94,10 @@ impl Surrogate<'_> {
             });
             local_response(prior, &differences.collect::<Vec<_>>())
         });
-        Some(LocalResponses { at: x, each: each.collect() })
+        let each = each.collect();
+        let mut optical = x;
+        optical[SIGMA_T] += thickness_mm.ln();
+        Some(LocalResponses { at: optical, each })
     }
 
     /// The difference that a variant makes, and its derivatives by the medium's coordinates.

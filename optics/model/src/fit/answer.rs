@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use super::budget::SourceShare;
 use crate::medium::Medium;
+use crate::scene::Scope;
 
 /// One term of Eq. 1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -123,6 +124,38 @@ pub struct Likelihood {
     pub bound: Bound,
     /// What the variances of the medium are made of; empty if the data determine nothing.
     pub budget: Vec<SourceShare>,
+    /// Uncertain quantities of the scene, as estimated; empty if it was taken as exact.
+    pub scene: Vec<SceneEstimate>,
+}
+
+/// Prior and estimate of an uncertain quantity of the scene, in its unit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SceneEstimate {
+    /// As `gel thickness`.
+    pub quantity: String,
+    /// `mm`, `°`, or nothing for pure numbers.
+    pub unit: String,
+    /// What has this value.
+    pub scope: Scope,
+    /// The slab that it belongs to, by its nominal thickness.
+    pub slab_mm: Option<f64>,
+    pub value: f64,
+    pub std_error: f64,
+    /// Mean of its prior: the scene's value.
+    pub prior: f64,
+    pub prior_std_error: f64,
+    /// The estimate lies where the responses end: the truth may lie beyond.
+    pub at_end: bool,
+}
+
+impl SceneEstimate {
+    /// Distance from the prior in its standard deviations from which on the scene is in doubt.
+    pub const CONFLICT: f64 = 3.0;
+
+    /// Whether the data contradict the prior.
+    pub fn is_conflict(&self) -> bool {
+        (self.value - self.prior).abs() > Self::CONFLICT * self.prior_std_error
+    }
 }
 
 /// A nuisance parameter of the set-up, with a prior, estimated along with the medium.

@@ -28,6 +28,8 @@ pub enum ErrorSource {
     OtherChannels,
     /// The anisotropy, which the data have to determine as well.
     G,
+    /// An uncertain quantity of the scene.
+    Scene,
     /// One that this version does not have.
     Unknown,
 }
@@ -35,9 +37,12 @@ pub enum ErrorSource {
 /// Shares of the variances of ln σ_t, √(1 − α), ln σ_s(1 − g) and √σ_a that a source makes: those of all sources add up
 /// to 1. They are (response of the estimate to the source × standard error of the source)² with g held; the share of g is
 /// what the variance grows by as g is left free.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SourceShare {
     pub source: ErrorSource,
+    /// Which quantity, if the source is one of the scene.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<String>,
     pub sigma_t: f64,
     pub albedo: f64,
     pub reduced_scattering: f64,

@@ -11,7 +11,7 @@ mod profile;
 pub use answer::{
     Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
     Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
-    ScaleCurve, ScalePoint, Stretch, Suspicion, ThicknessError,
+    ScaleCurve, ScalePoint, SceneEstimate, Stretch, Suspicion, ThicknessError,
 };
 pub use budget::{ErrorSource, SourceShare};
 pub use design::{

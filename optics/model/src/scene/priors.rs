@@ -2,6 +2,8 @@
 //!
 //! A fit estimates them together with the medium. Each belongs to a session, to a slab or to a material.
 
+use serde::Serialize;
+
 use super::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::invalid::{Invalid, Result};
 
@@ -49,7 +51,8 @@ impl PriorKind {
 }
 
 /// What has one value of a quantity.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Scope {
     /// All photographs with one set-up.
     Session,

@@ -1,0 +1,85 @@
+//! The uncertain quantities of the scene as people read them: estimates with their priors, and warnings where the data
+//! contradict a prior or lead beyond the responses.
+
+use std::collections::BTreeMap;
+
+use farm_figures::numbers::{minus, with_error};
+use optics_model::fit::{MaterialFit, SceneEstimate};
+use optics_model::scene::Scope;
+
+use crate::output::{table, warning, wrapped};
+
+/// Estimates of one quantity for what shares it, the session, a material or a slab, each once.
+type Estimates<'a> = BTreeMap<(&'a str, String), &'a SceneEstimate>;
+
+/// A row for every estimate. None if the scene was taken as exact.
+pub(super) fn scene_text(fits: &[MaterialFit]) -> Option<String> {
+    let estimates = estimates(fits);
+    if estimates.is_empty() {
+        return None;
+    }
+    let rows = estimates.iter().map(|((quantity, of), e)| {
+        let numbers = with_unit(&with_error(e.value, e.std_error), e);
+        vec![(*quantity).to_owned(), of.clone(), numbers, prior(e)]
+    });
+    let mut text = table(&["set-up", "of", "estimate", "prior"], &[], rows);
+    for line in warnings(&estimates) {
+        text += &format!("\n{}", warning(&wrapped(&line)));
+    }
+    Some(text)
+}
+
+/// Channels of a set share estimates; where they differ by what each channel adds, the best determined one is shown.
+fn estimates(fits: &[MaterialFit]) -> Estimates<'_> {
+    let mut all = Estimates::new();
+    for fit in fits {
+        let refined = fit.channels.iter().filter_map(|c| c.refined.as_ref());
+        for estimate in refined.filter_map(|r| r.likelihood.as_ref()).flat_map(|l| &l.scene) {
+            let of = match (estimate.scope, estimate.slab_mm) {
+                (Scope::Session, _) => "all".to_owned(),
+                (_, None) => fit.material.clone(),
+                (_, Some(mm)) => format!("{} {mm} mm", fit.material),
+            };
+            let known = all.entry((estimate.quantity.as_str(), of)).or_insert(estimate);
+            if estimate.std_error < known.std_error {
+                *known = estimate;
+            }
+        }
+    }
+    all
+}
+
+fn warnings(estimates: &Estimates) -> Vec<String> {
+    let line = |((quantity, of), e): (&(&str, String), &&SceneEstimate)| {
+        let off = ((e.value - e.prior) / e.prior_std_error).abs();
+        let found = with_unit(&minus(&format!("{}", significant(e))), e);
+        if e.at_end {
+            Some(format!(
+                "{quantity} ({of}): the estimate {found} lies where the dictionary's responses end; measure it, and \
+                 compute a dictionary whose scene has the measured value"
+            ))
+        } else if e.is_conflict() {
+            Some(format!(
+                "{quantity} ({of}): the estimate {found} is {off:.1} standard deviations from its prior {}: the scene \
+                 does not describe this set-up, or something else is wrong with the data",
+                prior(e)
+            ))
+        } else {
+            None
+        }
+    };
+    estimates.iter().filter_map(line).collect()
+}
+
+/// As many digits as the error has meaning for.
+fn significant(e: &SceneEstimate) -> String {
+    with_error(e.value, e.std_error).split(' ').next().unwrap_or_default().to_owned()
+}
+
+fn prior(e: &SceneEstimate) -> String {
+    with_unit(&format!("{} ± {}", e.prior, e.prior_std_error), e)
+}
+
+fn with_unit(numbers: &str, e: &SceneEstimate) -> String {
+    if e.unit.is_empty() { numbers.to_owned() } else { format!("{numbers} {}", e.unit) }
+}
