@@ -155,8 +155,8 @@ mod tests {
         let sigma_t: Vec<f64> = responses.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i]).collect();
         assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
         assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
-        assert_eq!(responses.variants().len(), 11);
-        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 11 * 6 * 3 * 2));
+        assert_eq!(responses.variants().len(), 14);
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 14 * 6 * 3 * 2));
         assert_eq!(spread(&[1.0], 3), [0]);
         assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
     }

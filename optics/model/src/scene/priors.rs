@@ -119,8 +119,8 @@ impl Prior {
         self.kind == PriorKind::Index && self.layers.iter().all(|i| *i == scene.sample_layer())
     }
 
-    /// Differences from the scene's value at which profiles are traced: one for a first-order response, or two on both
-    /// sides for one of second order, where the prior is wide.
+    /// Differences from the scene's value at which profiles are traced: two for a response of second order, or one for a
+    /// first-order response of what hardly bends.
     ///
     /// Roughnesses and thicknesses above 0 stay above 0.
     pub fn steps(&self, scene: &Scene) -> Vec<f64> {
@@ -137,17 +137,18 @@ impl Prior {
                     if self.kind == PriorKind::Roughness { (2.5 * sd).min(1.0 - value) } else { 4.0 * sd };
                 vec![-sd.min((1.0 - LEAST) * value), most]
             }
-            PriorKind::RingAngle if scene.light().outer_deg() + sd > 90.0 => vec![-sd],
-            _ => vec![sd],
+            PriorKind::Index => vec![-2.5 * sd, 2.5 * sd],
+            PriorKind::RingAngle if scene.light().outer_deg() + 2.0 * sd > 90.0 => vec![-2.0 * sd],
+            _ => vec![2.0 * sd],
         }
     }
 
     /// Least and greatest difference from the scene's value for which the responses hold.
     pub fn range(&self, scene: &Scene) -> (f64, f64) {
-        /// Standard deviations over which a first-order response holds.
-        const FAR: f64 = 4.0;
-        match self.steps(scene)[..] {
-            [low, high] => (low.min(0.0), high),
+        /// Standard deviations over which responses without a bend hold, or with a slight one.
+        const FAR: f64 = 5.0;
+        match (self.kind, &self.steps(scene)[..]) {
+            (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
             _ => (-FAR * self.std_error, FAR * self.std_error),
         }
     }
@@ -288,12 +289,12 @@ mod tests {
     fn wide_priors_have_two_steps() {
         let scene = Scene::paper();
         let steps = |kind, layers: &[usize], sd| prior(kind, layers, sd).steps(&scene);
-        assert_eq!(steps(PriorKind::Index, &[1, 3], 0.01), [0.01]);
-        assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [1.0]);
-        assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [0.02]);
+        assert_eq!(steps(PriorKind::Index, &[1, 3], 0.01), [-0.025, 0.025]);
+        assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [2.0]);
+        assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [0.04]);
         let gel = prior(PriorKind::Thickness, &[1, 3], 0.02);
         assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
-        assert_eq!(gel.range(&scene), (-0.015, 0.08));
+        assert_eq!(gel.range(&scene), (-0.015, 0.088));
     }
 
     /// A varied scene differs in the quantity alone, in all layers that share it.
