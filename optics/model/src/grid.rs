@@ -1,6 +1,7 @@
 //! The parameter grid of a dictionary and the numbering of its records.
 
 mod effort;
+mod jobs;
 mod parts;
 mod responses;
 mod walks;
@@ -11,12 +12,12 @@ use serde::Serialize;
 
 use crate::invalid::{Invalid, Result};
 use crate::medium::{
-    Medium, TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t,
-    check_thickness,
+    TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t, check_thickness,
 };
 use crate::profile::RecordShape;
 use crate::scene::Scene;
 pub use effort::{Effort, NoiseLevel};
+pub use jobs::ResponseJob;
 pub use parts::MAX_PARTS;
 pub use responses::{Responses, Variant};
 pub use walks::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES, Quality, Walks};
@@ -40,13 +41,6 @@ pub struct Grid {
     derivatives: bool,
     quality: Option<Quality>,
     responses: Option<Arc<Responses>>,
-}
-
-/// A job of the responses: a variant of the scene at the transport point of one of the axes' jobs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ResponseJob {
-    pub variant: usize,
-    pub nominal_job: usize,
 }
 
 /// The axes of a grid; each must be strictly rising and not empty.
@@ -223,128 +217,9 @@ impl Grid {
         self.derivatives
     }
 
-    /// Jobs: transport points of the axes, then those of the responses.
-    pub fn job_count(&self) -> usize {
-        let of_variant = self.response_lengths().iter().product::<usize>();
-        self.nominal_jobs() + self.responses().map_or(0, |r| r.variants().len() * of_variant)
-    }
-
-    /// Transport points of the axes, each of them one job.
-    pub fn nominal_jobs(&self) -> usize {
-        self.axis_lengths().iter().product()
-    }
-
-    /// Records of the axes. Those of the responses are numbered after them, up to [`Self::stored_records`].
-    pub fn record_count(&self) -> usize {
-        self.nominal_jobs() * self.albedo().len()
-    }
-
-    /// Records of all jobs.
-    pub fn stored_records(&self) -> usize {
-        self.job_count() * self.albedo().len()
-    }
-
-    /// What a job of the responses computes; None for those of the axes.
-    pub fn response_of(&self, job: usize) -> Option<ResponseJob> {
-        let responses = self.responses()?;
-        let index = job.checked_sub(self.nominal_jobs())?;
-        let [n_ior, n_sigma, n_g, n_t] = self.response_lengths();
-        let (rest, t) = (index / n_t, index % n_t);
-        let (rest, g) = (rest / n_g, rest % n_g);
-        let (rest, sigma) = (rest / n_sigma, rest % n_sigma);
-        let (variant, ior) = (rest / n_ior, rest % n_ior);
-        let nominal_job = self.job_of([ior, responses.sigma_t()[sigma], responses.g()[g], t]);
-        (variant < responses.variants().len()).then_some(ResponseJob { variant, nominal_job })
-    }
-
-    /// The job of a variant at the transport point of a job of the axes; None if it is not traced there.
-    pub fn response_job(&self, variant: usize, nominal_job: usize) -> Option<usize> {
-        let responses = self.responses()?;
-        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
-        let (rest, t) = (nominal_job / n_t, nominal_job % n_t);
-        let (rest, g) = (rest / n_g, rest % n_g);
-        let (ior, sigma) = (rest / n_sigma, rest % n_sigma);
-        let sigma = responses.sigma_t().binary_search(&sigma).ok()?;
-        let g = responses.g().binary_search(&g).ok()?;
-        let [n_ior, n_sigma, n_g, n_t] = self.response_lengths();
-        Some(self.nominal_jobs() + (((variant * n_ior + ior) * n_sigma + sigma) * n_g + g) * n_t + t)
-    }
-
-    /// The scene that a job is traced in.
-    pub fn scene_of(&self, job: usize) -> &Arc<Scene> {
-        match (self.response_of(job), self.responses()) {
-            (Some(place), Some(responses)) => responses.scene(place.variant),
-            _ => &self.scene,
-        }
-    }
-
-    /// Lengths of the axes that number the jobs of a variant, as [`Self::axis_lengths`].
-    fn response_lengths(&self) -> [usize; 4] {
-        let [n_ior, .., n_t] = self.axis_lengths();
-        self.responses().map_or([0; 4], |r| [n_ior, r.sigma_t().len(), r.g().len(), n_t])
-    }
-
     /// Bytes of one record's numbers.
     pub fn record_bytes(&self) -> usize {
         RecordShape::of(self).bytes()
-    }
-
-    /// The transport point of a job.
-    ///
-    /// # Panics
-    /// If `job` is not below [`Self::job_count`].
-    pub fn point(&self, job: usize) -> TransportPoint {
-        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
-        assert!(job < self.job_count(), "job {job} is not of this grid");
-        let job = self.response_of(job).map_or(job, |place| place.nominal_job);
-        let (rest, t) = (job / n_t, job % n_t);
-        let (rest, g) = (rest / n_g, rest % n_g);
-        let (ior, sigma) = (rest / n_sigma, rest % n_sigma);
-        TransportPoint::new(
-            self.sigma_t_per_mm()[sigma],
-            self.g()[g],
-            self.thickness_mm()[t],
-            self.sample_ior()[ior],
-        )
-        .expect("axes hold checked values")
-    }
-
-    /// The axes' job of a transport point, if it is one of this grid's.
-    pub fn job_at(&self, point: &TransportPoint) -> Option<usize> {
-        let index = |axis: &[f64], value: f64| axis.binary_search_by(|v| v.total_cmp(&value)).ok();
-        let ior = index(self.sample_ior(), point.sample_ior())?;
-        let sigma = index(self.sigma_t_per_mm(), point.sigma_t_per_mm())?;
-        let (g, t) = (index(self.g(), point.g())?, index(self.thickness_mm(), point.thickness_mm())?);
-        Some(self.job_of([ior, sigma, g, t]))
-    }
-
-    fn job_of(&self, [ior, sigma_t, g, thickness]: [usize; 4]) -> usize {
-        let [_, n_sigma, n_g, n_t] = self.axis_lengths();
-        ((ior * n_sigma + sigma_t) * n_g + g) * n_t + thickness
-    }
-
-    /// Number of the first record of a job; its others follow.
-    pub fn first_record(&self, job: usize) -> usize {
-        job * self.albedo().len()
-    }
-
-    /// What a record was computed for: its transport point and medium.
-    pub fn parameters(&self, record: usize) -> (TransportPoint, Medium) {
-        let point = self.point(record / self.albedo().len());
-        let albedo = self.albedo()[record % self.albedo().len()];
-        let medium =
-            Medium::new(point.sigma_t_per_mm(), albedo, point.g()).expect("axes hold checked values");
-        (point, medium)
-    }
-
-    /// Number of the record at these indices into the axes.
-    pub fn record_at(&self, ior: usize, sigma_t: usize, g: usize, thickness: usize, albedo: usize) -> usize {
-        self.first_record(self.job_of([ior, sigma_t, g, thickness])) + albedo
-    }
-
-    /// Lengths of the axes that number the jobs, slowest first.
-    fn axis_lengths(&self) -> [usize; 4] {
-        [self.sample_ior(), self.sigma_t_per_mm(), self.g(), self.thickness_mm()].map(<[f64]>::len)
     }
 }
 
@@ -391,24 +266,6 @@ mod tests {
         assert_eq!(grid.sigma_t_per_mm()[13..15], [4.5, 5.0]);
         assert_eq!(grid.sigma_t_per_mm()[33..], [22.0, 24.0, 26.0, 28.0, 30.0]);
         assert_eq!(grid.albedo()[16..19], [0.85, 0.875, 0.9]);
-    }
-
-    #[test]
-    fn record_numbers_and_parameters_are_inverse() {
-        let grid = Grid::paper();
-        let record = grid.record_at(0, 16, 4, 1, 34);
-        let (point, medium) = grid.parameters(record);
-        assert_eq!((medium.sigma_t_per_mm(), medium.albedo(), medium.g()), (6.0, 0.9991, 0.4));
-        assert_eq!(point.thickness_mm(), 1.0);
-        assert_eq!(grid.first_record(record / 41) + 34, record);
-    }
-
-    #[test]
-    fn jobs_are_found_by_their_points() {
-        let grid = Grid::paper();
-        assert!((0..grid.job_count()).all(|job| grid.job_at(&grid.point(job)) == Some(job)));
-        let between = TransportPoint::new(6.5, 0.41, 1.0, 1.53).unwrap();
-        assert_eq!(grid.job_at(&between), None);
     }
 
     /// The values of an axis must rise strictly, and there must be one.

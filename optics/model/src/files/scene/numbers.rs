@@ -1,0 +1,156 @@
+//! Numbers of layers in scene files: exact, with a standard error, or those of another layer; and the priors that follow.
+
+use serde::{Deserialize, Serialize};
+
+use super::LayerTable;
+use crate::invalid::{Invalid, Result};
+use crate::scene::{Prior, PriorKind, Scene, Scope};
+
+/// A number of a layer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Number {
+    Exact(f64),
+    Uncertain(UncertainNumber),
+    /// That of another layer, by its name.
+    SameAs(String),
+}
+
+/// A number with its standard error.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UncertainNumber {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub value: Option<f64>,
+    pub std_error: f64,
+    /// "session", "slab" or "material": what has one value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub per: Option<String>,
+}
+
+impl Default for Number {
+    fn default() -> Self {
+        Self::Exact(0.0)
+    }
+}
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct AnyNumber;
+
+        impl<'de> serde::de::Visitor<'de> for AnyNumber {
+            type Value = Number;
+
+            fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(
+                    "a number, a table { value, std_error }, or the name of a layer with the same number",
+                )
+            }
+
+            fn visit_f64<E>(self, number: f64) -> Result<Number, E> {
+                Ok(Number::Exact(number))
+            }
+
+            fn visit_i64<E>(self, number: i64) -> Result<Number, E> {
+                Ok(Number::Exact(number as f64))
+            }
+
+            fn visit_str<E>(self, name: &str) -> Result<Number, E> {
+                Ok(Number::SameAs(name.to_owned()))
+            }
+
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Number, A::Error> {
+                let table = serde::de::value::MapAccessDeserializer::new(map);
+                UncertainNumber::deserialize(table).map(Number::Uncertain)
+            }
+        }
+
+        deserializer.deserialize_any(AnyNumber)
+    }
+}
+
+impl Number {
+    pub(super) fn value(&self) -> Option<f64> {
+        match self {
+            Self::Exact(value) => Some(*value),
+            Self::Uncertain(number) => number.value,
+            Self::SameAs(_) => None,
+        }
+    }
+}
+
+/// The tables with the numbers of other layers filled in: they are then uncertain together.
+pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
+    let all = tables.clone();
+    crate::invalid::each("layer", tables, |mut table| {
+        let Number::SameAs(name) = &table.roughness else { return Ok(table) };
+        let other = all.iter().find(|t| t.name == *name).map(|t| &t.roughness);
+        match other {
+            Some(number) if !matches!(number, Number::SameAs(_)) => table.roughness = number.clone(),
+            _ => {
+                let names: Vec<&str> = all.iter().map(|t| t.name.as_str()).collect();
+                let allowed = format!("a number, or the name of a layer that has one: {}", names.join(", "));
+                return Err(Invalid::new("roughness", name, allowed));
+            }
+        }
+        Ok(table)
+    })
+}
+
+/// Quantities with a standard error. Layers share one if they have the same name, or if one was referred to.
+pub(super) fn priors(
+    scene: &Scene,
+    tables: &[LayerTable],
+    angles: [(PriorKind, &str, Option<f64>); 2],
+) -> Result<Vec<Prior>> {
+    let mut found: Vec<(PriorKind, &UncertainNumber, Vec<usize>)> = Vec::new();
+    for kind in [PriorKind::Roughness, PriorKind::Thickness, PriorKind::Index] {
+        for (i, table) in tables.iter().enumerate() {
+            let number = match kind {
+                PriorKind::Roughness => Some(&table.roughness),
+                PriorKind::Thickness => table.thickness_mm.as_ref(),
+                _ => table.ior.as_ref(),
+            };
+            let Some(Number::Uncertain(number)) = number else { continue };
+            // The lower face of the sample is named after what lies below.
+            let shares = |layer: &usize| tables[*layer].name == table.name || tables[*layer].sample;
+            let group = found
+                .iter_mut()
+                .find(|(k, n, layers)| *k == kind && *n == number && layers.iter().any(shares));
+            match group {
+                Some((.., layers)) => layers.push(i),
+                None => found.push((kind, number, vec![i])),
+            }
+        }
+    }
+    let mut priors = Vec::new();
+    for (kind, number, layers) in found {
+        let place =
+            format!("layer[{}].{}", layers[0], if kind == PriorKind::Index { "ior" } else { kind.name() });
+        let scope = match &number.per {
+            None => default_scope(scene, kind, &layers),
+            Some(name) => Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| {
+                Invalid::new(format!("{place}.per"), name, "allowed are session, slab and material")
+            })?,
+        };
+        priors.push(Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(place))?);
+    }
+    for (kind, field, std_error) in angles {
+        if let Some(std_error) = std_error {
+            let prior = Prior::new(kind, Vec::new(), std_error, Scope::Session);
+            priors.push(prior.map_err(|e| e.renamed(field))?);
+        }
+    }
+    Ok(priors)
+}
+
+/// The sample's roughness and index are its material's. A layer of some thickness that touches it holds the slab, and is as
+/// thick as this mounting made it. All else is the set-up's.
+pub(super) fn default_scope(scene: &Scene, kind: PriorKind, layers: &[usize]) -> Scope {
+    let sample = scene.sample_layer();
+    match kind {
+        PriorKind::Roughness | PriorKind::Index if layers.contains(&sample) => Scope::Material,
+        PriorKind::Thickness if layers.iter().any(|l| l.abs_diff(sample) == 1) => Scope::Slab,
+        _ => Scope::Session,
+    }
+}
