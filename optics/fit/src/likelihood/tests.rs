@@ -2,10 +2,13 @@
 
 mod budget;
 mod formula;
+mod scene;
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Objective, Refined};
 use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
-use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, Profile, ProfileSetup, Record, Walks};
+use optics_model::{
+    Estimate, Grid, MeasuredProfile, Measurement, Medium, Profile, ProfileSetup, Record, Walks,
+};
 
 use super::LN_SCALE;
 use super::channel;

@@ -1,0 +1,146 @@
+//! Uncertain quantities of the scene, on a dictionary from a formula whose responses are known.
+
+use optics_model::fit::SceneEstimate;
+use optics_model::grid::Responses;
+use optics_model::scene::{Prior, PriorKind, Scope};
+
+use super::*;
+use crate::surrogate::{Surrogate, coordinates};
+
+/// What the quantities do to a profile, by their differences from the scene in standard deviations: the gel's brightens the
+/// middle, not quite in proportion; the ring's darkens the rims.
+fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 {
+    let middle = 0.02 * (-x * x).exp() * (1.0 - 0.3 * g);
+    albedo * (middle * gel * (1.0 + 0.05 * gel) - 0.004 * ring * (x / 5.0).powi(2))
+}
+
+/// The paper's scene with two uncertain quantities, or none.
+fn grid(uncertain: bool) -> Grid {
+    let exact = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
+    let gel = Prior::new(PriorKind::Thickness, vec![1, 3], 0.02, Scope::Slab).unwrap();
+    let ring = Prior::new(PriorKind::RingAngle, Vec::new(), 1.0, Scope::Session).unwrap();
+    let scene = if uncertain { exact.with_priors(vec![gel, ring]).unwrap() } else { exact };
+    let axes = dense_axes();
+    let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap();
+    let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
+    responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap()
+}
+
+fn dictionary(uncertain: bool) -> FitDictionary {
+    let grid = grid(uncertain);
+    let of = grid.clone();
+    let record = move |index: usize| {
+        let (point, medium) = of.parameters(index);
+        let quantities = of.response_of(index / of.albedo().len()).map_or([0.0; 2], |place| {
+            let variant = &of.responses().unwrap().variants()[place.variant];
+            let mut quantities = [0.0; 2];
+            quantities[variant.prior] = variant.step / of.scene().priors()[variant.prior].std_error();
+            quantities
+        });
+        let value = |i: usize, channel: usize| {
+            let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
+            let x = of.scene().sensor().centre_mm(i);
+            let plain = profile_value(x, s, a, g, point.thickness_mm(), channel as f64);
+            (plain + change(x, a, g, quantities)) as f32
+        };
+        let profile = |channel: usize| {
+            let values: Vec<f32> = (0..120).map(|i| value(i, channel)).collect();
+            let estimate = Estimate::new(values, vec![0.0; 120]).unwrap();
+            Profile { radiance_factor: estimate, derivatives: None }
+        };
+        Record { index, profiles: (0..3).map(profile).collect() }
+    };
+    dictionary_of(&grid, record)
+}
+
+/// Channel G at both thicknesses with 0.3 % of noise; the gel's quantity differs between the slabs.
+fn measured(gel: [f64; 2], ring: f64, seed: u64) -> Measurement {
+    let (s, a, g) = MEDIUM;
+    let profile = |slab: usize, thickness: f64| {
+        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
+        let value =
+            |x: &f64| profile_value(*x, s, a, g, thickness, 1.0) + change(*x, a, g, [gel[slab], ring]);
+        let exact: Vec<f64> = x.iter().map(value).collect();
+        let noise =
+            |(i, v): (usize, &f64)| v * (1.0 + 0.003 * normal((seed * 2 + slab as u64) * 120 + i as u64));
+        let values = exact.iter().enumerate().map(noise).collect();
+        let std_errors = exact.iter().map(|v| 0.003 * v).collect();
+        MeasuredProfile::new("G", thickness, x, values, Some(std_errors)).unwrap()
+    };
+    Measurement::new("m", vec![profile(0, 0.5), profile(1, 1.0)]).unwrap()
+}
+
+fn scene_of(found: &Refined) -> &[SceneEstimate] {
+    &found.likelihood.as_ref().unwrap().scene
+}
+
+/// Between the nodes responses are interpolated to 1 % of what one standard deviation does.
+#[test]
+fn responses_are_interpolated_between_nodes() {
+    let dictionary = dictionary(true);
+    let surrogate = Surrogate::new(&dictionary, 1, 0);
+    let medium = Medium::new(MEDIUM.0, MEDIUM.1, MEDIUM.2).unwrap();
+    let near = Medium::new(1.01 * MEDIUM.0, MEDIUM.1 - 0.005, MEDIUM.2 + 0.01).unwrap();
+    let local = surrogate.responses(0.5, coordinates(&medium)).unwrap();
+    for quantities in [[1.0, 0.0], [0.0, 1.0], [-0.5, 0.0], [2.3, -1.7]] {
+        let found = local.change(0.5, coordinates(&near), &quantities);
+        for (i, value) in found.values.iter().enumerate() {
+            let x = dictionary.grid().scene().sensor().centre_mm(i);
+            let expected = change(x, near.albedo(), near.g(), quantities);
+            assert!((value - expected).abs() < 2e-4, "{quantities:?} {x}: {value} {expected}");
+        }
+        // Derivatives by the quantities, against differences.
+        for k in 0..2 {
+            let moved = |by: f64| {
+                let mut there = quantities;
+                there[k] += by;
+                local.change(0.5, coordinates(&near), &there).values
+            };
+            let (up, down) = (moved(1e-4), moved(-1e-4));
+            for (i, slope) in found.by_quantity[k].iter().enumerate() {
+                assert!((slope - (up[i] - down[i]) / 2e-4).abs() < 1e-8, "{k} {i}");
+            }
+        }
+    }
+}
+
+/// The quantities are found with the medium: gel of each slab, ring of the session. An exact scene errs.
+#[test]
+fn scene_is_estimated_with_the_medium() {
+    let [uncertain, exact] = [true, false].map(dictionary);
+    let with_g = FitSettings { g: Bounds::fixed(MEDIUM.2), ..settings() };
+    let off = |found: f64, truth: f64, ends: &Interval| 2.0 * (found - truth).abs() / (ends.high - ends.low);
+    for (seed, gel, ring) in [(1, [0.0, 0.0], 0.0), (2, [1.4, -0.2], 1.2), (3, [-0.1, 2.1], -1.5)] {
+        let measured = measured(gel, ring, seed);
+        let found = refined_with(&uncertain, &measured, with_g);
+        let medium = found.best.medium;
+        assert!(off(medium.sigma_t_per_mm(), MEDIUM.0, &found.sigma_t_per_mm) < 1.8, "{seed}: {medium:?}");
+        assert!(off(medium.albedo(), MEDIUM.1, &found.albedo) < 1.8, "{seed}: {medium:?}");
+        let named: Vec<_> = scene_of(&found).iter().map(|e| (e.quantity.as_str(), e.slab_mm)).collect();
+        assert_eq!(named, [("gel thickness", Some(0.5)), ("gel thickness", Some(1.0)), ("ring angle", None)]);
+        let truths = [0.02 + 0.02 * gel[0], 0.02 + 0.02 * gel[1], 45.0 + ring];
+        for (estimate, truth) in scene_of(&found).iter().zip(truths) {
+            assert!(
+                (estimate.value - truth).abs() < 3.5 * estimate.std_error,
+                "{seed}: {estimate:?} {truth}"
+            );
+            assert!(estimate.std_error < estimate.prior_std_error && !estimate.at_end, "{estimate:?}");
+        }
+        let shares = &found.likelihood.as_ref().unwrap().budget;
+        assert!(shares.iter().any(|s| s.quantity.as_deref() == Some("gel thickness")), "{shares:?}");
+        let wrong = refined_with(&exact, &measured, with_g);
+        assert!(scene_of(&wrong).is_empty());
+        let bad = off(wrong.best.medium.sigma_t_per_mm(), MEDIUM.0, &wrong.sigma_t_per_mm);
+        assert!(seed == 1 || bad > 2.0 || wrong.misfit > 1.5, "{seed}: {bad} {}", wrong.misfit);
+    }
+}
+
+/// Where the truth lies beyond the responses, the estimate ends there and is marked.
+#[test]
+fn estimates_end_with_the_responses() {
+    let measured = measured([6.0, 0.0], 0.0, 4);
+    let found = refined_with(&dictionary(true), &measured, settings());
+    let gel = &scene_of(&found)[0];
+    assert!(gel.at_end && gel.is_conflict(), "{gel:?}");
+    assert!((gel.value - (0.02 + 0.088)).abs() < 1e-9, "{gel:?}");
+}
