@@ -193,7 +193,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         dictionary_share: 0.1,
         misfit: 3.42,
         suspicion,
-        likelihood: None,
+        likelihood: likelihood(712.4, 0.5312),
         from_mixtures: false,
     };
     ChannelFit {
@@ -224,8 +224,8 @@ fn materials() -> Vec<MaterialFit> {
         Cause::Zero,
         Cause::Slope,
         Cause::Blur,
-        Cause::Outliers,
         Cause::GammaCoded,
+        Cause::Exponent,
         Cause::ThicknessesSwapped,
     ];
     let suspected = causes.map(|cause| channel(&format!("{cause:?}"), Some((cause, None))));
@@ -240,9 +240,7 @@ fn materials() -> Vec<MaterialFit> {
 }
 
 fn with_likelihood() -> MaterialFit {
-    let mut channel = channel("R", None);
-    channel.refined.as_mut().unwrap().likelihood = Some(likelihood(712.4, 0.5312));
-    MaterialFit { material: "resin".to_owned(), channels: vec![channel] }
+    MaterialFit { material: "resin".to_owned(), channels: vec![channel("R", None)] }
 }
 
 fn by_g() -> Vec<GError> {
