@@ -3,11 +3,11 @@
 use optics_model::Medium;
 use optics_model::fit::{ChannelFit, FitCurves, MaterialFit};
 
-use super::canvas::Stroke;
-use super::color::Color;
-use super::legend::Key;
-use super::picture::Picture;
-use super::sheet::{Cell, Sheet};
+use crate::drawing::canvas::Stroke;
+use crate::drawing::color::Color;
+use crate::drawing::legend::Key;
+use crate::drawing::picture::Picture;
+use crate::drawing::sheet::{Cell, Sheet};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 

@@ -21,7 +21,10 @@ use optics_model::{
 };
 use serde::Serialize;
 
-use super::{design, fit, list, map, measure, profile, scale, show, similar, simulate, status, workers};
+use super::dictionaries::{list, show};
+use super::farm::{status, workers};
+use super::fits::{design, fit, map, measure, profile, scale, similar};
+use super::measurements::simulate;
 use crate::answers::{Found, UsedOptions};
 use crate::cli::SimilarArgs;
 use crate::output::envelope;
