@@ -1,5 +1,9 @@
 //! A farm to talk to: a server's, or one that lives in this process.
 
+pub(crate) mod outage;
+pub(crate) mod questions;
+pub(crate) mod records;
+
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::Path;
@@ -18,7 +22,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::Global;
-use crate::questions::Questions;
+use crate::connection::questions::Questions;
 
 /// What a command wants of a farm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,5 +1,7 @@
 //! What people and programs read: tables, and JSON in one stable envelope.
 
+mod terminal;
+
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -9,9 +11,9 @@ use farm_link::logs::tell;
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;
 
-pub(crate) use crate::terminal::print_line;
-use crate::terminal::{harmless, with_escapes};
 pub(crate) use farm_lab::whole_file::write_whole;
+pub(crate) use terminal::print_line;
+use terminal::{harmless, with_escapes};
 
 /// Version of the JSON shapes: fields may be added to a version, never changed or removed.
 const API: &str = "farmctl/1";

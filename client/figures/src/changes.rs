@@ -2,11 +2,11 @@
 
 use optics_model::fit::Curve;
 
-use super::canvas::Stroke;
-use super::color::Color;
-use super::legend::Key;
-use super::picture::Picture;
-use super::sheet::{Cell, Sheet};
+use crate::drawing::canvas::Stroke;
+use crate::drawing::color::Color;
+use crate::drawing::legend::Key;
+use crate::drawing::picture::Picture;
+use crate::drawing::sheet::{Cell, Sheet};
 
 const REFERENCE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const CHANGED: [Stroke; 4] = [

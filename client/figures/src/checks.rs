@@ -3,7 +3,7 @@
 use optics_model::fit::Curve;
 use resvg::usvg::{Group, Node, Rect};
 
-use super::picture::Picture;
+use crate::drawing::picture::Picture;
 
 /// The middles of 360 pixels over ± 5 mm.
 pub(super) fn x_mm() -> Vec<f64> {

@@ -4,15 +4,15 @@ use anyhow::ensure;
 use optics_model::Medium;
 use optics_model::fit::{Design, HalfWidths, SlabSet};
 
-use super::axis::{Axis, Direction, extent};
-use super::canvas::{Area, Canvas, Stroke, at};
-use super::color::Color;
-use super::frame::{Frame, TICKS_BELOW};
-use super::head::{Head, MARGIN};
-use super::legend::{Key, Sample};
-use super::number::number;
-use super::picture::Picture;
-use super::text::{Anchor, LABEL, SMALL, TICK, Text};
+use crate::drawing::axis::{Axis, Direction, extent};
+use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::{Frame, TICKS_BELOW};
+use crate::drawing::head::{Head, MARGIN};
+use crate::drawing::legend::{Key, Sample};
+use crate::drawing::number::number;
+use crate::drawing::picture::Picture;
+use crate::drawing::text::{Anchor, LABEL, SMALL, TICK, Text};
 use crate::numbers::slabs;
 
 const PANEL_WIDTH: f64 = 178.0;

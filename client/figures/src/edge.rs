@@ -1,13 +1,13 @@
 //! Profiles across one edge, a curve for each channel, with their random errors as bands.
 
-use super::axis::{Axis, extent};
-use super::canvas::{Area, Canvas, Stroke, at};
-use super::color::Color;
-use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
-use super::head::MARGIN;
-use super::legend::{Key, Row};
-use super::picture::Picture;
-use super::text::{Anchor, LABEL, Text};
+use crate::drawing::axis::{Axis, extent};
+use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::head::MARGIN;
+use crate::drawing::legend::{Key, Row};
+use crate::drawing::picture::Picture;
+use crate::drawing::text::{Anchor, LABEL, Text};
 
 const WIDTH: f64 = 620.0;
 const HEIGHT: f64 = 230.0;

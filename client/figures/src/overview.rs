@@ -2,15 +2,15 @@
 
 use anyhow::ensure;
 
-use super::axis::{Axis, extent};
-use super::canvas::{Area, Canvas, Stroke, at};
-use super::color::Color;
-use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
-use super::head::{Head, MARGIN};
-use super::legend::Key;
-use super::number::number;
-use super::picture::Picture;
-use super::text::{Anchor, HEADING, LABEL, TICK, Text};
+use crate::drawing::axis::{Axis, extent};
+use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::head::{Head, MARGIN};
+use crate::drawing::legend::Key;
+use crate::drawing::number::number;
+use crate::drawing::picture::Picture;
+use crate::drawing::text::{Anchor, HEADING, LABEL, TICK, Text};
 
 /// Blocks stand beside each other as long as they are together no wider.
 const MOST_WIDTH: f64 = 1500.0;

@@ -2,12 +2,12 @@
 
 use optics_model::fit::{Curve, PredictedChannel, PredictedProfiles};
 
-use super::canvas::Stroke;
-use super::color::Color;
-use super::legend::Key;
-use super::number::number;
-use super::picture::Picture;
-use super::sheet::{Cell, Sheet};
+use crate::drawing::canvas::Stroke;
+use crate::drawing::color::Color;
+use crate::drawing::legend::Key;
+use crate::drawing::number::number;
+use crate::drawing::picture::Picture;
+use crate::drawing::sheet::{Cell, Sheet};
 
 const PROFILE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const BAND: Stroke = Stroke::dashed(Color::ORANGE, 1.0, "3 2");

@@ -3,15 +3,15 @@
 use anyhow::ensure;
 use optics_model::fit::{Common, Objective, ScaleCurve};
 
-use super::axis::{Axis, extent};
-use super::canvas::{Area, Canvas, Stroke, at};
-use super::color::Color;
-use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
-use super::head::{Head, MARGIN};
-use super::legend::{Column, Key, Mark, Sample};
-use super::number::{number, signed};
-use super::picture::Picture;
-use super::text::{Anchor, LABEL, Text};
+use crate::drawing::axis::{Axis, extent};
+use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::head::{Head, MARGIN};
+use crate::drawing::legend::{Column, Key, Mark, Sample};
+use crate::drawing::number::{number, signed};
+use crate::drawing::picture::Picture;
+use crate::drawing::text::{Anchor, LABEL, Text};
 
 const HEIGHT: f64 = 250.0;
 const MU_WIDTH: f64 = 440.0;

@@ -59,7 +59,8 @@ pub fn candidate(sigma_t_per_mm: f64) -> Candidate {
     Candidate { medium, sample_ior: 1.53, error: 0.0626, thicknesses: Vec::new() }
 }
 
-/// A channel whose σ_t is this, and that of its best record a whole number; with a suspicion if the misfit is above 2.
+/// A channel whose σ_t is this, and that of its best record a whole number; with a suspicion and an unlikely χ² if
+/// the misfit is above 2.
 pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
     let closed = |low, high| Interval { low, high, open_low: false, open_high: false };
     let suspicion =
@@ -80,7 +81,7 @@ pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
         dictionary_share: 0.1,
         misfit,
         suspicion: (misfit > 2.0).then_some(suspicion),
-        likelihood: None,
+        likelihood: if misfit > 2.0 { likelihood(1130.2, 2e-9) } else { likelihood(712.4, 0.53) },
         from_mixtures: false,
     };
     ChannelFit {

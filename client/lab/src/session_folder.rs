@@ -84,8 +84,8 @@ struct MediumErrors<'a> {
 
 impl<'a> MediumErrors<'a> {
     fn of(material: &'a str, channel: &'a str, refined: &'a Refined) -> Self {
-        let budget = refined.likelihood.as_ref().map_or(&[][..], |l| &l.budget);
-        Self { material, channel, sigma_t_per_mm: refined.sigma_t_per_mm, albedo: refined.albedo, budget }
+        let Refined { sigma_t_per_mm, albedo, .. } = *refined;
+        Self { material, channel, sigma_t_per_mm, albedo, budget: &refined.likelihood.budget }
     }
 }
 

@@ -1,7 +1,7 @@
 //! Intervals beside the least that the pixels allow.
 
 use farm_figures::numbers::{short, significant};
-use optics_model::fit::{Ends, Interval, Likelihood, MaterialFit, Refined};
+use optics_model::fit::{Ends, Interval, MaterialFit, Refined};
 
 use crate::output::{table, wrapped};
 
@@ -11,8 +11,7 @@ pub(super) fn bounds(fits: &[MaterialFit]) -> String {
     for fit in fits {
         for channel in &fit.channels {
             let Some(refined) = &channel.refined else { continue };
-            let Some(likelihood) = &refined.likelihood else { continue };
-            for (i, cells) in quantities(refined, likelihood).into_iter().enumerate() {
+            for (i, cells) in quantities(refined).into_iter().enumerate() {
                 let names = [short(&fit.material), channel.channel.clone()];
                 rows.push(
                     names
@@ -34,8 +33,8 @@ pub(super) fn bounds(fits: &[MaterialFit]) -> String {
     )
 }
 
-fn quantities(r: &Refined, l: &Likelihood) -> [Vec<String>; 5] {
-    let (m, b) = (&r.best.medium, &l.bound);
+fn quantities(r: &Refined) -> [Vec<String>; 5] {
+    let (m, b) = (&r.best.medium, &r.likelihood.bound);
     [
         row(
             "σ_s(1−g)",
@@ -62,7 +61,8 @@ fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String>
 
 #[cfg(test)]
 mod tests {
-    use farm_figures::testing::{channel, likelihood};
+    use farm_figures::testing::channel;
+    use optics_model::fit::ChannelFit;
 
     use super::*;
 
@@ -79,19 +79,19 @@ mod tests {
         assert_eq!(nothing[1..], ["–", "–", "–"]);
     }
 
-    /// Every channel with a likelihood has its rows.
+    /// Every refined channel has its rows.
     #[test]
-    fn every_likelihood_channel_has_its_rows() {
-        let mut r = channel("R", 6.0, 1.0);
-        r.refined.as_mut().unwrap().likelihood = Some(likelihood(712.0, 0.5));
+    fn every_refined_channel_has_its_rows() {
+        let record = ChannelFit { refined: None, ..channel("G", 9.0, 1.0) };
         let fit = |channels| [MaterialFit { material: "white".into(), channels }];
-        let text = anstream::adapter::strip_str(&bounds(&fit(vec![r, channel("G", 9.0, 1.0)]))).to_string();
+        let text = anstream::adapter::strip_str(&bounds(&fit(vec![channel("R", 6.0, 1.0), record.clone()])))
+            .to_string();
         assert_eq!(text.lines().filter(|l| l.contains("white")).count(), 1, "{text}");
         // ± 0.6 of 6 against a bound of ± 0.54.
         let sigma_t: Vec<&str> =
             text.lines().find(|l| l.contains("σ_t")).unwrap().split_whitespace().collect();
         assert_eq!(sigma_t, ["σ_t", "10", "9", "1.1"]);
-        let none = bounds(&fit(vec![channel("G", 9.0, 1.0)]));
+        let none = bounds(&fit(vec![record]));
         assert!(none.starts_with("no bound: only"), "{none}");
     }
 }

@@ -2,7 +2,7 @@
 
 use optics_model::fit::{Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
 
-use farm_figures::misfit::{goodness, unlikely};
+use farm_figures::misfit::{goodness, is_unlikely};
 use farm_figures::numbers::{minus, significant, with_error};
 
 /// Most pixels, and most stretches, that are listed one by one.
@@ -16,7 +16,7 @@ const QUIET_FROM: f64 = 100.0;
 /// The warning about data that scatter far less than their errors allow: profiles that were smoothed or simulated have
 /// errors that neighbouring pixels share, and averaging over pixels does not make those smaller.
 pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
-    let l = refined.likelihood.as_ref()?;
+    let l = &refined.likelihood;
     let quiet = l.degrees_of_freedom >= QUIET_FROM && l.chi2 < QUIET * l.degrees_of_freedom;
     let warning = "χ² is too small: pixels scatter less than their errors and the dictionary's noise would have them. If \
                    neighbouring pixels share their errors, as in smoothed or simulated profiles, the intervals are too \
@@ -26,8 +26,8 @@ pub(super) fn too_quiet(refined: &Refined) -> Option<String> {
 
 /// Findings on the set-up; χ² comes first unless a warning has reported it.
 pub(super) fn findings(refined: &Refined) -> Vec<String> {
-    let Some(l) = &refined.likelihood else { return Vec::new() };
-    let goodness = (unlikely(refined) == Some(false)).then(|| goodness(l));
+    let l = &refined.likelihood;
+    let goodness = (!is_unlikely(l)).then(|| goodness(l));
     let moved = l.nuisances.iter().filter(|n| moved(n)).map(nuisance).collect::<Vec<_>>();
     let moved = (!moved.is_empty()).then(|| moved.join(", "));
     let first: Vec<String> = goodness.into_iter().chain(moved).collect();
@@ -172,9 +172,8 @@ mod tests {
     #[test]
     fn too_small_scatter_causes_a_warning() {
         let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
-        assert_eq!(too_quiet(&refined), None, "the paper's distance has no χ²");
         for (chi2, warns) in [(300.0, true), (400.0, false), (716.0, false), (1130.0, false)] {
-            refined.likelihood = Some(likelihood(chi2, 1.0));
+            refined.likelihood = likelihood(chi2, 1.0);
             assert_eq!(too_quiet(&refined).is_some(), warns, "{chi2} of 716");
         }
     }
@@ -201,15 +200,14 @@ mod tests {
     #[test]
     fn findings_give_goodness_of_fit_and_nuisances() {
         let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
-        assert_eq!(findings(&refined), Vec::<String>::new());
-        refined.likelihood = Some(likelihood(712.4, 0.5312));
+        refined.likelihood = likelihood(712.4, 0.5312);
         let expected = [
             "χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004, blur < 20 µm, origin −0.070 ± 0.004 mm (0.5 mm)",
             "2 pixels left out: 0.5 mm at x = −1.23 mm; 1 mm at x = 0.48 mm",
             "0.5 mm: x = 1.2…1.6 mm is too bright by 4.1 σ together; 1 mm: x = −2…−1.5 mm is too dark by 5 σ together",
         ];
         assert_eq!(findings(&refined), expected);
-        refined.likelihood = Some(likelihood(1130.2, 2e-9));
+        refined.likelihood = likelihood(1130.2, 2e-9);
         assert!(findings(&refined)[0].starts_with("μ 0.969"), "the warning reports χ²");
     }
 }

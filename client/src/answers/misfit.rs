@@ -1,35 +1,26 @@
 //! Warnings about fits that noise does not explain.
 
-use farm_figures::misfit::{absorbed_by_media, unexplained};
+use farm_figures::misfit::{goodness, is_unlikely};
 use farm_figures::numbers::significant;
 use optics_model::fit::{Cause, Refined, Suspicion};
 
-/// `misfit 3.4: …` or `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
+/// `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {
-    let Some(left_over) = unexplained(refined) else { return absorbed(refined) };
-    let meaning = match (&refined.likelihood, &refined.suspicion) {
-        (Some(_), _) => {
-            "noise and what is known of the set-up do not explain the data; the intervals were widened, but are not to \
-             be trusted blindly"
-        }
-        (None, None) => "the fit does not explain the data, and its intervals are too narrow",
-        (None, Some(_)) => "the intervals are not to be trusted",
-    };
-    let reason = refined.suspicion.as_ref().map(|s| {
-        let left = significant(s.misfit_left, 2);
-        match s.cause {
-            Cause::Unknown => format!("; {}", reason(s)),
-            _ => format!("; {} (misfit {left} without that)", reason(s)),
-        }
+    let suspicion = refined.suspicion.as_ref();
+    if !is_unlikely(&refined.likelihood) {
+        // The media absorb the error, so that χ² does not show it.
+        return suspicion.map(|s| {
+            let text = "the intervals are not to be trusted, although χ² is small";
+            format!("{text}: the measurements contradict the set-up as given; {}", reason(s))
+        });
+    }
+    let reason = suspicion.map_or_else(String::new, |s| match s.cause {
+        Cause::Unknown => format!("; {}", reason(s)),
+        _ => format!("; {} (misfit {} without that)", reason(s), significant(s.misfit_left, 2)),
     });
-    Some(format!("{left_over}: {meaning}{}", reason.unwrap_or_default()))
-}
-
-/// An error that the media absorb, so that χ² does not show it.
-fn absorbed(refined: &Refined) -> Option<String> {
-    let suspicion = absorbed_by_media(refined)?;
-    let text = "the intervals are not to be trusted, although χ² is small";
-    Some(format!("{text}: the measurements contradict the set-up as given; {}", reason(suspicion)))
+    let meaning = "noise and what is known of the set-up do not explain the data; the intervals were widened, but are \
+                   not to be trusted blindly";
+    Some(format!("{}: {meaning}{reason}", goodness(&refined.likelihood)))
 }
 
 fn reason(s: &Suspicion) -> String {
@@ -61,10 +52,6 @@ fn reason(s: &Suspicion) -> String {
             "likeliest is a camera that blurs by {} mm (standard deviation) in {of}: focus, or a smaller aperture",
             size(2)
         ),
-        Cause::Outliers => format!(
-            "likeliest are dust, scratches or bubbles: {} pixels lie apart from the others; leave them out",
-            s.amount
-        ),
         Cause::GammaCoded => {
             "likeliest are values coded for a screen (sRGB): develop the photographs linearly".to_owned()
         }
@@ -90,7 +77,7 @@ mod tests {
     #[test]
     fn unlikely_chi2_warns_at_any_misfit() {
         let mut refined = channel("R", 6.0, 3.4).refined.unwrap();
-        refined.likelihood = Some(likelihood(1130.2, 2e-9));
+        refined.likelihood = likelihood(1130.2, 2e-9);
         let with_reason = "χ² 1130 of 716, p < 0.001: noise and what is known of the set-up do not explain the data; the \
                            intervals were widened, but are not to be trusted blindly; likeliest is an edge at x = 0.071 \
                            mm instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)";
@@ -99,7 +86,7 @@ mod tests {
         refined.suspicion = None;
         assert!(misfit(&refined).unwrap().ends_with("not to be trusted blindly"));
         assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: not explained");
-        refined.likelihood = Some(likelihood(712.0, 0.5));
+        refined.likelihood = likelihood(712.0, 0.5);
         let (cause, amount) = (Cause::Exponent, 0.9);
         refined.suspicion = Some(Suspicion { cause, amount, thickness_mm: None, misfit_left: 1.0 });
         let absorbed = misfit(&refined).unwrap();
@@ -110,7 +97,7 @@ mod tests {
         assert!(absorbed.contains("the power 0.9 of linear ones"), "{absorbed}");
         assert_eq!(misfit_short(&refined).unwrap(), "not to be trusted: power 0.9 of linear values?");
         refined.suspicion = None;
-        refined.likelihood = Some(likelihood(712.0, 0.001));
+        refined.likelihood = likelihood(712.0, 0.001);
         assert_eq!((misfit(&refined), misfit_short(&refined)), (None, None));
     }
 }

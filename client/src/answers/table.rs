@@ -61,8 +61,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
                 high(&r.absorption_per_mm),
             ]);
             row.push(r.misfit.to_string());
-            let likelihood = r.likelihood.as_ref().map(|l| [l.chi2, l.degrees_of_freedom, l.probability]);
-            row.extend(likelihood.map_or_else(Default::default, |l| l.map(|v| v.to_string())));
+            let l = &r.likelihood;
+            row.extend([l.chi2, l.degrees_of_freedom, l.probability].map(|v| v.to_string()));
             row.push(r.resolved_at_g.to_string());
             writer.write_record(row.iter().map(|cell| as_text(cell).into_owned()))?;
         }

@@ -21,7 +21,10 @@ use optics_model::{
 };
 use serde::Serialize;
 
-use super::{design, fit, list, map, measure, profile, scale, show, similar, simulate, status, workers};
+use super::dictionaries::{list, show};
+use super::farm::{status, workers};
+use super::fits::{design, fit, map, measure, profile, scale, similar};
+use super::measurements::simulate;
 use crate::answers::{Found, UsedOptions};
 use crate::cli::SimilarArgs;
 use crate::output::envelope;
@@ -193,7 +196,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         dictionary_share: 0.1,
         misfit: 3.42,
         suspicion,
-        likelihood: None,
+        likelihood: likelihood(712.4, 0.5312),
         from_mixtures: false,
     };
     ChannelFit {
@@ -224,8 +227,8 @@ fn materials() -> Vec<MaterialFit> {
         Cause::Zero,
         Cause::Slope,
         Cause::Blur,
-        Cause::Outliers,
         Cause::GammaCoded,
+        Cause::Exponent,
         Cause::ThicknessesSwapped,
     ];
     let suspected = causes.map(|cause| channel(&format!("{cause:?}"), Some((cause, None))));
@@ -240,9 +243,7 @@ fn materials() -> Vec<MaterialFit> {
 }
 
 fn with_likelihood() -> MaterialFit {
-    let mut channel = channel("R", None);
-    channel.refined.as_mut().unwrap().likelihood = Some(likelihood(712.4, 0.5312));
-    MaterialFit { material: "resin".to_owned(), channels: vec![channel] }
+    MaterialFit { material: "resin".to_owned(), channels: vec![channel("R", None)] }
 }
 
 fn by_g() -> Vec<GError> {

@@ -121,7 +121,7 @@ mirror!(Refined {
     dictionary_share,
     misfit,
     suspicion: optional,
-    likelihood: optional,
+    likelihood: required,
     from_mixtures,
 });
 
@@ -138,7 +138,7 @@ mod from_any_version {
 
 mirror!(Suspicion { cause: number, thickness_mm, amount, misfit_left });
 mirror_enum!(Cause {
-    EdgeOffset, Gain, Zero, Slope, Blur, Outliers, GammaCoded, Exponent, ThicknessesSwapped,
+    EdgeOffset, Gain, Zero, Slope, Blur, GammaCoded, Exponent, ThicknessesSwapped,
 } or Unknown);
 mirror!(Curve { values, gradient });
 mirror!(FitCurves { thickness_mm, x_mm, measured: required, candidates: list, refined: optional });

@@ -92,7 +92,7 @@ def _refined(wire: fits_pb2.Refined) -> Refined:
         error=wire.best.error,
         covariance=np.array(wire.covariance).reshape(3, 3),
         suspicion=suspicion,
-        likelihood=_likelihood(wire.likelihood) if wire.HasField("likelihood") else None,
+        likelihood=_likelihood(wire.likelihood),
     )
 
 
@@ -207,7 +207,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
         error=found["error"],
         covariance=np.array(found["covariance"]),
         suspicion=suspicion["cause"] if suspicion else None,
-        likelihood=_likelihood_of_json(found["likelihood"]) if found.get("likelihood") else None,
+        likelihood=_likelihood_of_json(found["likelihood"]),
     )
 
 

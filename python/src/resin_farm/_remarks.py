@@ -10,14 +10,12 @@ from resin_farm.medium import Interval
 
 # Below this, noise and what is known of the set-up do not explain a measurement; as farmctl has it.
 _UNLIKELY = 1e-3
-# The same for the paper's distance: residuals over noise.
-_MISFIT = 2.0
 
 
 def of_assumed(names: Sequence[str], channels: Iterable[ChannelFit]) -> list[str]:
-    """What was assumed of the set-up; the paper's distance assumes nothing."""
-    has_likelihood = any(fit.refined is not None and fit.refined.likelihood is not None for fit in channels)
-    return [f"assumed: {', '.join(names)}"] if names and has_likelihood else []
+    """What was assumed of the set-up; records alone need no assumption."""
+    is_refined = any(fit.refined is not None for fit in channels)
+    return [f"assumed: {', '.join(names)}"] if names and is_refined else []
 
 
 def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
@@ -28,26 +26,22 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
     if refined is None:
         return
     cause = f"; the likeliest cause: {refined.suspicion}" if refined.suspicion else ""
-    if (likelihood := refined.likelihood) is None:
-        if refined.misfit > _MISFIT:
-            meaning = "the intervals are not to be trusted" if cause else "the intervals are too narrow"
-            yield f"{name}: misfit {refined.misfit:.2g}, the fit does not explain the data: {meaning}{cause}"
-    else:
-        chi2 = f"χ² {likelihood.chi2:.0f} of {likelihood.degrees_of_freedom:.0f}"
-        if likelihood.probability < _UNLIKELY:
-            yield (
-                f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
-                f"intervals were widened, but are not to be trusted blindly{cause}"
-            )
-        elif refined.suspicion:
-            yield (
-                f"{name}: {chi2}, but the measurements contradict the set-up as given: the intervals are not to "
-                f"be trusted{cause}"
-            )
-        elif likelihood.degrees_of_freedom >= 100 and likelihood.chi2 < 0.5 * likelihood.degrees_of_freedom:
-            yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
-        if likelihood.outliers:
-            yield f"{name}: {likelihood.outliers} of its pixels left out"
+    likelihood = refined.likelihood
+    chi2 = f"χ² {likelihood.chi2:.0f} of {likelihood.degrees_of_freedom:.0f}"
+    if likelihood.probability < _UNLIKELY:
+        yield (
+            f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
+            f"intervals were widened, but are not to be trusted blindly{cause}"
+        )
+    elif refined.suspicion:
+        yield (
+            f"{name}: {chi2}, but the measurements contradict the set-up as given: the intervals are not to "
+            f"be trusted{cause}"
+        )
+    elif likelihood.degrees_of_freedom >= 100 and likelihood.chi2 < 0.5 * likelihood.degrees_of_freedom:
+        yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
+    if likelihood.outliers:
+        yield f"{name}: {likelihood.outliers} of its pixels left out"
     if not refined.resolved_at_g and fit.outside is None:
         yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
     elif not refined.resolved and fit.outside is None:

@@ -83,9 +83,9 @@ class Refined:
     error: float
     covariance: Array = field(repr=False)
     """Of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
+    likelihood: Likelihood = field(repr=False)
     suspicion: str | None = None
     """The most likely single cause of a misfit beyond noise."""
-    likelihood: Likelihood | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ fn spoilt_photographs_get_the_likeliest_reason() {
 }
 
 fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
-    let all = &r.likelihood.as_ref().unwrap().nuisances;
+    let all = &r.likelihood.nuisances;
     let found = all.iter().find(|n| n.nuisance == nuisance && n.profile_mm == Some(profile_mm)).unwrap();
     (found.value, found.std_error)
 }
@@ -75,7 +75,7 @@ fn likelihood_corrects_shifts_and_dust() {
     };
     let dusty = found(dusty, false);
     for r in [&clean, &shifted, &dusty] {
-        let likelihood = r.likelihood.as_ref().unwrap();
+        let likelihood = &r.likelihood;
         assert!(r.misfit < 1.2 && likelihood.probability > 1e-3 && r.suspicion.is_none(), "{r:?}");
         assert!(r.sigma_t_per_mm.contains(4.3) && r.albedo.contains(0.965), "{r:?}");
     }
@@ -83,8 +83,8 @@ fn likelihood_corrects_shifts_and_dust() {
         let (origin, std_error) = estimate(&shifted, Nuisance::Origin, profile_mm);
         assert!((origin - 0.1).abs() < 4.0 * std_error && std_error < 0.005, "{origin} ± {std_error}");
     }
-    assert!(clean.likelihood.unwrap().outliers.is_empty());
-    let left_out = dusty.likelihood.unwrap().outliers.len();
+    assert!(clean.likelihood.outliers.is_empty());
+    let left_out = dusty.likelihood.outliers.len();
     // For some of the 32 specks, neighbouring pixels are left out too.
     assert!((30..=80).contains(&left_out), "{left_out} pixels for 32 specks of dust");
 }
@@ -95,7 +95,7 @@ fn unexplained_measurement_is_reported() {
     let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false);
     let swapped = found(|_, v, _, _| v, true);
     for (r, cause) in [(coded, Cause::GammaCoded), (swapped, Cause::ThicknessesSwapped)] {
-        let likelihood = r.likelihood.as_ref().unwrap();
+        let likelihood = &r.likelihood;
         assert!(r.misfit > MISFIT && likelihood.probability < 1e-6, "{r:?}");
         assert_eq!(r.suspicion.map(|s| s.cause), Some(cause));
         assert!(!likelihood.stretches.is_empty());

@@ -7,9 +7,9 @@ mod plan;
 use anyhow::ensure;
 use optics_model::fit::DistanceMap;
 
-use super::canvas::Canvas;
-use super::head::{Head, MARGIN};
-use super::picture::Picture;
+use crate::drawing::canvas::Canvas;
+use crate::drawing::head::{Head, MARGIN};
+use crate::drawing::picture::Picture;
 use overlay::keys;
 use plan::Plan;
 
@@ -71,9 +71,9 @@ mod tests {
     use resvg::tiny_skia::Pixmap;
 
     use super::super::checks::{assert_well_laid_out, texts};
-    use super::super::color::Color;
     use super::plan::FINENESS;
     use super::*;
+    use crate::drawing::color::Color;
     use crate::testing;
 
     fn figure(gs: usize) -> DistanceMap {

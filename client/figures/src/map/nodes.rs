@@ -2,7 +2,7 @@
 
 use anyhow::bail;
 
-use crate::axis::Axis;
+use crate::drawing::axis::Axis;
 
 /// Nodes of an axis, each with its cell between the geometric midpoints to its neighbours.
 pub(super) struct Nodes {

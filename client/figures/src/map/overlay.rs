@@ -4,10 +4,10 @@ use optics_model::Medium;
 use optics_model::fit::{DistanceMap, MapLayer};
 
 use super::MapLabels;
-use crate::canvas::{Canvas, at};
-use crate::color::Color;
-use crate::frame::Frame;
-use crate::legend::{Key, Mark, Sample};
+use crate::drawing::canvas::{Canvas, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::Frame;
+use crate::drawing::legend::{Key, Mark, Sample};
 
 /// Marks for places outside stand this far from the border.
 const INSET: f64 = 9.0;
@@ -74,8 +74,8 @@ fn eighths(right: i8, up: i8) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::axis::Axis;
-    use crate::canvas::Area;
+    use crate::drawing::axis::Axis;
+    use crate::drawing::canvas::Area;
 
     #[test]
     fn arrows_point_to_where_the_point_is() {

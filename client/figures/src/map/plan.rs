@@ -6,13 +6,13 @@ use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::nodes::Nodes;
 use super::overlay::marks;
-use crate::axis::{Axis, extent};
-use crate::canvas::{Area, Canvas, at};
-use crate::color::Color;
-use crate::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
-use crate::head::MARGIN;
-use crate::number::number;
-use crate::text::{Anchor, HEADING, LABEL, Text};
+use crate::drawing::axis::{Axis, extent};
+use crate::drawing::canvas::{Area, Canvas, at};
+use crate::drawing::color::Color;
+use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::head::MARGIN;
+use crate::drawing::number::number;
+use crate::drawing::text::{Anchor, HEADING, LABEL, Text};
 
 const MOST_COLUMNS: usize = 4;
 const BETWEEN: f64 = 16.0;

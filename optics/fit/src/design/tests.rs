@@ -178,7 +178,7 @@ fn fit_has_the_bound_of_its_design() {
     });
     let measured = as_planned(&guess());
     let refined = fit(&dictionary, &measured, &options.unwrap()).unwrap().channels.remove(0).refined.unwrap();
-    let bound = refined.likelihood.unwrap().bound;
+    let bound = refined.likelihood.bound;
     let planned = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[1]))[0].g_held;
     let half = |ends: Ends| 0.5 * (ends.high - ends.low);
     close(planned.sigma_t_per_mm, half(bound.sigma_t_per_mm), 0.01);

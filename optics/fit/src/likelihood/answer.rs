@@ -131,7 +131,7 @@ impl Found<'_, '_> {
             misfit,
             suspicion: self.suspicion(&goodness, &nuisances),
             from_mixtures: false,
-            likelihood: Some(Likelihood {
+            likelihood: Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,
                 probability: goodness.probability,
@@ -141,7 +141,7 @@ impl Found<'_, '_> {
                 scene: self.scene_estimates(&covariance),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
                 budget,
-            }),
+            },
         }
     }
 

@@ -103,7 +103,7 @@ fn nuisances_and_medium_are_found_together() {
     for seed in 1..=4 {
         let measured = measured(MEDIUM, seed, flaws);
         let found = refined(&measured, FitSettings { g: Bounds::fixed(0.33), ..settings() });
-        let likelihood = found.likelihood.as_ref().unwrap();
+        let likelihood = &found.likelihood;
         assert!(likelihood.probability > 0.001 && found.misfit < 1.3, "{likelihood:?}");
         // In ends of the 95 % intervals: 1.8 of them are 3.5 standard errors.
         let off = |found: f64, truth: f64, ends: &Interval| 2.0 * (found - truth) / (ends.high - ends.low);
@@ -152,7 +152,7 @@ fn zero_standard_error_is_refused_with_place() {
     assert!(refused.to_string().contains("std_errors[40]"), "{refused}");
     // Exact data have no noise at all: it is estimated.
     let exact = with(|_, _| 0.0).unwrap();
-    assert!(exact.channels[0].refined.as_ref().unwrap().likelihood.is_some());
+    assert!(exact.channels[0].refined.is_some());
 }
 
 /// Told exactly, or not known at all, gains do what they must: a prior of zero is not a nuisance.
@@ -167,7 +167,7 @@ fn exactly_given_quantities_are_no_nuisances() {
         ..settings()
     };
     let sure = refined(&measured(MEDIUM, 2, Flaws::default()), exact);
-    assert!(sure.likelihood.as_ref().unwrap().nuisances.is_empty());
+    assert!(sure.likelihood.nuisances.is_empty());
     assert!(sure.sigma_t_per_mm.contains(MEDIUM.0));
     let loose =
         refined(&measured(MEDIUM, 2, Flaws::default()), FitSettings { gain_std_error: 0.05, ..exact });
@@ -189,7 +189,7 @@ fn single_parameter_bound_matches_the_formula() {
     };
     let medium = (3.1, 0.9, 0.3);
     let found = refined(&measured(medium, 3, Flaws::default()), one);
-    let bound = found.likelihood.unwrap().bound.sigma_t_per_mm;
+    let bound = found.likelihood.bound.sigma_t_per_mm;
     let mut information = 0.0;
     let sigma_t = found.best.medium.sigma_t_per_mm();
     for thickness in [0.5, 1.0] {
@@ -375,7 +375,7 @@ fn white_reference_errors_propagate_to_reflectance() {
     let knowing = of(true);
     assert!(knowing.misfit < 1.3 && knowing.sigma_t_per_mm.contains(MEDIUM.0), "{knowing:?}");
     assert!(knowing.albedo.contains(MEDIUM.1), "{knowing:?}");
-    let nuisances = &knowing.likelihood.as_ref().unwrap().nuisances;
+    let nuisances = &knowing.likelihood.nuisances;
     let scale = nuisances.iter().find(|n| n.nuisance == Nuisance::Scale).unwrap();
     assert!(
         (scale.value - (1.0 + error)).abs() < 3.0 * scale.std_error && scale.std_error < 0.005,

@@ -89,9 +89,8 @@ pub struct Refined {
     pub misfit: f64,
     /// The likeliest cause, if neither noise nor the set-up as it is known explains the data.
     pub suspicion: Option<Suspicion>,
-    /// The answer of the likelihood beyond the medium; none from farms before 0.3, which also refined the paper's distance.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub likelihood: Option<Likelihood>,
+    /// Results of the likelihood beyond the medium.
+    pub likelihood: Likelihood,
     /// Medium and intervals come from mixtures with other inks: these profiles by themselves do not determine them.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub from_mixtures: bool,
@@ -264,8 +263,6 @@ pub enum Cause {
     /// The edge is blurred by a camera: standard deviation in mm.
     #[serde(rename = "blur_mm")]
     Blur,
-    /// So many pixels lie apart from the others: dust, scratches, bubbles.
-    Outliers,
     /// The values are coded as for a screen (sRGB), not linear.
     GammaCoded,
     /// The values are this power of linear ones, in all profiles of all materials.

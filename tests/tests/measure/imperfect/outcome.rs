@@ -39,12 +39,12 @@ pub(super) struct Outcome {
     pub truth: [f64; 5],
     pub found: [f64; 5],
     pub intervals: [Interval; 5],
-    /// The Cramér–Rao bound; None if the likelihood gave none.
-    pub bound: Option<[Ends; 5]>,
+    /// The Cramér–Rao bound.
+    pub bound: [Ends; 5],
     pub resolved: bool,
     pub misfit: f64,
     /// Probability that noise alone makes χ² as large.
-    pub probability: Option<f64>,
+    pub probability: f64,
     pub outliers: usize,
 }
 
@@ -60,7 +60,7 @@ impl Outcome {
         let options = FitOptions::new(row.settings(g)).unwrap();
         let answer = fit(dictionary, measurement, &options).unwrap();
         let r = answer.channels[0].refined.as_ref().unwrap();
-        let likelihood = r.likelihood.as_ref();
+        let likelihood = &r.likelihood;
         Self {
             row: number,
             way,
@@ -68,11 +68,11 @@ impl Outcome {
             truth: quantities(&subject.medium),
             found: quantities(&r.best.medium),
             intervals: intervals(r),
-            bound: likelihood.map(|l| ends(&l.bound)),
+            bound: ends(&likelihood.bound),
             resolved: r.resolved_at_g,
             misfit: r.misfit,
-            probability: likelihood.map(|l| l.probability),
-            outliers: likelihood.map_or(0, |l| l.outliers.len()),
+            probability: likelihood.probability,
+            outliers: likelihood.outliers.len(),
         }
     }
 

@@ -23,9 +23,7 @@ pub(super) fn imperfections(rows: &[Row], outcomes: &[Outcome], way: Way) -> Str
         text += &COVERED.map(|q| format!("| {} ", share(&|o| o.holds(q)))).concat();
         let (unresolved, misfit) = (share(&|o| !o.resolved), share(&Outcome::is_misfit));
         text += &format!("| {:.1} | {:.1} ", 100.0 * unresolved.share, 100.0 * misfit.share);
-        let probabilities: Vec<f64> = these.iter().filter_map(|o| o.probability).collect();
-        let improbable = Share::of(probabilities.iter().map(|p| *p < 0.01));
-        text += &improbable.map_or("| – |\n".to_owned(), |s| format!("| {:.1} |\n", 100.0 * s.share));
+        text += &format!("| {:.1} |\n", 100.0 * share(&|o| o.probability < 0.01).share);
     }
     text
 }
@@ -36,11 +34,10 @@ fn spread(outcomes: &[&Outcome], which: usize) -> String {
     format!("{:.2} / {:.2}", quantile(sizes.clone(), 0.5), quantile(sizes, 0.9))
 }
 
-/// Ratio of the widths of intervals to the Cramér–Rao bound without imperfections; None if the likelihood gave no
-/// bound.
+/// Ratio of the widths of intervals to the Cramér–Rao bound without imperfections; None without such a row.
 pub(super) fn efficiency(rows: &[Row], outcomes: &[Outcome]) -> Option<String> {
     let row = rows.iter().position(|row| row.name == "none")?;
-    outcomes.iter().find(|o| o.row == row && o.bound.is_some())?;
+    outcomes.iter().find(|o| o.row == row)?;
     let mut text = "\n| g | quantity | width over the bound, median / 90 % | closed | hold |\n\
                     |---|---|---|---|---|\n"
         .to_owned();
@@ -62,7 +59,7 @@ pub(super) fn efficiency(rows: &[Row], outcomes: &[Outcome]) -> Option<String> {
 
 /// Ratios to the bound of the same data.
 fn widths(these: &[&Outcome], quantity: usize) -> Vec<f64> {
-    these.iter().filter_map(|o| o.over_bound(quantity, o.bound.as_ref()?)).collect()
+    these.iter().filter_map(|o| o.over_bound(quantity, &o.bound)).collect()
 }
 
 /// Writes one line per medium, row and way.
@@ -89,15 +86,13 @@ fn line(row: &Row, o: &Outcome) -> Vec<String> {
         o.subject.to_string(),
         o.resolved.to_string(),
         o.misfit.to_string(),
-        o.probability.map_or_else(String::new, |p| p.to_string()),
+        o.probability.to_string(),
         o.outliers.to_string(),
     ];
     for (q, interval) in o.intervals.iter().enumerate() {
-        let bound = o.bound.as_ref().map(|bound| bound[q]);
-        let end = |end: Option<f64>| end.map_or_else(String::new, |v| v.to_string());
         fields.extend([o.truth[q], o.found[q], interval.low, interval.high].map(|v| v.to_string()));
         fields.extend([interval.open_low, interval.open_high].map(|v| v.to_string()));
-        fields.extend([end(bound.map(|b| b.low)), end(bound.map(|b| b.high))]);
+        fields.extend([o.bound[q].low, o.bound[q].high].map(|v| v.to_string()));
     }
     fields
 }
@@ -108,7 +103,7 @@ mod tests {
     use optics_model::fit::{Ends, Interval};
 
     /// σ_t = 2, found as 2.1, with an interval of a given half-width about it.
-    fn outcome(way: Way, half: f64, bound: Option<f64>) -> Outcome {
+    fn outcome(way: Way, half: f64, bound: f64) -> Outcome {
         let (truth, found) = ([2.0, 0.9, 0.4, 1.08, 0.2], [2.1, 0.9, 0.4, 1.08, 0.2]);
         let about = |v: f64, half: f64| (v - half, v + half);
         let interval = |v: f64| {
@@ -123,10 +118,10 @@ mod tests {
             truth,
             found,
             intervals: found.map(interval),
-            bound: bound.map(ends),
+            bound: ends(bound),
             resolved: true,
             misfit: 1.0,
-            probability: bound.map(|_| 0.3),
+            probability: 0.3,
             outliers: 0,
         }
     }
@@ -136,18 +131,18 @@ mod tests {
     fn interval_widths_are_compared_with_the_bound() {
         let [held, free] = Way::ALL;
         let rows = [Row::named("none")];
-        let found = [outcome(free, 0.15, Some(0.05)), outcome(held, 0.06, Some(0.05))];
+        let found = [outcome(free, 0.15, 0.05), outcome(held, 0.06, 0.05)];
         let text = efficiency(&rows, &found).unwrap();
         assert!(text.contains("| free | σ_t | 3.00 / 3.00 | 1 | 100.0 ± 0.0 |"), "{text}");
         assert!(text.contains("| held | σ_t | 1.20 / 1.20 | 1 | 0.0 ± 0.0 |"), "{text}");
-        assert_eq!(efficiency(&rows, &[outcome(free, 0.15, None)]), None);
+        assert_eq!(efficiency(&rows, &[]), None);
     }
 
     /// A row has errors, coverage and verdicts.
     #[test]
     fn row_has_errors_coverage_and_verdicts() {
         let held = Way::ALL[0];
-        let found = [outcome(held, 0.15, Some(0.1)), outcome(held, 0.05, Some(0.1))];
+        let found = [outcome(held, 0.15, 0.1), outcome(held, 0.05, 0.1)];
         let text = imperfections(&[Row::named("none")], &found, held);
         let line = "| none | 2 | 5.00 / 5.00 | 0.00 / 0.00 | 50.0 ± 35.4 | 100.0 ± 0.0 | 100.0 ± 0.0 \
                     | 100.0 ± 0.0 | 0.0 | 0.0 | 0.0 |";
@@ -159,7 +154,7 @@ mod tests {
     fn csv_has_a_line_per_answer() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("answers.csv");
-        let found = [outcome(Way::ALL[0], 0.15, None), outcome(Way::ALL[1], 0.15, Some(0.1))];
+        let found = [outcome(Way::ALL[0], 0.15, 0.1), outcome(Way::ALL[1], 0.15, 0.1)];
         write_csv(&file, &[Row::named("none")], &found);
         let text = std::fs::read_to_string(file).unwrap();
         let lines: Vec<&str> = text.lines().collect();

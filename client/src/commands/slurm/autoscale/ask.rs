@@ -6,7 +6,8 @@ use anyhow::Result;
 use farm_proto::status::{DictionaryState, DictionaryStatus, WorkerState};
 use farm_proto::wire::{ListEventsRequest, StatusRequest};
 
-use crate::commands::{list, workers};
+use crate::commands::dictionaries::list;
+use crate::commands::farm::workers;
 use crate::connection::Connection;
 use crate::slurm::scaling::{Demand, TaskId};
 

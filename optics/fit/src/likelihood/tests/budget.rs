@@ -6,7 +6,7 @@ use optics_model::{MeasuredProfile, Measurement};
 use super::{Flaws, MEDIUM, measured, refined, settings};
 
 fn share(found: &Refined, source: ErrorSource) -> f64 {
-    let budget = &found.likelihood.as_ref().unwrap().budget;
+    let budget = &found.likelihood.budget;
     budget.iter().find(|s| s.source == source).map_or(0.0, |s| s.sigma_t)
 }
 
@@ -19,7 +19,7 @@ fn ln_sigma_t(found: &Refined) -> f64 {
 fn budget_shares_sum_to_one() {
     for g in [settings().g, Bounds::fixed(MEDIUM.2)] {
         let found = refined(&measured(MEDIUM, 1, Flaws::default()), FitSettings { g, ..settings() });
-        let budget = &found.likelihood.as_ref().unwrap().budget;
+        let budget = &found.likelihood.budget;
         let sums = budget.iter().fold([0.0; 4], |sum, s| {
             [sum[0] + s.sigma_t, sum[1] + s.albedo, sum[2] + s.reduced_scattering, sum[3] + s.absorption]
         });

@@ -1,0 +1,320 @@
+mod arrays;
+mod npz;
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use farm_lab::measurement_file::MeasurementWriter;
+use farm_lab::whole_file::{Draft, open_node};
+use farm_link::logs::tell;
+use farm_proto::DictionaryName;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::GetRequest;
+use optics_model::{Estimate, Grid, Invalid, Record};
+use serde::Serialize;
+
+use crate::cli::{ExportArgs, Global};
+use crate::connection::records::Records;
+use crate::connection::{Connection, Purpose};
+use crate::interrupt::{Interrupted, interrupted};
+use crate::output::{Output, envelope};
+
+pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
+    let name = DictionaryName::new(args.name.as_str())?;
+    let connection = Connection::open(global, Purpose::Ask).await?;
+    let exported = if let Some(file) = &args.npz {
+        to_arrays(&connection, &name, &args, file).await
+    } else if let Some(file) = &args.output {
+        to_file(&connection, &name, &args, output.is_json(), file).await
+    } else {
+        let stdout = std::io::BufWriter::new(std::io::stdout().lock());
+        export(&connection, &name, &args, output.is_json(), stdout).await
+    };
+    let exported = exported.map_err(|error| connection.in_plain_words(error));
+    connection.close().await?;
+    exported
+}
+
+/// Writes a file that is whole or not there. A device or pipe is written to as it is.
+async fn to_file(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    json: bool,
+    file: &Path,
+) -> Result<()> {
+    let place = || format!("output {}", file.display());
+    if let Some(node) = open_node(file).with_context(place)? {
+        return export(connection, name, args, json, std::io::BufWriter::new(node)).await;
+    }
+    let mut draft = Draft::create(file).with_context(place)?;
+    tokio::select! {
+        exported = export(connection, name, args, json, &mut draft) => exported?,
+        () = interrupted() => return Err(Interrupted.into()),
+    }
+    draft.finish().with_context(place)
+}
+
+/// Writes a file of arrays that is whole or not there.
+async fn to_arrays(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    file: &Path,
+) -> Result<()> {
+    let place = || format!("output {}", file.display());
+    let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
+    let status = DictionaryStatus::try_from(status)?;
+    let chosen = ChosenAxes::new(&status.grid, args)?;
+    let write = async {
+        let mut draft = Draft::create(file).with_context(place)?;
+        npz::write(connection, &status, &chosen, &mut draft).await?;
+        draft.finish().with_context(place)
+    };
+    tokio::select! {
+        written = write => written,
+        () = interrupted() => Err(Interrupted.into()),
+    }
+}
+
+async fn export(
+    connection: &Connection,
+    name: &DictionaryName,
+    args: &ExportArgs,
+    json: bool,
+    mut out: impl Write,
+) -> Result<()> {
+    let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
+    let status = DictionaryStatus::try_from(status)?;
+    let grid = &status.grid;
+    let indices = selection(grid, args)?;
+    let material = args.measurement.as_deref();
+    let mut measurement = material.map(|name| one_material(grid, &indices, name, json)).transpose()?;
+    let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
+    let mut records = Records::ask(connection, &status, indices).await?;
+    if !json && measurement.is_none() {
+        write_head(&mut out, grid)?;
+    }
+    let mut count = 0;
+    while let Some(record) = records.next().await? {
+        count += 1;
+        if let Some(measurement) = &mut measurement {
+            let thickness_mm = grid.parameters(record.index).0.thickness_mm();
+            measurement.add(grid.scene(), thickness_mm, &record.profiles)?;
+        } else if json {
+            writeln!(out, "{}", envelope("record", &RecordJson::new(grid, &record))?)?;
+        } else {
+            write_rows(&mut out, grid, &record)?;
+        }
+    }
+    if let Some(measurement) = measurement {
+        out.write_all(&measurement.into_bytes()?)?;
+    }
+    out.flush()?;
+    if count == 0 {
+        bail!("none of the records asked for is done yet");
+    }
+    if count < wanted {
+        tell(format_args!(
+            "farmctl: {count} of the {wanted} records asked for are done, the others are left out"
+        ));
+    }
+    Ok(())
+}
+
+/// A measurement of the medium that was picked; refused if there are several.
+fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<MeasurementWriter<Vec<u8>>> {
+    if json {
+        bail!("--measurement writes CSV: leave out --json");
+    }
+    let all = 0..grid.record_count() as u32;
+    let picked = if indices.is_empty() { all.collect() } else { indices.to_vec() };
+    let medium = |index: &u32| {
+        let (point, medium) = grid.parameters(*index as usize);
+        (medium.sigma_t_per_mm(), medium.albedo(), medium.g(), point.sample_ior())
+    };
+    let mut media: Vec<_> = picked.iter().map(medium).collect();
+    media.dedup();
+    if let [first, second, ..] = media[..] {
+        bail!(
+            "--measurement writes one medium, and several match, as (σ_t, α, g, index) {first:?} and {second:?}: \
+             pick one with --sigma-t, --albedo, --g and, if there are several indices, --sample-ior"
+        );
+    }
+    MeasurementWriter::new(Vec::new(), name)
+}
+
+/// Places along each axis that the lists admit.
+#[derive(Debug)]
+struct ChosenAxes {
+    iors: Vec<usize>,
+    sigma_ts: Vec<usize>,
+    gs: Vec<usize>,
+    thicknesses: Vec<usize>,
+    albedos: Vec<usize>,
+}
+
+impl ChosenAxes {
+    fn new(grid: &Grid, args: &ExportArgs) -> Result<Self, Invalid> {
+        Ok(Self {
+            iors: places("sample_ior", grid.sample_ior(), &args.sample_ior)?,
+            sigma_ts: places("sigma_t", grid.sigma_t_per_mm(), &args.sigma_t)?,
+            gs: places("g", grid.g(), &args.g)?,
+            thicknesses: places("thickness", grid.thickness_mm(), &args.thickness)?,
+            albedos: places("albedo", grid.albedo(), &args.albedo)?,
+        })
+    }
+
+    fn axes(&self) -> [&[usize]; 5] {
+        [&self.iors, &self.sigma_ts, &self.gs, &self.thicknesses, &self.albedos]
+    }
+
+    fn shape(&self) -> [usize; 5] {
+        self.axes().map(<[usize]>::len)
+    }
+
+    fn values(&self, grid: &Grid) -> [Vec<f64>; 5] {
+        let all = [grid.sample_ior(), grid.sigma_t_per_mm(), grid.g(), grid.thickness_mm(), grid.albedo()];
+        let mut axes = self.axes().into_iter().zip(all);
+        std::array::from_fn(|_| {
+            let (places, values) = axes.next().unwrap_or_default();
+            places.iter().map(|place| values[*place]).collect()
+        })
+    }
+
+    /// Numbers of the records, the albedo running fastest.
+    fn records(&self, grid: &Grid) -> Vec<u32> {
+        let mut indices = Vec::new();
+        for &ior in &self.iors {
+            for &sigma_t in &self.sigma_ts {
+                for &g in &self.gs {
+                    for &t in &self.thicknesses {
+                        let of_point =
+                            self.albedos.iter().map(|&a| grid.record_at(ior, sigma_t, g, t, a) as u32);
+                        indices.extend(of_point);
+                    }
+                }
+            }
+        }
+        indices
+    }
+}
+
+/// Numbers of the records that the lists admit; empty if no list is given, which means all.
+fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
+    if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty())
+    {
+        return Ok(Vec::new());
+    }
+    Ok(ChosenAxes::new(grid, args)?.records(grid))
+}
+
+/// Indices of the wanted values in an axis; all if none is named.
+fn places(field: &str, axis: &[f64], wanted: &[f64]) -> Result<Vec<usize>, Invalid> {
+    if wanted.is_empty() {
+        return Ok((0..axis.len()).collect());
+    }
+    let place = |value: &f64| {
+        axis.iter().position(|v| v == value).ok_or_else(|| {
+            let list = axis.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+            Invalid::new(field, value, format!("the dictionary has {list}"))
+        })
+    };
+    let mut places = wanted.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+    places.sort_unstable();
+    places.dedup();
+    Ok(places)
+}
+
+fn write_head(out: &mut impl Write, grid: &Grid) -> Result<()> {
+    write!(out, "record,sigma_t_per_mm,albedo,g,thickness_mm,sample_ior,channel,x_mm,value,std_error")?;
+    if grid.derivatives() {
+        write!(out, ",d_albedo,d_albedo_std_error,d_sigma_t,d_sigma_t_std_error")?;
+    }
+    writeln!(out)?;
+    Ok(())
+}
+
+fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> {
+    let (point, medium) = grid.parameters(record.index);
+    let scene = grid.scene();
+    for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
+        for pixel in 0..scene.sensor().pixels() {
+            write!(
+                out,
+                "{},{},{},{},{},{},{},{}",
+                record.index,
+                medium.sigma_t_per_mm(),
+                medium.albedo(),
+                medium.g(),
+                point.thickness_mm(),
+                point.sample_ior(),
+                channel.name(),
+                scene.sensor().centre_mm(pixel),
+            )?;
+            for estimate in profile.estimates() {
+                write!(out, ",{},{}", estimate.values()[pixel], estimate.std_errors()[pixel])?;
+            }
+            writeln!(out)?;
+        }
+    }
+    Ok(())
+}
+
+#[derive(Debug, Serialize)]
+struct RecordJson<'a> {
+    record: usize,
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+    thickness_mm: f64,
+    sample_ior: f64,
+    channels: Vec<RecordProfileJson<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct RecordProfileJson<'a> {
+    channel: &'a str,
+    values: &'a [f32],
+    std_errors: &'a [f32],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    d_albedo: Option<EstimateJson<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    d_sigma_t: Option<EstimateJson<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct EstimateJson<'a> {
+    values: &'a [f32],
+    std_errors: &'a [f32],
+}
+
+impl<'a> From<&'a Estimate> for EstimateJson<'a> {
+    fn from(e: &'a Estimate) -> Self {
+        Self { values: e.values(), std_errors: e.std_errors() }
+    }
+}
+
+impl<'a> RecordJson<'a> {
+    fn new(grid: &'a Grid, record: &'a Record) -> Self {
+        let (point, medium) = grid.parameters(record.index);
+        let channels =
+            grid.scene().channels().iter().zip(&record.profiles).map(|(channel, p)| RecordProfileJson {
+                channel: channel.name(),
+                values: p.radiance_factor.values(),
+                std_errors: p.radiance_factor.std_errors(),
+                d_albedo: p.derivatives.as_ref().map(|d| (&d.albedo).into()),
+                d_sigma_t: p.derivatives.as_ref().map(|d| (&d.sigma_t).into()),
+            });
+        Self {
+            record: record.index,
+            sigma_t_per_mm: medium.sigma_t_per_mm(),
+            albedo: medium.albedo(),
+            g: medium.g(),
+            thickness_mm: point.thickness_mm(),
+            sample_ior: point.sample_ior(),
+            channels: channels.collect(),
+        }
+    }
+}

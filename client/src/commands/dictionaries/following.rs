@@ -1,0 +1,239 @@
+//! Following a dictionary until it has ended, across restarts of the coordinator and cuts of the connection.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+use std::time::Duration;
+
+use anyhow::Result;
+use farm_proto::DictionaryName;
+use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::wire::{Dictionary, GetRequest, JobStates, StatusRequest, WatchJobsRequest, WatchRequest};
+use optics_model::Digest;
+use tokio::time::{Instant, timeout};
+use tonic::{Code, Status, Streaming};
+
+use crate::connection::Connection;
+use crate::connection::outage::Outage;
+use crate::interrupt::interrupted;
+use crate::progress::{Cells, Progress};
+
+/// A coordinator repeats itself every ten seconds: after this time without a message the connection leads nowhere, or
+/// the coordinator is an older one. Both are polled again.
+const SILENCE: Duration = Duration::from_mins(1);
+
+/// After this time without a job under way it is looked whether there is a worker at all.
+const IDLE: Duration = Duration::from_secs(10);
+
+/// How following a dictionary ended.
+pub(crate) enum End {
+    /// It is done, failed or cancelled.
+    Ended(Duration),
+    Interrupted,
+}
+
+/// What was waited for is not there any more.
+#[derive(Debug, thiserror::Error)]
+#[error("dictionary {0} was deleted, or replaced by another one of its name, while it was waited for")]
+pub(crate) struct Deleted(DictionaryName);
+
+impl Deleted {
+    /// The error of a call about a dictionary that was there before.
+    fn or(error: anyhow::Error, name: &DictionaryName) -> anyhow::Error {
+        let is_missing = |status: &Status| status.code() == Code::NotFound;
+        if error.downcast_ref().is_some_and(is_missing) { Self(name.clone()).into() } else { error }
+    }
+}
+
+/// Dictionaries that are waited for: which ones is fixed by the first answer, whatever gets their names later.
+#[derive(Debug, Default)]
+pub(crate) struct Fixed(RefCell<HashMap<DictionaryName, Digest>>);
+
+impl Fixed {
+    /// The state of the dictionary that had the name at the first call.
+    pub(crate) async fn get(
+        &self,
+        connection: &Connection,
+        name: &DictionaryName,
+    ) -> Result<DictionaryStatus> {
+        let known = self.0.borrow().get(name).copied();
+        let status = match get(connection, name).await {
+            Err(error) if known.is_some() => return Err(Deleted::or(error, name)),
+            status => status?,
+        };
+        if known.is_some_and(|known| known != status.grid_digest) {
+            return Err(Deleted(name.clone()).into());
+        }
+        self.0.borrow_mut().insert(name.clone(), status.grid_digest);
+        Ok(status)
+    }
+}
+
+pub(crate) async fn get(connection: &Connection, name: &DictionaryName) -> Result<DictionaryStatus> {
+    let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
+    Ok(answer.into_inner().try_into()?)
+}
+
+/// Shows progress until the dictionary has ended or somebody interrupts; `status` is its last state.
+pub(crate) async fn follow(
+    connection: &Connection,
+    status: &mut DictionaryStatus,
+    quiet: bool,
+) -> Result<End> {
+    Following::new(connection, status, quiet, false).run().await
+}
+
+/// The same with each job's state, where there is a terminal to show them.
+pub(crate) async fn follow_jobs(
+    connection: &Connection,
+    status: &mut DictionaryStatus,
+    quiet: bool,
+) -> Result<End> {
+    Following::new(connection, status, quiet, true).run().await
+}
+
+struct Following<'a> {
+    connection: &'a Connection,
+    status: &'a mut DictionaryStatus,
+    progress: Progress,
+    /// The jobs' states, if they are shown.
+    cells: Option<Cells>,
+    outage: Outage<'a>,
+    /// When a job was last under way, until the lack of workers is reported.
+    busy: Option<Instant>,
+}
+
+impl<'a> Following<'a> {
+    fn new(
+        connection: &'a Connection,
+        status: &'a mut DictionaryStatus,
+        quiet: bool,
+        with_jobs: bool,
+    ) -> Self {
+        let progress = Progress::new(status, quiet);
+        let cells = (with_jobs && progress.has_room()).then(|| Cells::new(&status.grid));
+        let busy = (!progress.is_quiet()).then(Instant::now);
+        Self { connection, status, progress, cells, outage: Outage::new(connection), busy }
+    }
+
+    async fn run(mut self) -> Result<End> {
+        let start = Instant::now();
+        // Signals are caught before the first progress is shown.
+        let ended = tokio::select! {
+            biased;
+            () = interrupted() => Ok(End::Interrupted),
+            ended = self.across_outages() => ended.map(|()| End::Ended(start.elapsed())),
+        };
+        self.progress.end();
+        ended
+    }
+
+    async fn across_outages(&mut self) -> Result<()> {
+        while let Err(error) = self.listen().await {
+            let error = Deleted::or(error, &self.status.name);
+            let progress = &self.progress;
+            self.outage.outlast(error, |word| progress.tell(&word)).await?;
+        }
+        Ok(())
+    }
+
+    /// Takes up the coordinator's updates until the dictionary has ended.
+    async fn listen(&mut self) -> Result<()> {
+        let (mut updates, mut jobs) = self.subscribe().await?;
+        loop {
+            tokio::select! {
+                update = timeout(SILENCE, updates.message()) => {
+                    let Ok(update) = update else {
+                        (updates, jobs) = self.subscribe().await?;
+                        continue;
+                    };
+                    match update? {
+                        Some(update) => self.take(update)?,
+                        None if self.status.state().is_open() => return Err(self.stopped().into()),
+                        None => return Ok(()),
+                    }
+                }
+                run = next_run(&mut jobs) => self.take_jobs(&run)?,
+                () = until(self.busy.map(|busy| busy + IDLE)) => self.look_for_workers().await?,
+            }
+        }
+    }
+
+    async fn subscribe(&self) -> Result<(Streaming<Dictionary>, Option<Streaming<JobStates>>)> {
+        let silent = |_| Status::deadline_exceeded(format!("no answer within {} s", SILENCE.as_secs()));
+        let (name, mut client) = (self.status.name.to_string(), self.connection.dictionaries());
+        let updates = client.watch(WatchRequest { name: name.clone() });
+        let updates = timeout(SILENCE, updates).await.map_err(silent)??.into_inner();
+        tracing::info!(dictionary = %self.status.name, "following");
+        if self.cells.is_none() {
+            return Ok((updates, None));
+        }
+        let jobs = client.watch_jobs(WatchJobsRequest { name });
+        match timeout(SILENCE, jobs).await.map_err(silent)? {
+            Ok(jobs) => Ok((updates, Some(jobs.into_inner()))),
+            // An older coordinator.
+            Err(error) if error.code() == Code::Unimplemented => Ok((updates, None)),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn take(&mut self, update: Dictionary) -> Result<()> {
+        let update = DictionaryStatus::try_from(update)?;
+        if update.grid_digest != self.status.grid_digest {
+            return Err(Deleted(self.status.name.clone()).into());
+        }
+        *self.status = update;
+        let progress = &self.progress;
+        self.outage.is_over(|word| progress.tell(&word));
+        self.progress.show(self.status);
+        let rests = self.status.state() != DictionaryState::Running || self.status.jobs_leased > 0;
+        self.busy = self.busy.map(|busy| if rests { Instant::now() } else { busy });
+        Ok(())
+    }
+
+    /// Reports once that no worker is connected.
+    async fn look_for_workers(&mut self) -> Result<()> {
+        let farm = self.connection.farm().status(StatusRequest {}).await?.into_inner();
+        self.busy = (farm.workers > 0).then(Instant::now);
+        if farm.workers == 0 {
+            let server = self.connection.address();
+            self.progress.tell(&format!(
+                "no worker is connected: start one with `farm-worker --server {server}`, or with its access file"
+            ));
+        }
+        Ok(())
+    }
+
+    fn take_jobs(&mut self, run: &JobStates) -> Result<()> {
+        let (first, states) = run.read()?;
+        if let Some(cells) = &mut self.cells {
+            cells.set(first, &states);
+            self.progress.show_cells(cells);
+        }
+        Ok(())
+    }
+
+    fn stopped(&self) -> Status {
+        let name = &self.status.name;
+        Status::unavailable(format!(
+            "the coordinator stopped before {name} was done: run the same command again to go on"
+        ))
+    }
+}
+
+async fn until(when: Option<Instant>) {
+    match when {
+        Some(when) => tokio::time::sleep_until(when).await,
+        None => std::future::pending().await,
+    }
+}
+
+/// The next states of jobs. At the end of the stream it waits for ever: the end of the dictionary is reported elsewhere.
+async fn next_run(jobs: &mut Option<Streaming<JobStates>>) -> JobStates {
+    if let Some(states) = jobs
+        && let Ok(Some(run)) = states.message().await
+    {
+        return run;
+    }
+    *jobs = None;
+    std::future::pending().await
+}

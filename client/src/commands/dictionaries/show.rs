@@ -1,0 +1,197 @@
+mod noise;
+mod overview;
+
+use std::path::Path;
+
+use anyhow::{Result, bail};
+use farm_proto::DictionaryName;
+use farm_proto::status::{DictionaryStatus, FailedJob};
+use farm_proto::wire::{GetRequest, ListFailedRequest};
+use optics_model::grid::{Axes, Effort};
+use optics_model::{Grid, SceneFile, Walks};
+use serde::Serialize;
+
+use crate::cli::{Global, ShowArgs};
+use crate::connection::records::Records;
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::figure_files;
+use crate::output::{DictionaryJson, Output, grouped, state};
+use noise::Noise;
+
+pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
+    let name = DictionaryName::new(args.name)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let (status, noise) = with_farm(global, Purpose::Ask, async |connection| {
+        let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
+        let mut status = DictionaryStatus::try_from(answer.into_inner())?;
+        if status.jobs_failed > status.failed.len() {
+            status.failed = all_failed(connection, &name).await?;
+        }
+        if !args.noise {
+            if let Some(path) = &args.plot {
+                draw(connection, &status, path).await?;
+            }
+            return Ok((status, None));
+        }
+        let found = noise::read(connection, &status).await?;
+        if let Some(path) = &args.plot {
+            figure_files::write(&noise::picture(status.name.as_str(), &status.grid, &found)?, path)?;
+        }
+        let noise = Noise::of(&status.grid, &found);
+        Ok((status, Some(noise)))
+    })
+    .await?;
+    let described = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);
+    output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, described)
+}
+
+#[derive(Serialize)]
+struct Shown<'a, D> {
+    #[serde(flatten)]
+    dictionary: D,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    noise: Option<&'a Noise>,
+}
+
+/// All jobs that were given up; a status has the first of them.
+async fn all_failed(connection: &Connection, name: &DictionaryName) -> Result<Vec<FailedJob>> {
+    let (mut failed, mut page_token) = (Vec::new(), String::new());
+    loop {
+        let request = ListFailedRequest { name: name.to_string(), page_size: 1000, page_token };
+        let page = connection.dictionaries().list_failed(request).await?.into_inner();
+        for job in page.failed {
+            failed.push(FailedJob::try_from(job)?);
+        }
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            return Ok(failed);
+        }
+    }
+}
+
+pub(crate) fn data(status: &DictionaryStatus) -> impl Serialize {
+    #[derive(Serialize)]
+    struct ShowData<'a> {
+        #[serde(flatten)]
+        dictionary: DictionaryJson,
+        grid: GridData<'a>,
+    }
+    #[derive(Serialize)]
+    struct GridData<'a> {
+        #[serde(flatten)]
+        axes: &'a Axes,
+        /// The most that a point begins with.
+        walks: u64,
+        /// The level of noise, if the walks follow from one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        quality: Option<&'static str>,
+        seed: u64,
+        derivatives: bool,
+        scene: SceneFile,
+    }
+    let grid = &status.grid;
+    let (seed, derivatives) = (grid.seed(), grid.derivatives());
+    let [_, walks] = grid.least_and_most_walks().map(Walks::get);
+    let quality = match grid.effort() {
+        Effort::Noise(level) => Some(level.name()),
+        Effort::Walks(_) => None,
+    };
+    let scene = SceneFile::from(grid.scene());
+    ShowData {
+        dictionary: status.into(),
+        grid: GridData { axes: grid.axes(), walks, quality, seed, derivatives, scene },
+    }
+}
+
+async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
+    let axes = overview::chosen_axes(&status.grid);
+    let mut wanted = axes.records(&status.grid);
+    wanted.sort_unstable();
+    let mut answers = Records::ask(connection, status, wanted).await?;
+    let mut records = Vec::new();
+    while let Some(record) = answers.next().await? {
+        records.push(record);
+    }
+    if records.is_empty() {
+        bail!("none of the records to be drawn is done yet");
+    }
+    figure_files::write(&overview::picture(status.name.as_str(), &status.grid, &axes, &records)?, path)
+}
+
+fn text(status: &DictionaryStatus) -> String {
+    let grid = &status.grid;
+    let sensor = grid.scene().sensor();
+    let channels: Vec<_> = grid.scene().channels().iter().map(optics_model::scene::Channel::name).collect();
+    let digest = status.records_digest.map_or("– (not complete)".to_owned(), |d| d.to_string());
+    let mut lines = vec![
+        ("dictionary", status.name.to_string()),
+        ("state", state(status)),
+        ("records", {
+            let (done, total) = (status.records_done() as u64, status.records_total() as u64);
+            format!("{} of {} done", grouped(done), grouped(total))
+        }),
+        ("jobs", {
+            let (done, total) = (status.jobs_done as u64, status.jobs_total() as u64);
+            format!("{} of {} done, {} being computed", grouped(done), grouped(total), status.jobs_leased)
+        }),
+        ("sigma_t /mm", axis(grid.sigma_t_per_mm())),
+        ("albedo", axis(grid.albedo())),
+        ("g", axis(grid.g())),
+        ("thickness mm", axis(grid.thickness_mm())),
+        ("sample index", axis(grid.sample_ior())),
+        ("channels", channels.join(", ")),
+        ("profile", format!("{} pixels over {} mm", sensor.pixels(), sensor.width_mm())),
+        ("walks", walks(grid)),
+        ("derivatives", if grid.derivatives() { "by albedo and sigma_t" } else { "none" }.to_owned()),
+        ("grid digest", status.grid_digest.to_string()),
+        ("records digest", digest),
+    ];
+    if status.records_reused > 0 {
+        lines
+            .push(("reused", format!("{} records were there before", grouped(status.records_reused as u64))));
+    }
+    if let Some(quality) = grid.quality() {
+        let (fewest, most) = status.walks;
+        lines.push((
+            "quality",
+            format!(
+                "noise of {} or up to {} walks; so far {} to {}",
+                quality.relative_std_error(),
+                grouped(quality.max_walks().get()),
+                grouped(fewest),
+                grouped(most)
+            ),
+        ));
+    }
+    if !status.owner.is_empty() {
+        lines.push(("owner", status.owner.clone()));
+    }
+    if !status.reason.is_empty() {
+        lines.push(("reason", status.reason.clone()));
+    }
+    let failed = |f: &FailedJob| {
+        let name = if f.quarantined { "quarantined" } else { "failed job" };
+        (name, format!("job {}: {}", f.job, f.reason))
+    };
+    lines.extend(status.failed.iter().map(failed));
+    lines.iter().map(|(name, value)| format!("{name:<15} {value}\n")).collect()
+}
+
+fn walks(grid: &Grid) -> String {
+    let [least, most] = grid.least_and_most_walks().map(|walks| grouped(walks.get()));
+    match grid.effort() {
+        Effort::Walks(_) => format!("{most} per transport point, seed {}", grid.seed()),
+        Effort::Noise(level) => {
+            let quality = level.name();
+            format!("{least} to {most} per transport point (quality {quality}), seed {}", grid.seed())
+        }
+    }
+}
+
+fn axis(values: &[f64]) -> String {
+    let list = values.iter().map(f64::to_string).collect::<Vec<_>>();
+    if list.len() <= 12 {
+        return list.join(", ");
+    }
+    format!("{} … {} ({} values)", list[..4].join(", "), list[list.len() - 4..].join(", "), list.len())
+}

@@ -1,0 +1,138 @@
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::{Context, Result, bail};
+use farm_lab::grid_file::read_grid;
+use farm_proto::DictionaryName;
+use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::wire::SubmitRequest;
+use optics_model::Grid;
+
+use super::following::{self, follow};
+use super::list;
+use super::watch::line;
+use crate::cli::{Global, SubmitArgs};
+use crate::connection::questions::patient;
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::exit;
+use crate::interrupt::Interrupted;
+use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
+
+pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> Result<ExitCode> {
+    let (grid, default_name) = match &args.grid {
+        Some(file) => (read_grid(file)?, stem(file)?),
+        None => (Grid::paper(), "paper".to_owned()),
+    };
+    let grid = match args.quality {
+        Some(level) => grid.with_effort(level)?,
+        None => grid,
+    };
+    let name = DictionaryName::new(args.name.clone().unwrap_or(default_name))?;
+    let (status, end) = with_farm(global, Purpose::Compute, async |connection| {
+        submit(connection, &name, &grid, &args, global.quiet).await
+    })
+    .await?;
+    let code = match end {
+        SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted) => {
+            ExitCode::from(exit::INTERRUPTED)
+        }
+        SubmitEnd::Followed(following::End::Ended(_)) => exit::code_of(&status),
+        SubmitEnd::Submitted => ExitCode::SUCCESS,
+    };
+    match output.print("submit", &DictionaryJson::from(&status), || {
+        if global.quiet { name.to_string() } else { text(&status, &end) }
+    }) {
+        // The exit code counts even if the result cannot be printed.
+        Err(error) if !is_closed_pipe(&error) => Err(error),
+        _ => Ok(code),
+    }
+}
+
+fn stem(file: &Path) -> Result<String> {
+    let stem = file.file_stem().and_then(|s| s.to_str());
+    Ok(stem.with_context(|| format!("{} gives no name: add --name", file.display()))?.to_owned())
+}
+
+enum SubmitEnd {
+    /// Not waited for.
+    Submitted,
+    /// Not waited for any longer; another process goes on with it.
+    Left,
+    Followed(following::End),
+}
+
+/// Computes a dictionary if it is not there, and waits for it.
+pub(crate) async fn ensure(
+    connection: &Connection,
+    name: &DictionaryName,
+    grid: &Grid,
+    quiet: bool,
+) -> Result<()> {
+    let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
+    let known = list::fetch(connection).await?.into_iter().find(|d| d.name == *name);
+    if known.is_some_and(|d| d.state() == DictionaryState::Paused) {
+        bail!("dictionary {name} is paused: `farmctl resume {name}` goes on with it");
+    }
+    let (status, end) = submit(connection, name, grid, &args, quiet).await?;
+    match (&end, status.state()) {
+        (SubmitEnd::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
+        (SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
+        _ => bail!("the dictionary was not computed: {}", text(&status, &end)),
+    }
+}
+
+async fn submit(
+    connection: &Connection,
+    name: &DictionaryName,
+    grid: &Grid,
+    args: &SubmitArgs,
+    quiet: bool,
+) -> Result<(DictionaryStatus, SubmitEnd)> {
+    let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
+    let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
+    let mut status = DictionaryStatus::try_from(submitted)?;
+    if !args.wait && connection.is_server() {
+        return Ok((status, SubmitEnd::Submitted));
+    }
+    match follow(connection, &mut status, quiet).await? {
+        following::End::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
+        end => Ok((status, SubmitEnd::Followed(end))),
+    }
+}
+
+fn text(status: &DictionaryStatus, end: &SubmitEnd) -> String {
+    let name = &status.name;
+    let (done, total) = (grouped(status.records_done() as u64), grouped(status.records_total() as u64));
+    match end {
+        SubmitEnd::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
+        SubmitEnd::Left => format!(
+            "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
+             look again, `farmctl cancel {name}` to stop"
+        ),
+        SubmitEnd::Followed(following::End::Interrupted) => {
+            format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
+        }
+        SubmitEnd::Followed(following::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
+            let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
+            let disputed = match status.jobs_disputed {
+                0 => String::new(),
+                n => format!("\n{n} jobs are disputed: see `farmctl explain {name}`"),
+            };
+            format!(
+                "{name}: {total} records are done, in {}{disputed}\nrecords digest {digest}",
+                duration(*elapsed)
+            )
+        }
+        SubmitEnd::Followed(following::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
+            line(status)
+        }
+        SubmitEnd::Followed(following::End::Ended(_)) => {
+            let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
+            format!(
+                "{name}: {done} of {total} records are done, {} jobs failed{}",
+                status.jobs_failed,
+                reasons.collect::<String>()
+            )
+        }
+    }
+}

@@ -1,0 +1,92 @@
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_proto::wire::FitRequest;
+use optics_model::Measurement;
+use optics_model::fit::{FitOptions, MaterialFit};
+use serde::Serialize;
+
+use super::chosen_dictionary;
+use crate::answers::{Report, UsedOptions, fits_text, neighbours};
+use crate::cli::{FitArgs, Global};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::figure_files;
+use crate::output::Output;
+
+pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
+    let set_up = args.options.set_up.read(None)?;
+    let options = args.options(&set_up)?;
+    let given = args.options.dictionary.as_ref();
+    chosen_dictionary::check(given)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.apply_to(materials)?;
+    let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = chosen_dictionary::name(connection, given).await?;
+        let fits = fit_all(connection, &dictionary, &materials, &options).await?;
+        Ok((dictionary, fits))
+    })
+    .await?;
+    let pictures = match &args.plot {
+        Some(path) => figure_files::write_fits(&fits, path)?,
+        None => Vec::new(),
+    };
+    let used = UsedOptions::new(&dictionary, &options, &assumed);
+    let data = data(used, &fits, &notes);
+    output.print("fit", &data, || {
+        let report = Report { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
+        text(&report, args.top, &pictures)
+    })
+}
+
+pub(crate) fn data<'a>(
+    options: UsedOptions<'a>,
+    materials: &'a [MaterialFit],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data { options, materials, notes }
+}
+
+async fn fit_all(
+    connection: &Connection,
+    dictionary: &str,
+    materials: &[Measurement],
+    options: &FitOptions,
+) -> Result<Vec<MaterialFit>> {
+    let mut fits = Vec::new();
+    for measurement in materials {
+        let request = FitRequest {
+            dictionary: dictionary.to_owned(),
+            measurement: Some(measurement.into()),
+            options: Some(options.into()),
+        };
+        let answer = connection.fits().fit(request).await;
+        let answer = answer.with_context(|| format!("material {}", measurement.material()))?.into_inner();
+        fits.push(answer.fit.context("the farm's answer holds no fit")?.try_into()?);
+    }
+    Ok(fits)
+}
+
+/// What was found, then the best records of each channel.
+fn text(report: &Report, top: u32, pictures: &[PathBuf]) -> String {
+    let mut text = fits_text(report);
+    if top > 1 {
+        for fit in report.fits {
+            for channel in &fit.channels {
+                text += &format!("\n\n{}, channel {}: best records\n", fit.material, channel.channel);
+                text += &neighbours(&channel.candidates);
+            }
+        }
+    }
+    text + &figure_files::drawn(pictures)
+}

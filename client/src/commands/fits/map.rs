@@ -1,0 +1,133 @@
+use anyhow::{Context, Result, bail};
+use farm_figures::numbers::{albedo, significant};
+use farm_lab::measurement_file::{MeasurementFile, Note, normal};
+use farm_proto::wire::MapRequest;
+use optics_model::Measurement;
+use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
+use serde::Serialize;
+
+use super::chosen_dictionary;
+use crate::answers::UsedOptions;
+use crate::cli::{Global, MapArgs};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::figure_files;
+use crate::output::{Output, table};
+
+pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
+    let set_up = args.options.set_up.read(None)?;
+    let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
+    let given = args.options.dictionary.as_ref();
+    chosen_dictionary::check(given)?;
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
+    let materials = chosen(materials, &args)?;
+    let assumed = set_up.assumed(&materials);
+    let materials = set_up.apply_to(materials)?;
+    let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = chosen_dictionary::name(connection, given).await?;
+        let maps = map_all(connection, &dictionary, &materials, &options).await?;
+        Ok((dictionary, maps))
+    })
+    .await?;
+    if let Some(path) = &args.plot {
+        let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
+        figure_files::write_maps(&maps, path)?;
+    }
+    let used = UsedOptions::new(&dictionary, &options, &assumed);
+    let data = data(used, &maps, &notes);
+    output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
+}
+
+/// The materials and channels that were asked for.
+fn chosen(materials: Vec<Measurement>, args: &MapArgs) -> Result<Vec<Measurement>> {
+    let names: Vec<String> = materials.iter().map(|m| m.material().to_owned()).collect();
+    let wanted = |m: &Measurement| args.material.as_deref().is_none_or(|name| normal(name) == m.material());
+    let mut found = Vec::new();
+    for material in materials.into_iter().filter(wanted) {
+        let profiles = material.profiles().iter();
+        let profiles = profiles.filter(|p| args.channel.as_deref().is_none_or(|c| c == p.channel()));
+        let profiles: Vec<_> = profiles.cloned().collect();
+        if profiles.is_empty() {
+            let channel = args.channel.as_deref().unwrap_or_default();
+            bail!(
+                "material {} has no channel {channel}; it has {}",
+                material.material(),
+                material.channels().join(", ")
+            );
+        }
+        found.push(Measurement::new(material.material(), profiles)?);
+    }
+    if found.is_empty() {
+        let name = args.material.as_deref().unwrap_or_default();
+        bail!("the file has no material {name}; it has {}", names.join(", "));
+    }
+    Ok(found)
+}
+
+async fn map_all(
+    connection: &Connection,
+    dictionary: &str,
+    materials: &[Measurement],
+    options: &FitOptions,
+) -> Result<Vec<MaterialMap>> {
+    let mut maps = Vec::new();
+    for measurement in materials {
+        let request = MapRequest {
+            dictionary: dictionary.to_owned(),
+            measurement: Some(measurement.into()),
+            options: Some(options.into()),
+        };
+        let answer = connection.fits().map(request).await;
+        let answer = answer.with_context(|| format!("material {}", measurement.material()))?.into_inner();
+        for map in answer.maps {
+            let material = measurement.material().to_owned();
+            maps.push(MaterialMap { material, map: DistanceMap::try_from(map)? });
+        }
+    }
+    Ok(maps)
+}
+
+/// One row an anisotropy: its best medium, and what similarity theory predicts from the best of all.
+fn text(MaterialMap { material, map }: &MaterialMap) -> String {
+    let row = |(i, layer): (usize, &MapLayer)| {
+        let best = &layer.best.medium;
+        let mut row = vec![
+            format!("{}{}", layer.g, if i == map.best_layer { " (best)" } else { "" }),
+            best.sigma_t_per_mm().to_string(),
+            best.albedo().to_string(),
+            format!("{:.5}", layer.best.error),
+        ];
+        match &layer.similar {
+            Some(m) => row.extend([significant(m.sigma_t_per_mm(), 3), albedo(m.albedo())]),
+            None => row.extend(["–".to_owned(), "–".to_owned()]),
+        }
+        row
+    };
+    let head = ["g", "σ_t /mm", "α", "error", "similar to best\nσ_t /mm", "similar to best\nα"];
+    let rows = map.layers.iter().enumerate().map(row);
+    format!("{material}, channel {}\n{}", map.channel, table(&head, &[0, 1, 2, 3, 4, 5], rows))
+}
+
+/// A map, and the material it is of.
+#[derive(Debug, Serialize)]
+pub(crate) struct MaterialMap {
+    pub(crate) material: String,
+    #[serde(flatten)]
+    pub(crate) map: DistanceMap,
+}
+
+pub(crate) fn data<'a>(
+    options: UsedOptions<'a>,
+    maps: &'a [MaterialMap],
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        maps: &'a [MaterialMap],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+    }
+    Data { options, maps, notes }
+}

@@ -1,0 +1,346 @@
+//! `farmctl measure`: media of all materials of one set-up, from a measurement file or from the folder of a session.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_lab::mixture_file::read_mixtures;
+use farm_lab::session_folder::SessionFolder;
+use farm_lab::set_up::{Session, SetUp};
+use farm_link::logs::tell;
+use farm_proto::DictionaryName;
+use farm_proto::wire::MeasureRequest;
+use optics_model::fit::{
+    Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
+};
+use serde::Serialize;
+
+use super::chosen_dictionary::{self, Chosen, Wanted};
+use crate::answers::{
+    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, media_files,
+};
+use crate::cli::{Global, MeasureArgs};
+use crate::commands::dictionaries::submit;
+use crate::connection::{Purpose, with_farm};
+use crate::figure_files;
+use crate::interrupt::{Interrupted, interrupted};
+use crate::output::{Output, grouped, write_whole};
+
+/// The inputs of a measurement, checked.
+#[derive(Debug)]
+pub(crate) struct Inputs {
+    measurements: PathBuf,
+    /// The session whose folder is measured.
+    folder: Option<SessionFolder>,
+    set_up: SetUp,
+    options: FitOptions,
+    /// None if the scale factor is given.
+    search_mu: Option<MuRange>,
+    common_g: bool,
+    dictionary: Option<String>,
+    /// The session's own dictionary, unless another was named.
+    own: Option<Wanted>,
+    mixtures: Option<PathBuf>,
+    bound: bool,
+    output: Option<PathBuf>,
+    plot: Option<PathBuf>,
+}
+
+impl Inputs {
+    pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
+        let folder =
+            args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
+        let session = folder.as_ref().and_then(SessionFolder::session);
+        let set_up = args.options.set_up.read(session.as_deref())?;
+        let settings = args.options.settings(&set_up)?;
+        let inputs = Self {
+            measurements: args.measurements,
+            folder: None,
+            options: FitOptions::default(),
+            search_mu: Some(args.search.range()?),
+            common_g: !args.free_g,
+            dictionary: args.options.dictionary,
+            own: None,
+            mixtures: args.mixtures,
+            bound: args.bound,
+            output: args.output,
+            plot: args.plot,
+            set_up,
+        };
+        inputs.with(folder, settings, args.mu.map(|mu| [mu, args.mu_std_error]))
+    }
+
+    /// The folder of a session, with all options at their defaults.
+    pub(crate) fn of_folder(path: &Path) -> Result<Self> {
+        let folder = SessionFolder::open(path)?;
+        let set_up = SetUp::new(folder.session().as_deref(), Session::default())?;
+        let settings = set_up.settings(FitSettings::default());
+        let inputs = Self {
+            measurements: folder.measurements(),
+            folder: None,
+            options: FitOptions::default(),
+            search_mu: Some(MuRange::default()),
+            common_g: true,
+            dictionary: None,
+            own: None,
+            mixtures: None,
+            bound: false,
+            output: None,
+            plot: None,
+            set_up,
+        };
+        inputs.with(Some(folder), settings, None)
+    }
+
+    /// `mu` is the scale factor that was given, with its standard error. A session's folder has a scale factor of 1, as
+    /// well known as its white reference, and a dictionary of its own.
+    fn with(
+        mut self,
+        folder: Option<SessionFolder>,
+        settings: FitSettings,
+        mu: Option<[f64; 2]>,
+    ) -> Result<Self> {
+        let of_session = folder.as_ref().and_then(|_| self.set_up.mu_std_error());
+        let mu = mu.or_else(|| of_session.map(|error| [1.0, error]));
+        if mu.is_some() {
+            self.search_mu = None;
+        }
+        let [mu, mu_std_error] = mu.unwrap_or([1.0, 0.0]);
+        let curves = self.plot.is_some() || folder.is_some();
+        self.options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
+        self.check_objective(folder.is_some())?;
+        chosen_dictionary::check(self.dictionary.as_ref())?;
+        self.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+        if let Some(folder) = folder {
+            self.measurements = folder.measurements();
+            if self.dictionary.is_none() {
+                let (name, grid) = folder.dictionary()?;
+                self.own = Some(Wanted::new(DictionaryName::new(name)?, grid));
+            }
+            self.folder = Some(folder);
+        }
+        Ok(self)
+    }
+}
+
+impl Inputs {
+    /// The paper's objective gives the best records, from which neither media nor intervals follow.
+    fn check_objective(&self, is_session: bool) -> Result<()> {
+        let needs = match () {
+            () if self.options.objective() == Objective::Likelihood => return Ok(()),
+            () if self.output.is_some() => "--output",
+            () if self.bound => "--bound",
+            () if is_session => "the folder of a session, whose report has media",
+            () => return Ok(()),
+        };
+        bail!(
+            "--objective paper gives records of the dictionary without intervals: leave it out with {needs}"
+        )
+    }
+}
+
+pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Result<()> {
+    let mixtures = inputs.mixtures.as_deref().map(read_mixtures).transpose()?;
+    let MeasurementFile { materials, notes } = output.read_measurements(&inputs.measurements)?;
+    let assumed = inputs.set_up.assumed(&materials);
+    let materials = inputs.set_up.apply_to(materials)?;
+    let request = MeasureRequest {
+        dictionary: String::new(),
+        materials: materials.iter().map(Into::into).collect(),
+        options: Some((&inputs.options).into()),
+        search_mu: inputs.search_mu.map(Into::into),
+        common_g: inputs.common_g,
+        mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
+    };
+    let (dictionary, found) = ask(global, inputs.dictionary.as_ref(), inputs.own, &request).await?;
+    if mixtures.is_some() && found.unmixed.is_none() {
+        bail!("the coordinator is too old to fit mixtures: upgrade it");
+    }
+    let pictures = match &inputs.plot {
+        Some(path) => figure_files::write_fits(&found.materials, path)?,
+        None => Vec::new(),
+    };
+    if let Some(folder) = &inputs.output {
+        write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
+    }
+    let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
+    let answer = || {
+        let assumed = assumed.text(options.settings());
+        let report = Report { fits: &found.materials, assumed, bound: inputs.bound };
+        let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
+        let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
+        text(&found, &report, inputs.output.as_deref(), &pictures) + &budget
+    };
+    let report = match &inputs.folder {
+        Some(folder) => {
+            let plain = anstream::adapter::strip_str(&answer()).to_string();
+            folder.complete(&found.materials, found.common.mu, plain)?
+        }
+        None => None,
+    };
+    let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
+    output.print("measure", &data, || {
+        let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
+        answer() + &completed
+    })
+}
+
+/// Computes the dictionary where it is lacking, and asks. Returns the dictionary's name, too.
+async fn ask(
+    global: &Global,
+    given: Option<&String>,
+    own: Option<Wanted>,
+    request: &MeasureRequest,
+) -> Result<(String, Found)> {
+    let mut wanted = own;
+    if wanted.is_none() && given.is_none() {
+        wanted = chosen_dictionary::of_an_empty_folder(global)?.inspect(|wanted| announce(global, wanted));
+    }
+    loop {
+        match ask_once(global, given, wanted.as_ref(), request).await? {
+            Asked::Answered(dictionary, found) => return Ok((dictionary, *found)),
+            Asked::Lacks(lacking) => {
+                announce(global, &lacking);
+                wanted = Some(lacking);
+            }
+        }
+    }
+}
+
+enum Asked {
+    Answered(String, Box<Found>),
+    Lacks(Wanted),
+}
+
+async fn ask_once(
+    global: &Global,
+    given: Option<&String>,
+    wanted: Option<&Wanted>,
+    request: &MeasureRequest,
+) -> Result<Asked> {
+    let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
+    with_farm(global, purpose, async |connection| {
+        let dictionary = if let Some(Wanted { name, grid, .. }) = wanted {
+            submit::ensure(connection, name, grid, global.quiet).await?;
+            name.to_string()
+        } else {
+            match chosen_dictionary::or_lacking(connection, given).await? {
+                Chosen::Complete(name) => name,
+                Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
+            }
+        };
+        let request = MeasureRequest { dictionary: dictionary.clone(), ..request.clone() };
+        let fits = connection.fits();
+        let found = tokio::select! {
+            biased;
+            // The computation has taken signals over, so that they end nothing by themselves any more.
+            () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
+            found = fits.measure(request) => found?.into_inner(),
+        };
+        Ok(Asked::Answered(dictionary, Box::new(found.try_into()?)))
+    })
+    .await
+}
+
+fn announce(global: &Global, wanted: &Wanted) {
+    let Wanted { name, grid, records_done } = wanted;
+    let total = grid.stored_records();
+    if !global.quiet {
+        tell(format_args!(
+            "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",
+            global.data.display(),
+            grouped(total.saturating_sub(*records_done) as u64),
+            grouped(total as u64)
+        ));
+    }
+}
+
+fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+    let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
+    if let Some(unmixed) = &found.unmixed {
+        text += &format!("\n\n{}", inks_text(unmixed));
+    }
+    text += &figure_files::drawn(pictures);
+    if let Some(folder) = folder {
+        text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
+    }
+    text
+}
+
+fn write_folder(folder: &Path, found: &Found) -> Result<()> {
+    std::fs::create_dir_all(folder)?;
+    for (name, text) in media_files(&found.materials)? {
+        write_whole(&folder.join(name), text.as_bytes()).context(name)?;
+    }
+    Ok(())
+}
+
+pub(crate) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [Note]) -> impl Serialize {
+    #[derive(Serialize)]
+    struct Data<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        /// Null if every channel has its own.
+        common_g: Option<f64>,
+        common: &'a Common,
+        /// Null if the scale factor was given or the likelihood was maximised.
+        scale: Option<&'a ScaleCurve>,
+        materials: &'a [MaterialFit],
+        /// What was assumed when the file was read, and what looks suspicious in it.
+        notes: &'a [Note],
+        #[serde(skip_serializing_if = "Option::is_none")]
+        unmixed: Option<&'a Unmixed>,
+    }
+    Data {
+        options,
+        common_g: found.common.g,
+        common: &found.common,
+        scale: found.scale.as_ref(),
+        materials: &found.materials,
+        notes,
+        unmixed: found.unmixed.as_ref(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    /// `capture --measure` measures as `farmctl measure DIR` does.
+    #[test]
+    fn folder_has_the_command_line_defaults() {
+        let folder = tempfile::tempdir().unwrap();
+        let session = r#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004}"#;
+        for (name, text) in
+            [("measurements.csv", ""), ("session.json", session), ("grid.toml", "g = [0.5]\n")]
+        {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let path = folder.path().to_str().unwrap();
+        let cli = Cli::try_parse_from(["farmctl", "measure", path]).unwrap();
+        let Command::Measure(args) = cli.command else { panic!("not the verb") };
+        let [parsed, direct] = [Inputs::of(args), Inputs::of_folder(folder.path())].map(Result::unwrap);
+        assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
+        assert_eq!(direct.options.settings().mu_std_error, 0.01);
+    }
+
+    /// The paper's objective is refused where media or intervals are wanted.
+    #[test]
+    fn paper_objective_gives_no_media() {
+        let inputs = |more: &[&str]| {
+            let cli = Cli::try_parse_from(
+                [&["farmctl", "measure", "a.csv", "--objective", "paper"][..], more].concat(),
+            );
+            let Command::Measure(args) = cli.unwrap().command else { panic!("not the verb") };
+            Inputs::of(args).map(|_| ()).map_err(|e| e.to_string())
+        };
+        assert_eq!(inputs(&[]), Ok(()));
+        for (more, named) in [(&["-o", "media"][..], "--output"), (&["--bound"], "--bound")] {
+            let error = inputs(more).unwrap_err();
+            assert!(error.contains("--objective paper") && error.ends_with(named), "{error}");
+        }
+    }
+}

@@ -1,0 +1,60 @@
+use anyhow::Result;
+use farm_figures::numbers::{albedo, significant};
+use optics_model::Medium;
+use serde::Serialize;
+
+use crate::cli::SimilarArgs;
+use crate::output::{Output, table};
+
+/// Needs no farm: the formulas are those of the service's `Similar`.
+pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
+    let data = data(args)?;
+    output.print("similar", &data, || {
+        let row = |m: &SimilarMedia| {
+            vec![
+                m.medium.g().to_string(),
+                significant(m.medium.sigma_t_per_mm(), 4),
+                albedo(m.medium.albedo()),
+                significant(m.reduced_scattering_per_mm, 4),
+                significant(m.absorption_per_mm, 4),
+            ]
+        };
+        let head = ["g", "σ_t /mm", "α", "σ_s(1−g) /mm", "σ_a /mm"];
+        table(&head, &[0, 1, 2, 3, 4], data.similar.iter().map(row))
+    })
+}
+
+pub(crate) fn data(args: &SimilarArgs) -> Result<JsonData> {
+    let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
+    let media = args
+        .to
+        .iter()
+        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
+        .collect::<Result<Vec<Medium>, _>>()?;
+    Ok(JsonData { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct JsonData {
+    medium: SimilarMedia,
+    similar: Vec<SimilarMedia>,
+}
+
+/// A medium, and what media share that are similar to it.
+#[derive(Debug, Serialize)]
+struct SimilarMedia {
+    #[serde(flatten)]
+    medium: Medium,
+    reduced_scattering_per_mm: f64,
+    absorption_per_mm: f64,
+}
+
+impl From<Medium> for SimilarMedia {
+    fn from(medium: Medium) -> Self {
+        Self {
+            medium,
+            reduced_scattering_per_mm: medium.reduced_scattering_per_mm(),
+            absorption_per_mm: medium.absorption_per_mm(),
+        }
+    }
+}

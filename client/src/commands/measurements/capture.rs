@@ -1,0 +1,186 @@
+mod check;
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use farm_lab::capture::{self, Captured, FILES, SessionErrors};
+use farm_lab::measurement_file::Note;
+use indicatif::{ProgressBar, ProgressStyle};
+use optics_capture::Source;
+use serde_json::{Value, json};
+
+use crate::cli::{CaptureArgs, Global};
+use crate::commands::fits::measure;
+use crate::output::{Output, table, warning, wrapped, write_whole};
+use crate::progress::has_bars;
+
+pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> Result<ExitCode> {
+    if let Some(path) = &args.board {
+        return board(path, output).map(|()| ExitCode::SUCCESS);
+    }
+    if !args.check.is_empty() {
+        return check::run(&args, output);
+    }
+    let session = args.session.as_deref().context("a session file is wanted")?;
+    let folder = match &args.output {
+        Some(folder) => folder.clone(),
+        None => {
+            session.file_stem().map(PathBuf::from).context("the session file has no name: add --output")?
+        }
+    };
+    let bar = bar(global.quiet);
+    let captured = capture::capture(session, |what, share| {
+        bar.set_position((share * STEPS as f64) as u64);
+        bar.set_message(what.to_owned());
+    });
+    bar.finish_and_clear();
+    let captured = captured?;
+    let notes = capture::write_folder(&folder, &captured)?;
+    let warnings = warnings(&captured, &folder, &notes);
+    // One object on standard output: with --measure it is that of the media.
+    if !(args.measure && output.is_json()) {
+        output
+            .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
+    }
+    if args.measure {
+        measure::run(global, measure::Inputs::of_folder(&folder)?, output).await?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Parts of a bar.
+const STEPS: u64 = 1000;
+
+fn bar(quiet: bool) -> ProgressBar {
+    if quiet || !has_bars() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(STEPS);
+    let style = ProgressStyle::with_template("[{wide_bar}] {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
+    let head = ["sample", "", "shots", "dark", "light", "noise", "rejected", "blur\n[µm]", "origin\n[µm]"];
+    let rows = rows(captured).into_iter().map(|row| {
+        vec![
+            row.sample,
+            row.channel.to_owned(),
+            row.shots.to_string(),
+            format!("{:.4}", row.dark),
+            format!("{:.4}", row.light),
+            format!("{:.5}", row.noise),
+            format!("{:.1} %", 100.0 * row.rejected),
+            format!("{:.1} ± {:.2}", 1000.0 * row.blur_mm, 1000.0 * row.blur_std_error_mm),
+            format!("± {:.1}", 1000.0 * row.origin_std_error_mm),
+        ]
+    });
+    let mut text = table(&head, &[2, 3, 4, 5, 6, 7, 8], rows);
+    text += &format!("\n{}", set_up_text(captured));
+    for doubt in warnings {
+        text += &format!("\n{}", warning(&wrapped(doubt)));
+    }
+    text + &format!("\nwritten to {}: {}", folder.display(), FILES.join(", "))
+}
+
+fn set_up_text(captured: &Captured) -> String {
+    let errors = SessionErrors::of(captured);
+    let rho = captured.rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).join(", ");
+    let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+    let board = format!(
+        "board: {:.3} px/mm, turned by {:.2}°, ρ {rho}",
+        1.0 / captured.board.mm_per_px.value,
+        captured.board.edge.angle_deg.value,
+    );
+    let errors = format!(
+        "errors: gain {}, white reference {}, zero {:.5}, slope {} per 10 mm",
+        percent(errors.gain_std_error),
+        percent(errors.mu_std_error),
+        errors.offset_std_error,
+        percent(errors.slope_std_error),
+    );
+    format!("{}\n{}", wrapped(&board), wrapped(&errors))
+}
+
+/// What was found of one channel of a sample.
+#[derive(Debug, serde::Serialize)]
+struct Row {
+    sample: String,
+    material: String,
+    thickness_mm: f64,
+    channel: &'static str,
+    shots: usize,
+    dark: f64,
+    light: f64,
+    /// Mean random error of a bin.
+    noise: f64,
+    /// Share of samples that were rejected.
+    rejected: f64,
+    blur_mm: f64,
+    blur_std_error_mm: f64,
+    origin_std_error_mm: f64,
+}
+
+fn rows(captured: &Captured) -> Vec<Row> {
+    let rows = captured.samples.iter().flat_map(|sample| {
+        sample.profile.profiles.iter().enumerate().map(move |(c, profile)| {
+            let [dark, light] = capture::ends(profile);
+            Row {
+                sample: sample.about.label(),
+                material: sample.about.material.clone(),
+                thickness_mm: sample.about.thickness_mm,
+                channel: profile.colour.letter(),
+                shots: sample.profile.shots.len(),
+                dark,
+                light,
+                noise: capture::mean(&profile.std_errors),
+                rejected: capture::mean(&profile.rejected),
+                blur_mm: captured.board.blur_mm[c].value,
+                blur_std_error_mm: captured.board.blur_mm[c].std_error,
+                origin_std_error_mm: capture::error_of(&sample.profile.budget, Source::Origin, c),
+            }
+        })
+    });
+    rows.collect()
+}
+
+/// Everything doubtful: the session's numbers, the set-up's, the samples', and what the profiles show when they are read as
+/// `measure` reads them.
+fn warnings(captured: &Captured, folder: &Path, notes: &[Note]) -> Vec<String> {
+    let set_up =
+        captured.calibration.warnings.iter().chain(&captured.board.warnings).map(ToString::to_string);
+    let samples = captured.samples.iter().flat_map(|sample| {
+        sample.profile.warnings.iter().map(|w| {
+            let (text, label) = (w.to_string(), sample.about.label());
+            if text.starts_with(&label) { text } else { format!("{label}: {text}") }
+        })
+    });
+    let file = folder.join(FILES[0]);
+    let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
+    captured.session.doubts.iter().cloned().chain(set_up).chain(samples).chain(notes).collect()
+}
+
+fn data(captured: &Captured, folder: &Path, warnings: &[String]) -> Value {
+    json!({
+        "output": folder.display().to_string(),
+        "files": FILES,
+        "profiles": rows(captured),
+        "errors": SessionErrors::of(captured),
+        "warnings": warnings,
+    })
+}
+
+fn board(path: &Path, output: &Output) -> Result<()> {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_lowercase();
+    let Some(bytes) = capture::board_sheet(&extension) else {
+        bail!("board {}: the file's name must end with .svg or .pdf", path.display());
+    };
+    write_whole(path, &bytes).with_context(|| format!("board {}", path.display()))?;
+    output.print("board", &json!({"board": path.display().to_string()}), || {
+        format!("written: {}; print it at 100 % and measure its scale", path.display())
+    })
+}

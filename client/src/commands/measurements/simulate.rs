@@ -1,0 +1,274 @@
+mod camera;
+mod changes;
+
+use std::io::Write;
+use std::sync::atomic::AtomicBool;
+
+use anyhow::{Context, Result, bail};
+use optics_model::job::JobSpec;
+use optics_model::scene::{Channel, Scene, Sensor};
+use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
+
+use serde::Serialize;
+
+use camera::{Camera, NOISE};
+use farm_lab::grid_file::read_scene;
+use farm_lab::measurement_file::{MeasurementWriter, check_name};
+use farm_lab::whole_file::open_node;
+
+use crate::cli::SimulateArgs;
+use crate::figure_files;
+use crate::output::{Output, envelope, write_whole};
+
+/// Most profiles of one command: more are the work of a farm.
+const MOST_PROFILES: usize = 1000;
+/// Walks if none are given; of a measurement so many that the error of the simulation, which all pixels share, is small
+/// beside what a profile's gain is not known by.
+const WALKS: u64 = 50_000;
+const MEASUREMENT_WALKS: u64 = 500_000;
+
+pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
+    let jobs = jobs(&args)?;
+    let style = style(&args, &jobs, output)?;
+    check_plot(&args, &jobs)?;
+    let mut pool = rayon::ThreadPoolBuilder::new();
+    if let Some(threads) = args.threads {
+        pool = pool.num_threads(usize::from(threads));
+    }
+    let pool = pool.build().context("starting the tracing threads")?;
+    let work = move || pool.install(|| simulate(&args, &style, &jobs));
+    tokio::task::spawn_blocking(work).await.context("the tracer")?
+}
+
+fn simulate(args: &SimulateArgs, style: &OutputStyle, jobs: &[JobSpec]) -> Result<()> {
+    if let Some(path) = &args.plot {
+        let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
+        figure_files::write(&changes::picture(job, &medium, args.change)?, path)?;
+    }
+    let Some(path) = &args.output else {
+        return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
+    };
+    let place = || format!("output {}", path.display());
+    if let Some(node) = open_node(path).with_context(place)? {
+        return write(style, jobs, node);
+    }
+    let mut bytes = Vec::new();
+    write(style, jobs, &mut bytes)?;
+    write_whole(path, &bytes).with_context(place)
+}
+
+/// One job for each σ_t, g and thickness, which traces all albedos.
+fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
+    for (field, list) in
+        [("sigma_t", &args.sigma_t), ("albedo", &args.albedo), ("g", &args.g), ("thickness", &args.thickness)]
+    {
+        if let Some(twice) = (1..list.len()).find(|i| list[..*i].contains(&list[*i])) {
+            return Err(Invalid::new(field, list[twice], "each value may be given once").into());
+        }
+    }
+    let count = args.sigma_t.len() * args.albedo.len() * args.g.len() * args.thickness.len();
+    if count > MOST_PROFILES {
+        let allowed = format!("at most {MOST_PROFILES} are allowed; for more, submit a grid");
+        return Err(Invalid::new("profiles", count, allowed).into());
+    }
+    let scene = scene(args)?;
+    let walks = Walks::new(walks(args))?;
+    let mut jobs = Vec::new();
+    for &sigma_t in &args.sigma_t {
+        for &g in &args.g {
+            for albedo in &args.albedo {
+                Medium::new(sigma_t, *albedo, g)?;
+            }
+            for &thickness in &args.thickness {
+                let point = TransportPoint::new(sigma_t, g, thickness, args.sample_ior)?;
+                let albedo = args.albedo.clone();
+                jobs.push(JobSpec::new(scene.clone(), point, albedo, walks, args.seed, false)?);
+            }
+        }
+    }
+    Ok(jobs)
+}
+
+fn walks(args: &SimulateArgs) -> u64 {
+    args.walks.unwrap_or(if args.measurement.is_some() { MEASUREMENT_WALKS } else { WALKS })
+}
+
+fn scene(args: &SimulateArgs) -> Result<Scene> {
+    let mut scene = read_scene(&args.scene)?;
+    if let (Some(light), Some(dark)) = (args.rho_light, args.rho_dark) {
+        scene = scene.with_channels(vec![Channel::new("mono", light, dark)?])?;
+    }
+    let sensor = scene.sensor();
+    let width = args.width.unwrap_or(sensor.width_mm());
+    let sensor = Sensor::new(width, args.pixels.unwrap_or(sensor.pixels() as u32), sensor.polar_deg())?;
+    Ok(scene.with_sensor(sensor))
+}
+
+fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
+    let Some(path) = &args.plot else { return Ok(()) };
+    figure_files::check_path(path)?;
+    if !(args.change > 0.0 && args.change < 1.0) {
+        return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
+    }
+    if jobs.len() * args.albedo.len() > 1 {
+        bail!("--plot shows the changes about one medium at one thickness: give one of each");
+    }
+    Ok(())
+}
+
+/// What is written.
+enum OutputStyle {
+    /// The plain table of one profile.
+    One,
+    /// A table that names every medium and thickness.
+    Several,
+    Json(JsonStyle),
+    /// A measurement of the material of this name, with the noise of a camera of this seed.
+    Measurement {
+        material: String,
+        noise: f64,
+        seed: u64,
+    },
+}
+
+pub(crate) struct JsonStyle {
+    pub(crate) several: bool,
+    pub(crate) walks: u64,
+    pub(crate) seed: u64,
+}
+
+fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<OutputStyle> {
+    let several = jobs.len() * args.albedo.len() > 1;
+    let Some(material) = &args.measurement else {
+        let json = JsonStyle { several, walks: walks(args), seed: args.seed };
+        return Ok(match (output.is_json(), several) {
+            (true, _) => OutputStyle::Json(json),
+            (false, true) => OutputStyle::Several,
+            (false, false) => OutputStyle::One,
+        });
+    };
+    if output.is_json() {
+        bail!("--measurement writes CSV: leave out --json");
+    }
+    if args.sigma_t.len() * args.albedo.len() * args.g.len() > 1 {
+        bail!(
+            "--measurement writes one material: give one --sigma-t, --albedo and --g; --thickness may be a list"
+        );
+    }
+    let (noise, seed) = (args.noise.unwrap_or(NOISE), args.seed);
+    Camera::new(noise, seed)?;
+    Ok(OutputStyle::Measurement { material: check_name(material)?.to_owned(), noise, seed })
+}
+
+/// Profile by profile as they are traced.
+fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
+    let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
+    match style {
+        OutputStyle::Measurement { material, noise, seed } => {
+            let mut camera = Camera::new(*noise, *seed)?;
+            let mut measurement = MeasurementWriter::new(&mut out, material)?;
+            for job in jobs {
+                for Record { profiles, .. } in each(job)? {
+                    let profiles = match &mut camera {
+                        Some(camera) => camera.photograph(&profiles)?,
+                        None => profiles,
+                    };
+                    measurement.add(job.scene(), job.point().thickness_mm(), &profiles)?;
+                }
+            }
+            measurement.finish()?;
+        }
+        OutputStyle::Json(json) => {
+            for job in jobs {
+                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                    let data = SimulateJson::new(json, job, *albedo, record);
+                    writeln!(out, "{}", envelope("simulate", &data)?)?;
+                }
+            }
+        }
+        OutputStyle::One | OutputStyle::Several => {
+            let several = matches!(style, OutputStyle::Several);
+            let media = if several { "sigma_t_per_mm,albedo,g,thickness_mm," } else { "" };
+            writeln!(out, "{media}channel,x_mm,value,std_error")?;
+            for job in jobs {
+                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                    let medium = if several { medium_cells(job, *albedo) } else { String::new() };
+                    write_rows(&mut out, &medium, job.scene(), &record.profiles)?;
+                }
+            }
+        }
+    }
+    out.flush()?;
+    Ok(())
+}
+
+fn medium_cells(job: &JobSpec, albedo: f64) -> String {
+    let point = job.point();
+    format!("{},{albedo},{},{},", point.sigma_t_per_mm(), point.g(), point.thickness_mm())
+}
+
+fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Profile]) -> Result<()> {
+    for (channel, profile) in scene.channels().iter().zip(profiles) {
+        let (values, errors) = (profile.radiance_factor.values(), profile.radiance_factor.std_errors());
+        for (i, (value, error)) in values.iter().zip(errors).enumerate() {
+            writeln!(out, "{medium}{},{},{value},{error}", channel.name(), scene.sensor().centre_mm(i))?;
+        }
+    }
+    Ok(())
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct SimulateJson {
+    /// Set if there are several.
+    #[serde(flatten)]
+    medium: Option<MediumJson>,
+    x_mm: Vec<f64>,
+    walks: u64,
+    seed: u64,
+    channels: Vec<ChannelJson>,
+}
+
+#[derive(Debug, Serialize)]
+struct MediumJson {
+    sigma_t_per_mm: f64,
+    albedo: f64,
+    g: f64,
+    thickness_mm: f64,
+}
+
+impl SimulateJson {
+    pub(crate) fn new(style: &JsonStyle, job: &JobSpec, albedo: f64, record: &Record) -> Self {
+        let (scene, point) = (job.scene(), job.point());
+        let medium = MediumJson {
+            sigma_t_per_mm: point.sigma_t_per_mm(),
+            albedo,
+            g: point.g(),
+            thickness_mm: point.thickness_mm(),
+        };
+        let channels = scene.channels().iter().zip(&record.profiles);
+        Self {
+            medium: style.several.then_some(medium),
+            x_mm: (0..scene.sensor().pixels()).map(|i| scene.sensor().centre_mm(i)).collect(),
+            walks: style.walks,
+            seed: style.seed,
+            channels: channels.map(|(c, p)| ChannelJson::new(c, p)).collect(),
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct ChannelJson {
+    channel: String,
+    values: Vec<f32>,
+    std_errors: Vec<f32>,
+}
+
+impl ChannelJson {
+    fn new(channel: &Channel, profile: &Profile) -> Self {
+        Self {
+            channel: channel.name().to_owned(),
+            values: profile.radiance_factor.values().to_vec(),
+            std_errors: profile.radiance_factor.std_errors().to_vec(),
+        }
+    }
+}
