@@ -44,7 +44,7 @@ fn one_command_measures_in_an_empty_folder() {
     let folder = tempfile::tempdir().unwrap();
     let file = root().join("examples/white.csv");
     let data = folder.path().join("farm-data");
-    let args = ["measure", file.to_str().unwrap(), "--data", data.to_str().unwrap()];
+    let args = ["measure", file.to_str().unwrap(), "--dictionary", "paper", "--data", data.to_str().unwrap()];
     let mut killed = Process::start("farmctl", &args, &folder.path().join("killed.log"));
     killed.wait_for_log("dictionary paper is not complete");
     let first = data.join("farm.db-wal");

@@ -47,7 +47,7 @@ pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
     }
 }
 
-/// The scene of a name, `paper` or `smooth`, or of a TOML file.
+/// The scene of a name ([`Scene::NAMES`]), or of a TOML file.
 pub fn read_scene(name: &str) -> Result<Scene> {
     named_scene(name, Path::new("."))
 }
@@ -58,22 +58,35 @@ pub fn read_scene_beside(name: &str, folder: &Path) -> Result<Scene> {
 }
 
 fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
+    if let Some(scene) = Scene::named(name) {
+        return Ok(scene);
+    }
+    let path: PathBuf = folder.join(name);
+    if !path.exists() {
+        let names = Scene::NAMES.map(|name| format!("{name:?}")).join(", ");
+        bail!("scene {name:?} is none of {names}, and no file ({} does not exist)", path.display());
+    }
+    let text = read_text(&path, "scene file")?;
+    let scene: SceneFile = from_toml(&text, &path, "scene file")?;
+    Scene::try_from(scene).map_err(|e| in_file(e, &text, &path, "scene file"))
+}
+
+/// The grid that has a name: the paper's, or `lab`, the same axes in the scene of a laboratory with its responses.
+pub fn named_grid(name: &str) -> Option<Grid> {
+    let paper = Grid::paper();
     match name {
-        "lab" => Ok(Scene::lab()),
-        "paper" => Ok(Scene::paper()),
-        "smooth" => Ok(Scene::smooth()),
-        file => {
-            let path: PathBuf = folder.join(file);
-            if !path.exists() {
-                bail!(
-                    "scene {name:?} is none of \"lab\", \"paper\", \"smooth\", and no file ({} does not exist)",
-                    path.display()
-                );
-            }
-            let text = read_text(&path, "scene file")?;
-            let scene: SceneFile = from_toml(&text, &path, "scene file")?;
-            Scene::try_from(scene).map_err(|e| in_file(e, &text, &path, "scene file"))
+        "paper" => Some(paper),
+        "lab" => {
+            let grid = Grid::new(
+                Scene::lab(),
+                paper.axes().clone(),
+                paper.effort(),
+                paper.seed(),
+                paper.derivatives(),
+            );
+            Some(grid.and_then(with_responses).expect("the built-in grids are valid"))
         }
+        _ => None,
     }
 }
 

@@ -129,7 +129,7 @@ mod tests {
         use ErrorSource::{G, Noise};
         let (a, b) = ([share(Noise, 0.7), share(G, 0.3)], [share(Noise, 0.1), share(G, 0.9)]);
         let (source, part) = largest(&[&a, &b]).unwrap();
-        assert!(source == G && (part - 0.6).abs() < 1e-12, "{source:?} {part}");
+        assert!(source.source == G && (part - 0.6).abs() < 1e-12, "{source:?} {part}");
         assert_eq!(largest(&[]), None);
     }
 

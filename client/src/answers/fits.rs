@@ -4,7 +4,7 @@ use farm_figures::numbers::short;
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
 
 use super::bound::bounds;
-use super::scene::scene_text;
+use super::scene::{exact_scene, scene_text};
 use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
@@ -48,7 +48,7 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
     if fits.iter().flat_map(|f| &f.channels).all(|c| c.refined.is_none()) {
         return Vec::new();
     }
-    std::iter::once("objective: likelihood".to_owned()).chain(assumed).collect()
+    std::iter::once("objective: likelihood".to_owned()).chain(assumed).chain(exact_scene(fits)).collect()
 }
 
 /// One row a channel: σ_s(1 − g) and σ_a, which similar media share.

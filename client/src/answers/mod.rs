@@ -22,4 +22,5 @@ pub(crate) use found::{Found, OLDER, media_files};
 pub(crate) use inks::inks_text;
 pub(crate) use options::{SetUpJson, UsedOptions};
 pub(crate) use scale::{common_text, scale_text};
+pub(crate) use scene::low_scale;
 pub(crate) use summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use farm_figures::numbers::{minus, with_error};
-use optics_model::fit::{MaterialFit, SceneEstimate};
+use optics_model::fit::{Common, MaterialFit, SceneEstimate};
 use optics_model::scene::Scope;
 
 use crate::output::{table, warning, wrapped};
@@ -29,12 +29,32 @@ pub(super) fn scene_text(fits: &[MaterialFit]) -> Option<String> {
     Some(text)
 }
 
+/// What is assumed where the dictionary's scene has no standard errors.
+pub(super) fn exact_scene(fits: &[MaterialFit]) -> Option<String> {
+    estimates(fits).is_empty().then(|| {
+        "scene: taken as exact (roughness, refractive indices, gel, lamps); a dictionary of a scene with their standard \
+         errors, such as `lab`, includes them in the intervals"
+            .to_owned()
+    })
+}
+
+/// The warning about a scale factor so low that the dictionary's surfaces are the likeliest cause. None if its scene is
+/// uncertain: such scenes conserve light, and have the remaining causes in their estimates.
+pub(crate) fn low_scale(common: &Common, fits: &[MaterialFit]) -> Option<String> {
+    /// Scale factors that a white reference, or exposure, hardly explains.
+    const LOW: f64 = 0.95;
+    let low = common.mu_chosen && common.mu + 2.0 * common.mu_std_error < LOW && estimates(fits).is_empty();
+    let warning = "the scale factor is low: in a scene such as `paper`, whose rough surfaces lose light, that light is the \
+                   likeliest cause, and σ_t and α are wrong; measure with `--dictionary lab`, whose surfaces lose none";
+    low.then(|| warning.to_owned())
+}
+
 /// Channels of a set share estimates; where they differ by what each channel adds, the best determined one is shown.
 fn estimates(fits: &[MaterialFit]) -> Estimates<'_> {
     let mut all = Estimates::new();
     for fit in fits {
         let refined = fit.channels.iter().filter_map(|c| c.refined.as_ref());
-        for estimate in refined.filter_map(|r| r.likelihood.as_ref()).flat_map(|l| &l.scene) {
+        for estimate in refined.flat_map(|r| &r.likelihood.scene) {
             let of = match (estimate.scope, estimate.slab_mm) {
                 (Scope::Session, _) => "all".to_owned(),
                 (_, None) => fit.material.clone(),

@@ -3,6 +3,7 @@
 pub(super) const SUBMIT: &str = "\
 Examples:
   farmctl submit                                  compute the paper's dictionary in ./farm-data
+  farmctl submit lab                              one for measurements of your own
   farmctl submit grid.toml --name fine            compute a grid of your own
   farmctl submit grid.toml --server http://farm:7700 --wait";
 
@@ -33,7 +34,8 @@ Examples:
 
 pub(super) const MEASURE: &str = "\
 Examples:
-  farmctl measure examples/white.csv --mu 1
+  farmctl measure materials.csv                        with the dictionary `lab`, computed if it is lacking
+  farmctl measure examples/white.csv --dictionary paper
   farmctl measure white                                what `farmctl capture` wrote there
   farmctl measure materials.csv -o media --plot media.svg
   farmctl measure chart.csv --mixtures chart.toml      strong absorbers by dilution

@@ -216,9 +216,9 @@ pub struct ServeArgs {
 
 #[derive(Debug, Args)]
 pub struct SubmitArgs {
-    /// Grid file in TOML [default: the paper's grid].
+    /// Grid file in TOML, or "lab" for the paper's axes in the scene of a laboratory [default: the paper's grid].
     pub grid: Option<PathBuf>,
-    /// Name of the dictionary [default: the file's name, or "paper"].
+    /// Name of the dictionary [default: the file's name, "lab" or "paper"].
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
     /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise,
@@ -261,8 +261,8 @@ pub struct SimulateArgs {
     /// With 0 the profiles are written as simulated; their errors are then alike in neighbouring pixels.
     #[arg(long, value_name = "SHARE", requires = "measurement", allow_negative_numbers = true)]
     pub noise: Option<f64>,
-    /// "paper", "smooth" or a scene file in TOML.
-    #[arg(long, value_name = "SCENE", default_value = "paper")]
+    /// "lab", "paper", "smooth" or a scene file in TOML.
+    #[arg(long, value_name = "SCENE", default_value = "lab")]
     pub scene: String,
     /// Refractive index of the sample.
     #[arg(long, value_name = "N", default_value_t = 1.53, allow_negative_numbers = true)]

@@ -5,7 +5,7 @@ mod session;
 
 use std::path::Path;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, anyhow, bail};
 use farm_figures::{Picture, fit_figure, map_figure, profile_figure};
 use farm_proto::{to_status, wire};
 use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
@@ -177,13 +177,13 @@ async fn answer<T: Send + 'static>(
 fn grid(file: &File) -> Result<Grid> {
     let text = measurement_file::plain(&file.content)
         .map_err(|_| Invalid::new("file", &file.name, "a grid file is text in UTF-8"))?;
-    grid_of(&text, Path::new(&file.name), |name| match name {
-        "paper" => Ok(Scene::paper()),
-        "smooth" => Ok(Scene::smooth()),
-        _ => bail!(
-            "scene {name:?} is in a file of its own, which a page cannot read: put it into the grid file as [scene], or \
-             use `farmctl submit`"
-        ),
+    grid_of(&text, Path::new(&file.name), |name| {
+        Scene::named(name).ok_or_else(|| {
+            anyhow!(
+                "scene {name:?} is in a file of its own, which a page cannot read: put it into the grid file as [scene], \
+                 or use `farmctl submit`"
+            )
+        })
     })
 }
 

@@ -57,7 +57,7 @@ impl Session {
         let file: SessionFile = from_toml(&text, path, WHAT)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         let scene = match &file.scene {
-            None => optics_model::Scene::paper(),
+            None => optics_model::Scene::lab(),
             Some(name) => {
                 read_scene_beside(name, folder).with_context(|| format!("{WHAT} {}", path.display()))?
             }
@@ -76,7 +76,7 @@ impl Session {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct SessionFile {
-    /// "paper", "smooth" or a scene file.
+    /// "lab" (the default), "paper", "smooth" or a scene file.
     scene: Option<String>,
     #[serde(default)]
     camera: CameraTable,

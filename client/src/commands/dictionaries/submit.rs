@@ -2,7 +2,7 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
-use farm_lab::grid_file::read_grid;
+use farm_lab::grid_file::{named_grid, read_grid};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
@@ -20,7 +20,10 @@ use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
 
 pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> Result<ExitCode> {
     let (grid, default_name) = match &args.grid {
-        Some(file) => (read_grid(file)?, stem(file)?),
+        Some(file) => match file.to_str().and_then(|name| Some((named_grid(name)?, name.to_owned()))) {
+            Some(named) if !file.exists() => named,
+            _ => (read_grid(file)?, stem(file)?),
+        },
         None => (Grid::paper(), "paper".to_owned()),
     };
     let grid = match args.quality {

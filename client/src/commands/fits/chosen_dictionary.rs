@@ -1,6 +1,7 @@
 //! The dictionary that a question goes to.
 
 use anyhow::{Result, bail};
+use farm_lab::grid_file::named_grid;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::Grid;
@@ -9,8 +10,9 @@ use crate::cli::Global;
 use crate::commands::dictionaries::list;
 use crate::connection::{Connection, lacks_farm};
 
-/// What `submit` computes without a grid file.
-const USUAL: &str = "paper";
+/// What a question goes to where there are several, and what `measure` computes where there is none: the first, since
+/// real surfaces lose no light.
+const USUAL: [&str; 2] = ["lab", "paper"];
 
 /// Checks a name that was given, before anything is connected.
 pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
@@ -48,43 +50,56 @@ pub(crate) enum Chosen {
     Lacking(Wanted),
 }
 
-/// The paper's, for a command that computes on this machine, if its folder holds no farm yet.
-pub(crate) fn of_an_empty_folder(global: &Global) -> Result<Option<Wanted>> {
-    Ok(if lacks_farm(global) { Some(usual()?) } else { None })
+/// The built-in dictionary that was named, or the usual one without a name, for a command that computes on this machine, if
+/// its folder holds no farm yet.
+pub(crate) fn of_an_empty_folder(global: &Global, given: Option<&String>) -> Option<Wanted> {
+    if lacks_farm(global) { built_in(given.map_or(USUAL[0], String::as_str)) } else { None }
 }
 
-/// The dictionary that was named; without a name the usual one, or the only one, which on this machine need not be complete.
+/// The dictionary that was named; without a name the usual one, or the only one. On this machine it need not be complete,
+/// and a built-in one need not be there.
 pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) -> Result<Chosen> {
-    if given.is_some() || connection.is_server() {
+    if connection.is_server() {
         return Ok(Chosen::Complete(name(connection, given).await?));
     }
     let dictionaries = list::fetch(connection).await?;
-    if dictionaries.is_empty() {
-        return Ok(Chosen::Lacking(usual()?));
+    let names: Vec<String> = dictionaries.iter().map(|d| d.name.to_string()).collect();
+    let name = match given {
+        Some(name) => name.clone(),
+        None if names.is_empty() => USUAL[0].to_owned(),
+        None => pick(&names)?,
+    };
+    if !names.contains(&name) {
+        return Ok(built_in(&name).map_or(Chosen::Complete(name), Chosen::Lacking));
     }
-    let name = pick(&dictionaries.iter().map(|d| d.name.to_string()).collect::<Vec<_>>())?;
     let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running;
     let running = dictionaries.into_iter().find(|d| d.name.as_str() == name && is_running(d));
-    Ok(running.map_or(Chosen::Complete(name), |d| {
-        let records_done = d.records_done();
-        Chosen::Lacking(Wanted { name: d.name, grid: d.grid, records_done })
-    }))
+    Ok(match running {
+        Some(d) if given.is_none() || built_in(&name).is_some() => {
+            let records_done = d.records_done();
+            Chosen::Lacking(Wanted { name: d.name, grid: d.grid, records_done })
+        }
+        _ => Chosen::Complete(name),
+    })
 }
 
-fn usual() -> Result<Wanted> {
-    Ok(Wanted::new(DictionaryName::new(USUAL)?, Grid::paper()))
+fn built_in(name: &str) -> Option<Wanted> {
+    Some(Wanted::new(DictionaryName::new(name).ok()?, named_grid(name)?))
 }
 
 fn pick(names: &[String]) -> Result<String> {
     match names {
         [] => bail!(
-            "there is no dictionary yet: `farmctl submit` computes the paper's, in half a minute on two cores"
+            "there is no dictionary yet: `farmctl submit lab` computes one for a laboratory's own measurements, `farmctl \
+             submit` the paper's"
         ),
         [only] => Ok(only.clone()),
-        several if several.iter().any(|n| n == USUAL) => Ok(USUAL.to_owned()),
-        several => {
-            bail!("there are several dictionaries: name one with --dictionary, of {}", several.join(", "))
-        }
+        several => match USUAL.into_iter().find(|usual| several.iter().any(|n| n == usual)) {
+            Some(usual) => Ok(usual.to_owned()),
+            None => {
+                bail!("there are several dictionaries: name one with --dictionary, of {}", several.join(", "))
+            }
+        },
     }
 }
 
@@ -99,6 +114,7 @@ mod tests {
         assert_eq!(pick(&names(&["fine", "paper"])).unwrap(), "paper");
         let message = pick(&names(&["a", "b"])).unwrap_err().to_string();
         assert!(message.ends_with("name one with --dictionary, of a, b"), "{message}");
-        assert!(pick(&[]).unwrap_err().to_string().contains("`farmctl submit` computes the paper's"));
+        assert_eq!(pick(&names(&["fine", "paper", "lab"])).unwrap(), "lab");
+        assert!(pick(&[]).unwrap_err().to_string().contains("`farmctl submit lab` computes one"));
     }
 }

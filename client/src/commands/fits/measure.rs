@@ -17,14 +17,14 @@ use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, Wanted};
 use crate::answers::{
-    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, media_files,
+    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale, media_files,
 };
 use crate::cli::{Global, MeasureArgs};
 use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::{Output, grouped, write_whole};
+use crate::output::{Output, grouped, warning, wrapped, write_whole};
 
 /// The inputs of a measurement, checked.
 #[derive(Debug)]
@@ -193,8 +193,9 @@ async fn ask(
     request: &MeasureRequest,
 ) -> Result<(String, Found)> {
     let mut wanted = own;
-    if wanted.is_none() && given.is_none() {
-        wanted = chosen_dictionary::of_an_empty_folder(global)?.inspect(|wanted| announce(global, wanted));
+    if wanted.is_none() {
+        wanted =
+            chosen_dictionary::of_an_empty_folder(global, given).inspect(|wanted| announce(global, wanted));
     }
     loop {
         match ask_once(global, given, wanted.as_ref(), request).await? {
@@ -259,6 +260,9 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
     if let Some(unmixed) = &found.unmixed {
         text += &format!("\n\n{}", inks_text(unmixed));
+    }
+    if let Some(line) = low_scale(&found.common, &found.materials) {
+        text += &format!("\n{}", warning(&wrapped(&line)));
     }
     text += &figure_files::drawn(pictures);
     if let Some(folder) = folder {

@@ -4,6 +4,19 @@ use super::{Channel, Layer, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
 use crate::invalid::Result;
 
 impl Scene {
+    /// Names of the built-in scenes.
+    pub const NAMES: [&str; 3] = ["lab", "paper", "smooth"];
+
+    /// The built-in scene of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        match name {
+            "lab" => Some(Self::lab()),
+            "paper" => Some(Self::paper()),
+            "smooth" => Some(Self::smooth()),
+            _ => None,
+        }
+    }
+
     /// The set-up of the paper: glass slip, gel, rough sample, gel, coated signal source; R, G, B.
     pub fn paper() -> Self {
         let layers = vec![
