@@ -1,5 +1,5 @@
 //! Makes examples/session: `cargo run -p farm-tests --example session -- examples/session`. The white of the paper's
-//! Table 1 at g = 0.4, traced in the scene `paper` and photographed by the tests' simulated camera. Prints the true
+//! Table 1 at g = 0.4, traced in the scene `lab` and photographed by the tests' simulated camera. Prints the true
 //! values.
 
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ const THICK_MM: f64 = 1.006;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder: PathBuf = std::env::args_os().nth(1).ok_or("name a folder")?.into();
     std::fs::create_dir_all(&folder)?;
-    let bare = BareBoard::of(&Scene::paper())?;
+    let bare = BareBoard::of(&Scene::lab())?;
     let seen = |rho: [f64; 3]| rho.map(|r| bare.apparent(r));
     let board = Board {
         square_mm: 20.0,
@@ -32,7 +32,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let slabs = [("white_05", THIN_MM, 3), ("white_10", THICK_MM, 4)];
     for (name, thickness_mm, seed) in slabs {
-        let edge = traced(&Scene::paper(), white()?, thickness_mm, WALKS, 11);
+        let edge = traced(&Scene::lab(), white()?, thickness_mm, WALKS, 11);
         let slab = Slab { board: board.clone(), edge, rim_mm: [-13.0, 13.0, -9.0, 9.0], bubble: None };
         let session = Session::new(camera(), slab);
         let look = Look { seed, flicker: 0.0005, exact: false, dust: Some(Dust { specks: 8, scratches: 1 }) };

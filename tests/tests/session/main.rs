@@ -38,7 +38,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The truth is that of tests/examples/session.rs: ρ of the scene `paper`, 26 pixels per millimetre, lenses that blur
+/// The truth is that of tests/examples/session.rs: ρ of the scene `lab`, 26 pixels per millimetre, lenses that blur
 /// by 36, 32 and 35 µm behind pixels of 1/26 mm. A second run writes the same bytes.
 #[test]
 fn example_session_gives_the_true_profiles() {

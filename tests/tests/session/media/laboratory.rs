@@ -124,7 +124,7 @@ const LAST_S: f64 = 2400.0;
 /// The paper's scene with the reflectances of another print.
 fn scene(random: &mut Random) -> Scene {
     let channel = |name| Channel::new(name, random.between(0.93, 0.985), random.between(0.02, 0.03)).unwrap();
-    Scene::paper().with_channels(["R", "G", "B"].map(channel).to_vec()).unwrap()
+    Scene::lab().with_channels(["R", "G", "B"].map(channel).to_vec()).unwrap()
 }
 
 fn board(scene: &Scene, square_mm: f64) -> Board {
