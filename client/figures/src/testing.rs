@@ -19,6 +19,8 @@ pub fn design() -> Design {
         absorption_per_mm: 0.01 * b * medium.absorption_per_mm(),
     };
     let improvement = |limitation, std_error, halved, removed: Option<[f64; 4]>| Improvement {
+        quantity: None,
+        unit: None,
         limitation,
         std_error: Some(std_error),
         halved: Some(widths(halved, 0.0)),

@@ -38,7 +38,7 @@ fn held(design: &Design) -> String {
     let m = &design.medium;
     let row = |set: &SlabSet| {
         let w = &set.g_held;
-        let limited = limit(set, m, HalfWidths::of_sigma_t).map_or("–", |i| name(i.limitation));
+        let limited = limit(set, m, HalfWidths::of_sigma_t).map_or("–", name);
         let mut row = vec![slabs(set), set.shots.to_string()];
         row.extend(shares(w, m).map(percent));
         row.extend([limited.to_owned(), best_for(set)]);
@@ -101,8 +101,9 @@ fn limit<'a>(set: &'a SlabSet, medium: &Medium, share: RelativeShare) -> Option<
     finite.min_by(|a, b| left(a).total_cmp(&left(b)))
 }
 
-fn name(limitation: Limitation) -> &'static str {
-    match limitation {
+fn name(improvement: &Improvement) -> &str {
+    match improvement.limitation {
+        Limitation::Scene => improvement.quantity.as_deref().unwrap_or("scene"),
         Limitation::Noise => "noise",
         Limitation::Thickness => "thickness",
         Limitation::Origin => "origin",
@@ -132,7 +133,24 @@ fn limits(design: &Design) -> String {
             lines.push(wrapped(&what_limits(quantity, improvement, &best.g_held, of)));
         }
     }
+    lines.extend(scene(best, &design.medium).as_deref().map(wrapped));
     lines.join("\n")
+}
+
+/// Which quantities of the scene are worth measuring, the best first. None if the scene is exact.
+fn scene(set: &SlabSet, medium: &Medium) -> Option<String> {
+    let mut known: Vec<(&str, f64)> = set
+        .improvements
+        .iter()
+        .filter(|i| i.limitation == Limitation::Scene)
+        .map(|i| (name(i), HalfWidths::of_sigma_t(&i.best(), medium)))
+        .collect();
+    known.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let each = |(name, share): &(&str, f64)| format!("{name} ± {} %", percent(*share));
+    let now = percent(set.g_held.of_sigma_t(medium));
+    let text = known.iter().map(each).collect::<Vec<_>>().join(", ");
+    (!known.is_empty())
+        .then(|| format!("Of the set-up measure first (σ_t is ± {now} %; with the quantity known): {text}."))
 }
 
 /// "σ_t is limited by the thickness: ± 1 %; with 0.0025 mm instead of 0.005 mm ± 0.7 %, if known exactly ± 0.6 %."
@@ -143,13 +161,13 @@ fn what_limits(
     of: impl Fn(&HalfWidths) -> String,
 ) -> String {
     let limitation = improvement.limitation;
-    let mut text = format!("{quantity} is limited by the {}: ± {} %", name(limitation), of(now));
+    let mut text = format!("{quantity} is limited by the {}: ± {} %", name(improvement), of(now));
     if limitation == Limitation::Noise {
         let halved = improvement.halved.as_ref().map_or("–".to_owned(), of);
         return format!("{text}; with four times the shots ± {halved} %.");
     }
     if let (Some(std_error), Some(halved)) = (improvement.std_error, &improvement.halved) {
-        let (half, whole) = (with_unit(limitation, 0.5 * std_error), with_unit(limitation, std_error));
+        let (half, whole) = (with_unit(improvement, 0.5 * std_error), with_unit(improvement, std_error));
         text += &format!("; with a standard error of {half} instead of {whole} ± {} %", of(halved));
     }
     if let Some(removed) = &improvement.removed {
@@ -158,10 +176,13 @@ fn what_limits(
     text + "."
 }
 
-/// The name of a limitation.
-fn with_unit(limitation: Limitation, std_error: f64) -> String {
+/// A standard error in the unit in which it is given.
+fn with_unit(improvement: &Improvement, std_error: f64) -> String {
     let number = |factor: f64| significant(factor * std_error, 3);
-    match limitation {
+    match improvement.limitation {
+        Limitation::Scene => format!("{} {}", number(1.0), improvement.unit.as_deref().unwrap_or_default())
+            .trim_end()
+            .to_owned(),
         Limitation::Thickness | Limitation::Origin | Limitation::Blur => format!("{} µm", number(1e3)),
         Limitation::Noise | Limitation::Gain => format!("{} %", number(100.0)),
         Limitation::Slope => format!("{} % per 10 mm", number(100.0)),

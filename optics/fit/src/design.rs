@@ -122,18 +122,32 @@ struct Planner<'a> {
     pixels: PixelRow,
 }
 
+/// Something that may be better: a limitation, and of the scene's the index of its prior.
+#[derive(Debug, Clone, Copy)]
+struct Better {
+    limitation: Limitation,
+    prior: usize,
+}
+
 impl Planner<'_> {
+    fn limitations(&self) -> Vec<Better> {
+        let grid = self.surrogate.grid();
+        let priors = if grid.responses().is_some() { grid.scene().priors().len() } else { 0 };
+        let of_scene = (0..priors).map(|prior| Better { limitation: Limitation::Scene, prior });
+        LIMITATIONS.map(|limitation| Better { limitation, prior: 0 }).into_iter().chain(of_scene).collect()
+    }
+
     fn set(&self, slabs_mm: Vec<f64>, shots: u32) -> SlabSet {
         let known = self.known(shots);
         let free_g = self.surrogate.grid().g().len() > 1;
-        let improvement = |limitation| self.improvement(&slabs_mm, &known, limitation);
+        let improvement = |better| self.improvement(&slabs_mm, &known, better);
         SlabSet {
             shots,
             g_held: self.half_widths(&slabs_mm, &known, true),
             g_free: free_g.then(|| self.half_widths(&slabs_mm, &known, false)),
             best_of_its_effort: false,
             best: false,
-            improvements: LIMITATIONS.into_iter().filter_map(improvement).collect(),
+            improvements: self.limitations().into_iter().filter_map(improvement).collect(),
             slabs_mm,
         }
     }
@@ -154,6 +168,7 @@ impl Planner<'_> {
             zero: set_up.offset_std_error * set_up.mu,
             slope: set_up.slope_std_error,
             scale: (!settings.mu_free).then(|| set_up.mu_std_error / set_up.mu),
+            scene: vec![1.0; self.surrogate.grid().scene().priors().len()],
         }
     }
 
@@ -166,17 +181,23 @@ impl Planner<'_> {
     }
 
     /// None if the thing is known exactly already.
-    fn improvement(&self, slabs_mm: &[f64], known: &Known, limitation: Limitation) -> Option<Improvement> {
-        let std_error = self.std_error(limitation);
-        if std_error == Some(0.0) && limitation != Limitation::Noise {
+    fn improvement(&self, slabs_mm: &[f64], known: &Known, better: Better) -> Option<Improvement> {
+        let scene = self.surrogate.grid().scene();
+        let prior = scene.priors().get(better.prior).filter(|_| better.limitation == Limitation::Scene);
+        let std_error =
+            prior.map_or_else(|| self.std_error(better.limitation), |prior| Some(prior.std_error()));
+        let is_noise = better.limitation == Limitation::Noise;
+        if std_error == Some(0.0) && !is_noise {
             return None;
         }
-        let with = |factor: f64| self.half_widths(slabs_mm, &times(known, limitation, factor), true);
+        let with = |factor: f64| self.half_widths(slabs_mm, &times(known, better, factor), true);
         Some(Improvement {
-            limitation,
+            limitation: better.limitation,
+            quantity: prior.map(|prior| scene.name_of(prior)),
+            unit: prior.map(|prior| prior.kind().unit().to_owned()),
             std_error,
             halved: std_error.map(|_| with(0.5)),
-            removed: (limitation != Limitation::Noise).then(|| with(0.0)),
+            removed: (!is_noise).then(|| with(0.0)),
         })
     }
 
@@ -192,14 +213,15 @@ impl Planner<'_> {
             Limitation::Slope => set_up.slope_std_error,
             Limitation::Scale if self.settings.mu_free => return None,
             Limitation::Scale => set_up.mu_std_error,
+            Limitation::Scene => return None,
         })
     }
 }
 
 /// The same with one standard error multiplied by a factor. A factor of 0 makes known what was not known at all.
-fn times(known: &Known, limitation: Limitation, factor: f64) -> Known {
-    let mut known = *known;
-    match limitation {
+fn times(known: &Known, better: Better, factor: f64) -> Known {
+    let mut known = known.clone();
+    match better.limitation {
         Limitation::Noise => {
             known.noise *= factor;
             known.noise_floor *= factor;
@@ -211,6 +233,7 @@ fn times(known: &Known, limitation: Limitation, factor: f64) -> Known {
         Limitation::Zero => known.zero *= factor,
         Limitation::Slope => known.slope *= factor,
         Limitation::Scale => known.scale = Some(known.scale.unwrap_or(1.0) * factor),
+        Limitation::Scene => known.scene[better.prior] *= factor,
     }
     known
 }

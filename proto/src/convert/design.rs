@@ -64,8 +64,8 @@ mirror!(SlabSet {
     improvements: known_ones,
 });
 mirror!(HalfWidths { sigma_t_per_mm, albedo, g, reduced_scattering_per_mm, absorption_per_mm });
-mirror!(Improvement { limitation: number, std_error, halved: optional, removed: optional });
-mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale });
+mirror!(Improvement { limitation: number, quantity, unit, std_error, halved: optional, removed: optional });
+mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, Scene });
 
 #[cfg(test)]
 mod tests {
@@ -123,6 +123,8 @@ mod tests {
         };
         let improvement = |number: i32| Improvement {
             limitation: Limitation::of_number(number).unwrap(),
+            quantity: (number == 9).then(|| "gel thickness".to_owned()),
+            unit: (number == 9).then(|| "mm".to_owned()),
             std_error: Some(0.005),
             halved: Some(widths(0.04)),
             removed: Some(widths(0.03)),

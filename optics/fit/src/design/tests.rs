@@ -248,6 +248,7 @@ fn improvements_match_a_better_set_up() {
                 Limitation::Zero => set_up.offset_std_error *= factor,
                 Limitation::Slope => set_up.slope_std_error *= factor,
                 Limitation::Scale => set_up.mu_std_error *= factor,
+                Limitation::Scene => unreachable!("the scene is exact"),
             }
             plan(set_up, 1).g_held
         };

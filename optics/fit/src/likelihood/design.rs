@@ -3,6 +3,7 @@
 
 use nalgebra::DVector;
 use optics_model::fit::{HalfWidths, PixelRow};
+use optics_model::scene::Scope;
 
 use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
@@ -21,7 +22,7 @@ const UNKNOWN: f64 = 10.0;
 const UNDETERMINED: f64 = 1.0;
 
 /// How well all but the medium is known: standard errors.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Known {
     /// Of a pixel, as a share of its value, and what is added to it in quadrature.
     pub noise: f64,
@@ -36,6 +37,8 @@ pub(crate) struct Known {
     pub slope: f64,
     /// Of the logarithm of the common factor; none if nothing is known of it.
     pub scale: Option<f64>,
+    /// Of the scene's uncertain quantities, in units of their priors'.
+    pub scene: Line,
 }
 
 /// A medium, and pixels that look at slabs of it.
@@ -97,9 +100,23 @@ impl Plan<'_> {
         let (value, deviation) = blur::prior(known.blur_mm, known.blur_std_error_mm);
         let (prior, held, value) = known_to(value, deviation);
         let blur = add(prior, held, value);
+        let grid = self.surrogate.grid();
+        let priors = if grid.responses().is_some() { grid.scene().priors() } else { &[] };
+        let mut add_known = |value: f64, deviation: f64| {
+            let (prior, held, value) = known_to(value, deviation);
+            add(prior, held, value)
+        };
+        // The material is one.
+        let shared: Vec<Option<usize>> = priors
+            .iter()
+            .zip(&known.scene)
+            .map(|(prior, sd)| (prior.scope() != Scope::Slab).then(|| add_known(0.0, *sd)))
+            .collect();
         let slots = slabs_mm.iter().map(|slab| {
-            let (prior, held, value) = known_to(slab.ln(), known.thickness_mm / slab);
-            vec![s, a, g, scale, blur, add(prior, held, value)]
+            let thickness = add_known(slab.ln(), known.thickness_mm / slab);
+            let own = |(slot, sd): (&Option<usize>, &f64)| slot.unwrap_or_else(|| add_known(0.0, *sd));
+            let scene: Vec<usize> = shared.iter().zip(&known.scene).map(own).collect();
+            [vec![s, a, g, scale, blur, thickness], scene].concat()
         });
         let slots: Vec<_> = slots.collect();
         let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, known)).collect();
@@ -143,7 +160,7 @@ impl Plan<'_> {
             robust: false,
             softness: 1.0,
             near: None,
-            responses: None,
+            responses: self.surrogate.responses(thickness_mm, self.medium),
             white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
             x_mm,
         }

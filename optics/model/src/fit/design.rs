@@ -216,12 +216,19 @@ pub enum Limitation {
     Slope,
     /// Factor common to all profiles, μ.
     Scale,
+    /// An uncertain quantity of the scene.
+    Scene,
 }
 
 /// The precision of the same slabs, g held, with one limitation reduced.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Improvement {
     pub limitation: Limitation,
+    /// Which quantity of the scene it is, and its unit: `mm`, `°`, or nothing for pure numbers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quantity: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
     /// As it is: the noise of one photograph's pixels as a share, or what is known of the set-up. None if nothing is.
     pub std_error: Option<f64>,
     /// With half the standard error (for noise: with four times the shots); none if nothing is known.
