@@ -325,10 +325,10 @@ mod tests {
         let all = "material,channel,thickness_mm,x_mm,value";
         let (columns, notes) = find(&format!("{all},{}", names()[6..].join(","))).unwrap();
         assert!(notes.is_empty(), "{notes:?}");
-        assert_eq!(columns.setup.map(|c| c.unwrap().place), [5, 6, 7, 8, 9]);
+        assert_eq!(columns.setup.map(|c| c.unwrap().place), std::array::from_fn(|i| 5 + i));
         let (columns, notes) = find(&format!("{all},Blur (\u{b5}m),Thickness error [um]")).unwrap();
-        let factors = columns.setup.map(|c| c.map(|c| c.factor));
-        assert_eq!(factors, [Some(1e-3), None, None, Some(1e-3), None]);
+        let found: Vec<_> = columns.setup.iter().flatten().map(|c| (c.name, c.factor)).collect();
+        assert_eq!(found, [("thickness_std_error_mm", 1e-3), ("blur_mm", 1e-3)]);
         assert!(notes[0].text.contains("is divided by 1000 and read as blur_mm"), "{}", notes[0].text);
         let pixels = find(&format!("{all},blur_px")).unwrap_err().to_string();
         assert!(pixels.starts_with("column \"blur_px\" counts pixels"), "{pixels}");
