@@ -7,7 +7,7 @@ use optics_model::Grid;
 
 use crate::cli::Global;
 use crate::commands::dictionaries::list;
-use crate::connection::{Connection, lacks_farm};
+use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
 
 /// What `submit` computes without a grid file.
 const USUAL: &str = "paper";
@@ -19,8 +19,22 @@ pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
     })
 }
 
-/// The dictionary that was named; without a name the usual one, or the only one.
-pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Result<String> {
+/// Asks a dictionary of a farm that exists: the one that was named; without a name the usual one, or the only one. Returns
+/// its name with the answer.
+pub(crate) async fn ask<T>(
+    global: &Global,
+    given: Option<&String>,
+    question: impl AsyncFn(&Connection, String) -> Result<T>,
+) -> Result<(String, T)> {
+    with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = name(connection, given).await?;
+        let answer = question(connection, dictionary.clone()).await?;
+        Ok((dictionary, answer))
+    })
+    .await
+}
+
+async fn name(connection: &Connection, given: Option<&String>) -> Result<String> {
     if let Some(name) = given {
         return Ok(name.clone());
     }

@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
 
-use crate::cli::{CaptureArgs, Global};
+use crate::cli::{CaptureArgs, Global, MeasureArgs};
 use crate::commands::fits::measure;
 use crate::output::{Output, table, warning, wrapped, write_whole};
 use crate::progress::has_bars;
@@ -45,7 +45,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
             .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
     }
     if args.measure {
-        measure::run(global, measure::Inputs::of_folder(&folder)?, output).await?;
+        measure::run(global, measure::Inputs::of(MeasureArgs::new(folder))?, output).await?;
     }
     Ok(ExitCode::SUCCESS)
 }
