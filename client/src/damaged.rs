@@ -205,7 +205,7 @@ proptest! {
         }
     }
 
-    /// Nor do errors tell a token or a key.
+    /// Nor do errors contain a token or a key.
     #[test]
     fn damaged_access_files_cause_no_panic(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
         let sound = &access_files()[which];

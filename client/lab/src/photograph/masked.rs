@@ -1,5 +1,5 @@
-//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They make exact what the file
-//! tells; by themselves they could not be told from margins that light reaches.
+//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They refine the level in the file;
+//! by themselves they could not be distinguished from margins that light reaches.
 
 use super::directory::Tag;
 use super::unreadable::Unreadable;

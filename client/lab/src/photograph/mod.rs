@@ -92,7 +92,7 @@ fn whole(photograph: Photograph) -> Result<Photograph, Unreadable> {
     Err(Unreadable::ZeroRows { from: there.div_ceil(row) + 1, to: photograph.height })
 }
 
-/// Decodes a file of any format that is known, told by its first bytes.
+/// Decodes a file of any format that is known, recognised by its first bytes.
 pub fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
     match bytes {
         [] => Err(Unreadable::Empty),

@@ -144,7 +144,7 @@ fn layout(picture: &Directory) -> Result<Layout, Unreadable> {
     let kind = picture.needed(Tag::PHOTOMETRIC)?;
     match (kind, samples) {
         (CFA, 1) => pattern(picture).map(|pattern| Layout::Mosaic(Some(pattern))),
-        // Grey may be a mosaic whose colours the file does not tell, or of a monochrome camera.
+        // Grey may be a mosaic whose colours are not in the file, or of a monochrome camera.
         (1 | LINEAR_RAW, 1) => Ok(Layout::Mosaic(None)),
         (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
             None | Some(1) => Ok(Layout::Rgb),
@@ -210,7 +210,7 @@ fn not_linear(picture: &Directory) -> Option<String> {
     (!straight).then(|| "its TransferFunction".to_owned())
 }
 
-/// Black level by row and column modulo 2, or by colour. None where it changes within the picture: dark shots tell more.
+/// Black level by row and column modulo 2, or by colour. None where it changes within the picture: dark shots are better then.
 fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unreadable> {
     let levels = picture.numbers(Tag::BLACK)?;
     let size = picture.whole(Tag::BLACK_DIM)?;

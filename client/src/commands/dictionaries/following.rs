@@ -131,7 +131,7 @@ impl<'a> Following<'a> {
         while let Err(error) = self.listen().await {
             let error = Deleted::or(error, &self.status.name);
             let progress = &self.progress;
-            self.outage.outlast(error, |word| progress.tell(&word)).await?;
+            self.outage.outlast(error, |word| progress.print(&word)).await?;
         }
         Ok(())
     }
@@ -183,7 +183,7 @@ impl<'a> Following<'a> {
         }
         *self.status = update;
         let progress = &self.progress;
-        self.outage.is_over(|word| progress.tell(&word));
+        self.outage.is_over(|word| progress.print(&word));
         self.progress.show(self.status);
         let rests = self.status.state() != DictionaryState::Running || self.status.jobs_leased > 0;
         self.busy = self.busy.map(|busy| if rests { Instant::now() } else { busy });
@@ -196,7 +196,7 @@ impl<'a> Following<'a> {
         self.busy = (farm.workers > 0).then(Instant::now);
         if farm.workers == 0 {
             let server = self.connection.address();
-            self.progress.tell(&format!(
+            self.progress.print(&format!(
                 "no worker is connected: start one with `farm-worker --server {server}`, or with its access file"
             ));
         }

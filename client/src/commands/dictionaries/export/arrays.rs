@@ -88,7 +88,7 @@ pub(super) fn unit_of_axis(name: &str) -> Option<&'static str> {
     }
 }
 
-/// What `show --json` tells of the dictionary, and what the arrays mean.
+/// The answer of `show --json`, and the meaning of the arrays.
 pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<serde_json::Value> {
     #[derive(Serialize)]
     struct ArraysAbout<D> {
