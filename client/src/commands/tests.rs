@@ -25,7 +25,7 @@ use super::dictionaries::{list, show};
 use super::farm::{status, workers};
 use super::fits::{design, fit, map, measure, profile, scale, similar};
 use super::measurements::simulate;
-use crate::answers::{Found, MeasurementAnswer, UsedOptions};
+use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::cli::SimilarArgs;
 use crate::output::envelope;
 
@@ -46,8 +46,12 @@ fn machine_readable_output_is_stable() {
 fn answers() -> Vec<String> {
     let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
     let [free, bound, likely] = options();
-    let found =
-        |g: usize, scale| Found { scale, common: common[g].clone(), materials: fits.clone(), unmixed: None };
+    let found = |g: usize, scale| MeasureAnswer {
+        scale,
+        common: common[g].clone(),
+        materials: fits.clone(),
+        unmixed: None,
+    };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
     let simulated = |several| {
@@ -66,7 +70,7 @@ fn answers() -> Vec<String> {
         ),
         line(
             "profile",
-            &profile::JsonData { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
+            &profile::ProfileJson { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
         ),
         line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
         line("map", &about(used(&free, &assumed), map::MapJson { maps: &[material_map()] }, &notes())),
@@ -105,8 +109,8 @@ fn predicted() -> PredictedProfiles {
     }
 }
 
-fn with_inks(materials: Vec<MaterialFit>) -> Found {
-    Found {
+fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
+    MeasureAnswer {
         scale: None,
         common: common(Some(0.4)),
         materials,

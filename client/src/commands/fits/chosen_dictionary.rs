@@ -44,13 +44,13 @@ async fn name(connection: &Connection, given: Option<&String>) -> Result<String>
 
 /// A dictionary that is to be computed.
 #[derive(Debug)]
-pub(crate) struct Wanted {
+pub(crate) struct WantedDictionary {
     pub name: DictionaryName,
     pub grid: Grid,
     pub records_done: usize,
 }
 
-impl Wanted {
+impl WantedDictionary {
     pub fn new(name: DictionaryName, grid: Grid) -> Self {
         Self { name, grid, records_done: 0 }
     }
@@ -59,11 +59,11 @@ impl Wanted {
 /// The dictionary of a command that computes one on this machine where there is none.
 pub(crate) enum Chosen {
     Complete(String),
-    Lacking(Wanted),
+    Lacking(WantedDictionary),
 }
 
 /// The paper's, for a command that computes on this machine, if its folder holds no farm yet.
-pub(crate) fn of_an_empty_folder(global: &Global) -> Result<Option<Wanted>> {
+pub(crate) fn of_an_empty_folder(global: &Global) -> Result<Option<WantedDictionary>> {
     Ok(if lacks_farm(global) { Some(usual()?) } else { None })
 }
 
@@ -81,12 +81,12 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
     let running = dictionaries.into_iter().find(|d| d.name.as_str() == name && is_running(d));
     Ok(running.map_or(Chosen::Complete(name), |d| {
         let records_done = d.records_done();
-        Chosen::Lacking(Wanted { name: d.name, grid: d.grid, records_done })
+        Chosen::Lacking(WantedDictionary { name: d.name, grid: d.grid, records_done })
     }))
 }
 
-fn usual() -> Result<Wanted> {
-    Ok(Wanted::new(DictionaryName::new(USUAL)?, Grid::paper()))
+fn usual() -> Result<WantedDictionary> {
+    Ok(WantedDictionary::new(DictionaryName::new(USUAL)?, Grid::paper()))
 }
 
 fn pick(names: &[String]) -> Result<String> {

@@ -36,7 +36,7 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
 
 /// What was asked, and what is answered.
 #[derive(Debug, Serialize)]
-pub(crate) struct JsonData<'a> {
+pub(crate) struct DesignJson<'a> {
     dictionary: &'a str,
     noise: f64,
     noise_floor: f64,
@@ -56,9 +56,9 @@ pub(crate) fn data<'a>(
     question: &'a DesignQuestion,
     assumed: &Assumed,
     design: &'a Design,
-) -> JsonData<'a> {
+) -> DesignJson<'a> {
     let (asked, known) = (question.settings(), question.settings().set_up.settings());
-    JsonData {
+    DesignJson {
         dictionary,
         noise: asked.noise,
         noise_floor: asked.noise_floor,

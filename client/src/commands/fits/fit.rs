@@ -8,7 +8,7 @@ use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{MeasurementAnswer, Report, UsedOptions, fits_text, neighbours};
+use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
 use crate::connection::Connection;
 use crate::figure_files;
@@ -34,7 +34,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = MeasurementAnswer { options: used, answer: FitJson { materials: &fits }, notes: &notes };
     output.print("fit", &data, || {
-        let report = Report { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
+        let report = FitsReport { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
         text(&report, args.top, &pictures)
     })
 }
@@ -65,7 +65,7 @@ async fn fit_all(
 }
 
 /// What was found, then the best records of each channel.
-fn text(report: &Report, top: u32, pictures: &[PathBuf]) -> String {
+fn text(report: &FitsReport, top: u32, pictures: &[PathBuf]) -> String {
     let mut text = fits_text(report);
     if top > 1 {
         for fit in report.fits {

@@ -15,9 +15,9 @@ use optics_model::fit::{
 };
 use serde::Serialize;
 
-use super::chosen_dictionary::{self, Chosen, Wanted};
+use super::chosen_dictionary::{self, Chosen, WantedDictionary};
 use crate::answers::{
-    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, media_files,
+    FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, media_files,
 };
 use crate::cli::{Global, MeasureArgs};
 use crate::commands::dictionaries::submit;
@@ -39,7 +39,7 @@ pub(crate) struct Inputs {
     common_g: bool,
     dictionary: Option<String>,
     /// The session's own dictionary, unless another was named.
-    own: Option<Wanted>,
+    own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
     output: Option<PathBuf>,
@@ -67,7 +67,7 @@ impl Inputs {
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
                 let (name, grid) = folder.dictionary()?;
-                Some(Wanted::new(DictionaryName::new(name)?, grid))
+                Some(WantedDictionary::new(DictionaryName::new(name)?, grid))
             }
             _ => None,
         };
@@ -127,7 +127,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     let answer = || {
         let assumed = assumed.text(options.settings());
-        let report = Report { fits: &found.materials, assumed, bound: inputs.bound };
+        let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound };
         let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
         text(&found, &report, inputs.output.as_deref(), &pictures) + &budget
@@ -150,9 +150,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 async fn ask(
     global: &Global,
     given: Option<&String>,
-    own: Option<Wanted>,
+    own: Option<WantedDictionary>,
     request: &MeasureRequest,
-) -> Result<(String, Found)> {
+) -> Result<(String, MeasureAnswer)> {
     let mut wanted = own;
     if wanted.is_none() && given.is_none() {
         wanted = chosen_dictionary::of_an_empty_folder(global)?.inspect(|wanted| announce(global, wanted));
@@ -169,19 +169,19 @@ async fn ask(
 }
 
 enum Asked {
-    Answered(String, Box<Found>),
-    Lacks(Wanted),
+    Answered(String, Box<MeasureAnswer>),
+    Lacks(WantedDictionary),
 }
 
 async fn ask_once(
     global: &Global,
     given: Option<&String>,
-    wanted: Option<&Wanted>,
+    wanted: Option<&WantedDictionary>,
     request: &MeasureRequest,
 ) -> Result<Asked> {
     let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
     with_farm(global, purpose, async |connection| {
-        let dictionary = if let Some(Wanted { name, grid, .. }) = wanted {
+        let dictionary = if let Some(WantedDictionary { name, grid, .. }) = wanted {
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
@@ -203,8 +203,8 @@ async fn ask_once(
     .await
 }
 
-fn announce(global: &Global, wanted: &Wanted) {
-    let Wanted { name, grid, records_done } = wanted;
+fn announce(global: &Global, wanted: &WantedDictionary) {
+    let WantedDictionary { name, grid, records_done } = wanted;
     let total = grid.record_count();
     if !global.quiet {
         tell(format_args!(
@@ -216,7 +216,7 @@ fn announce(global: &Global, wanted: &Wanted) {
     }
 }
 
-fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
     if let Some(unmixed) = &found.unmixed {
         text += &format!("\n\n{}", inks_text(unmixed));
@@ -228,7 +228,7 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
     text
 }
 
-fn write_folder(folder: &Path, found: &Found) -> Result<()> {
+fn write_folder(folder: &Path, found: &MeasureAnswer) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     for (name, text) in media_files(&found.materials)? {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
@@ -236,9 +236,13 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
-pub(crate) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [Note]) -> impl Serialize {
+pub(crate) fn data<'a>(
+    options: UsedOptions<'a>,
+    found: &'a MeasureAnswer,
+    notes: &'a [Note],
+) -> impl Serialize {
     #[derive(Serialize)]
-    struct Data<'a> {
+    struct MeasureJson<'a> {
         #[serde(flatten)]
         options: UsedOptions<'a>,
         /// Null if every channel has its own.
@@ -252,7 +256,7 @@ pub(crate) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         #[serde(skip_serializing_if = "Option::is_none")]
         unmixed: Option<&'a Unmixed>,
     }
-    Data {
+    MeasureJson {
         options,
         common_g: found.common.g,
         common: &found.common,

@@ -26,12 +26,12 @@ pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> 
     if let Some(path) = &args.plot {
         figure_files::write(&profile_figure(&profiles)?, path)?;
     }
-    let data = JsonData { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
+    let data = ProfileJson { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
     output.print("profile", &data, || table(&profiles))
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct JsonData<'a> {
+pub(crate) struct ProfileJson<'a> {
     pub(crate) dictionary: &'a str,
     pub(crate) x_mm: Vec<f64>,
     #[serde(flatten)]

@@ -108,7 +108,7 @@ fn set_up_text(captured: &Captured) -> String {
 
 /// What was found of one channel of a sample.
 #[derive(Debug, serde::Serialize)]
-struct Row {
+struct CapturedRow {
     sample: String,
     material: String,
     thickness_mm: f64,
@@ -125,11 +125,11 @@ struct Row {
     origin_std_error_mm: f64,
 }
 
-fn rows(captured: &Captured) -> Vec<Row> {
+fn rows(captured: &Captured) -> Vec<CapturedRow> {
     let rows = captured.samples.iter().flat_map(|sample| {
         sample.profile.profiles.iter().enumerate().map(move |(c, profile)| {
             let [dark, light] = capture::ends(profile);
-            Row {
+            CapturedRow {
                 sample: sample.about.label(),
                 material: sample.about.material.clone(),
                 thickness_mm: sample.about.thickness_mm,

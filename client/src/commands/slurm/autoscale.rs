@@ -10,13 +10,13 @@ use farm_link::{ClientAccess, Target};
 use tokio::time::{Instant, sleep};
 
 use self::ask::{FarmState, ask, newest_events};
-use self::report::{Reporter, Seen, Step};
+use self::report::{FarmSnapshot, Reporter, Step};
 use super::{JOB_NAME, submission, warn_of_loopback};
 use crate::cli::{Global, SlurmAutoscaleArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::interrupt::interrupted;
 use crate::output::{Output, counted, sentence};
-use crate::slurm::scaling::{Action, Decision, Hold, Limits, Scaling, TaskId, TaskState};
+use crate::slurm::scaling::{Action, Decision, Hold, Scaling, ScalingLimits, TaskId, TaskState};
 use crate::slurm::{SbatchOption, Submission, queue, shell_quoted};
 
 mod ask;
@@ -37,7 +37,8 @@ struct Hopeless {
 
 pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Output) -> Result<()> {
     is_one_cluster(&args.workers_are.sbatch_option, |name| std::env::var(name).ok())?;
-    let limits = Limits { most: args.max_workers, threads: args.workers_are.threads, worth: args.worth };
+    let limits =
+        ScalingLimits { most: args.max_workers, threads: args.workers_are.threads, worth: args.worth };
     let submission = submission(global, args.workers_are, &job_name(global)?, NonZeroU32::MIN)?;
     warn_of_loopback(global, &submission.coordinator);
     let mut autoscaler = Autoscaler {
@@ -119,7 +120,7 @@ struct Autoscaler<'a> {
 
 impl Autoscaler<'_> {
     /// Looks once, and acts. Where an answer is missing nothing is done.
-    async fn look(&mut self) -> Result<Seen> {
+    async fn look(&mut self) -> Result<FarmSnapshot> {
         if self.events.is_none() {
             self.events = Some(with_farm(self.global, Purpose::Ask, newest_events).await?);
         }
@@ -138,7 +139,7 @@ impl Autoscaler<'_> {
         let now = self.start.elapsed();
         let decision = self.scaling.look(now, &demand, &tasks, &[registered, joined].concat());
         let count = |of: TaskState| tasks.iter().filter(|(_, state)| *state == of).count();
-        let seen = Seen {
+        let seen = FarmSnapshot {
             demand,
             wanted: decision.wanted,
             running: count(TaskState::Running),
@@ -162,7 +163,7 @@ impl Autoscaler<'_> {
         Ok(seen)
     }
 
-    fn report_failures(&mut self, now: Duration, decision: &Decision, seen: &Seen) -> Result<()> {
+    fn report_failures(&mut self, now: Duration, decision: &Decision, seen: &FarmSnapshot) -> Result<()> {
         let Some(last) = decision.failed.last() else { return Ok(()) };
         let who = match decision.failed.len() {
             1 => format!("worker {last}"),
@@ -178,7 +179,7 @@ impl Autoscaler<'_> {
         self.reporter.report(Step::Failed, message, Some(seen))
     }
 
-    fn report_held(&mut self, held: usize, seen: &Seen) -> Result<()> {
+    fn report_held(&mut self, held: usize, seen: &FarmSnapshot) -> Result<()> {
         if held == 0 {
             self.reporter.is_over(Step::Held);
             return Ok(());
@@ -190,7 +191,7 @@ impl Autoscaler<'_> {
         self.reporter.report(Step::Held, message, Some(seen))
     }
 
-    async fn act(&mut self, now: Duration, action: Action, seen: &Seen) -> Result<()> {
+    async fn act(&mut self, now: Duration, action: Action, seen: &FarmSnapshot) -> Result<()> {
         match action {
             Action::Nothing => Ok(()),
             Action::Submit(count) => self.submit(now, count, seen).await,
@@ -213,7 +214,7 @@ impl Autoscaler<'_> {
         }
     }
 
-    async fn submit(&mut self, now: Duration, count: NonZeroU32, seen: &Seen) -> Result<()> {
+    async fn submit(&mut self, now: Duration, count: NonZeroU32, seen: &FarmSnapshot) -> Result<()> {
         self.submission.workers = count;
         let job = match queue::submit(&self.submission, &self.submission.script()).await {
             Ok(job) => job,
@@ -230,7 +231,7 @@ impl Autoscaler<'_> {
         self.reporter.report_job(Step::Submitted, message, Some(job), Some(seen))
     }
 
-    fn end(&mut self, why: &str, seen: Option<&Seen>) -> Result<()> {
+    fn end(&mut self, why: &str, seen: Option<&FarmSnapshot>) -> Result<()> {
         let left = match seen.map_or(0, |seen| seen.running + seen.queued) {
             0 => String::new(),
             left => format!(

@@ -20,7 +20,7 @@ const STYLE: &str = include_str!("page.css");
 
 /// What `capture` contributes to the page: sections as HTML, and the slabs with their pictures.
 #[derive(Debug, Serialize, Deserialize)]
-pub struct Report {
+pub struct CaptureReport {
     title: String,
     summary: String,
     slabs: Vec<Slab>,
@@ -28,7 +28,7 @@ pub struct Report {
     inputs: String,
 }
 
-impl Report {
+impl CaptureReport {
     pub(super) fn of(captured: &Captured) -> Self {
         Self {
             title: title(captured),

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::ChosenAxes;
 use crate::commands::dictionaries::show;
 use crate::connection::Connection;
-use crate::connection::records::Records;
+use crate::connection::records::RecordStream;
 use crate::output::grouped;
 
 /// Axes of the arrays of records, the last one running fastest.
@@ -106,7 +106,7 @@ pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Resu
 
 /// The chosen records, all of which must be done: arrays have no place for what is missing.
 pub(super) struct Complete<'a> {
-    records: Records<'a>,
+    records: RecordStream<'a>,
     dictionary: &'a DictionaryStatus,
     wanted: std::vec::IntoIter<u32>,
 }
@@ -127,7 +127,7 @@ impl<'a> Complete<'a> {
                 grouped(total as u64)
             );
         }
-        let records = Records::ask(connection, dictionary, indices.clone()).await?;
+        let records = RecordStream::ask(connection, dictionary, indices.clone()).await?;
         Ok(Self { records, dictionary, wanted: indices.into_iter() })
     }
 

@@ -45,7 +45,7 @@ struct StepJson {
 
 /// What a look saw.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
+pub(super) struct FarmSnapshot {
     pub(super) demand: Demand,
     pub(super) wanted: u32,
     pub(super) running: usize,
@@ -74,7 +74,7 @@ impl<'a> Reporter<'a> {
         self.standing.remove(&step);
     }
 
-    pub(super) fn report(&mut self, step: Step, message: String, seen: Option<&Seen>) -> Result<()> {
+    pub(super) fn report(&mut self, step: Step, message: String, seen: Option<&FarmSnapshot>) -> Result<()> {
         self.report_job(step, message, None, seen)
     }
 
@@ -83,7 +83,7 @@ impl<'a> Reporter<'a> {
         step: Step,
         message: String,
         job_id: Option<u64>,
-        seen: Option<&Seen>,
+        seen: Option<&FarmSnapshot>,
     ) -> Result<()> {
         let lasts = matches!(step, Step::Holding | Step::Refused | Step::Held | Step::Unknown);
         if lasts && self.standing.insert(step, message.clone()).as_ref() == Some(&message) {
