@@ -16,7 +16,7 @@ pub use samples::{ends, mean};
 use super::stage::Captured;
 use samples::Slab;
 
-const STYLE: &str = include_str!("page.css");
+const STYLE: &str = include_str!("report/page.css");
 
 /// What `capture` contributes to the page: sections as HTML, and the slabs with their pictures.
 #[derive(Debug, Serialize, Deserialize)]
