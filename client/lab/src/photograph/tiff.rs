@@ -224,7 +224,7 @@ fn not_linear(picture: &Directory) -> Option<String> {
     (!straight).then(|| "its TransferFunction".to_owned())
 }
 
-/// Black level by row and column modulo 2, or by colour. None where it changes within the picture: dark shots are better then.
+/// Black level by row and column modulo 2, or by colour. None where it changes within the picture.
 fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels = picture.numbers(Tag::BLACK)?;
     let size = picture.whole(Tag::BLACK_DIM)?;
