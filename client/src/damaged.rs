@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
-use farm_lab::capture::Session;
+use farm_lab::capture::CaptureSession;
 use farm_lab::grid_file::read_grid;
 use farm_lab::measurement_file::read_measurements;
 use farm_lab::mixture_file::read_mixtures;
@@ -201,11 +201,11 @@ proptest! {
             2 => read(&changed(SHORT_CSV.as_bytes()), "m.csv", read_measurements)?,
             3 => read(&changed(MIXTURES), "chart.toml", read_mixtures)?,
             4 => read(&changed(SESSION_JSON), "session.json", set_up::Session::read)?,
-            _ => read(&changed(include_bytes!("../../examples/session/session.toml")), "session.toml", Session::read)?,
+            _ => read(&changed(include_bytes!("../../examples/session/session.toml")), "session.toml", CaptureSession::read)?,
         }
     }
 
-    /// Nor do errors tell a token or a key.
+    /// Nor do errors contain a token or a key.
     #[test]
     fn damaged_access_files_cause_no_panic(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
         let sound = &access_files()[which];

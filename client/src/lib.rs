@@ -35,7 +35,7 @@ pub async fn run(cli: Cli) -> ExitCode {
     match dispatch(cli, &output).await {
         Ok(code) => code,
         Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) if error.is::<dictionaries::Deleted>() => {
+        Err(error) if error.is::<dictionaries::DictionaryDeleted>() => {
             output.error(&error);
             ExitCode::from(exit::DELETED)
         }

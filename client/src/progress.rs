@@ -101,7 +101,7 @@ impl Progress {
     }
 
     /// A line on standard error, above the bar. It is printed without progress as well.
-    pub(crate) fn tell(&self, line: &str) {
+    pub(crate) fn print(&self, line: &str) {
         match &self.look {
             BarLook::Bar(bar, _) => bar.suspend(|| tell(line)),
             BarLook::Lines { .. } | BarLook::Nothing => tell(line),

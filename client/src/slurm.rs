@@ -47,12 +47,12 @@ pub(crate) struct Submission {
     pub(crate) options: Vec<SbatchOption>,
     /// The worker's program: a name on the nodes' PATH, or an absolute path.
     pub(crate) program: String,
-    pub(crate) coordinator: Coordinator,
+    pub(crate) coordinator: CoordinatorAddress,
 }
 
 /// How the workers find the coordinator and are let in; at least one of them is there.
 #[derive(Debug)]
-pub(crate) struct Coordinator {
+pub(crate) struct CoordinatorAddress {
     pub(crate) server: Option<String>,
     pub(crate) access: Option<String>,
 }

@@ -4,12 +4,12 @@ use anyhow::ensure;
 use optics_model::Medium;
 use optics_model::fit::{Design, HalfWidths, SlabSet};
 
-use crate::drawing::axis::{Axis, Direction, extent};
-use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::axis::{Axis, AxisDirection, extent};
+use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::{Frame, TICKS_BELOW};
+use crate::drawing::frame::{AxesFrame, TICKS_BELOW};
 use crate::drawing::head::{Head, MARGIN};
-use crate::drawing::legend::{Key, Sample};
+use crate::drawing::legend::{Key, KeySample};
 use crate::drawing::number::number;
 use crate::drawing::picture::Picture;
 use crate::drawing::text::{Anchor, LABEL, SMALL, TICK, Text};
@@ -58,7 +58,7 @@ pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
     rows.draw_names(&mut canvas, left, top);
     for (i, panel) in panels.iter().enumerate() {
         let left = left + i as f64 * (PANEL_WIDTH + BETWEEN);
-        panel.draw(&mut canvas, Area { left, top, width: PANEL_WIDTH, height });
+        panel.draw(&mut canvas, PlotArea { left, top, width: PANEL_WIDTH, height });
     }
     Ok(canvas.finish())
 }
@@ -119,7 +119,7 @@ impl DesignRows {
     fn keys(&self, design: &Design, incomplete: bool) -> Vec<Key> {
         let patch = |(i, n): (usize, &u32)| {
             let words = if *n == 1 { "photograph" } else { "photographs" };
-            let sample = Sample::Patch(COLORS[i % COLORS.len()]);
+            let sample = KeySample::Patch(COLORS[i % COLORS.len()]);
             Key { sample, label: format!("{n} {words} of each slab") }
         };
         let mut keys: Vec<Key> = self.shots.iter().enumerate().map(patch).collect();
@@ -173,10 +173,10 @@ impl DesignPanel {
         Some(Self { name, dots, axis: Axis::logarithmic(low / 1.15, high * 1.15), incomplete })
     }
 
-    fn draw(&self, canvas: &mut Canvas, area: Area) {
-        let frame = Frame { area, x: self.axis, y: Axis::exact(None) };
+    fn draw(&self, canvas: &mut Canvas, area: PlotArea) {
+        let frame = AxesFrame { area, x: self.axis, y: Axis::exact(None) };
         let pen = Stroke::solid(Color::AXIS, 0.8);
-        let ticks = self.axis.ticks(area.width, Direction::Across);
+        let ticks = self.axis.ticks(area.width, AxisDirection::Across);
         for tick in ticks.iter().filter(|tick| tick.label.is_some()) {
             let x = frame.across(tick.value);
             canvas.line(at(x, area.top), at(x, area.bottom()), Stroke::solid(Color::RULE, 0.7));

@@ -1,11 +1,11 @@
 //! Profiles across one edge, a curve for each channel, with their random errors as bands.
 
 use crate::drawing::axis::{Axis, extent};
-use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::MARGIN;
-use crate::drawing::legend::{Key, Row};
+use crate::drawing::legend::{Key, LegendRow};
 use crate::drawing::picture::Picture;
 use crate::drawing::text::{Anchor, LABEL, Text};
 
@@ -30,16 +30,16 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     let pen = |i: usize| Stroke::solid(COLORS[i % COLORS.len()], 1.4);
     let keys: Vec<Key> =
         curves.iter().enumerate().map(|(i, curve)| Key::line(pen(i), curve.channel)).collect();
-    let legend = Row::new(&keys, WIDTH - 2.0 * MARGIN);
+    let legend = LegendRow::new(&keys, WIDTH - 2.0 * MARGIN);
     let top = MARGIN + legend.height() + 6.0;
-    let area = Area { left: 0.0, top, width: WIDTH, height: HEIGHT };
+    let area = PlotArea { left: 0.0, top, width: WIDTH, height: HEIGHT };
     let x = Axis::exact(extent(curves.iter().flat_map(|c| c.x_mm.iter().copied())));
     let values = extent(curves.iter().flat_map(|c| c.values.iter().copied()));
     let y = match values {
         Some((low, _)) if low < 0.0 => Axis::around(values, 0.04),
         _ => Axis::from_zero(values),
     };
-    let mut frame = Frame { area, x, y };
+    let mut frame = AxesFrame { area, x, y };
     frame.area.left = MARGIN + 1.6 * LABEL + ticks_beside(&frame.y_ticks());
     frame.area.width = WIDTH - MARGIN - frame.area.left;
     let mut canvas = Canvas::new(WIDTH, frame.area.bottom() + TICKS_BELOW + 1.5 * LABEL + MARGIN);
@@ -59,7 +59,7 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     canvas.finish()
 }
 
-fn draw_band(frame: &Frame, canvas: &mut Canvas, curve: &EdgeCurve, color: Color) {
+fn draw_band(frame: &AxesFrame, canvas: &mut Canvas, curve: &EdgeCurve, color: Color) {
     let points = curve.x_mm.iter().zip(curve.values).zip(curve.std_errors);
     let points = points.map(|((x, v), e)| (*x, *v, WIDE * e));
     let finite: Vec<_> = points.filter(|(_, v, half)| (v + half).is_finite()).collect();

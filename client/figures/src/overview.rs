@@ -3,9 +3,9 @@
 use anyhow::ensure;
 
 use crate::drawing::axis::{Axis, extent};
-use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::Key;
 use crate::drawing::number::number;
@@ -121,11 +121,11 @@ impl<'a> OverviewLayout<'a> {
     }
 
     /// The frame of one cell in the block whose first cell is at `origin`.
-    fn frame(&self, column: usize, row: usize, origin: (f64, f64)) -> Frame {
+    fn frame(&self, column: usize, row: usize, origin: (f64, f64)) -> AxesFrame {
         let (width, height) = self.cell;
         let left = origin.0 + column as f64 * (width + GAP.0);
         let top = origin.1 + row as f64 * (height + GAP.1);
-        Frame { area: Area { left, top, width, height }, x: self.x, y: self.y }
+        AxesFrame { area: PlotArea { left, top, width, height }, x: self.x, y: self.y }
     }
 
     fn draw_block(&self, canvas: &mut Canvas, block: usize, top: f64, strokes: &[Stroke]) {
@@ -147,7 +147,7 @@ impl<'a> OverviewLayout<'a> {
         self.draw_names(canvas, origin);
     }
 
-    fn draw_cell(&self, canvas: &mut Canvas, frame: &Frame, profiles: &[Vec<f64>], strokes: &[Stroke]) {
+    fn draw_cell(&self, canvas: &mut Canvas, frame: &AxesFrame, profiles: &[Vec<f64>], strokes: &[Stroke]) {
         if (0.0..=1.0).contains(&self.x.fraction(0.0)) {
             let x = frame.across(0.0);
             canvas.line(at(x, frame.area.top), at(x, frame.area.bottom()), EDGE);

@@ -4,11 +4,11 @@ use anyhow::ensure;
 use optics_model::fit::{Common, Objective, ScaleCurve};
 
 use crate::drawing::axis::{Axis, extent};
-use crate::drawing::canvas::{Area, Canvas, Stroke, at};
+use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::{Head, MARGIN};
-use crate::drawing::legend::{Column, Key, Mark, Sample};
+use crate::drawing::legend::{Key, KeySample, LegendColumn, Mark};
 use crate::drawing::number::{number, signed};
 use crate::drawing::picture::Picture;
 use crate::drawing::text::{Anchor, LABEL, Text};
@@ -40,7 +40,8 @@ pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -
     let width = left - BETWEEN + MARGIN;
     let head = Head::new("Scale factor common to all materials", &[], width - 2.0 * MARGIN);
     let keys =
-        panels.iter().map(|p| Column::new(&p.keys, p.frame.area.width).height()).fold(0.0, f64::max) + 4.0;
+        panels.iter().map(|p| LegendColumn::new(&p.keys, p.frame.area.width).height()).fold(0.0, f64::max)
+            + 4.0;
     let top = head.height() + keys;
     let mut canvas = Canvas::new(width, top + HEIGHT + BELOW + MARGIN);
     head.draw(&mut canvas);
@@ -52,7 +53,7 @@ pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -
 }
 
 struct ScalePanel {
-    frame: Frame,
+    frame: AxesFrame,
     name: &'static str,
     /// The quantity that is drawn.
     error: &'static str,
@@ -68,21 +69,21 @@ struct ScalePanel {
 
 impl ScalePanel {
     fn new(name: &'static str, error: &'static str, width: f64, x: Vec<f64>, y: Vec<f64>) -> Self {
-        let area = Area { left: 0.0, top: 0.0, width, height: HEIGHT };
+        let area = PlotArea { left: 0.0, top: 0.0, width, height: HEIGHT };
         let x_axis = Axis::around(extent(x.iter().copied()), 1e-3);
         let y_axis = Axis::around(extent(y.iter().copied()), 0.01);
-        let frame = Frame { area, x: x_axis, y: y_axis };
+        let frame = AxesFrame { area, x: x_axis, y: y_axis };
         Self { frame, name, error, keys: Vec::new(), x, y, dots: false, best: None, refined: None }
     }
 
     fn draw(&self, canvas: &mut Canvas) {
         let (frame, area) = (&self.frame, self.frame.area);
-        let keys = Column::new(&self.keys, area.width);
+        let keys = LegendColumn::new(&self.keys, area.width);
         keys.draw(canvas, area.left, area.top - keys.height() - 4.0);
         let inside = |x: f64| frame.across(x).clamp(area.left, area.right());
         if let Some((best, Some(std_error))) = self.best {
             let (left, right) = (inside(best - std_error), inside(best + std_error));
-            canvas.fill(Area { left, width: right - left, ..area }, BAND);
+            canvas.fill(PlotArea { left, width: right - left, ..area }, BAND);
         }
         frame.rules(canvas);
         frame.curve(canvas, &self.x, &self.y, LINE);
@@ -135,7 +136,7 @@ fn over_mu(curve: &ScaleCurve, common: &Common) -> ScalePanel {
         panel.keys.push(Key::line(REFINED, format!("of the answer, by refined media: μ = {refined}")));
     }
     if std_error.is_some() {
-        panel.keys.push(Key { sample: Sample::Patch(BAND), label: "± standard error".into() });
+        panel.keys.push(Key { sample: KeySample::Patch(BAND), label: "± standard error".into() });
     }
     panel.best = best.is_finite().then_some((best, std_error));
     panel

@@ -8,7 +8,7 @@ use optics_model::Grid;
 use optics_model::fit::{FitCurves, Interval, MaterialFit, Refined, SourceShare};
 use serde::Serialize;
 
-use crate::capture::{Media, Report, Simulated};
+use crate::capture::{CaptureReport, Media, Simulated};
 use crate::grid_file::read_grid;
 use crate::whole_file::write_whole;
 
@@ -60,7 +60,7 @@ impl SessionFolder {
         }
         let data = self.path.join("report.json");
         let Ok(json) = std::fs::read(&data) else { return Ok(None) };
-        let report: Report =
+        let report: CaptureReport =
             serde_json::from_slice(&json).with_context(|| format!("report data {}", data.display()))?;
         let figures =
             fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;

@@ -14,7 +14,7 @@ const NEW_FILE: u32 = 0o666;
 /// A file that is written next to its place under a name of its own, and gets its name by [`Draft::finish`]. Dropped before,
 /// it leaves nothing. What goes to a device or a pipe is collected in a temporary file.
 #[derive(Debug)]
-pub struct Draft {
+pub struct DraftFile {
     file: BufWriter<NamedTempFile>,
     place: Destination,
 }
@@ -26,7 +26,7 @@ enum Destination {
     Node(File),
 }
 
-impl Draft {
+impl DraftFile {
     pub fn create(path: &Path) -> io::Result<Self> {
         if let Some(node) = open_node(path)? {
             let file = BufWriter::new(NamedTempFile::new()?);
@@ -68,7 +68,7 @@ impl Draft {
     }
 }
 
-impl Write for Draft {
+impl Write for DraftFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.file.write(bytes)
     }
@@ -78,7 +78,7 @@ impl Write for Draft {
     }
 }
 
-impl Seek for Draft {
+impl Seek for DraftFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.file.seek(to)
     }
@@ -86,7 +86,7 @@ impl Seek for Draft {
 
 /// Writes a file as a whole.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut draft = Draft::create(path)?;
+    let mut draft = DraftFile::create(path)?;
     draft.write_all(bytes)?;
     draft.finish()
 }
@@ -155,7 +155,7 @@ mod tests {
     fn two_drafts_of_one_file_are_separate() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
-        let (mut first, mut second) = (Draft::create(&path).unwrap(), Draft::create(&path).unwrap());
+        let (mut first, mut second) = (DraftFile::create(&path).unwrap(), DraftFile::create(&path).unwrap());
         first.write_all(b"first").unwrap();
         second.write_all(b"the second").unwrap();
         assert!(!path.exists(), "it has its name only when it is whole");
@@ -176,7 +176,7 @@ mod tests {
             let path = path.clone();
             move || std::fs::read(path).unwrap()
         });
-        let mut draft = Draft::create(&path).unwrap();
+        let mut draft = DraftFile::create(&path).unwrap();
         draft.write_all(b"?irst").unwrap();
         // As for the directory of a ZIP archive, which no pipe could go back for.
         draft.rewind().unwrap();
@@ -228,7 +228,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
         write_whole(&path, b"before").unwrap();
-        let mut draft = Draft::create(&path).unwrap();
+        let mut draft = DraftFile::create(&path).unwrap();
         draft.write_all(b"half").unwrap();
         draft.flush().unwrap();
         drop(draft);

@@ -250,9 +250,21 @@ mod tests {
     /// Limitations are given in practical units such as µm and per cent.
     #[test]
     fn limitations_have_practical_units() {
-        assert_eq!(with_unit(Limitation::Blur, 0.03), "30 µm");
-        assert_eq!(with_unit(Limitation::Gain, 0.003), "0.3 %");
-        assert_eq!(with_unit(Limitation::Slope, 0.002), "0.2 % per 10 mm");
-        assert_eq!(with_unit(Limitation::Zero, 0.001), "0.001");
+        let unit = |limitation, std_error| {
+            let improvement = Improvement {
+                limitation,
+                quantity: None,
+                unit: Some("mm".to_owned()),
+                std_error: None,
+                halved: None,
+                removed: None,
+            };
+            with_unit(&improvement, std_error)
+        };
+        assert_eq!(unit(Limitation::Scene, 0.02), "0.02 mm");
+        assert_eq!(unit(Limitation::Blur, 0.03), "30 µm");
+        assert_eq!(unit(Limitation::Gain, 0.003), "0.3 %");
+        assert_eq!(unit(Limitation::Slope, 0.002), "0.2 % per 10 mm");
+        assert_eq!(unit(Limitation::Zero, 0.001), "0.001");
     }
 }

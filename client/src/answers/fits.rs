@@ -9,7 +9,7 @@ use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
 /// Fits, and how they are to be printed.
-pub(crate) struct Report<'a> {
+pub(crate) struct FitsReport<'a> {
     pub(crate) fits: &'a [MaterialFit],
     /// What was assumed of the set-up, as one line.
     pub(crate) assumed: Option<String>,
@@ -18,7 +18,7 @@ pub(crate) struct Report<'a> {
 }
 
 /// The fits of all channels: the best determined quantities, the media, and remarks on them.
-pub(crate) fn fits_text(report: &Report) -> String {
+pub(crate) fn fits_text(report: &FitsReport) -> String {
     let fits = report.fits;
     let all = || fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c)));
     let mut text = String::new();
@@ -149,7 +149,7 @@ mod tests {
     use super::*;
 
     /// The text without its colours.
-    fn text(report: &Report) -> String {
+    fn text(report: &FitsReport) -> String {
         let text = anstream::adapter::strip_str(&fits_text(report)).to_string();
         for line in text.lines() {
             assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
@@ -164,7 +164,7 @@ mod tests {
         channels[1].refined.as_mut().unwrap().likelihood = likelihood(1130.0, 1e-9);
         let mixed = [MaterialFit { material: "white".into(), channels: channels.clone() }];
         let assumed = Some("assumed: origin ± 0.05 mm, gain ± 0.3 %".to_owned());
-        let message = text(&Report { fits: &mixed, assumed, bound: true }).replace("\n  ", " ");
+        let message = text(&FitsReport { fits: &mixed, assumed, bound: true }).replace("\n  ", " ");
         let expected = [
             "Cramér–Rao bound",
             "objective: likelihood\n",
@@ -180,7 +180,7 @@ mod tests {
         records.iter_mut().for_each(|channel| channel.refined = None);
         let pure = [MaterialFit { material: "white".into(), channels: records }];
         let assumed = Some("assumed: much".to_owned());
-        let message = text(&Report { fits: &pure, assumed, bound: false });
+        let message = text(&FitsReport { fits: &pure, assumed, bound: false });
         assert!(["objective", "assumed", "Cramér"].iter().all(|word| !message.contains(word)), "{message}");
     }
 
@@ -194,7 +194,7 @@ mod tests {
             (refined.resolved, refined.resolved_at_g) = (false, false);
         }
         let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
-        let text = text(&Report { fits: &fits, assumed: None, bound: false });
+        let text = text(&FitsReport { fits: &fits, assumed: None, bound: false });
         assert!(text.contains("objective: likelihood\n") && !text.contains("Cramér"), "{text}");
         let (shared, media) = (text.find("σ_s(1−g)").unwrap(), text.find("σ_t").unwrap());
         assert!(shared < media, "what is known best comes first");

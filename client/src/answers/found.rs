@@ -13,7 +13,7 @@ pub(crate) const OLDER: &str =
 
 /// A checked answer.
 #[derive(Debug)]
-pub(crate) struct Found {
+pub(crate) struct MeasureAnswer {
     /// The paper's curve; none if the scale factor was given or the likelihood was maximised.
     pub(crate) scale: Option<ScaleCurve>,
     pub(crate) common: Common,
@@ -22,7 +22,7 @@ pub(crate) struct Found {
     pub(crate) unmixed: Option<Unmixed>,
 }
 
-impl TryFrom<MeasureResponse> for Found {
+impl TryFrom<MeasureResponse> for MeasureAnswer {
     type Error = anyhow::Error;
 
     fn try_from(answer: MeasureResponse) -> Result<Self, Self::Error> {

@@ -3,6 +3,7 @@
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Objective, Wavelet};
 use serde::{Serialize, Serializer};
 
+use farm_lab::measurement_file::Note;
 use farm_lab::set_up::Assumed;
 
 /// The quantities of the set-up by their names.
@@ -35,6 +36,17 @@ pub(crate) struct UsedOptions<'a> {
     set_up: SetUpJson<'a>,
     /// The quantities of the set-up without a value, for one profile at least.
     assumed: Vec<&'static str>,
+}
+
+/// An answer about a measurement file as JSON.
+#[derive(Debug, Serialize)]
+pub(crate) struct MeasurementAnswer<'a, T> {
+    #[serde(flatten)]
+    pub(crate) options: UsedOptions<'a>,
+    #[serde(flatten)]
+    pub(crate) answer: T,
+    /// What was assumed when the file was read, and what looks suspicious in it.
+    pub(crate) notes: &'a [Note],
 }
 
 impl<'a> UsedOptions<'a> {

@@ -61,6 +61,23 @@ pub enum WaveletArg {
     Haar,
 }
 
+impl Default for OptionArgs {
+    fn default() -> Self {
+        let FitSettings { lambda, level, .. } = FitSettings::default();
+        Self {
+            dictionary: None,
+            g: None,
+            sigma_t: None,
+            albedo: None,
+            objective: None,
+            lambda,
+            wavelet: WaveletArg::Spline,
+            level,
+            set_up: SetUpArgs::default(),
+        }
+    }
+}
+
 impl OptionArgs {
     /// `set_up` combines its arguments with the session file.
     pub(crate) fn settings(&self, set_up: &SetUp) -> optics_model::Result<FitSettings> {
@@ -137,6 +154,12 @@ pub struct MuArgs {
     pub mu_step: f64,
 }
 
+impl Default for MuArgs {
+    fn default() -> Self {
+        Self { mu_min: 0.8, mu_max: 1.1, mu_step: 0.001 }
+    }
+}
+
 impl MuArgs {
     pub fn range(&self) -> optics_model::Result<MuRange> {
         MuRange::new(self.mu_min, self.mu_max, self.mu_step)
@@ -202,6 +225,24 @@ pub struct MeasureArgs {
     /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+}
+
+impl MeasureArgs {
+    /// All arguments but the measurements at their defaults.
+    pub(crate) fn new(measurements: PathBuf) -> Self {
+        Self {
+            measurements,
+            options: OptionArgs::default(),
+            mu: None,
+            mu_std_error: 0.0,
+            search: MuArgs::default(),
+            mixtures: None,
+            free_g: false,
+            bound: false,
+            output: None,
+            plot: None,
+        }
+    }
 }
 
 #[derive(Debug, Args)]

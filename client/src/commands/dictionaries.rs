@@ -9,4 +9,4 @@ pub(crate) mod show;
 pub(crate) mod submit;
 pub(crate) mod watch;
 
-pub(crate) use following::Deleted;
+pub(crate) use following::DictionaryDeleted;

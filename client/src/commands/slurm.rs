@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::cli::{Global, SlurmCommand, SlurmSubmitArgs, SlurmWorkerArgs};
 use crate::output::{Output, counted};
-use crate::slurm::{Coordinator, OneLine, Submission, queue};
+use crate::slurm::{CoordinatorAddress, OneLine, Submission, queue};
 use farm_link::logs::tell;
 use farm_link::walltime::span_text;
 
@@ -89,7 +89,7 @@ fn submission(
     Ok(submission)
 }
 
-fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<Coordinator> {
+fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<CoordinatorAddress> {
     // Clients' tokens open nothing for workers; `farmctl access create` writes the files side by side.
     let beside = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));
     let access = match worker_access.or(beside) {
@@ -100,7 +100,7 @@ fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<Coordi
         access.is_some() || global.server.is_some(),
         "workers must know the coordinator: name it by --server URL or --worker-access FILE"
     );
-    Ok(Coordinator { server: global.server.clone(), access })
+    Ok(CoordinatorAddress { server: global.server.clone(), access })
 }
 
 /// The absolute path of a file that is there and that others cannot read.
@@ -141,7 +141,7 @@ fn shown(path: &Path) -> Result<String> {
     Ok(path.to_str().with_context(|| format!("{} is not UTF-8", path.display()))?.to_owned())
 }
 
-fn warn_of_loopback(global: &Global, coordinator: &Coordinator) {
+fn warn_of_loopback(global: &Global, coordinator: &CoordinatorAddress) {
     let loopback = |url: &String| ["//127.", "//localhost", "//[::1]"].iter().any(|host| url.contains(host));
     if !global.quiet && coordinator.server.as_ref().is_some_and(loopback) {
         tell(

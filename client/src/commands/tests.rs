@@ -25,7 +25,7 @@ use super::dictionaries::{list, show};
 use super::farm::{status, workers};
 use super::fits::{design, fit, map, measure, profile, scale, similar};
 use super::measurements::simulate;
-use crate::answers::{Found, UsedOptions};
+use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::cli::SimilarArgs;
 use crate::output::envelope;
 
@@ -46,8 +46,12 @@ fn machine_readable_output_is_stable() {
 fn answers() -> Vec<String> {
     let (fits, common, scale_curve) = (materials(), [common(Some(0.4)), common(None)], scale_curve());
     let [free, bound, likely] = options();
-    let found =
-        |g: usize, scale| Found { scale, common: common[g].clone(), materials: fits.clone(), unmixed: None };
+    let found = |g: usize, scale| MeasureAnswer {
+        scale,
+        common: common[g].clone(),
+        materials: fits.clone(),
+        unmixed: None,
+    };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
     let simulated = |several| {
@@ -55,20 +59,21 @@ fn answers() -> Vec<String> {
         line("simulate", &simulate::SimulateJson::new(&style, &job, 0.9, &record()))
     };
     let dictionaries = [dictionary(true), dictionary(false)];
+    let scaled = scale::ScaleJson { scale: &scale_curve, common: &common[0], materials: &fits[1..] };
     vec![
-        line("fit", &fit::data(used(&free, &assumed), &fits, &notes())),
-        line("fit", &fit::data(used(&bound, &assumed), &fits[..1], &[])),
-        line("scale", &scale::data(used(&bound, &assumed), &scale_curve, &common[0], &fits[1..], &notes())),
+        line("fit", &about(used(&free, &assumed), fit::FitJson { materials: &fits }, &notes())),
+        line("fit", &about(used(&bound, &assumed), fit::FitJson { materials: &fits[..1] }, &[])),
+        line("scale", &about(used(&bound, &assumed), scaled, &notes())),
         line(
             "measure",
             &measure::data(used(&free, &assumed), &found(0, Some(scale_curve.clone())), &notes()),
         ),
         line(
             "profile",
-            &profile::JsonData { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
+            &profile::ProfileJson { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
         ),
         line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
-        line("map", &map::data(used(&free, &assumed), &[material_map()], &notes())),
+        line("map", &about(used(&free, &assumed), map::MapJson { maps: &[material_map()] }, &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
         simulated(true),
@@ -78,7 +83,7 @@ fn answers() -> Vec<String> {
         line("show", &show::data(&dictionaries[1])),
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
-        line("fit", &fit::data(used(&likely, &assumed), &[with_likelihood()], &[])),
+        line("fit", &about(used(&likely, &assumed), fit::FitJson { materials: &[with_likelihood()] }, &[])),
         line(
             "design",
             &design::data("paper", &design_question(likely), &assumed, &farm_figures::testing::design()),
@@ -104,13 +109,17 @@ fn predicted() -> PredictedProfiles {
     }
 }
 
-fn with_inks(materials: Vec<MaterialFit>) -> Found {
-    Found {
+fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
+    MeasureAnswer {
         scale: None,
         common: common(Some(0.4)),
         materials,
         unmixed: Some(farm_figures::testing::unmixed()),
     }
+}
+
+fn about<'a, T>(options: UsedOptions<'a>, answer: T, notes: &'a [Note]) -> MeasurementAnswer<'a, T> {
+    MeasurementAnswer { options, answer, notes }
 }
 
 fn line(kind: &str, data: &impl Serialize) -> String {

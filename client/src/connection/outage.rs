@@ -27,14 +27,14 @@ impl<'a> Outage<'a> {
 
     /// Waits until it is time for another attempt. An error that waiting does not help against is handed back; so is
     /// every error of a farm on this machine, whose folder another process can take over.
-    pub(crate) async fn outlast(&mut self, error: anyhow::Error, tell: impl FnOnce(String)) -> Result<()> {
+    pub(crate) async fn outlast(&mut self, error: anyhow::Error, print: impl FnOnce(String)) -> Result<()> {
         let status = error.chain().find_map(|cause| cause.downcast_ref::<Status>());
         let Some(status) = status.filter(|status| self.connection.is_server() && is_passing(status)) else {
             return Err(error);
         };
         if !std::mem::replace(&mut self.reported, true) {
             let url = self.connection.address();
-            tell(waits(url, &failure(status, url).unwrap_or_else(|| why(status, &error))));
+            print(waits(url, &failure(status, url).unwrap_or_else(|| why(status, &error))));
         }
         tokio::time::sleep(self.pause).await;
         self.pause = PAUSE.1.min(2 * self.pause);
@@ -42,10 +42,10 @@ impl<'a> Outage<'a> {
     }
 
     /// The server has answered.
-    pub(crate) fn is_over(&mut self, tell: impl FnOnce(String)) {
+    pub(crate) fn is_over(&mut self, print: impl FnOnce(String)) {
         self.pause = PAUSE.0;
         if std::mem::take(&mut self.reported) {
-            tell(format!("the coordinator at {} answers again", self.connection.address()));
+            print(format!("the coordinator at {} answers again", self.connection.address()));
         }
     }
 }

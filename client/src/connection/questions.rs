@@ -18,7 +18,7 @@ pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
     request
 }
 
-type Answer<T> = Result<Response<T>, Status>;
+type CallResult<T> = Result<Response<T>, Status>;
 
 #[derive(Debug)]
 pub(crate) struct Questions {
@@ -32,31 +32,31 @@ impl Questions {
         Self { client: FitsClient::new(link).max_decoding_message_size(usize::MAX), most_pixels }
     }
 
-    pub(crate) async fn fit(mut self, request: FitRequest) -> Answer<FitResponse> {
+    pub(crate) async fn fit(mut self, request: FitRequest) -> CallResult<FitResponse> {
         self.check("measurement", request.measurement.as_slice())?;
         self.client.fit(patient(request)).await
     }
 
-    pub(crate) async fn map(mut self, request: MapRequest) -> Answer<MapResponse> {
+    pub(crate) async fn map(mut self, request: MapRequest) -> CallResult<MapResponse> {
         self.check("measurement", request.measurement.as_slice())?;
         self.client.map(patient(request)).await
     }
 
-    pub(crate) async fn scale(mut self, request: ScaleRequest) -> Answer<ScaleResponse> {
+    pub(crate) async fn scale(mut self, request: ScaleRequest) -> CallResult<ScaleResponse> {
         self.check("materials", &request.materials)?;
         self.client.scale(patient(request)).await
     }
 
-    pub(crate) async fn measure(mut self, request: MeasureRequest) -> Answer<MeasureResponse> {
+    pub(crate) async fn measure(mut self, request: MeasureRequest) -> CallResult<MeasureResponse> {
         self.check("materials", &request.materials)?;
         self.client.measure(patient(request)).await
     }
 
-    pub(crate) async fn design(mut self, request: DesignRequest) -> Answer<DesignResponse> {
+    pub(crate) async fn design(mut self, request: DesignRequest) -> CallResult<DesignResponse> {
         self.client.design(request).await
     }
 
-    pub(crate) async fn profile(mut self, request: ProfileRequest) -> Answer<ProfileResponse> {
+    pub(crate) async fn profile(mut self, request: ProfileRequest) -> CallResult<ProfileResponse> {
         self.client.profile(request).await
     }
 

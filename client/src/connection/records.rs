@@ -23,7 +23,7 @@ const PAUSE: Duration = Duration::from_secs(1);
 
 /// Records on their way, in the order of their numbers.
 #[derive(Debug)]
-pub(crate) struct Records<'a> {
+pub(crate) struct RecordStream<'a> {
     connection: &'a Connection,
     dictionary: &'a DictionaryStatus,
     indices: Vec<u32>,
@@ -38,7 +38,7 @@ pub(crate) struct Records<'a> {
     tries: u32,
 }
 
-impl<'a> Records<'a> {
+impl<'a> RecordStream<'a> {
     /// Asks for the records of these numbers, which increase; for all if there are none.
     pub(crate) async fn ask(
         connection: &'a Connection,

@@ -50,7 +50,7 @@ pub(crate) struct Demand {
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct Limits {
+pub(crate) struct ScalingLimits {
     pub(crate) most: NonZeroU32,
     /// Jobs that a worker computes at the same time.
     pub(crate) threads: u16,
@@ -109,7 +109,7 @@ impl Pause {
 
 #[derive(Debug)]
 pub(crate) struct Scaling {
-    limits: Limits,
+    limits: ScalingLimits,
     /// Tasks of the last look, and whether they have reached the coordinator.
     tasks: BTreeMap<TaskId, bool>,
     has_joined: bool,
@@ -125,7 +125,7 @@ pub(crate) struct Scaling {
 }
 
 impl Scaling {
-    pub(crate) fn new(limits: Limits) -> Self {
+    pub(crate) fn new(limits: ScalingLimits) -> Self {
         Self {
             limits,
             tasks: BTreeMap::new(),

@@ -15,7 +15,7 @@ fn submission() -> Result<Submission, Box<dyn std::error::Error>> {
         log: "farm-%A_%a.log".parse()?,
         options: Vec::new(),
         program: "farm-worker".to_owned(),
-        coordinator: Coordinator { server: Some("https://farm:7700".to_owned()), access: None },
+        coordinator: CoordinatorAddress { server: Some("https://farm:7700".to_owned()), access: None },
     })
 }
 

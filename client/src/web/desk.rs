@@ -23,7 +23,7 @@ use super::api::{
     ReadMeasurementsResponse, Remark, SummarizeRequest, SummarizeResponse,
 };
 use super::captures::Captures;
-use crate::answers::{self, Found, all_remarks, common_text, media_files, objective};
+use crate::answers::{self, MeasureAnswer, all_remarks, common_text, media_files, objective};
 use farm_lab::grid_file::grid_of;
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::set_up::SetUp;
@@ -187,12 +187,12 @@ fn grid(file: &File) -> Result<Grid> {
     })
 }
 
-fn found(found: Option<wire::MeasureResponse>) -> Result<Found> {
+fn found(found: Option<wire::MeasureResponse>) -> Result<MeasureAnswer> {
     let Some(found) = found else { bail!(Invalid::new("found", "nothing", "an answer is needed")) };
-    Found::try_from(found)
+    MeasureAnswer::try_from(found)
 }
 
-fn channels(found: &Found) -> Vec<ChannelSummary> {
+fn channels(found: &MeasureAnswer) -> Vec<ChannelSummary> {
     let number =
         |n: answers::NumberWithInterval| Some(NumberWithInterval { value: n.value, interval: n.interval });
     let channels = found.materials.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
@@ -226,7 +226,7 @@ fn remark(remark: answers::Remark) -> Remark {
 fn pictures(of: Of) -> Result<Vec<(String, Picture)>> {
     match of {
         Of::Fits(answer) => {
-            let found = Found::try_from(answer)?;
+            let found = MeasureAnswer::try_from(answer)?;
             found.materials.iter().map(|fit| Ok((fit.material.clone(), fit_figure(fit)?))).collect()
         }
         Of::Maps(maps) => {

@@ -23,13 +23,13 @@ const COOKIE_NAME: &str = "farm";
 
 /// Why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Refusal {
+pub(super) enum RequestRefusal {
     Host,
     Origin,
     Token,
 }
 
-impl Refusal {
+impl RequestRefusal {
     pub fn status(self) -> StatusCode {
         match self {
             Self::Host => StatusCode::MISDIRECTED_REQUEST,
@@ -51,7 +51,7 @@ impl Refusal {
 }
 
 #[derive(Debug)]
-pub(super) struct Gate {
+pub(super) struct PageGate {
     token: String,
     /// The folder below which the page is: begins and ends with a slash.
     folder: String,
@@ -65,7 +65,7 @@ pub(super) struct Gate {
     secure: bool,
 }
 
-impl Gate {
+impl PageGate {
     pub fn new(address: SocketAddr, behind: Option<&Url>) -> Result<Self, getrandom::Error> {
         let mut random = [0; TOKEN + FOLDER];
         getrandom::fill(&mut random)?;
@@ -109,34 +109,34 @@ impl Gate {
     }
 
     /// Whether a request is one from the page, by somebody who was let in.
-    pub fn admit(&self, request: &Request) -> Result<(), Refusal> {
+    pub fn admit(&self, request: &Request) -> Result<(), RequestRefusal> {
         self.is_for_us(request)?;
         let cookies = request.headers().get_all(COOKIE).iter().filter_map(|v| v.to_str().ok());
         let mut cookies = cookies.flat_map(|v| v.split(';')).filter_map(|v| v.trim().split_once('='));
         let known = cookies.any(|(name, value)| name == COOKIE_NAME && self.is_token(value));
-        if known { Ok(()) } else { Err(Refusal::Token) }
+        if known { Ok(()) } else { Err(RequestRefusal::Token) }
     }
 
     /// The cookie for a request that brings the token.
-    pub fn let_in(&self, request: &Request) -> Result<String, Refusal> {
+    pub fn let_in(&self, request: &Request) -> Result<String, RequestRefusal> {
         self.is_for_us(request)?;
         if !self.is_token(token_of(request.uri()).unwrap_or_default()) {
-            return Err(Refusal::Token);
+            return Err(RequestRefusal::Token);
         }
         let secure = if self.secure { "; Secure" } else { "" };
         // Links from elsewhere lead to the page and change nothing; all that does comes from the page.
         Ok(format!("{COOKIE_NAME}={}; Path={}; HttpOnly; SameSite=Lax{secure}", self.token, self.path))
     }
 
-    fn is_for_us(&self, request: &Request) -> Result<(), Refusal> {
+    fn is_for_us(&self, request: &Request) -> Result<(), RequestRefusal> {
         let headers = request.headers();
         if !one_of(headers, HOST.as_str(), &self.hosts).unwrap_or(false) {
-            return Err(Refusal::Host);
+            return Err(RequestRefusal::Host);
         }
         // Browsers send the origin with all requests that could change something.
         let harmless = matches!(*request.method(), Method::GET | Method::HEAD);
         if !one_of(headers, ORIGIN.as_str(), &self.origins).unwrap_or(harmless) {
-            return Err(Refusal::Origin);
+            return Err(RequestRefusal::Origin);
         }
         Ok(())
     }
@@ -166,9 +166,9 @@ mod tests {
 
     use super::*;
 
-    fn gate(behind: Option<&str>) -> Gate {
+    fn gate(behind: Option<&str>) -> PageGate {
         let behind = behind.map(|url| url.parse().unwrap());
-        Gate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 1], 7780).into(), behind.as_ref())
+        PageGate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 1], 7780).into(), behind.as_ref())
     }
 
     fn request(method: &str, uri: &str, headers: &[(&str, &str)]) -> Request {
@@ -185,12 +185,12 @@ mod tests {
         let cookie = gate.let_in(&request("GET", "/?token=secret", &[OWN])).unwrap();
         assert_eq!(cookie, "farm=secret; Path=/folder/; HttpOnly; SameSite=Lax");
         for uri in ["/?token=wrong", "/?token=", "/", "/?token=secre", "/?tokens=secret"] {
-            assert_eq!(gate.let_in(&request("GET", uri, &[OWN])), Err(Refusal::Token), "{uri}");
+            assert_eq!(gate.let_in(&request("GET", uri, &[OWN])), Err(RequestRefusal::Token), "{uri}");
         }
         gate.admit(&request("GET", "/page.js", &[OWN, COOKIE])).unwrap();
         for cookie in ["", "farm=wrong", "farms=secret", "farm"] {
             let refused = gate.admit(&request("GET", "/", &[OWN, ("cookie", cookie)]));
-            assert_eq!(refused, Err(Refusal::Token), "{cookie}");
+            assert_eq!(refused, Err(RequestRefusal::Token), "{cookie}");
         }
     }
 
@@ -208,7 +208,7 @@ mod tests {
         assert_eq!(gate(None).entrance(), "/folder/?token=secret");
         assert_eq!(gate(Some("https://farm/resins")).entrance(), "/resins/folder/?token=secret");
         let (one, other) = ([127, 0, 0, 1], 7780);
-        let new = || Gate::new((one, other).into(), None).unwrap().entrance();
+        let new = || PageGate::new((one, other).into(), None).unwrap().entrance();
         assert_ne!(new(), new());
     }
 
@@ -221,7 +221,7 @@ mod tests {
         };
         post(&[OWN, ("origin", "http://127.0.0.1:7780")]).unwrap();
         post(&[("host", "LOCALHOST:7780"), ("origin", "http://localhost:7780")]).unwrap();
-        assert_eq!(post(&[OWN]), Err(Refusal::Origin), "a browser would send it");
+        assert_eq!(post(&[OWN]), Err(RequestRefusal::Origin), "a browser would send it");
         let refused = [
             ("origin", "http://evil.example"),
             ("origin", "https://127.0.0.1:7780"),
@@ -229,16 +229,16 @@ mod tests {
             ("origin", "null"),
         ];
         for origin in refused {
-            assert_eq!(post(&[OWN, origin]), Err(Refusal::Origin), "{origin:?}");
+            assert_eq!(post(&[OWN, origin]), Err(RequestRefusal::Origin), "{origin:?}");
         }
         // A name that a site has pointed at this machine.
         for host in ["evil.example:7780", "127.0.0.1", "127.0.0.1:7781", ""] {
             let refused = post(&[("host", host), ("origin", "http://127.0.0.1:7780")]);
-            assert_eq!(refused, Err(Refusal::Host), "{host}");
+            assert_eq!(refused, Err(RequestRefusal::Host), "{host}");
         }
-        assert_eq!(post(&[]), Err(Refusal::Host));
+        assert_eq!(post(&[]), Err(RequestRefusal::Host));
         let two = [OWN, ("host", "evil.example"), ("origin", "http://127.0.0.1:7780")];
-        assert_eq!(post(&two), Err(Refusal::Host));
+        assert_eq!(post(&two), Err(RequestRefusal::Host));
     }
 
     #[test]
@@ -253,9 +253,10 @@ mod tests {
         };
         from("farm.example.org", "https://farm.example.org").unwrap();
         from("127.0.0.1:7780", "https://farm.example.org").unwrap();
-        assert_eq!(from("farm.example.org", "http://farm.example.org"), Err(Refusal::Origin));
-        assert_eq!(from("farm.example.com", "https://farm.example.org"), Err(Refusal::Host));
-        let elsewhere = Gate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 2], 80).into(), None);
+        assert_eq!(from("farm.example.org", "http://farm.example.org"), Err(RequestRefusal::Origin));
+        assert_eq!(from("farm.example.com", "https://farm.example.org"), Err(RequestRefusal::Host));
+        let elsewhere =
+            PageGate::with_token("secret".to_owned(), "folder", ([127, 0, 0, 2], 80).into(), None);
         for host in ["127.0.0.2:80", "localhost", "127.0.0.1:80"] {
             elsewhere.admit(&request("GET", "/", &[("host", host), ("cookie", "farm=secret")])).unwrap();
         }

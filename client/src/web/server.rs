@@ -22,7 +22,7 @@ use super::assets::asset;
 use super::desk::TheDesk;
 use super::farm::FarmAccess;
 use super::forward::Forward;
-use super::gate::{Gate, Refusal, token_of};
+use super::gate::{PageGate, RequestRefusal, token_of};
 use super::listen;
 
 /// What the page may load: its own files, and nothing that stands within it.
@@ -35,7 +35,7 @@ const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
 
 #[derive(Debug)]
 pub(super) struct Server {
-    pub gate: Arc<Gate>,
+    pub gate: Arc<PageGate>,
     pub farm: Arc<FarmAccess>,
     pub desk: Arc<TheDesk>,
 }
@@ -67,7 +67,7 @@ impl Server {
 }
 
 /// Authenticates requests, and sets the security headers of every answer.
-async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> Response {
+async fn guard(State(gate): State<Arc<PageGate>>, request: Request, next: Next) -> Response {
     let mut response = answer(&gate, request, next).await.unwrap_or_else(refusal);
     let headers = response.headers_mut();
     let mut say = |name: HeaderName, value: &'static str| {
@@ -82,8 +82,8 @@ async fn guard(State(gate): State<Arc<Gate>>, request: Request, next: Next) -> R
     response
 }
 
-async fn answer(gate: &Gate, mut request: Request, next: Next) -> Result<Response, Refusal> {
-    *request.uri_mut() = gate.within(request.uri()).ok_or(Refusal::Token)?;
+async fn answer(gate: &PageGate, mut request: Request, next: Next) -> Result<Response, RequestRefusal> {
+    *request.uri_mut() = gate.within(request.uri()).ok_or(RequestRefusal::Token)?;
     if request.uri().path() == "/" && token_of(request.uri()).is_some() {
         let cookie = gate.let_in(&request)?;
         // Without the token in the address, where people would copy it along.
@@ -95,7 +95,7 @@ async fn answer(gate: &Gate, mut request: Request, next: Next) -> Result<Respons
     Ok(next.run(request).await)
 }
 
-fn refusal(refused: Refusal) -> Response {
+fn refusal(refused: RequestRefusal) -> Response {
     let page = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>farmctl web</title><h1>Not let in</h1><p>{}</p>",
         refused.reason()

@@ -22,7 +22,7 @@ pub(crate) struct Axis {
 
 /// Which way the axis runs: labels beside each other need more room than labels above each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Direction {
+pub(crate) enum AxisDirection {
     Across,
     Up,
 }
@@ -31,7 +31,7 @@ pub(crate) enum Direction {
 #[derive(Clone, Copy)]
 struct Room {
     pixels: f64,
-    direction: Direction,
+    direction: AxisDirection,
     gap: f64,
 }
 
@@ -92,12 +92,12 @@ impl Axis {
     }
 
     /// The finest ticks whose labels have room on an axis of that many pixels.
-    pub(crate) fn ticks(&self, pixels: f64, direction: Direction) -> Vec<Tick> {
+    pub(crate) fn ticks(&self, pixels: f64, direction: AxisDirection) -> Vec<Tick> {
         // Labels stand closer only where there would be less than two.
         let gaps = match direction {
-            Direction::Up if self.logarithmic => [1.6, 1.3],
-            Direction::Up => [2.1, 1.3],
-            Direction::Across => [1.0, 0.5],
+            AxisDirection::Up if self.logarithmic => [1.6, 1.3],
+            AxisDirection::Up => [2.1, 1.3],
+            AxisDirection::Across => [1.0, 0.5],
         };
         let [loose, close] = gaps.map(|gap| Room { pixels, direction, gap: gap * TICK });
         let ticks = self.ticks_with(loose);
@@ -183,8 +183,8 @@ impl Axis {
         labelled.windows(2).all(|pair| {
             let distance = room.pixels * (self.fraction(pair[1].0) - self.fraction(pair[0].0));
             match room.direction {
-                Direction::Up => distance >= room.gap,
-                Direction::Across => {
+                AxisDirection::Up => distance >= room.gap,
+                AxisDirection::Across => {
                     let widths = pair.iter().map(|(_, label)| Text::new(*label, TICK).width());
                     distance >= widths.sum::<f64>() / 2.0 + room.gap
                 }
@@ -197,7 +197,7 @@ impl Axis {
 mod tests {
     use super::*;
 
-    fn labels(axis: Axis, pixels: f64, direction: Direction) -> Vec<String> {
+    fn labels(axis: Axis, pixels: f64, direction: AxisDirection) -> Vec<String> {
         axis.ticks(pixels, direction).into_iter().filter_map(|tick| tick.label).collect()
     }
 
@@ -205,11 +205,11 @@ mod tests {
     #[test]
     fn ticks_are_round_and_fine_enough() {
         let axis = Axis::exact(Some((-5.0, 5.0)));
-        assert_eq!(labels(axis, 120.0, Direction::Across), ["−4", "−2", "0", "2", "4"]);
-        assert_eq!(labels(axis, 60.0, Direction::Across), ["−5", "0", "5"]);
+        assert_eq!(labels(axis, 120.0, AxisDirection::Across), ["−4", "−2", "0", "2", "4"]);
+        assert_eq!(labels(axis, 60.0, AxisDirection::Across), ["−5", "0", "5"]);
         let axis = Axis::exact(Some((0.0, 0.012)));
         assert_eq!(
-            labels(axis, 60.0, Direction::Up),
+            labels(axis, 60.0, AxisDirection::Up),
             ["0.000", "0.005", "0.010"].map(|l| if l == "0.000" { "0" } else { l })
         );
     }
@@ -218,12 +218,12 @@ mod tests {
     fn logarithmic_ticks_name_decades_or_round_values() {
         let axis = Axis::logarithmic(8e-6, 0.97);
         let decades = ["10^{−5}", "10^{−4}", "10^{−3}", "10^{−2}", "10^{−1}"];
-        assert_eq!(labels(axis, 200.0, Direction::Across), decades);
-        assert_eq!(labels(axis, 90.0, Direction::Across), ["10^{−4}", "10^{−2}"]);
+        assert_eq!(labels(axis, 200.0, AxisDirection::Across), decades);
+        assert_eq!(labels(axis, 90.0, AxisDirection::Across), ["10^{−4}", "10^{−2}"]);
         let axis = Axis::logarithmic(0.9, 31.0);
-        assert_eq!(labels(axis, 160.0, Direction::Up), ["1", "2", "3", "5", "10", "20", "30"]);
+        assert_eq!(labels(axis, 160.0, AxisDirection::Up), ["1", "2", "3", "5", "10", "20", "30"]);
         assert!(
-            axis.ticks(160.0, Direction::Up).iter().any(|tick| tick.value == 4.0 && tick.label.is_none())
+            axis.ticks(160.0, AxisDirection::Up).iter().any(|tick| tick.value == 4.0 && tick.label.is_none())
         );
     }
 
@@ -239,7 +239,7 @@ mod tests {
             Axis::logarithmic(2.0, 2.0),
         ] {
             assert!(axis.low < axis.high, "{axis:?}");
-            assert!(axis.ticks(150.0, Direction::Across).len() > 1, "{axis:?}");
+            assert!(axis.ticks(150.0, AxisDirection::Across).len() > 1, "{axis:?}");
         }
         assert_eq!(extent([f64::NAN, 2.0, -1.0, f64::INFINITY]), Some((-1.0, 2.0)));
         assert_eq!(extent([f64::NAN]), None);

@@ -12,25 +12,25 @@ use super::text::{Anchor, Level, SCRIPT, Text, spans};
 
 /// A place on the canvas: pixels to the right and down.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Point {
+pub(crate) struct CanvasPoint {
     pub(crate) x: f64,
     pub(crate) y: f64,
 }
 
 /// A place, as short as it is needed often.
-pub(crate) const fn at(x: f64, y: f64) -> Point {
-    Point { x, y }
+pub(crate) const fn at(x: f64, y: f64) -> CanvasPoint {
+    CanvasPoint { x, y }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Area {
+pub(crate) struct PlotArea {
     pub(crate) left: f64,
     pub(crate) top: f64,
     pub(crate) width: f64,
     pub(crate) height: f64,
 }
 
-impl Area {
+impl PlotArea {
     pub(crate) fn right(&self) -> f64 {
         self.left + self.width
     }
@@ -39,7 +39,7 @@ impl Area {
         self.top + self.height
     }
 
-    pub(crate) fn center(&self) -> Point {
+    pub(crate) fn center(&self) -> CanvasPoint {
         at(self.left + self.width / 2.0, self.top + self.height / 2.0)
     }
 }
@@ -87,45 +87,45 @@ impl Canvas {
         Self { width: width.ceil(), height: height.ceil(), body: String::new() }
     }
 
-    pub(crate) fn fill(&mut self, area: Area, color: Color) {
+    pub(crate) fn fill(&mut self, area: PlotArea, color: Color) {
         let (x, y, w, h) = (short(area.left), short(area.top), short(area.width), short(area.height));
         self.element(&format!(r#"<rect x="{x}" y="{y}" width="{w}" height="{h}" fill="{color}"/>"#));
     }
 
-    pub(crate) fn line(&mut self, from: Point, to: Point, stroke: Stroke) {
+    pub(crate) fn line(&mut self, from: CanvasPoint, to: CanvasPoint, stroke: Stroke) {
         self.polyline(&[from, to], stroke);
     }
 
-    pub(crate) fn polyline(&mut self, points: &[Point], stroke: Stroke) {
+    pub(crate) fn polyline(&mut self, points: &[CanvasPoint], stroke: Stroke) {
         let path = if stroke.style == Style::Dots { dots(points) } else { path(points) };
         self.element(&format!(r#"<path d="{path}" fill="none" {}/>"#, pen(stroke)));
     }
 
-    pub(crate) fn polygon(&mut self, points: &[Point], fill: Option<Color>, stroke: Stroke) {
+    pub(crate) fn polygon(&mut self, points: &[CanvasPoint], fill: Option<Color>, stroke: Stroke) {
         let fill = fill.map_or_else(|| "none".to_owned(), |color| color.to_string());
         self.element(&format!(r#"<path d="{}Z" fill="{fill}" {}/>"#, path(points), pen(stroke)));
     }
 
-    pub(crate) fn circle(&mut self, center: Point, radius: f64, fill: Option<Color>, stroke: Stroke) {
+    pub(crate) fn circle(&mut self, center: CanvasPoint, radius: f64, fill: Option<Color>, stroke: Stroke) {
         let fill = fill.map_or_else(|| "none".to_owned(), |color| color.to_string());
         let (x, y, r) = (short(center.x), short(center.y), short(radius));
         self.element(&format!(r#"<circle cx="{x}" cy="{y}" r="{r}" fill="{fill}" {}/>"#, pen(stroke)));
     }
 
     /// Text with its baseline at a point.
-    pub(crate) fn text(&mut self, place: Point, text: &Text) {
+    pub(crate) fn text(&mut self, place: CanvasPoint, text: &Text) {
         let place = format!(r#"x="{}" y="{}""#, short(place.x), short(place.y));
         self.styled_text(&place, text);
     }
 
     /// Text that reads upwards, its baseline through a point.
-    pub(crate) fn text_upwards(&mut self, place: Point, text: &Text) {
+    pub(crate) fn text_upwards(&mut self, place: CanvasPoint, text: &Text) {
         let place = format!(r#"transform="translate({} {}) rotate(-90)""#, short(place.x), short(place.y));
         self.styled_text(&place, text);
     }
 
     /// Pixels stretched over an area without smoothing.
-    pub(crate) fn image(&mut self, area: Area, pixels: &Pixmap) -> anyhow::Result<()> {
+    pub(crate) fn image(&mut self, area: PlotArea, pixels: &Pixmap) -> anyhow::Result<()> {
         let png = pixels.encode_png().context("image within the figure")?;
         let data = base64::engine::general_purpose::STANDARD.encode(png);
         let (x, y, w, h) = (short(area.left), short(area.top), short(area.width), short(area.height));
@@ -222,7 +222,7 @@ fn pen(stroke: Stroke) -> String {
     )
 }
 
-fn path(points: &[Point]) -> String {
+fn path(points: &[CanvasPoint]) -> String {
     let mut path = String::new();
     for (i, point) in points.iter().enumerate() {
         let command = if i == 0 { 'M' } else { 'L' };
@@ -232,7 +232,7 @@ fn path(points: &[Point]) -> String {
 }
 
 /// Very short dashes, which round caps make dots.
-fn dots(points: &[Point]) -> String {
+fn dots(points: &[CanvasPoint]) -> String {
     points.iter().map(|point| format!("M{} {}h0.01", short(point.x), short(point.y))).collect()
 }
 

@@ -1,12 +1,12 @@
 //! The polylines that show profiles.
 
-use super::canvas::{Point, at};
+use super::canvas::{CanvasPoint, at};
 
 /// Points nearer than this to the line between their neighbours are not drawn, in pixels.
 const TOLERANCE: f64 = 0.05;
 
 /// The pieces of a curve between values that are not finite, without the points that would be invisible.
-pub(crate) fn pieces(points: impl IntoIterator<Item = Point>) -> Vec<Vec<Point>> {
+pub(crate) fn pieces(points: impl IntoIterator<Item = CanvasPoint>) -> Vec<Vec<CanvasPoint>> {
     let mut pieces = vec![Vec::new()];
     for point in points {
         if point.x.is_finite() && point.y.is_finite() {
@@ -22,7 +22,7 @@ pub(crate) fn pieces(points: impl IntoIterator<Item = Point>) -> Vec<Vec<Point>>
 }
 
 /// Douglas and Peucker's algorithm, with a stack of its own.
-fn simplified(points: &[Point]) -> Vec<Point> {
+fn simplified(points: &[CanvasPoint]) -> Vec<CanvasPoint> {
     let Some(end) = points.len().checked_sub(1) else { return Vec::new() };
     let mut kept = vec![false; points.len()];
     (kept[0], kept[end]) = (true, true);
@@ -40,7 +40,7 @@ fn simplified(points: &[Point]) -> Vec<Point> {
 }
 
 /// From a point to the segment between two others.
-fn distance(point: Point, from: Point, to: Point) -> f64 {
+fn distance(point: CanvasPoint, from: CanvasPoint, to: CanvasPoint) -> f64 {
     let along = at(to.x - from.x, to.y - from.y);
     let length = along.x.hypot(along.y);
     let offset = at(point.x - from.x, point.y - from.y);

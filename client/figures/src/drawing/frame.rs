@@ -1,7 +1,7 @@
 //! One set of axes with its curves.
 
-use super::axis::{Axis, Direction, Tick};
-use super::canvas::{Area, Canvas, Point, Stroke, Style, at};
+use super::axis::{Axis, AxisDirection, Tick};
+use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, Style, at};
 use super::color::Color;
 use super::curve::pieces;
 use super::text::{Anchor, TICK, Text};
@@ -20,8 +20,8 @@ pub(crate) fn ticks_beside(ticks: &[Tick]) -> f64 {
 }
 
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Frame {
-    pub(crate) area: Area,
+pub(crate) struct AxesFrame {
+    pub(crate) area: PlotArea,
     pub(crate) x: Axis,
     pub(crate) y: Axis,
 }
@@ -33,8 +33,8 @@ pub(crate) struct Labels {
     pub(crate) y: bool,
 }
 
-impl Frame {
-    pub(crate) fn place(&self, x: f64, y: f64) -> Point {
+impl AxesFrame {
+    pub(crate) fn place(&self, x: f64, y: f64) -> CanvasPoint {
         at(self.across(x), self.up(y))
     }
 
@@ -47,11 +47,11 @@ impl Frame {
     }
 
     pub(crate) fn x_ticks(&self) -> Vec<Tick> {
-        self.x.ticks(self.area.width, Direction::Across)
+        self.x.ticks(self.area.width, AxisDirection::Across)
     }
 
     pub(crate) fn y_ticks(&self) -> Vec<Tick> {
-        self.y.ticks(self.area.height, Direction::Up)
+        self.y.ticks(self.area.height, AxisDirection::Up)
     }
 
     /// Light rules at the labelled ticks, to be drawn below all else.
@@ -69,7 +69,7 @@ impl Frame {
 
     /// Axis lines on the left and below, with ticks.
     pub(crate) fn axes(&self, canvas: &mut Canvas, labels: Labels) {
-        let Area { left, top, .. } = self.area;
+        let PlotArea { left, top, .. } = self.area;
         let (right, bottom) = (self.area.right(), self.area.bottom());
         let pen = Stroke::solid(Color::AXIS, 0.8);
         canvas.polyline(&[at(left, top), at(left, bottom), at(right, bottom)], pen);
@@ -93,7 +93,7 @@ impl Frame {
 
     /// A box with ticks on its right, as a colour bar has them.
     pub(crate) fn scale_on_the_right(&self, canvas: &mut Canvas) {
-        let Area { left, top, .. } = self.area;
+        let PlotArea { left, top, .. } = self.area;
         let (right, bottom) = (self.area.right(), self.area.bottom());
         let pen = Stroke::solid(Color::AXIS, 0.8);
         canvas.polygon(&[at(left, top), at(right, top), at(right, bottom), at(left, bottom)], None, pen);

@@ -1,7 +1,7 @@
 //! What stands above the panels: the title and the legend.
 
 use super::canvas::{Canvas, at};
-use super::legend::{Key, Row};
+use super::legend::{Key, LegendRow};
 use super::text::{TITLE, Text};
 
 /// White space around every figure.
@@ -12,14 +12,14 @@ const GAP: f64 = 8.0;
 #[derive(Debug)]
 pub(crate) struct Head<'a> {
     title: Vec<Text>,
-    legend: Row<'a>,
+    legend: LegendRow<'a>,
 }
 
 impl<'a> Head<'a> {
     pub(crate) fn new(title: &str, keys: &'a [Key], width: f64) -> Self {
         let mut title = Text::new(title, TITLE).bold().wrapped(width);
         title.retain(|line| !line.content.is_empty());
-        Self { title, legend: Row::new(keys, width) }
+        Self { title, legend: LegendRow::new(keys, width) }
     }
 
     /// Down to where the panels begin.

@@ -1,6 +1,6 @@
 //! Legends: samples of what is drawn, each with its words.
 
-use super::canvas::{Area, Canvas, Point, Stroke, at};
+use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, at};
 use super::color::Color;
 use super::text::{SMALL, Text};
 
@@ -12,12 +12,12 @@ const LINE: f64 = 1.45 * SMALL;
 /// One entry of a legend.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Key {
-    pub(crate) sample: Sample,
+    pub(crate) sample: KeySample,
     pub(crate) label: String,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Sample {
+pub(crate) enum KeySample {
     Line(Stroke),
     Mark(Mark),
     Patch(Color),
@@ -38,53 +38,53 @@ pub(crate) enum Mark {
 
 impl Key {
     pub(crate) fn line(stroke: Stroke, label: impl Into<String>) -> Self {
-        Self { sample: Sample::Line(stroke), label: label.into() }
+        Self { sample: KeySample::Line(stroke), label: label.into() }
     }
 
     pub(crate) fn mark(mark: Mark, label: impl Into<String>) -> Self {
-        Self { sample: Sample::Mark(mark), label: label.into() }
+        Self { sample: KeySample::Mark(mark), label: label.into() }
     }
 
     pub(crate) fn note(label: impl Into<String>) -> Self {
-        Self { sample: Sample::None, label: label.into() }
+        Self { sample: KeySample::None, label: label.into() }
     }
 
     fn text(&self) -> Text {
-        let color = if self.sample == Sample::None { Color::FAINT_INK } else { Color::INK };
+        let color = if self.sample == KeySample::None { Color::FAINT_INK } else { Color::INK };
         Text::new(self.label.as_str(), SMALL).color(color)
     }
 
     fn indent(&self) -> f64 {
-        if self.sample == Sample::None { 0.0 } else { SAMPLE + GAP }
+        if self.sample == KeySample::None { 0.0 } else { SAMPLE + GAP }
     }
 
     fn draw_sample(&self, canvas: &mut Canvas, left: f64, baseline: f64) {
         let middle = baseline - 0.36 * SMALL;
         match self.sample {
-            Sample::Line(stroke) => {
+            KeySample::Line(stroke) => {
                 let points: Vec<_> = (0..6).map(|i| at(left + SAMPLE * f64::from(i) / 5.0, middle)).collect();
                 canvas.polyline(&points, stroke);
             }
-            Sample::Mark(mark) => mark.draw(canvas, at(left + SAMPLE / 2.0, middle)),
-            Sample::Patch(color) => {
+            KeySample::Mark(mark) => mark.draw(canvas, at(left + SAMPLE / 2.0, middle)),
+            KeySample::Patch(color) => {
                 canvas.fill(
-                    Area { left: left + 4.0, top: middle - 5.0, width: SAMPLE - 8.0, height: 10.0 },
+                    PlotArea { left: left + 4.0, top: middle - 5.0, width: SAMPLE - 8.0, height: 10.0 },
                     color,
                 );
             }
-            Sample::None => {}
+            KeySample::None => {}
         }
     }
 }
 
 /// Keys in lines one below the other, long words wrapped.
 #[derive(Debug)]
-pub(crate) struct Column<'a> {
+pub(crate) struct LegendColumn<'a> {
     keys: &'a [Key],
     width: f64,
 }
 
-impl<'a> Column<'a> {
+impl<'a> LegendColumn<'a> {
     pub(crate) fn new(keys: &'a [Key], width: f64) -> Self {
         Self { keys, width }
     }
@@ -111,12 +111,12 @@ impl<'a> Column<'a> {
 
 /// Keys beside each other, in as many rows as they need.
 #[derive(Debug)]
-pub(crate) struct Row<'a> {
+pub(crate) struct LegendRow<'a> {
     keys: &'a [Key],
     width: f64,
 }
 
-impl<'a> Row<'a> {
+impl<'a> LegendRow<'a> {
     pub(crate) fn new(keys: &'a [Key], width: f64) -> Self {
         Self { keys, width }
     }
@@ -151,7 +151,7 @@ impl<'a> Row<'a> {
 }
 
 impl Mark {
-    pub(crate) fn draw(self, canvas: &mut Canvas, place: Point) {
+    pub(crate) fn draw(self, canvas: &mut Canvas, place: CanvasPoint) {
         let rim = Stroke::solid(Color::WHITE, self.width() + 2.4);
         self.outline(canvas, place, rim);
         self.outline(canvas, place, Stroke::solid(self.color(), self.width()));
@@ -169,7 +169,7 @@ impl Mark {
         if self == Self::Cross { 2.4 } else { 1.7 }
     }
 
-    fn outline(self, canvas: &mut Canvas, Point { x, y }: Point, stroke: Stroke) {
+    fn outline(self, canvas: &mut Canvas, CanvasPoint { x, y }: CanvasPoint, stroke: Stroke) {
         let rim = if stroke.color == Color::WHITE { 1.2 } else { 0.0 };
         match self {
             Self::Cross => {
@@ -200,10 +200,10 @@ mod tests {
     #[test]
     fn keys_continue_in_the_next_row() {
         let keys: Vec<_> = (0..7).map(|i| Key::note(format!("entry number {i}"))).collect();
-        let row = Row::new(&keys, 250.0);
+        let row = LegendRow::new(&keys, 250.0);
         let rows: Vec<_> = row.places().into_iter().map(|(_, row, _)| row).collect();
         assert_eq!(rows, [0, 0, 1, 1, 2, 2, 3]);
         assert!((row.height() - 4.0 * LINE).abs() < 1e-9);
-        assert_eq!(Row::new(&[], 250.0).height(), 0.0);
+        assert_eq!(LegendRow::new(&[], 250.0).height(), 0.0);
     }
 }

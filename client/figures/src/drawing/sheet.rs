@@ -4,10 +4,10 @@ use anyhow::ensure;
 use optics_model::fit::Curve;
 
 use super::axis::{Axis, extent};
-use super::canvas::{Area, Canvas, Stroke, at};
-use super::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use super::canvas::{Canvas, PlotArea, Stroke, at};
+use super::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use super::head::{Head, MARGIN};
-use super::legend::{Column, Key};
+use super::legend::{Key, LegendColumn};
 use super::picture::Picture;
 use super::text::{Anchor, HEADING, LABEL, Text};
 
@@ -172,17 +172,17 @@ impl<'a> SheetLayout<'a> {
 
     fn keys_height(&self, band: usize, row: usize) -> f64 {
         let panels = self.of_band(band).filter(|p| p.place.1 == row);
-        panels.map(|p| Column::new(self.keys(p), self.panel_width).height()).fold(0.0, f64::max)
+        panels.map(|p| LegendColumn::new(self.keys(p), self.panel_width).height()).fold(0.0, f64::max)
     }
 
     /// The frames of profile and gradient with the profile's top at `top`.
-    fn frames(&self, p: &Placed, top: f64) -> [Frame; 2] {
+    fn frames(&self, p: &Placed, top: f64) -> [AxesFrame; 2] {
         let left = self.left(p.place.0 % self.across);
-        let area = |top, height| Area { left, top, width: self.panel_width, height };
+        let area = |top, height| PlotArea { left, top, width: self.panel_width, height };
         let below = top + PROFILE_HEIGHT + BETWEEN_PARTS;
         [
-            Frame { area: area(top, PROFILE_HEIGHT), x: self.x, y: p.profile },
-            Frame { area: area(below, GRADIENT_HEIGHT), x: self.x, y: p.gradient },
+            AxesFrame { area: area(top, PROFILE_HEIGHT), x: self.x, y: p.profile },
+            AxesFrame { area: area(below, GRADIENT_HEIGHT), x: self.x, y: p.gradient },
         ]
     }
 
@@ -196,7 +196,7 @@ impl<'a> SheetLayout<'a> {
             let keys_height = self.keys_height(band, row);
             self.draw_names(canvas, row, row_top + keys_height);
             for p in self.of_band(band).filter(|p| p.place.1 == row) {
-                let keys = Column::new(self.keys(p), self.panel_width);
+                let keys = LegendColumn::new(self.keys(p), self.panel_width);
                 let frames = self.frames(p, row_top + keys_height);
                 keys.draw(canvas, frames[0].area.left, frames[0].area.top - keys.height() - 3.0);
                 self.draw_panel(canvas, p, &frames);
@@ -218,7 +218,7 @@ impl<'a> SheetLayout<'a> {
         }
     }
 
-    fn draw_panel(&self, canvas: &mut Canvas, p: &Placed, frames: &[Frame; 2]) {
+    fn draw_panel(&self, canvas: &mut Canvas, p: &Placed, frames: &[AxesFrame; 2]) {
         let (column, row) = p.place;
         let lowest = !self.placed.iter().any(|other| other.place.0 == column && other.place.1 > row);
         let [profile, gradient] = frames;

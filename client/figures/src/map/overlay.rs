@@ -6,14 +6,14 @@ use optics_model::fit::{DistanceMap, MapLayer};
 use super::MapLabels;
 use crate::drawing::canvas::{Canvas, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::Frame;
-use crate::drawing::legend::{Key, Mark, Sample};
+use crate::drawing::frame::AxesFrame;
+use crate::drawing::legend::{Key, KeySample, Mark};
 
 /// Marks for places outside stand this far from the border.
 const INSET: f64 = 9.0;
 
 /// The legend for the marks that occur.
-pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &Frame) -> Vec<Key> {
+pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &AxesFrame) -> Vec<Key> {
     let mut keys = vec![Key::mark(Mark::Cross, words.mark_of_all), Key::mark(Mark::Circle, words.mark)];
     let similar = || map.layers.iter().filter_map(|layer| layer.similar);
     if similar().any(|medium| beyond(frame, &medium) == (0, 0)) {
@@ -23,7 +23,7 @@ pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &Frame) -> Vec<K
         keys.push(Key::mark(Mark::Arrow(0), "similarity theory, outside the grid"));
     }
     if map.layers.iter().flat_map(|layer| &layer.errors).flatten().any(|d| !d.is_finite()) {
-        keys.push(Key { sample: Sample::Patch(Color::NO_DATA), label: "no record".into() });
+        keys.push(Key { sample: KeySample::Patch(Color::NO_DATA), label: "no record".into() });
     }
     if map.albedo.iter().any(|&albedo| albedo >= 1.0) {
         keys.push(Key::note("α = 1 has no place on the logarithmic axis"));
@@ -31,7 +31,7 @@ pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &Frame) -> Vec<K
     keys
 }
 
-pub(super) fn marks(canvas: &mut Canvas, frame: &Frame, layer: &MapLayer, best_of_all: bool) {
+pub(super) fn marks(canvas: &mut Canvas, frame: &AxesFrame, layer: &MapLayer, best_of_all: bool) {
     mark(canvas, frame, Mark::Circle, &layer.best.medium);
     if let Some(medium) = &layer.similar {
         mark(canvas, frame, Mark::Diamond, medium);
@@ -42,7 +42,7 @@ pub(super) fn marks(canvas: &mut Canvas, frame: &Frame, layer: &MapLayer, best_o
 }
 
 /// Marks a medium, or draws an arrow at the border if it is outside.
-fn mark(canvas: &mut Canvas, frame: &Frame, mark: Mark, medium: &Medium) {
+fn mark(canvas: &mut Canvas, frame: &AxesFrame, mark: Mark, medium: &Medium) {
     let (right, up) = beyond(frame, medium);
     if (right, up) == (0, 0) {
         return mark.draw(canvas, frame.place(1.0 - medium.albedo(), medium.sigma_t_per_mm()));
@@ -59,7 +59,7 @@ fn mark(canvas: &mut Canvas, frame: &Frame, mark: Mark, medium: &Medium) {
 }
 
 /// On which side of the axes a medium lies, to the right and up: −1, 0 or 1 each.
-fn beyond(frame: &Frame, medium: &Medium) -> (i8, i8) {
+fn beyond(frame: &AxesFrame, medium: &Medium) -> (i8, i8) {
     let side = |fraction: f64| i8::from(fraction > 1.0) - i8::from(fraction < 0.0);
     // The logarithm of zero is −∞, which is outside as it should be.
     (side(frame.x.fraction(1.0 - medium.albedo())), side(frame.y.fraction(medium.sigma_t_per_mm())))
@@ -75,12 +75,12 @@ fn eighths(right: i8, up: i8) -> u8 {
 mod tests {
     use super::*;
     use crate::drawing::axis::Axis;
-    use crate::drawing::canvas::Area;
+    use crate::drawing::canvas::PlotArea;
 
     #[test]
     fn arrows_point_to_where_the_point_is() {
-        let area = Area { left: 10.0, top: 10.0, width: 100.0, height: 100.0 };
-        let frame = Frame { area, x: Axis::logarithmic(1e-5, 0.9), y: Axis::logarithmic(1.0, 30.0) };
+        let area = PlotArea { left: 10.0, top: 10.0, width: 100.0, height: 100.0 };
+        let frame = AxesFrame { area, x: Axis::logarithmic(1e-5, 0.9), y: Axis::logarithmic(1.0, 30.0) };
         let side = |sigma_t, albedo| beyond(&frame, &Medium::new(sigma_t, albedo, 0.0).unwrap());
         assert_eq!(side(5.0, 0.9), (0, 0));
         assert_eq!(side(50.0, 0.9), (0, 1));

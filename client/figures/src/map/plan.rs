@@ -7,9 +7,9 @@ use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
 use super::nodes::Nodes;
 use super::overlay::marks;
 use crate::drawing::axis::{Axis, extent};
-use crate::drawing::canvas::{Area, Canvas, at};
+use crate::drawing::canvas::{Canvas, PlotArea, at};
 use crate::drawing::color::Color;
-use crate::drawing::frame::{Frame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::MARGIN;
 use crate::drawing::number::number;
 use crate::drawing::text::{Anchor, HEADING, LABEL, Text};
@@ -29,7 +29,7 @@ pub(super) const FINENESS: f64 = 2.0;
 const MOST_CONTRAST: f64 = 1e4;
 
 /// Where everything goes.
-pub(super) struct Plan {
+pub(super) struct MapPlan {
     panels: usize,
     across: usize,
     size: (f64, f64),
@@ -41,7 +41,7 @@ pub(super) struct Plan {
     pub(super) width: f64,
 }
 
-impl Plan {
+impl MapPlan {
     pub(super) fn new(map: &DistanceMap) -> anyhow::Result<Self> {
         let panels = map.layers.len();
         ensure!(panels > 0, "no maps to draw");
@@ -70,11 +70,15 @@ impl Plan {
         self.pitch() * self.rows() as f64 - BETWEEN + BELOW
     }
 
-    pub(super) fn frame(&self, i: usize, top: f64) -> Frame {
+    pub(super) fn frame(&self, i: usize, top: f64) -> AxesFrame {
         let (width, height) = self.size;
         let left = MARGIN + NAME + self.beside + (i % self.across) as f64 * (width + BETWEEN);
         let top = top + (i / self.across) as f64 * self.pitch() + HEADING_HEIGHT;
-        Frame { area: Area { left, top, width, height }, x: self.co_albedo.axis, y: self.sigma_t.axis }
+        AxesFrame {
+            area: PlotArea { left, top, width, height },
+            x: self.co_albedo.axis,
+            y: self.sigma_t.axis,
+        }
     }
 
     pub(super) fn draw_panel(
@@ -120,11 +124,11 @@ impl Plan {
     }
 
     /// The colour bar as a frame of its own: its area, and the distance as the vertical axis.
-    fn bar(&self, top: f64) -> Frame {
+    fn bar(&self, top: f64) -> AxesFrame {
         let last = self.frame(self.across - 1, top).area;
         let panels = self.pitch() * self.rows() as f64 - BETWEEN - HEADING_HEIGHT;
-        let area = Area { left: last.right() + BAR_GAP, top: last.top, width: BAR_WIDTH, height: panels };
-        Frame { area, x: Axis::exact(None), y: self.color }
+        let area = PlotArea { left: last.right() + BAR_GAP, top: last.top, width: BAR_WIDTH, height: panels };
+        AxesFrame { area, x: Axis::exact(None), y: self.color }
     }
 
     pub(super) fn draw_bar(&self, canvas: &mut Canvas, value_name: &str, top: f64) -> anyhow::Result<()> {

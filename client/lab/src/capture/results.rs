@@ -10,7 +10,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::budget::{SessionErrors, sum, thickness_std_error_mm};
-use super::report::{self, Report};
+use super::report::{self, CaptureReport};
 use super::stage::{Captured, CapturedSample};
 use crate::measurement_file::{self, Note, column_names};
 use crate::whole_file::{folder_of, sync_folder};
@@ -28,7 +28,7 @@ pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
     let measurements = measurements(captured)?;
     let read = measurement_file::read(&measurements)
         .context("profiles of these photographs (as in measurements.csv)")?;
-    let report = Report::of(captured);
+    let report = CaptureReport::of(captured);
     let contents = [
         measurements,
         with_end(serde_json::to_string_pretty(&session(captured))?),
@@ -197,7 +197,7 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
 /// Everything as numbers, for programs; the fit reads the fields at its head.
 pub(super) fn session(captured: &Captured) -> impl Serialize {
     #[derive(Serialize)]
-    struct Session {
+    struct SessionJson {
         format: &'static str,
         #[serde(flatten)]
         errors: SessionErrors,
@@ -213,7 +213,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
     let digest = blake3::hash(captured.session.text.as_bytes());
     let inputs =
         captured.inputs.iter().map(|input| json!({"photograph": input.label, "blake3": input.digest}));
-    Session {
+    SessionJson {
         format: "farmctl-session/1",
         errors: SessionErrors::of(captured),
         blur_mm: by_channel(|c| json!(blur[c].value)),

@@ -18,7 +18,7 @@ const WHAT: &str = "session file";
 
 /// A session whose files are there and whose numbers can be.
 #[derive(Debug)]
-pub struct Session {
+pub struct CaptureSession {
     pub dark: Vec<PathBuf>,
     pub flat: Vec<PathBuf>,
     /// For mosaics whose files do not state it.
@@ -51,7 +51,7 @@ impl Sample {
     }
 }
 
-impl Session {
+impl CaptureSession {
     pub fn read(path: &Path) -> Result<Self> {
         let text = read_text(path, WHAT)?;
         let file: SessionFile = from_toml(&text, path, WHAT)?;
@@ -138,7 +138,12 @@ const NEUTRAL_STD_ERROR: f64 = 0.01;
 const THICKNESS_STD_ERROR_MM: f64 = 0.005;
 
 impl SessionFile {
-    fn checked(self, folder: &Path, scene: optics_model::Scene, text: String) -> Result<Session, Invalid> {
+    fn checked(
+        self,
+        folder: &Path,
+        scene: optics_model::Scene,
+        text: String,
+    ) -> Result<CaptureSession, Invalid> {
         let doubts = doubts::of(&self);
         let pattern = self.camera.pattern.as_deref().map(pattern).transpose()?;
         let neutral = neutral(&self.neutral)?;
@@ -150,7 +155,7 @@ impl SessionFile {
         let samples = self.samples.into_iter().enumerate();
         let samples = samples
             .map(|(i, table)| sample(folder, table).map_err(|e| e.within(format_args!("sample[{i}]"))));
-        let session = Session {
+        let session = CaptureSession {
             dark: files("camera.dark", &self.camera.dark)?,
             flat: files("camera.flat", &self.camera.flat)?,
             pattern,
@@ -202,7 +207,7 @@ fn needed(field: &str, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, Invalid> {
 }
 
 /// Each photograph is used once: one that is used twice would agree with itself.
-fn check_once(session: &Session) -> Result<(), Invalid> {
+fn check_once(session: &CaptureSession) -> Result<(), Invalid> {
     let mut places: HashMap<PathBuf, String> = HashMap::new();
     let lists = [
         ("camera.dark".to_owned(), &session.dark),

@@ -9,14 +9,14 @@ use optics_capture::{
 };
 use optics_tracer::BareBoard;
 
-use super::session_file::{Sample, Session};
+use super::session_file::{CaptureSession, Sample};
 use super::shots::{Input, Shots, turned};
 use super::strip::Strip;
 
 /// All results of a session's photographs.
 #[derive(Debug)]
 pub struct Captured {
-    pub session: Session,
+    pub session: CaptureSession,
     pub calibration: Calibration,
     pub board: Board,
     pub rho: [BoardRho; 3],
@@ -34,7 +34,7 @@ pub struct CapturedSample {
 
 /// Runs all steps; `report` is called with the current step and the share of photographs that are read.
 pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Captured> {
-    let mut session = Session::read(path)?;
+    let mut session = CaptureSession::read(path)?;
     let mut run = SessionRun {
         shots: Shots::new(session.pattern, path.parent().unwrap_or(Path::new(""))),
         total: session.shots().count(),
@@ -70,7 +70,7 @@ struct SessionRun<'a> {
 }
 
 impl SessionRun<'_> {
-    fn stages(&mut self, session: &mut Session) -> Result<Stages> {
+    fn stages(&mut self, session: &mut CaptureSession) -> Result<Stages> {
         let calibration = self.calibrate(session)?;
         let board = self.board(session, &calibration)?;
         // The same light and the same coat for all channels.
@@ -90,7 +90,7 @@ impl SessionRun<'_> {
         self.shots.read(path, what)
     }
 
-    fn calibrate(&mut self, session: &Session) -> Result<Calibration> {
+    fn calibrate(&mut self, session: &CaptureSession) -> Result<Calibration> {
         let mut darks = Darks::new();
         for path in &session.dark {
             darks.add(self.read(path, "dark")?)?;
@@ -113,7 +113,7 @@ impl SessionRun<'_> {
         Ok(patches.finish()?)
     }
 
-    fn board(&mut self, session: &Session, calibration: &Calibration) -> Result<Board> {
+    fn board(&mut self, session: &CaptureSession, calibration: &Calibration) -> Result<Board> {
         let mut bare = BareShots::new(calibration, session.target)?;
         for path in &session.bare {
             bare.add(self.read(path, "bare board")?)?;

@@ -10,7 +10,7 @@ pub(super) const SET_UP: usize = Quantity::OF_PROFILES.len();
 
 /// What a column of the strict format holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Field {
+pub(super) enum ColumnField {
     Material,
     Channel,
     Thickness,
@@ -21,7 +21,7 @@ pub(super) enum Field {
     SetUp(usize),
 }
 
-impl Field {
+impl ColumnField {
     /// Those that must be there.
     pub(super) const NEEDED: [Self; 5] =
         [Self::Material, Self::Channel, Self::Thickness, Self::X, Self::Value];
@@ -51,13 +51,16 @@ impl Field {
     }
 
     /// Whether its numbers may have a unit. Pixels are understood so that they can be refused with a reason.
-    fn takes(self, unit: Unit) -> bool {
+    fn takes(self, unit: ColumnUnit) -> bool {
         match unit {
-            Unit::None => true,
-            Unit::Nanometres => self == Self::Channel,
-            Unit::Percent => matches!(self, Self::Value | Self::StdError),
-            Unit::Pixels => self != Self::Thickness && self.is_length(),
-            Unit::Millimetres | Unit::Micrometres | Unit::Centimetres | Unit::Metres => self.is_length(),
+            ColumnUnit::None => true,
+            ColumnUnit::Nanometres => self == Self::Channel,
+            ColumnUnit::Percent => matches!(self, Self::Value | Self::StdError),
+            ColumnUnit::Pixels => self != Self::Thickness && self.is_length(),
+            ColumnUnit::Millimetres
+            | ColumnUnit::Micrometres
+            | ColumnUnit::Centimetres
+            | ColumnUnit::Metres => self.is_length(),
         }
     }
 
@@ -89,7 +92,7 @@ impl Field {
 
 /// The names of the strict format.
 pub fn names() -> Vec<&'static str> {
-    Field::all().map(Field::name).collect()
+    ColumnField::all().map(ColumnField::name).collect()
 }
 
 /// A name without spaces and punctuation.
@@ -97,8 +100,8 @@ fn squeezed(name: &str) -> String {
     name.chars().filter(|c| !" _-./".contains(*c)).collect()
 }
 
-fn joined(fields: impl IntoIterator<Item = Field>) -> String {
-    fields.into_iter().map(Field::name).collect::<Vec<_>>().join(", ")
+fn joined(fields: impl IntoIterator<Item = ColumnField>) -> String {
+    fields.into_iter().map(ColumnField::name).collect::<Vec<_>>().join(", ")
 }
 
 /// A column's place in the rows, and the factor that makes its numbers mm or radiance factors.
@@ -133,10 +136,10 @@ impl Columns {
                 bail!("column {given:?} is not known; the columns are {}", names().join(", "));
             };
             let (field, name) = (meaning.field, meaning.field.name());
-            if meaning.unit == Unit::Pixels {
+            if meaning.unit == ColumnUnit::Pixels {
                 bail!(
                     "column {given:?} counts pixels; mm are wanted: multiply by the pixel pitch{}",
-                    if field == Field::X { ", with 0 at the edge" } else { "" }
+                    if field == ColumnField::X { ", with 0 at the edge" } else { "" }
                 );
             }
             if let Some((_, earlier)) = found.iter().find(|(other, _)| other.field == field) {
@@ -148,15 +151,15 @@ impl Columns {
                 assumed.push(meaning.described(given));
             }
         }
-        let of = |field: Field| found.iter().find(|(meaning, _)| meaning.field == field).copied();
-        let missing: Vec<_> = Field::NEEDED.into_iter().filter(|field| of(*field).is_none()).collect();
+        let of = |field: ColumnField| found.iter().find(|(meaning, _)| meaning.field == field).copied();
+        let missing: Vec<_> = ColumnField::NEEDED.into_iter().filter(|field| of(*field).is_none()).collect();
         if !missing.is_empty() {
             let s = if missing.len() == 1 { "" } else { "s" };
-            bail!("missing column{s} {}; needed are {}", joined(missing), joined(Field::NEEDED));
+            bail!("missing column{s} {}; needed are {}", joined(missing), joined(ColumnField::NEEDED));
         }
-        if let (Some((value, _)), Some((error, place))) = (of(Field::Value), of(Field::StdError))
-            && value.unit == Unit::Percent
-            && error.unit == Unit::None
+        if let (Some((value, _)), Some((error, place))) = (of(ColumnField::Value), of(ColumnField::StdError))
+            && value.unit == ColumnUnit::Percent
+            && error.unit == ColumnUnit::None
         {
             let given = &header[place];
             bail!(
@@ -166,16 +169,16 @@ impl Columns {
         if !assumed.is_empty() {
             notes.push(Note::new("COLUMNS", format!("columns: {}", assumed.join(", "))));
         }
-        let column = |field: Field| {
+        let column = |field: ColumnField| {
             of(field).map(|(m, place)| Column { place, factor: m.unit.factor(), name: field.name() })
         };
-        match Field::NEEDED.map(column) {
+        match ColumnField::NEEDED.map(column) {
             [Some(material), Some(channel), Some(thickness), Some(x), Some(value)] => {
-                let setup = std::array::from_fn(|quantity| column(Field::SetUp(quantity)));
-                let std_error = column(Field::StdError);
+                let setup = std::array::from_fn(|quantity| column(ColumnField::SetUp(quantity)));
+                let std_error = column(ColumnField::StdError);
                 Ok(Self { material, channel, thickness, x, value, std_error, setup })
             }
-            _ => bail!("needed are {}", joined(Field::NEEDED)),
+            _ => bail!("needed are {}", joined(ColumnField::NEEDED)),
         }
     }
 
@@ -194,13 +197,13 @@ pub(super) fn understood(header: &csv::StringRecord) -> usize {
 /// Whether cells hold units, or nothing, where numbers are wanted.
 pub(super) fn are_units(cells: &[&str]) -> bool {
     let unit =
-        |cell: &str| Unit::of(&cell.trim_matches(['(', ')', '[', ']']).trim().to_lowercase()).is_some();
+        |cell: &str| ColumnUnit::of(&cell.trim_matches(['(', ')', '[', ']']).trim().to_lowercase()).is_some();
     let none = |cell: &str| ["", "-", "1", "a.u."].contains(&cell);
     cells.iter().any(|cell| unit(cell)) && cells.iter().all(|cell| unit(cell) || none(cell))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Unit {
+enum ColumnUnit {
     None,
     Millimetres,
     Micrometres,
@@ -211,7 +214,7 @@ enum Unit {
     Percent,
 }
 
-impl Unit {
+impl ColumnUnit {
     fn of(text: &str) -> Option<Self> {
         Some(match text {
             "mm" => Self::Millimetres,
@@ -240,8 +243,8 @@ impl Unit {
 /// The meaning of a column's name.
 #[derive(Debug, Clone, Copy)]
 struct Meaning {
-    field: Field,
-    unit: Unit,
+    field: ColumnField,
+    unit: ColumnUnit,
 }
 
 impl Meaning {
@@ -260,23 +263,23 @@ impl Meaning {
 fn meaning(name: &str) -> Option<Meaning> {
     let name = name.to_lowercase();
     let (words, unit) = split_unit(name.trim())?;
-    let field = Field::of(&squeezed(words))?;
+    let field = ColumnField::of(&squeezed(words))?;
     field.takes(unit).then_some(Meaning { field, unit })
 }
 
 /// `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm`, `thickness/mm`; None if what stands in brackets
 /// is no unit.
-fn split_unit(name: &str) -> Option<(&str, Unit)> {
+fn split_unit(name: &str) -> Option<(&str, ColumnUnit)> {
     if let Some((words, rest)) = name.split_once(['(', '[']) {
         let unit = rest.trim_end().strip_suffix([')', ']'])?;
-        return Some((words.trim(), Unit::of(unit.trim())?));
+        return Some((words.trim(), ColumnUnit::of(unit.trim())?));
     }
     if let Some((words, unit)) = name.rsplit_once(['_', ' ', '/'])
-        && let Some(unit) = Unit::of(unit.trim())
+        && let Some(unit) = ColumnUnit::of(unit.trim())
     {
         return Some((words.trim(), unit));
     }
-    Some((name, Unit::None))
+    Some((name, ColumnUnit::None))
 }
 
 #[cfg(test)]
@@ -325,10 +328,10 @@ mod tests {
         let all = "material,channel,thickness_mm,x_mm,value";
         let (columns, notes) = find(&format!("{all},{}", names()[6..].join(","))).unwrap();
         assert!(notes.is_empty(), "{notes:?}");
-        assert_eq!(columns.setup.map(|c| c.unwrap().place), [5, 6, 7, 8, 9]);
+        assert_eq!(columns.setup.map(|c| c.unwrap().place), std::array::from_fn(|i| 5 + i));
         let (columns, notes) = find(&format!("{all},Blur (\u{b5}m),Thickness error [um]")).unwrap();
-        let factors = columns.setup.map(|c| c.map(|c| c.factor));
-        assert_eq!(factors, [Some(1e-3), None, None, Some(1e-3), None]);
+        let found: Vec<_> = columns.setup.iter().flatten().map(|c| (c.name, c.factor)).collect();
+        assert_eq!(found, [("thickness_std_error_mm", 1e-3), ("blur_mm", 1e-3)]);
         assert!(notes[0].text.contains("is divided by 1000 and read as blur_mm"), "{}", notes[0].text);
         let pixels = find(&format!("{all},blur_px")).unwrap_err().to_string();
         assert!(pixels.starts_with("column \"blur_px\" counts pixels"), "{pixels}");

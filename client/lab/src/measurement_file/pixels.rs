@@ -13,7 +13,7 @@ const MOST_MISSING: f64 = 0.1;
 const UNKNOWN: f64 = 1.0;
 
 /// One row of a profile.
-pub(super) struct Row {
+pub(super) struct FileRow {
     pub line: u64,
     /// None in the one row of a patch.
     pub x_mm: Option<f64>,
@@ -23,7 +23,7 @@ pub(super) struct Row {
     pub std_error: Option<f64>,
 }
 
-impl Row {
+impl FileRow {
     /// Unused for patches.
     pub fn x(&self) -> f64 {
         self.x_mm.unwrap_or_default()
@@ -45,7 +45,7 @@ pub(super) struct Pixels {
 impl Pixels {
     /// Pixels without a value, masked or left out, are interpolated between their neighbours; at the ends they are left
     /// out.
-    pub fn of(rows: &[Row]) -> Result<Self> {
+    pub fn of(rows: &[FileRow]) -> Result<Self> {
         let (Some(first), Some(last)) =
             (rows.iter().position(|r| r.value.is_some()), rows.iter().rposition(|r| r.value.is_some()))
         else {
@@ -87,7 +87,7 @@ impl Pixels {
 
 /// What was assumed about the pixels of a file's profiles.
 #[derive(Debug, Default)]
-pub(super) struct Assumed {
+pub(super) struct AssumedPixels {
     /// Profiles whose x are rounded, with the line and the pitch of the first.
     rounded: usize,
     first_rounded: Option<(u64, f64)>,
@@ -100,7 +100,7 @@ pub(super) struct Assumed {
     first_without: Option<u64>,
 }
 
-impl Assumed {
+impl AssumedPixels {
     /// Takes up a profile that was made of pixels at `x_mm`.
     pub fn add(&mut self, profile: &MeasuredProfile, x_mm: &[f64], missing: Option<(u64, usize)>, line: u64) {
         if profile.x_mm() != x_mm {
@@ -152,7 +152,7 @@ fn counted(count: usize, one: &str, many: &str) -> String {
 }
 
 /// Whether the rows with a value have standard errors: all of them or none.
-fn with_errors(rows: &[Row]) -> Result<bool> {
+fn with_errors(rows: &[FileRow]) -> Result<bool> {
     let mut valued = rows.iter().filter(|r| r.value.is_some());
     let with = valued.clone().find(|r| r.std_error.is_some());
     let without = valued.find(|r| r.std_error.is_none());
@@ -175,13 +175,13 @@ struct PixelPlace {
 }
 
 impl PixelPlace {
-    fn of(row: &Row) -> Self {
+    fn of(row: &FileRow) -> Self {
         Self { x_mm: row.x(), value: row.value, std_error: row.std_error.unwrap_or_default(), line: row.line }
     }
 }
 
 /// The rows with places where steps are as long as several.
-fn filled(rows: &[Row]) -> Vec<PixelPlace> {
+fn filled(rows: &[FileRow]) -> Vec<PixelPlace> {
     let step = step(rows);
     let mut places: Vec<PixelPlace> = Vec::with_capacity(rows.len());
     for row in rows {
@@ -200,7 +200,7 @@ fn filled(rows: &[Row]) -> Vec<PixelPlace> {
 }
 
 /// The mean of the steps that are single ones, rounded as they may be.
-fn step(rows: &[Row]) -> f64 {
+fn step(rows: &[FileRow]) -> f64 {
     let mut steps: Vec<f64> = rows.windows(2).map(|w| w[1].x() - w[0].x()).collect();
     if steps.is_empty() {
         return 1.0;
@@ -229,8 +229,8 @@ mod tests {
     use super::*;
 
     /// Values 0, 1, 2 … at places of a pitch, without some.
-    fn rows(n: u32, pitch: f64, without: &[u32]) -> Vec<Row> {
-        let row = |i: u32| Row {
+    fn rows(n: u32, pitch: f64, without: &[u32]) -> Vec<FileRow> {
+        let row = |i: u32| FileRow {
             line: u64::from(i),
             x_mm: Some(f64::from(i) * pitch),
             value: Some(f64::from(i)),

@@ -10,16 +10,16 @@ use super::columns::{Column, are_units};
 use super::names::{Spellings, alike, alike_thicknesses};
 use super::note::Note;
 use super::number::{Decimal, is_missing};
-use super::pixels::{Assumed, Pixels, Row};
+use super::pixels::{AssumedPixels, FileRow, Pixels};
 use super::table::Table;
 
 /// One profile while its rows are being read.
-pub(super) struct Draft {
+pub(super) struct ProfileDraft {
     material: String,
     channel: String,
     thickness_mm: f64,
     setup: ProfileSetup,
-    rows: Vec<Row>,
+    rows: Vec<FileRow>,
 }
 
 /// Profiles of a file, ordered by material, and the line of each of their pixels.
@@ -30,7 +30,7 @@ pub(super) struct Profiles {
 }
 
 /// All rows, sorted into profiles in the order of their first rows.
-pub(super) fn drafts(table: &Table, decimal: Decimal, notes: &mut Vec<Note>) -> Result<Vec<Draft>> {
+pub(super) fn drafts(table: &Table, decimal: Decimal, notes: &mut Vec<Note>) -> Result<Vec<ProfileDraft>> {
     let (mut drafts, mut spellings) = (Vec::new(), Spellings::default());
     for row in table.rows() {
         let (line, row) = row?;
@@ -51,7 +51,7 @@ pub(super) fn drafts(table: &Table, decimal: Decimal, notes: &mut Vec<Note>) -> 
 }
 
 fn add(
-    drafts: &mut Vec<Draft>,
+    drafts: &mut Vec<ProfileDraft>,
     spellings: &mut Spellings,
     line: u64,
     row: &csv::StringRecord,
@@ -63,7 +63,7 @@ fn add(
     let material = spellings.read(&row[columns.material.place], line);
     let channel = spellings.read(&row[columns.channel.place], line);
     let thickness_mm = number(columns.thickness)?;
-    let entry = Row {
+    let entry = FileRow {
         line,
         x_mm: Some(columns.x).filter(|c| !row[c.place].is_empty()).map(number).transpose()?,
         value: Some(columns.value).filter(|c| !is_missing(&row[c.place])).map(number).transpose()?,
@@ -74,14 +74,15 @@ fn add(
         // A cell may be empty: this profile has no value.
         *known = column.filter(|c| !row[c.place].is_empty()).map(number).transpose()?;
     }
-    let same = |d: &Draft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
+    let same =
+        |d: &ProfileDraft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
     // Rows of a profile are mostly neighbours: the last is tried first.
     match drafts.iter().rposition(same) {
         Some(place) => {
             check_same(&drafts[place], setup)?;
             drafts[place].rows.push(entry);
         }
-        None => drafts.push(Draft {
+        None => drafts.push(ProfileDraft {
             material: material.into_owned(),
             channel: channel.into_owned(),
             thickness_mm,
@@ -93,7 +94,7 @@ fn add(
 }
 
 /// A profile has one set-up.
-fn check_same(draft: &Draft, setup: ProfileSetup) -> Result<()> {
+fn check_same(draft: &ProfileDraft, setup: ProfileSetup) -> Result<()> {
     for ((quantity, here), (_, before)) in setup.values().zip(draft.setup.values()) {
         if here != before {
             let described = |v: Option<f64>| v.map_or("nothing".to_owned(), |v| v.to_string());
@@ -108,7 +109,7 @@ fn check_same(draft: &Draft, setup: ProfileSetup) -> Result<()> {
 }
 
 /// If all channels are colours, whatever their spelling, they become R, G and B.
-pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
+pub(super) fn name_colours(drafts: &mut [ProfileDraft], notes: &mut Vec<Note>) -> Result<()> {
     if drafts.iter().any(|d| colour(&d.channel).is_none()) {
         return Ok(());
     }
@@ -120,7 +121,7 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
             same_slab && d.channel == name
         });
         if twin.is_some() {
-            let Draft { material, channel, thickness_mm, rows, .. } = &drafts[i];
+            let ProfileDraft { material, channel, thickness_mm, rows, .. } = &drafts[i];
             bail!(
                 "line {}, material {material}, {thickness_mm} mm: channel {channel:?} means {name}, which is there under another spelling: are these two profiles or one?",
                 rows[0].line
@@ -141,7 +142,7 @@ pub(super) fn name_colours(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Resul
 }
 
 /// Notes of names and thicknesses that may be meant to be one.
-pub(super) fn look_alike(drafts: &[Draft], notes: &mut Vec<Note>) {
+pub(super) fn look_alike(drafts: &[ProfileDraft], notes: &mut Vec<Note>) {
     notes.extend(alike("materials", drafts.iter().map(|d| (d.material.as_str(), d.rows[0].line))));
     notes.extend(alike("channels", drafts.iter().map(|d| (d.channel.as_str(), d.rows[0].line))));
     let mut slabs: BTreeMap<&str, Vec<(f64, u64)>> = BTreeMap::new();
@@ -158,7 +159,7 @@ pub(super) fn look_alike(drafts: &[Draft], notes: &mut Vec<Note>) {
 }
 
 /// Rows that do not rise in x are sorted.
-pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
+pub(super) fn sort(drafts: &mut [ProfileDraft], notes: &mut Vec<Note>) -> Result<()> {
     let (mut falling, mut mixed) = (0, 0);
     // Patches are looked at when they are made.
     for draft in drafts.iter_mut().filter(|d| d.rows.iter().all(|r| r.x_mm.is_some())) {
@@ -194,9 +195,9 @@ pub(super) fn sort(drafts: &mut [Draft], notes: &mut Vec<Note>) -> Result<()> {
 }
 
 /// Checked profiles, grouped by material.
-pub(super) fn profiles(drafts: Vec<Draft>, notes: &mut Vec<Note>) -> Result<Profiles> {
+pub(super) fn profiles(drafts: Vec<ProfileDraft>, notes: &mut Vec<Note>) -> Result<Profiles> {
     type Group = (String, Vec<MeasuredProfile>, Vec<Vec<u64>>);
-    let (mut groups, mut described): (Vec<Group>, Assumed) = (Vec::new(), Assumed::default());
+    let (mut groups, mut described): (Vec<Group>, AssumedPixels) = (Vec::new(), AssumedPixels::default());
     for draft in drafts {
         let (profile, lines) = draft.made(&mut described)?;
         match groups.iter_mut().find(|(name, _, _)| *name == draft.material) {
@@ -217,13 +218,13 @@ pub(super) fn profiles(drafts: Vec<Draft>, notes: &mut Vec<Note>) -> Result<Prof
     Ok(found)
 }
 
-impl Draft {
+impl ProfileDraft {
     fn place(&self, line: u64) -> String {
         place_of(line, &self.material, &self.channel, self.thickness_mm)
     }
 
     /// The profile, and the line of each of its pixels.
-    fn made(&self, described: &mut Assumed) -> Result<(MeasuredProfile, Vec<u64>)> {
+    fn made(&self, described: &mut AssumedPixels) -> Result<(MeasuredProfile, Vec<u64>)> {
         if let Some(patch) = self.rows.iter().find(|r| r.x_mm.is_none()) {
             let made = self.patch(patch)?.with_context(|| self.place(patch.line))?;
             let lines = vec![patch.line; made.values().len()];
@@ -241,7 +242,7 @@ impl Draft {
         Ok((profile, lines))
     }
 
-    fn patch(&self, patch: &Row) -> Result<optics_model::Result<MeasuredProfile>> {
+    fn patch(&self, patch: &FileRow) -> Result<optics_model::Result<MeasuredProfile>> {
         if self.rows.len() > 1 {
             bail!(
                 "{}: x_mm is empty, which means a patch on the light base, but there are {} rows: a patch has one, and another thickness than a profile over the edge",

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 
-use super::columns::{Columns, Field, understood};
+use super::columns::{ColumnField, Columns, understood};
 use super::note::Note;
 
 /// Most rows of one file.
@@ -36,7 +36,7 @@ impl<'a> Table<'a> {
             None => separator_of(body)?,
         };
         let mut header_rows = 1;
-        if understood(&header) < Field::NEEDED.len() {
+        if understood(&header) < ColumnField::NEEDED.len() {
             if let Some((line, commented)) = commented_header(&text[..text.len() - body.len()])? {
                 let note = format!("the comment in line {line} is read as the columns' names");
                 notes.push(Note::new("COMMENTED_HEADER", note));
@@ -172,7 +172,7 @@ fn commented_header(before: &str) -> Result<Option<(u64, (u8, csv::StringRecord)
     for (text, line) in before.lines().zip(1..).collect::<Vec<_>>().into_iter().rev() {
         let Some(comment) = text.trim_start().strip_prefix('#') else { continue };
         let found = separator_of(comment.trim_start_matches('#').trim())?;
-        if understood(&found.1) >= Field::NEEDED.len() {
+        if understood(&found.1) >= ColumnField::NEEDED.len() {
             return Ok(Some((line, found)));
         }
     }
@@ -182,7 +182,7 @@ fn commented_header(before: &str) -> Result<Option<(u64, (u8, csv::StringRecord)
 /// Refuses a file whose header stands further below, or is not there.
 fn refuse_preamble(body: &str, before: u64, first: &csv::StringRecord) -> Result<()> {
     for (text, line) in body.lines().take(LONGEST_PREAMBLE).zip(before + 1..) {
-        if separator_of(text).is_ok_and(|(_, header)| understood(&header) >= Field::NEEDED.len()) {
+        if separator_of(text).is_ok_and(|(_, header)| understood(&header) >= ColumnField::NEEDED.len()) {
             bail!(
                 "line {} does not name the columns; line {line} seems to: delete the lines before it, or begin them with #",
                 before + 1

@@ -9,7 +9,7 @@ use weezl::{BitOrder, LzwStatus};
 
 use super::directory::{Bytes, Directory, Tag};
 use super::lossless_jpeg::LosslessJpeg;
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 use super::{checked_samples, checked_size};
 
 /// LZW makes nothing more than so many times smaller.
@@ -53,7 +53,7 @@ impl<'a> Chunks<'a> {
         picture: &Directory<'a>,
         samples_per_pixel: usize,
         bits: u32,
-    ) -> Result<Self, Unreadable> {
+    ) -> Result<Self, UnreadablePhotograph> {
         let (width, height) = checked_size(picture.needed(Tag::WIDTH)?, picture.needed(Tag::HEIGHT)?)?;
         let compression = compression(picture)?;
         // Some writers give the size of tiles in addition to the places of strips.
@@ -91,12 +91,12 @@ impl<'a> Chunks<'a> {
     }
 
     /// Refuses what cannot be in so few bytes, before memory is taken for it.
-    fn check(&self, file_bytes: usize) -> Result<(), Unreadable> {
+    fn check(&self, file_bytes: usize) -> Result<(), UnreadablePhotograph> {
         let (across, down) = (self.width.div_ceil(self.chunk_width), self.height.div_ceil(self.chunk_height));
         let wanted = across * down;
         if self.stored.len() != wanted {
             let given = format!("{} strips or tiles", self.stored.len());
-            return Err(Unreadable::tag(
+            return Err(UnreadablePhotograph::tag(
                 Tag::STRIP_OFFSETS.name,
                 given,
                 format!("{wanted} make the picture"),
@@ -111,7 +111,7 @@ impl<'a> Chunks<'a> {
     }
 
     /// All samples, row by row.
-    pub(super) fn read(&self) -> Result<Vec<u16>, Unreadable> {
+    pub(super) fn read(&self) -> Result<Vec<u16>, UnreadablePhotograph> {
         if self.compression == Compression::None {
             // Each is looked at before memory is taken for all.
             for (chunk, stored) in self.stored.iter().enumerate() {
@@ -152,17 +152,17 @@ impl<'a> Chunks<'a> {
     }
 
     /// A strip's or tile's missing rows as those of the picture.
-    fn within_picture(&self, error: Unreadable, band: usize) -> Unreadable {
+    fn within_picture(&self, error: UnreadablePhotograph, band: usize) -> UnreadablePhotograph {
         match error {
-            Unreadable::EndsEarly { rows, .. } => {
+            UnreadablePhotograph::EndsEarly { rows, .. } => {
                 let rows = (band * self.chunk_height + rows).min(self.height);
-                Unreadable::EndsEarly { rows, height: self.height }
+                UnreadablePhotograph::EndsEarly { rows, height: self.height }
             }
             other => other,
         }
     }
 
-    fn decode(&self, chunk: usize) -> Result<Decoded, Unreadable> {
+    fn decode(&self, chunk: usize) -> Result<Decoded, UnreadablePhotograph> {
         let stored = self.stored[chunk];
         let mut decoded = match self.compression {
             Compression::None => self.unpack(chunk, stored)?,
@@ -187,7 +187,7 @@ impl<'a> Chunks<'a> {
 
     /// A tile's JPEG is as large as the tile, or as what of it is within the picture; rows of the same samples may be
     /// arranged otherwise.
-    fn unjpeg(&self, chunk: usize, stored: &[u8]) -> Result<Decoded, Unreadable> {
+    fn unjpeg(&self, chunk: usize, stored: &[u8]) -> Result<Decoded, UnreadablePhotograph> {
         let (width, height) = self.within(chunk);
         let samples = |width: usize, height: usize| width * height * self.samples_per_pixel;
         let whole = samples(self.chunk_width, self.chunk_height);
@@ -202,19 +202,21 @@ impl<'a> Chunks<'a> {
         let fits = row >= samples(width, 1) && rows >= height && jpeg.samples() <= whole;
         if !fits {
             let has = jpeg.samples();
-            return Err(Unreadable::Damaged(format!("a lossless JPEG has {has} samples, {last} are wanted")));
+            return Err(UnreadablePhotograph::Damaged(format!(
+                "a lossless JPEG has {has} samples, {last} are wanted"
+            )));
         }
         Ok(Decoded { samples: jpeg.decode()?, row })
     }
 
-    fn unpack(&self, chunk: usize, bytes: &[u8]) -> Result<Decoded, Unreadable> {
+    fn unpack(&self, chunk: usize, bytes: &[u8]) -> Result<Decoded, UnreadablePhotograph> {
         let (row, bits) = self.packing(chunk, bytes)?;
         Ok(Decoded { samples: unpacked(bytes, row, bits, self.big_endian), row })
     }
 
     /// Samples of a row and bits of a sample as they are stored: the last tiles may be whole or cut to the picture, and
     /// samples of 9 to 15 bits may stand in words of 16 bits, which the tags do not show.
-    fn packing(&self, chunk: usize, bytes: &[u8]) -> Result<(usize, u32), Unreadable> {
+    fn packing(&self, chunk: usize, bytes: &[u8]) -> Result<(usize, u32), UnreadablePhotograph> {
         let whole_row = self.chunk_width * self.samples_per_pixel;
         let (width, height) = self.within(chunk);
         let rows = [whole_row, width * self.samples_per_pixel];
@@ -234,17 +236,19 @@ impl<'a> Chunks<'a> {
         }
         let (has, wanted) = (bytes.len(), bytes_of_row(whole_row, self.bits) * height);
         if has < wanted {
-            return Err(Unreadable::Damaged(format!("a strip or tile has {has} bytes, {wanted} are needed")));
+            return Err(UnreadablePhotograph::Damaged(format!(
+                "a strip or tile has {has} bytes, {wanted} are needed"
+            )));
         }
         self.packed(whole_row, has)
     }
 
     /// Refuses words of 16 bits whose values need more bits than the tags give.
-    fn packed(&self, row: usize, has: usize) -> Result<(usize, u32), Unreadable> {
+    fn packed(&self, row: usize, has: usize) -> Result<(usize, u32), UnreadablePhotograph> {
         if self.bits < 16 && has >= 2 * row * self.chunk_height {
             let given = format!("{} with 16 bits stored for each sample", self.bits);
             let allowed = "larger values are stored: convert with a DNG converter or `dcraw -E -4 -T`";
-            return Err(Unreadable::tag(Tag::BITS.name, given, allowed));
+            return Err(UnreadablePhotograph::tag(Tag::BITS.name, given, allowed));
         }
         Ok((row, self.bits))
     }
@@ -276,14 +280,14 @@ fn unpacked(bytes: &[u8], row: usize, bits: u32, big_endian: bool) -> Vec<u16> {
     samples
 }
 
-fn inflate(stored: &[u8], most: usize) -> Result<Vec<u8>, Unreadable> {
+fn inflate(stored: &[u8], most: usize) -> Result<Vec<u8>, UnreadablePhotograph> {
     let mut bytes = Vec::new();
     let read = ZlibDecoder::new(stored).take(most as u64).read_to_end(&mut bytes);
-    read.map_err(|e| Unreadable::Damaged(format!("a strip or tile: {e}")))?;
+    read.map_err(|e| UnreadablePhotograph::Damaged(format!("a strip or tile: {e}")))?;
     Ok(bytes)
 }
 
-fn unlzw(stored: &[u8], most: usize) -> Result<Vec<u8>, Unreadable> {
+fn unlzw(stored: &[u8], most: usize) -> Result<Vec<u8>, UnreadablePhotograph> {
     let mut bytes = vec![0; most.min(stored.len().saturating_mul(MOST_LZW))];
     let mut decoder = Decoder::with_tiff_size_switch(BitOrder::Msb, 8);
     let (mut from, mut to) = (0, 0);
@@ -294,26 +298,26 @@ fn unlzw(stored: &[u8], most: usize) -> Result<Vec<u8>, Unreadable> {
         match read.status {
             Ok(LzwStatus::Ok) if read.consumed_in + read.consumed_out > 0 => {}
             Ok(_) => break,
-            Err(error) => return Err(Unreadable::Damaged(format!("a strip or tile: {error}"))),
+            Err(error) => return Err(UnreadablePhotograph::Damaged(format!("a strip or tile: {error}"))),
         }
     }
     bytes.truncate(to);
     Ok(bytes)
 }
 
-fn compression(picture: &Directory) -> Result<Compression, Unreadable> {
+fn compression(picture: &Directory) -> Result<Compression, UnreadablePhotograph> {
     match picture.whole_of(Tag::COMPRESSION)?.unwrap_or(1) {
         1 => Ok(Compression::None),
         5 => Ok(Compression::Lzw),
         8 | 32_946 => Ok(Compression::Deflate),
         7 => Ok(Compression::LosslessJpeg),
-        6 => Err(Unreadable::Jpeg),
-        34_892 => Err(Unreadable::LossyDng),
+        6 => Err(UnreadablePhotograph::Jpeg),
+        34_892 => Err(UnreadablePhotograph::LossyDng),
         other => Err(refused(other)),
     }
 }
 
-fn refused(compression: u64) -> Unreadable {
+fn refused(compression: u64) -> UnreadablePhotograph {
     let name = match compression {
         32_767 => " (Sony's own)",
         32_773 => " (PackBits)",
@@ -325,20 +329,30 @@ fn refused(compression: u64) -> Unreadable {
     };
     let allowed = "allowed are 1 (none), 5 (LZW), 7 (lossless JPEG), 8 (deflate): convert with a DNG converter, \
                    compatible with DNG 1.4 and without lossy compression, or `dcraw -E -4 -T`";
-    Unreadable::tag(Tag::COMPRESSION.name, format_args!("{compression}{name}"), allowed)
+    UnreadablePhotograph::tag(Tag::COMPRESSION.name, format_args!("{compression}{name}"), allowed)
 }
 
-fn differences(picture: &Directory, compression: Compression, bits: u32) -> Result<bool, Unreadable> {
+fn differences(
+    picture: &Directory,
+    compression: Compression,
+    bits: u32,
+) -> Result<bool, UnreadablePhotograph> {
     match picture.whole_of(Tag::PREDICTOR)?.unwrap_or(1) {
         // Without compression, or with that of JPEG, the tag means nothing.
         2 if matches!(compression, Compression::None | Compression::LosslessJpeg) => Ok(false),
         2 if bits == 16 => Ok(true),
         1 => Ok(false),
-        other => Err(Unreadable::tag(Tag::PREDICTOR.name, other, "allowed are 1 and, with 16 bits, 2")),
+        other => {
+            Err(UnreadablePhotograph::tag(Tag::PREDICTOR.name, other, "allowed are 1 and, with 16 bits, 2"))
+        }
     }
 }
 
-fn stored<'a>(bytes: Bytes<'a>, picture: &Directory<'a>, tiled: bool) -> Result<Vec<&'a [u8]>, Unreadable> {
+fn stored<'a>(
+    bytes: Bytes<'a>,
+    picture: &Directory<'a>,
+    tiled: bool,
+) -> Result<Vec<&'a [u8]>, UnreadablePhotograph> {
     let (offsets, lengths, what) = if tiled {
         (Tag::TILE_OFFSETS, Tag::TILE_BYTES, "a tile")
     } else {
@@ -347,7 +361,11 @@ fn stored<'a>(bytes: Bytes<'a>, picture: &Directory<'a>, tiled: bool) -> Result<
     let (from, length) = (picture.whole(offsets)?, picture.whole(lengths)?);
     if from.is_empty() || from.len() != length.len() {
         let given = format!("{} places and {} lengths", from.len(), length.len());
-        return Err(Unreadable::tag(offsets.name, given, "one of each is needed for every strip or tile"));
+        return Err(UnreadablePhotograph::tag(
+            offsets.name,
+            given,
+            "one of each is needed for every strip or tile",
+        ));
     }
     from.iter().zip(&length).map(|(from, length)| bytes.slice(what, *from, *length)).collect()
 }

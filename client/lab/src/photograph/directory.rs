@@ -1,6 +1,6 @@
 //! Directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2, and BigTIFF).
 
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 
 /// Most entries and values that are looked at: a camera's file has hundreds of tags, a hundred thousand tiles at most.
 const MOST_VALUES: u64 = 1 << 20;
@@ -26,41 +26,41 @@ impl<'a> Bytes<'a> {
         }
     }
 
-    pub(super) fn slice(self, what: &str, from: u64, length: u64) -> Result<&'a [u8], Unreadable> {
+    pub(super) fn slice(self, what: &str, from: u64, length: u64) -> Result<&'a [u8], UnreadablePhotograph> {
         let to = from.saturating_add(length);
         let has = self.all.len() as u64;
-        let cut = || Unreadable::Truncated { what: what.to_owned(), from, to, has };
+        let cut = || UnreadablePhotograph::Truncated { what: what.to_owned(), from, to, has };
         if to > has {
             return Err(cut());
         }
         self.all.get(from as usize..to as usize).ok_or_else(cut)
     }
 
-    fn u16(self, what: &str, at: u64) -> Result<u16, Unreadable> {
+    fn u16(self, what: &str, at: u64) -> Result<u16, UnreadablePhotograph> {
         let bytes = self.slice(what, at, 2)?;
         let bytes = [bytes[0], bytes[1]];
         Ok(if self.big_endian { u16::from_be_bytes(bytes) } else { u16::from_le_bytes(bytes) })
     }
 
-    fn u32(self, what: &str, at: u64) -> Result<u32, Unreadable> {
+    fn u32(self, what: &str, at: u64) -> Result<u32, UnreadablePhotograph> {
         let bytes = self.slice(what, at, 4)?;
         let bytes = [bytes[0], bytes[1], bytes[2], bytes[3]];
         Ok(if self.big_endian { u32::from_be_bytes(bytes) } else { u32::from_le_bytes(bytes) })
     }
 
-    fn u64(self, what: &str, at: u64) -> Result<u64, Unreadable> {
+    fn u64(self, what: &str, at: u64) -> Result<u64, UnreadablePhotograph> {
         let (first, second) = (self.u32(what, at)?, self.u32(what, at.saturating_add(4))?);
         let (high, low) = if self.big_endian { (first, second) } else { (second, first) };
         Ok(u64::from(high) << 32 | u64::from(low))
     }
 
     /// A place or count.
-    fn word(self, what: &str, at: u64) -> Result<u64, Unreadable> {
+    fn word(self, what: &str, at: u64) -> Result<u64, UnreadablePhotograph> {
         if self.big { self.u64(what, at) } else { self.u32(what, at).map(u64::from) }
     }
 
     /// Where the first directory begins.
-    pub(super) fn first(self) -> Result<u64, Unreadable> {
+    pub(super) fn first(self) -> Result<u64, UnreadablePhotograph> {
         self.word("the place of the first directory", if self.big { 8 } else { 4 })
     }
 }
@@ -100,7 +100,7 @@ pub(super) struct Directory<'a> {
 }
 
 impl<'a> Directory<'a> {
-    pub(super) fn read(bytes: Bytes<'a>, at: u64) -> Result<Self, Unreadable> {
+    pub(super) fn read(bytes: Bytes<'a>, at: u64) -> Result<Self, UnreadablePhotograph> {
         const WHAT: &str = "a directory";
         let (count, head, word) = if bytes.big {
             (bytes.u64(WHAT, at)?.min(u64::from(u16::MAX)), 8, 8)
@@ -131,18 +131,18 @@ impl<'a> Directory<'a> {
     }
 
     /// The values of a tag, none of them if it is not there.
-    pub(super) fn numbers(&self, tag: Tag) -> Result<Vec<f64>, Unreadable> {
+    pub(super) fn numbers(&self, tag: Tag) -> Result<Vec<f64>, UnreadablePhotograph> {
         let Some(entry) = self.entry(tag) else { return Ok(Vec::new()) };
         if entry.count > MOST_VALUES {
             let allowed = format!("at most {MOST_VALUES} are read");
-            return Err(Unreadable::tag(tag.name, format_args!("{} values", entry.count), allowed));
+            return Err(UnreadablePhotograph::tag(tag.name, format_args!("{} values", entry.count), allowed));
         }
         let bytes = self.bytes.slice(tag.name, entry.at, entry.bytes())?;
         let size = entry.size() as usize;
         bytes.chunks_exact(size).map(|value| self.number(tag, entry.kind, value)).collect()
     }
 
-    fn number(&self, tag: Tag, kind: u16, value: &[u8]) -> Result<f64, Unreadable> {
+    fn number(&self, tag: Tag, kind: u16, value: &[u8]) -> Result<f64, UnreadablePhotograph> {
         let u32_at = |i: usize| {
             let b = [value[i], value[i + 1], value[i + 2], value[i + 3]];
             if self.bytes.big_endian { u32::from_be_bytes(b) } else { u32::from_le_bytes(b) }
@@ -167,34 +167,40 @@ impl<'a> Directory<'a> {
             12 => f64::from_bits(u64_at(0)),
             16 | 18 => u64_at(0) as f64,
             17 => u64_at(0) as i64 as f64,
-            _ => return Err(Unreadable::tag(tag.name, format_args!("type {kind}"), "numbers are wanted")),
+            _ => {
+                return Err(UnreadablePhotograph::tag(
+                    tag.name,
+                    format_args!("type {kind}"),
+                    "numbers are wanted",
+                ));
+            }
         })
     }
 
     /// The first value, if it is a number.
-    pub(super) fn number_of(&self, tag: Tag) -> Result<Option<f64>, Unreadable> {
+    pub(super) fn number_of(&self, tag: Tag) -> Result<Option<f64>, UnreadablePhotograph> {
         Ok(self.numbers(tag)?.first().copied().filter(|value| value.is_finite()))
     }
 
     /// Values that are whole numbers, as sizes and places are.
-    pub(super) fn whole(&self, tag: Tag) -> Result<Vec<u64>, Unreadable> {
+    pub(super) fn whole(&self, tag: Tag) -> Result<Vec<u64>, UnreadablePhotograph> {
         let whole = |value: f64| {
             let sound = value >= 0.0 && value.fract() == 0.0;
             if sound {
                 Ok(value as u64)
             } else {
-                Err(Unreadable::tag(tag.name, value, "whole numbers are wanted"))
+                Err(UnreadablePhotograph::tag(tag.name, value, "whole numbers are wanted"))
             }
         };
         self.numbers(tag)?.into_iter().map(whole).collect()
     }
 
-    pub(super) fn whole_of(&self, tag: Tag) -> Result<Option<u64>, Unreadable> {
+    pub(super) fn whole_of(&self, tag: Tag) -> Result<Option<u64>, UnreadablePhotograph> {
         Ok(self.whole(tag)?.first().copied())
     }
 
-    pub(super) fn needed(&self, tag: Tag) -> Result<u64, Unreadable> {
-        self.whole_of(tag)?.ok_or_else(|| Unreadable::missing(tag.name, "every picture has it"))
+    pub(super) fn needed(&self, tag: Tag) -> Result<u64, UnreadablePhotograph> {
+        self.whole_of(tag)?.ok_or_else(|| UnreadablePhotograph::missing(tag.name, "every picture has it"))
     }
 
     /// A text without the zero at its end; none if it is no text.

@@ -1,6 +1,6 @@
 //! Lossless JPEG, the usual compression of DNG (ITU-T T.81, Annex H): Huffman-coded differences from a prediction.
 
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 
 /// Fewest zero bytes at the end of coded data without an end marker that are no data.
 const SHORTEST_HOLE: usize = 16;
@@ -13,7 +13,7 @@ pub(super) struct LosslessJpeg<'a> {
 }
 
 impl<'a> LosslessJpeg<'a> {
-    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, Unreadable> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Self, UnreadablePhotograph> {
         let head = JpegHead::read(bytes)?;
         let scan = without_hole(bytes.get(head.scan..).unwrap_or_default());
         Ok(Self { head, scan })
@@ -28,7 +28,7 @@ impl<'a> LosslessJpeg<'a> {
         self.head.width * self.head.components
     }
 
-    pub(super) fn decode(&self) -> Result<Vec<u16>, Unreadable> {
+    pub(super) fn decode(&self) -> Result<Vec<u16>, UnreadablePhotograph> {
         // A sample takes a bit at least.
         if self.samples() > self.scan.len().saturating_mul(8) {
             let (has, wanted) = (self.scan.len(), self.samples());
@@ -45,8 +45,8 @@ fn without_hole(scan: &[u8]) -> &[u8] {
     if ends || scan.len() - data < SHORTEST_HOLE { scan } else { &scan[..data] }
 }
 
-fn damaged(what: impl Into<String>) -> Unreadable {
-    Unreadable::Damaged(what.into())
+fn damaged(what: impl Into<String>) -> UnreadablePhotograph {
+    UnreadablePhotograph::Damaged(what.into())
 }
 
 /// A Huffman code: for each 16 bits ahead, the length of the code that they begin with, and its value.
@@ -70,7 +70,7 @@ struct JpegHead {
 }
 
 impl JpegHead {
-    fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
+    fn read(bytes: &[u8]) -> Result<Self, UnreadablePhotograph> {
         let mut head = Self::default();
         if bytes.get(..2) != Some(&[0xff, 0xd8]) {
             return Err(damaged("a strip or tile is no lossless JPEG"));
@@ -93,19 +93,19 @@ impl JpegHead {
                     head.scan = at;
                     return Ok(head);
                 }
-                0xc0..=0xc2 | 0xc5..=0xcf => return Err(Unreadable::Jpeg),
+                0xc0..=0xc2 | 0xc5..=0xcf => return Err(UnreadablePhotograph::Jpeg),
                 _ => {}
             }
         }
     }
 
-    fn frame(&mut self, body: &[u8]) -> Result<(), Unreadable> {
+    fn frame(&mut self, body: &[u8]) -> Result<(), UnreadablePhotograph> {
         self.precision = u32::from(byte(body, 0)?);
         let u16_at = |i| Ok(usize::from(u16::from_be_bytes([byte(body, i)?, byte(body, i + 1)?])));
         (self.height, self.width) = (u16_at(1)?, u16_at(3)?);
         self.components = usize::from(byte(body, 5)?);
         let sampled = (0..self.components)
-            .try_fold(false, |s, i| Ok::<_, Unreadable>(s | (byte(body, 7 + 3 * i)? != 0x11)))?;
+            .try_fold(false, |s, i| Ok::<_, UnreadablePhotograph>(s | (byte(body, 7 + 3 * i)? != 0x11)))?;
         if !(2..=16).contains(&self.precision) || !(1..=4).contains(&self.components) || sampled {
             return Err(damaged("a lossless JPEG with a head that DNG does not allow"));
         }
@@ -115,7 +115,7 @@ impl JpegHead {
         Ok(())
     }
 
-    fn tables(&mut self, mut body: &[u8]) -> Result<(), Unreadable> {
+    fn tables(&mut self, mut body: &[u8]) -> Result<(), UnreadablePhotograph> {
         while !body.is_empty() {
             let place = usize::from(byte(body, 0)? & 15);
             let counts = body.get(1..17).ok_or_else(|| damaged("a Huffman table is cut off"))?;
@@ -128,7 +128,7 @@ impl JpegHead {
         Ok(())
     }
 
-    fn scan(&mut self, body: &[u8]) -> Result<(), Unreadable> {
+    fn scan(&mut self, body: &[u8]) -> Result<(), UnreadablePhotograph> {
         let components = usize::from(byte(body, 0)?);
         if components != self.components || self.components == 0 {
             return Err(damaged("a lossless JPEG in several scans"));
@@ -148,7 +148,7 @@ impl JpegHead {
         Ok(())
     }
 
-    fn samples(&self, scan: &[u8]) -> Result<Vec<u16>, Unreadable> {
+    fn samples(&self, scan: &[u8]) -> Result<Vec<u16>, UnreadablePhotograph> {
         let row = self.width * self.components;
         let mut samples = vec![0_u16; row * self.height];
         let mut bits = Bits::new(scan);
@@ -161,7 +161,7 @@ impl JpegHead {
             let restarts = self.restart > 0 && pixel > 0 && pixel.is_multiple_of(self.restart);
             if restarts {
                 if !bits.restart(pixel / self.restart - 1) {
-                    return Err(Unreadable::EndsEarly { rows: y, height: self.height });
+                    return Err(UnreadablePhotograph::EndsEarly { rows: y, height: self.height });
                 }
                 first_row = y;
             }
@@ -185,7 +185,7 @@ impl JpegHead {
                 samples[at] = (prediction + difference) as u16;
             }
             if bits.is_beyond_end() {
-                return Err(Unreadable::EndsEarly { rows: y, height: self.height });
+                return Err(UnreadablePhotograph::EndsEarly { rows: y, height: self.height });
             }
         }
         if self.shift > 0 {
@@ -210,12 +210,12 @@ fn predict(predictor: u8, a: i32, b: i32, c: i32) -> i32 {
     }
 }
 
-fn byte(body: &[u8], at: usize) -> Result<u8, Unreadable> {
+fn byte(body: &[u8], at: usize) -> Result<u8, UnreadablePhotograph> {
     body.get(at).copied().ok_or_else(|| damaged("a lossless JPEG ends within its head"))
 }
 
 /// Codes of 1 to 16 bits, in order of their lengths (Annex C).
-fn code(counts: &[u8], values: &[u8]) -> Result<Code, Unreadable> {
+fn code(counts: &[u8], values: &[u8]) -> Result<Code, UnreadablePhotograph> {
     let mut table = vec![(0, 0); 1 << 16];
     let (mut next, mut values) = (0_usize, values.iter());
     for (length, count) in (1_u8..).zip(counts) {
@@ -277,7 +277,7 @@ impl<'a> Bits<'a> {
         (self.word >> self.held) as u32 & ((1 << count) - 1)
     }
 
-    fn difference(&mut self, code: &Code) -> Result<i32, Unreadable> {
+    fn difference(&mut self, code: &Code) -> Result<i32, UnreadablePhotograph> {
         self.fill();
         let (length, size) = code[(self.word >> (self.held - 16)) as usize & 0xffff];
         if length == 0 {

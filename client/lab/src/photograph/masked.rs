@@ -1,8 +1,8 @@
-//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They make exact what the file
-//! tells; by themselves they could not be told from margins that light reaches.
+//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They refine the level in the file;
+//! by themselves they could not be distinguished from margins that light reaches.
 
 use super::directory::Tag;
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 use super::{Layout, Photograph};
 
 /// Fewest samples of each place of the mosaic that determine a level: to a sixteenth of the noise.
@@ -19,7 +19,7 @@ pub(super) fn black(
     whole: &Photograph,
     areas: &[u64],
     active: &[u64],
-) -> Result<Option<[f64; 4]>, Unreadable> {
+) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let Some(stated) = whole.black.filter(|_| whole.layout != Layout::Rgb && !areas.is_empty()) else {
         return Ok(None);
     };
@@ -28,7 +28,7 @@ pub(super) fn black(
             "at most {MOST_AREAS} rectangles within {} × {} pixels are wanted",
             whole.width, whole.height
         );
-        Unreadable::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)
+        UnreadablePhotograph::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)
     };
     let corner = [0, 1].map(|i| active.get(i).copied().unwrap_or(0) as usize);
     let mut found: [Vec<u16>; 4] = Default::default();

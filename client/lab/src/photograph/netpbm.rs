@@ -1,14 +1,14 @@
 //! PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them, or with numbers as text.
 
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 use super::{About, Layout, Photograph, checked_size};
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
+pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     let picture = NetpbmPicture::read(bytes)?;
     let (samples, rest) = if picture.is_text { picture.text(bytes)? } else { picture.binary(bytes)? };
     let count = 1 + pictures(rest);
     if count > 1 {
-        return Err(Unreadable::Pictures { count });
+        return Err(UnreadablePhotograph::Pictures { count });
     }
     let NetpbmPicture { layout, width, height, most, .. } = picture;
     let white = (most < 65_535).then_some([most as f64; 4]);
@@ -39,7 +39,7 @@ struct NetpbmPicture {
 }
 
 impl NetpbmPicture {
-    fn read(bytes: &[u8]) -> Result<Self, Unreadable> {
+    fn read(bytes: &[u8]) -> Result<Self, UnreadablePhotograph> {
         let layout = if matches!(bytes[1], b'3' | b'6') { Layout::Rgb } else { Layout::Mosaic(None) };
         let mut head = NetpbmHead { bytes, at: 2 };
         let width = head.number("width")?;
@@ -47,10 +47,10 @@ impl NetpbmPicture {
         let most = head.number("greatest value")?;
         if most > 65_535 {
             let reason = format!("the greatest value is {most}, at most 65535 is allowed");
-            return Err(Unreadable::Damaged(reason));
+            return Err(UnreadablePhotograph::Damaged(reason));
         }
         if most < 256 {
-            return Err(Unreadable::EightBit { bits: 8 });
+            return Err(UnreadablePhotograph::EightBit { bits: 8 });
         }
         let (width, height) = checked_size(width, height)?;
         Ok(Self { layout, width, height, most, is_text: matches!(bytes[1], b'2' | b'3'), from: head.at + 1 })
@@ -66,8 +66,8 @@ impl NetpbmPicture {
     }
 
     /// The samples, and what follows them.
-    fn binary<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), Unreadable> {
-        let cut = || Unreadable::Truncated {
+    fn binary<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), UnreadablePhotograph> {
+        let cut = || UnreadablePhotograph::Truncated {
             what: "the pixels".to_owned(),
             from: self.from as u64,
             to: self.end() as u64,
@@ -79,14 +79,14 @@ impl NetpbmPicture {
     }
 
     /// Nothing may follow, since only one picture of numbers as text is allowed in a file.
-    fn text<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), Unreadable> {
+    fn text<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), UnreadablePhotograph> {
         let mut body = NetpbmHead { bytes, at: self.from };
         let mut samples = Vec::with_capacity(self.count().min(bytes.len()));
         for i in 0..self.count() {
-            let ends = || Unreadable::Damaged(format!("{i} of {} samples are there", self.count()));
+            let ends = || UnreadablePhotograph::Damaged(format!("{i} of {} samples are there", self.count()));
             let value = body.number("sample").map_err(|_| ends())?;
             if value > self.most {
-                return Err(Unreadable::Damaged(format!(
+                return Err(UnreadablePhotograph::Damaged(format!(
                     "a sample is {value}, the greatest is {}",
                     self.most
                 )));
@@ -103,13 +103,13 @@ struct NetpbmHead<'a> {
 }
 
 impl NetpbmHead<'_> {
-    fn number(&mut self, what: &str) -> Result<u64, Unreadable> {
+    fn number(&mut self, what: &str) -> Result<u64, UnreadablePhotograph> {
         self.skip();
         let rest = self.bytes.get(self.at..).unwrap_or_default();
         let digits = rest.iter().take(10).take_while(|b| b.is_ascii_digit()).count();
         let text = std::str::from_utf8(&rest[..digits]).unwrap_or_default();
         self.at += digits;
-        text.parse().map_err(|_| Unreadable::Damaged(format!("the head tells no {what}")))
+        text.parse().map_err(|_| UnreadablePhotograph::Damaged(format!("the head tells no {what}")))
     }
 
     /// Spaces, and comments to the end of their line.

@@ -3,28 +3,28 @@
 use std::io::Cursor;
 
 use super::icc::tone_curve;
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 use super::{About, Layout, Photograph, checked_samples, checked_size};
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
-    let damaged = |e: png::DecodingError| Unreadable::Damaged(e.to_string());
+pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
+    let damaged = |e: png::DecodingError| UnreadablePhotograph::Damaged(e.to_string());
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
     decoder.set_transformations(png::Transformations::IDENTITY);
     let mut reader = decoder.read_info().map_err(damaged)?;
     let info = reader.info();
     let (width, height) = checked_size(u64::from(info.width), u64::from(info.height))?;
     if info.bit_depth != png::BitDepth::Sixteen {
-        return Err(Unreadable::EightBit { bits: info.bit_depth as u32 });
+        return Err(UnreadablePhotograph::EightBit { bits: info.bit_depth as u32 });
     }
     if let Some(seen) = not_linear(info) {
-        return Err(Unreadable::NotLinear { seen });
+        return Err(UnreadablePhotograph::NotLinear { seen });
     }
     let layout = match info.color_type {
         png::ColorType::Rgb => Layout::Rgb,
         png::ColorType::Grayscale => Layout::Mosaic(None),
         other => {
             let allowed = "allowed are grey and RGB without alpha";
-            return Err(Unreadable::tag("colour type", format_args!("{other:?}"), allowed));
+            return Err(UnreadablePhotograph::tag("colour type", format_args!("{other:?}"), allowed));
         }
     };
     let about = info.exif_metadata.as_deref().map_or_else(About::default, About::of_exif);

@@ -103,7 +103,7 @@ impl Maker {
         file
     }
 
-    fn decode(&self) -> Result<Photograph, Unreadable> {
+    fn decode(&self) -> Result<Photograph, UnreadablePhotograph> {
         decode(&self.bytes())
     }
 

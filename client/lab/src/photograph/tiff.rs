@@ -6,7 +6,7 @@ use super::chunks::Chunks;
 use super::directory::{Bytes, Directory, Tag};
 use super::icc::tone_curve;
 use super::masked::{self, within};
-use super::unreadable::Unreadable;
+use super::unreadable::UnreadablePhotograph;
 use super::{About, Layout, MOST_DIRECTORIES, Photograph};
 
 /// PhotometricInterpretation of a mosaic, and of a demosaiced picture without a tone curve.
@@ -17,19 +17,19 @@ pub(super) fn is_tiff(bytes: &[u8]) -> bool {
     Bytes::new(bytes).is_some()
 }
 
-pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
-    let bytes = Bytes::new(bytes).ok_or(Unreadable::UnknownFormat)?;
+pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
+    let bytes = Bytes::new(bytes).ok_or(UnreadablePhotograph::UnknownFormat)?;
     let directories = directories(bytes)?;
     let is_dng = directories.iter().any(|d| d.has(Tag::DNG_VERSION));
     let picture = photograph_of(&directories, is_dng)?;
     let bits = bits(picture)?;
     let count = pictures(&directories, picture);
     if count > 1 {
-        return Err(Unreadable::Pictures { count });
+        return Err(UnreadablePhotograph::Pictures { count });
     }
     let layout = layout(picture)?;
     if let Some(seen) = not_linear(picture) {
-        return Err(Unreadable::NotLinear { seen });
+        return Err(UnreadablePhotograph::NotLinear { seen });
     }
     let chunks = Chunks::new(bytes, picture, layout.samples_per_pixel(), bits)?;
     let (width, height) = (chunks.width(), chunks.height());
@@ -55,7 +55,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
 }
 
 /// All directories, those below others included.
-fn directories(bytes: Bytes) -> Result<Vec<Directory>, Unreadable> {
+fn directories(bytes: Bytes) -> Result<Vec<Directory>, UnreadablePhotograph> {
     let mut found: Vec<Directory> = Vec::new();
     let mut places = vec![bytes.first()?];
     while let Some(at) = places.pop() {
@@ -77,7 +77,10 @@ fn directories(bytes: Bytes) -> Result<Vec<Directory>, Unreadable> {
 }
 
 /// The mosaic, else the linear picture; of files that are no DNG any picture that is no preview.
-fn photograph_of<'d, 'a>(all: &'d [Directory<'a>], is_dng: bool) -> Result<&'d Directory<'a>, Unreadable> {
+fn photograph_of<'d, 'a>(
+    all: &'d [Directory<'a>],
+    is_dng: bool,
+) -> Result<&'d Directory<'a>, UnreadablePhotograph> {
     let whole = |d: &&Directory| is_whole(d);
     let of = |kind: u64| {
         all.iter().filter(whole).find(|d| d.whole_of(Tag::PHOTOMETRIC).ok().flatten() == Some(kind))
@@ -87,12 +90,14 @@ fn photograph_of<'d, 'a>(all: &'d [Directory<'a>], is_dng: bool) -> Result<&'d D
     }
     if is_dng {
         let needed = format!("a DNG's photograph has {CFA} (mosaic) or {LINEAR_RAW} (linear)");
-        return Err(Unreadable::missing(Tag::PHOTOMETRIC.name, needed));
+        return Err(UnreadablePhotograph::missing(Tag::PHOTOMETRIC.name, needed));
     }
-    let first =
-        all.iter().find(whole).ok_or_else(|| Unreadable::missing(Tag::WIDTH.name, "no picture has it"))?;
+    let first = all
+        .iter()
+        .find(whole)
+        .ok_or_else(|| UnreadablePhotograph::missing(Tag::WIDTH.name, "no picture has it"))?;
     match first.whole_of(Tag::COMPRESSION)? {
-        Some(6 | 7) => Err(Unreadable::Jpeg),
+        Some(6 | 7) => Err(UnreadablePhotograph::Jpeg),
         _ => Ok(first),
     }
 }
@@ -115,69 +120,73 @@ fn pictures(all: &[Directory], chosen: &Directory) -> usize {
 }
 
 /// Bits of each sample.
-fn bits(picture: &Directory) -> Result<u32, Unreadable> {
+fn bits(picture: &Directory) -> Result<u32, UnreadablePhotograph> {
     let bits = picture.whole(Tag::BITS)?;
     let first = bits.first().copied().unwrap_or(1);
     if bits.iter().any(|b| *b != first) {
-        return Err(Unreadable::tag(
+        return Err(UnreadablePhotograph::tag(
             Tag::BITS.name,
             format_args!("{bits:?}"),
             "they must be the same for all samples",
         ));
     }
     if matches!(picture.whole_of(Tag::SAMPLE_FORMAT)?, Some(format) if format != 1) {
-        return Err(Unreadable::tag(
+        return Err(UnreadablePhotograph::tag(
             Tag::SAMPLE_FORMAT.name,
             "no whole numbers",
             "allowed is 1, whole numbers",
         ));
     }
     match first {
-        0..=8 => Err(Unreadable::EightBit { bits: first as u32 }),
+        0..=8 => Err(UnreadablePhotograph::EightBit { bits: first as u32 }),
         9..=16 => Ok(first as u32),
-        other => Err(Unreadable::tag(Tag::BITS.name, other, "allowed are 9 to 16")),
+        other => Err(UnreadablePhotograph::tag(Tag::BITS.name, other, "allowed are 9 to 16")),
     }
 }
 
-fn layout(picture: &Directory) -> Result<Layout, Unreadable> {
+fn layout(picture: &Directory) -> Result<Layout, UnreadablePhotograph> {
     let samples = picture.whole_of(Tag::SAMPLES)?.unwrap_or(1);
     let kind = picture.needed(Tag::PHOTOMETRIC)?;
     match (kind, samples) {
         (CFA, 1) => pattern(picture).map(|pattern| Layout::Mosaic(Some(pattern))),
-        // Grey may be a mosaic whose colours the file does not tell, or of a monochrome camera.
+        // Grey may be a mosaic whose colours are not in the file, or of a monochrome camera.
         (1 | LINEAR_RAW, 1) => Ok(Layout::Mosaic(None)),
         (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
             None | Some(1) => Ok(Layout::Rgb),
             Some(other) => {
-                Err(Unreadable::tag(Tag::PLANAR.name, other, "allowed is 1, colours side by side"))
+                Err(UnreadablePhotograph::tag(Tag::PLANAR.name, other, "allowed is 1, colours side by side"))
             }
         },
         (CFA | 1 | 2 | LINEAR_RAW, other) => {
-            Err(Unreadable::tag(Tag::SAMPLES.name, other, "allowed are 1 of a mosaic and 3 of RGB"))
+            Err(UnreadablePhotograph::tag(Tag::SAMPLES.name, other, "allowed are 1 of a mosaic and 3 of RGB"))
         }
-        (6, _) => Err(Unreadable::Jpeg),
+        (6, _) => Err(UnreadablePhotograph::Jpeg),
         (other, _) => {
             let allowed =
                 format!("allowed are 1 (grey: a mosaic), 2 (RGB), {CFA} (mosaic), {LINEAR_RAW} (linear)");
-            Err(Unreadable::tag(Tag::PHOTOMETRIC.name, other, allowed))
+            Err(UnreadablePhotograph::tag(Tag::PHOTOMETRIC.name, other, allowed))
         }
     }
 }
 
 /// The colours of a 2 × 2 mosaic.
-fn pattern(picture: &Directory) -> Result<[Colour; 4], Unreadable> {
+fn pattern(picture: &Directory) -> Result<[Colour; 4], UnreadablePhotograph> {
     let size = picture.whole(Tag::CFA_DIM)?;
     if size != [2, 2] {
         let given = format!("{size:?}");
-        return Err(Unreadable::tag(Tag::CFA_DIM.name, given, "allowed are mosaics of 2 × 2 pixels"));
+        return Err(UnreadablePhotograph::tag(
+            Tag::CFA_DIM.name,
+            given,
+            "allowed are mosaics of 2 × 2 pixels",
+        ));
     }
     if !matches!(picture.whole_of(Tag::CFA_LAYOUT)?, None | Some(1)) {
-        return Err(Unreadable::tag(Tag::CFA_LAYOUT.name, "no rectangle", "allowed is 1"));
+        return Err(UnreadablePhotograph::tag(Tag::CFA_LAYOUT.name, "no rectangle", "allowed is 1"));
     }
     let planes = picture.whole(Tag::CFA_PLANE_COLOR)?;
     if !planes.is_empty() && planes != [0, 1, 2] {
         let given = format!("{planes:?}");
-        return Err(Unreadable::tag(
+        return Err(UnreadablePhotograph::tag(
             Tag::CFA_PLANE_COLOR.name,
             given,
             "allowed are red, green and blue: [0, 1, 2]",
@@ -193,8 +202,13 @@ fn pattern(picture: &Directory) -> Result<[Colour; 4], Unreadable> {
             _ => None,
         })
         .collect();
-    let refused =
-        || Unreadable::tag(Tag::CFA_PATTERN.name, format_args!("{codes:?}"), "four of 0, 1 and 2 are wanted");
+    let refused = || {
+        UnreadablePhotograph::tag(
+            Tag::CFA_PATTERN.name,
+            format_args!("{codes:?}"),
+            "four of 0, 1 and 2 are wanted",
+        )
+    };
     colours.try_into().map_err(|_| refused())
 }
 
@@ -210,8 +224,8 @@ fn not_linear(picture: &Directory) -> Option<String> {
     (!straight).then(|| "its TransferFunction".to_owned())
 }
 
-/// Black level by row and column modulo 2, or by colour. None where it changes within the picture: dark shots tell more.
-fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unreadable> {
+/// Black level by row and column modulo 2, or by colour. None where it changes within the picture.
+fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels = picture.numbers(Tag::BLACK)?;
     let size = picture.whole(Tag::BLACK_DIM)?;
     for delta in [Tag::BLACK_DELTA_H, Tag::BLACK_DELTA_V] {
@@ -220,7 +234,11 @@ fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unread
         }
     }
     if levels.iter().any(|level| !(0.0..=65_535.0).contains(level)) {
-        return Err(Unreadable::tag(Tag::BLACK.name, format_args!("{levels:?}"), "allowed are 0 to 65535"));
+        return Err(UnreadablePhotograph::tag(
+            Tag::BLACK.name,
+            format_args!("{levels:?}"),
+            "allowed are 0 to 65535",
+        ));
     }
     Ok(match (layout, levels.as_slice(), size.as_slice()) {
         (_, [all], _) => Some([*all; 4]),
@@ -234,7 +252,7 @@ fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unread
 
 /// Level at which the sensor is full, by row and column modulo 2, or by colour; the lowest where the tag has other
 /// counts.
-fn white(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unreadable> {
+fn white(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels: Vec<f64> = picture.numbers(Tag::WHITE)?.into_iter().filter(|level| *level > 0.0).collect();
     Ok(match (layout, levels.as_slice()) {
         (_, []) => None,
@@ -253,11 +271,11 @@ fn linearize(samples: &mut [u16], table: &[f64]) {
 }
 
 /// Without the masked margins: pattern and black level count from the active area's corner.
-fn cropped(whole: Photograph, area: &[u64]) -> Result<Photograph, Unreadable> {
+fn cropped(whole: Photograph, area: &[u64]) -> Result<Photograph, UnreadablePhotograph> {
     let Ok(area) = <[u64; 4]>::try_from(area) else { return Ok(whole) };
     let Some([top, left, bottom, right]) = within(area, &whole).filter(|[t, l, b, r]| t < b && l < r) else {
         let allowed = format!("it must lie within {} × {} pixels", whole.width, whole.height);
-        return Err(Unreadable::tag(Tag::ACTIVE_AREA.name, format_args!("{area:?}"), allowed));
+        return Err(UnreadablePhotograph::tag(Tag::ACTIVE_AREA.name, format_args!("{area:?}"), allowed));
     };
     if (top, left, bottom, right) == (0, 0, whole.height, whole.width) {
         return Ok(whole);

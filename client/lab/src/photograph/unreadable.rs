@@ -4,7 +4,7 @@ use super::{MOST_COMPRESSED, MOST_DIRECTORIES, MOST_PIXELS};
 
 /// Why a file cannot be used: what was seen, and what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Unreadable {
+pub enum UnreadablePhotograph {
     #[error("the file is empty")]
     Empty,
     #[error(
@@ -63,7 +63,7 @@ pub enum Unreadable {
     Damaged(String),
 }
 
-impl Unreadable {
+impl UnreadablePhotograph {
     pub(super) fn tag(tag: &str, given: impl std::fmt::Display, allowed: impl Into<String>) -> Self {
         Self::Tag { tag: tag.to_owned(), given: given.to_string(), allowed: allowed.into() }
     }

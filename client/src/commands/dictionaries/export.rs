@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use farm_lab::measurement_file::MeasurementWriter;
-use farm_lab::whole_file::{Draft, open_node};
+use farm_lab::whole_file::{DraftFile, open_node};
 use farm_link::logs::tell;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
@@ -15,7 +15,7 @@ use optics_model::{Estimate, Grid, Invalid, Record};
 use serde::Serialize;
 
 use crate::cli::{ExportArgs, Global};
-use crate::connection::records::Records;
+use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, envelope};
@@ -48,7 +48,7 @@ async fn to_file(
     if let Some(node) = open_node(file).with_context(place)? {
         return export(connection, name, args, json, std::io::BufWriter::new(node)).await;
     }
-    let mut draft = Draft::create(file).with_context(place)?;
+    let mut draft = DraftFile::create(file).with_context(place)?;
     tokio::select! {
         exported = export(connection, name, args, json, &mut draft) => exported?,
         () = interrupted() => return Err(Interrupted.into()),
@@ -68,7 +68,7 @@ async fn to_arrays(
     let status = DictionaryStatus::try_from(status)?;
     let chosen = ChosenAxes::new(&status.grid, args)?;
     let write = async {
-        let mut draft = Draft::create(file).with_context(place)?;
+        let mut draft = DraftFile::create(file).with_context(place)?;
         npz::write(connection, &status, &chosen, &mut draft).await?;
         draft.finish().with_context(place)
     };
@@ -92,7 +92,7 @@ async fn export(
     let material = args.measurement.as_deref();
     let mut measurement = material.map(|name| one_material(grid, &indices, name, json)).transpose()?;
     let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
-    let mut records = Records::ask(connection, &status, indices).await?;
+    let mut records = RecordStream::ask(connection, &status, indices).await?;
     if !json && measurement.is_none() {
         write_head(&mut out, grid)?;
     }

@@ -25,7 +25,7 @@ const SILENCE: Duration = Duration::from_mins(1);
 const IDLE: Duration = Duration::from_secs(10);
 
 /// How following a dictionary ended.
-pub(crate) enum End {
+pub(crate) enum FollowEnd {
     /// It is done, failed or cancelled.
     Ended(Duration),
     Interrupted,
@@ -34,9 +34,9 @@ pub(crate) enum End {
 /// What was waited for is not there any more.
 #[derive(Debug, thiserror::Error)]
 #[error("dictionary {0} was deleted, or replaced by another one of its name, while it was waited for")]
-pub(crate) struct Deleted(DictionaryName);
+pub(crate) struct DictionaryDeleted(DictionaryName);
 
-impl Deleted {
+impl DictionaryDeleted {
     /// The error of a call about a dictionary that was there before.
     fn or(error: anyhow::Error, name: &DictionaryName) -> anyhow::Error {
         let is_missing = |status: &Status| status.code() == Code::NotFound;
@@ -57,11 +57,11 @@ impl Fixed {
     ) -> Result<DictionaryStatus> {
         let known = self.0.borrow().get(name).copied();
         let status = match get(connection, name).await {
-            Err(error) if known.is_some() => return Err(Deleted::or(error, name)),
+            Err(error) if known.is_some() => return Err(DictionaryDeleted::or(error, name)),
             status => status?,
         };
         if known.is_some_and(|known| known != status.grid_digest) {
-            return Err(Deleted(name.clone()).into());
+            return Err(DictionaryDeleted(name.clone()).into());
         }
         self.0.borrow_mut().insert(name.clone(), status.grid_digest);
         Ok(status)
@@ -78,7 +78,7 @@ pub(crate) async fn follow(
     connection: &Connection,
     status: &mut DictionaryStatus,
     quiet: bool,
-) -> Result<End> {
+) -> Result<FollowEnd> {
     Following::new(connection, status, quiet, false).run().await
 }
 
@@ -87,7 +87,7 @@ pub(crate) async fn follow_jobs(
     connection: &Connection,
     status: &mut DictionaryStatus,
     quiet: bool,
-) -> Result<End> {
+) -> Result<FollowEnd> {
     Following::new(connection, status, quiet, true).run().await
 }
 
@@ -115,13 +115,13 @@ impl<'a> Following<'a> {
         Self { connection, status, progress, cells, outage: Outage::new(connection), busy }
     }
 
-    async fn run(mut self) -> Result<End> {
+    async fn run(mut self) -> Result<FollowEnd> {
         let start = Instant::now();
         // Signals are caught before the first progress is shown.
         let ended = tokio::select! {
             biased;
-            () = interrupted() => Ok(End::Interrupted),
-            ended = self.across_outages() => ended.map(|()| End::Ended(start.elapsed())),
+            () = interrupted() => Ok(FollowEnd::Interrupted),
+            ended = self.across_outages() => ended.map(|()| FollowEnd::Ended(start.elapsed())),
         };
         self.progress.end();
         ended
@@ -129,9 +129,9 @@ impl<'a> Following<'a> {
 
     async fn across_outages(&mut self) -> Result<()> {
         while let Err(error) = self.listen().await {
-            let error = Deleted::or(error, &self.status.name);
+            let error = DictionaryDeleted::or(error, &self.status.name);
             let progress = &self.progress;
-            self.outage.outlast(error, |word| progress.tell(&word)).await?;
+            self.outage.outlast(error, |word| progress.print(&word)).await?;
         }
         Ok(())
     }
@@ -179,11 +179,11 @@ impl<'a> Following<'a> {
     fn take(&mut self, update: Dictionary) -> Result<()> {
         let update = DictionaryStatus::try_from(update)?;
         if update.grid_digest != self.status.grid_digest {
-            return Err(Deleted(self.status.name.clone()).into());
+            return Err(DictionaryDeleted(self.status.name.clone()).into());
         }
         *self.status = update;
         let progress = &self.progress;
-        self.outage.is_over(|word| progress.tell(&word));
+        self.outage.is_over(|word| progress.print(&word));
         self.progress.show(self.status);
         let rests = self.status.state() != DictionaryState::Running || self.status.jobs_leased > 0;
         self.busy = self.busy.map(|busy| if rests { Instant::now() } else { busy });
@@ -196,7 +196,7 @@ impl<'a> Following<'a> {
         self.busy = (farm.workers > 0).then(Instant::now);
         if farm.workers == 0 {
             let server = self.connection.address();
-            self.progress.tell(&format!(
+            self.progress.print(&format!(
                 "no worker is connected: start one with `farm-worker --server {server}`, or with its access file"
             ));
         }

@@ -12,7 +12,7 @@ use optics_model::{Grid, SceneFile, Walks};
 use serde::Serialize;
 
 use crate::cli::{Global, ShowArgs};
-use crate::connection::records::Records;
+use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figure_files;
 use crate::output::{DictionaryJson, Output, grouped, state};
@@ -107,7 +107,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
     let axes = overview::chosen_axes(&status.grid);
     let mut wanted = axes.records(&status.grid);
     wanted.sort_unstable();
-    let mut answers = Records::ask(connection, status, wanted).await?;
+    let mut answers = RecordStream::ask(connection, status, wanted).await?;
     let mut records = Vec::new();
     while let Some(record) = answers.next().await? {
         records.push(record);

@@ -36,10 +36,10 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     })
     .await?;
     let code = match end {
-        SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted) => {
+        SubmitEnd::Left | SubmitEnd::Followed(following::FollowEnd::Interrupted) => {
             ExitCode::from(exit::INTERRUPTED)
         }
-        SubmitEnd::Followed(following::End::Ended(_)) => exit::code_of(&status),
+        SubmitEnd::Followed(following::FollowEnd::Ended(_)) => exit::code_of(&status),
         SubmitEnd::Submitted => ExitCode::SUCCESS,
     };
     match output.print("submit", &DictionaryJson::from(&status), || {
@@ -61,7 +61,7 @@ enum SubmitEnd {
     Submitted,
     /// Not waited for any longer; another process goes on with it.
     Left,
-    Followed(following::End),
+    Followed(following::FollowEnd),
 }
 
 /// Computes a dictionary if it is not there, and waits for it.
@@ -78,8 +78,10 @@ pub(crate) async fn ensure(
     }
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
-        (SubmitEnd::Followed(following::End::Ended(_)), DictionaryState::Done) => Ok(()),
-        (SubmitEnd::Left | SubmitEnd::Followed(following::End::Interrupted), _) => Err(Interrupted.into()),
+        (SubmitEnd::Followed(following::FollowEnd::Ended(_)), DictionaryState::Done) => Ok(()),
+        (SubmitEnd::Left | SubmitEnd::Followed(following::FollowEnd::Interrupted), _) => {
+            Err(Interrupted.into())
+        }
         _ => bail!("the dictionary was not computed: {}", text(&status, &end)),
     }
 }
@@ -98,7 +100,7 @@ async fn submit(
         return Ok((status, SubmitEnd::Submitted));
     }
     match follow(connection, &mut status, quiet).await? {
-        following::End::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
+        following::FollowEnd::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
         end => Ok((status, SubmitEnd::Followed(end))),
     }
 }
@@ -112,10 +114,12 @@ fn text(status: &DictionaryStatus, end: &SubmitEnd) -> String {
             "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
              look again, `farmctl cancel {name}` to stop"
         ),
-        SubmitEnd::Followed(following::End::Interrupted) => {
+        SubmitEnd::Followed(following::FollowEnd::Interrupted) => {
             format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
         }
-        SubmitEnd::Followed(following::End::Ended(elapsed)) if status.state() == DictionaryState::Done => {
+        SubmitEnd::Followed(following::FollowEnd::Ended(elapsed))
+            if status.state() == DictionaryState::Done =>
+        {
             let digest = status.records_digest.map(|d| d.to_string()).unwrap_or_default();
             let disputed = match status.jobs_disputed {
                 0 => String::new(),
@@ -126,10 +130,12 @@ fn text(status: &DictionaryStatus, end: &SubmitEnd) -> String {
                 duration(*elapsed)
             )
         }
-        SubmitEnd::Followed(following::End::Ended(_)) if status.state() == DictionaryState::Cancelled => {
+        SubmitEnd::Followed(following::FollowEnd::Ended(_))
+            if status.state() == DictionaryState::Cancelled =>
+        {
             line(status)
         }
-        SubmitEnd::Followed(following::End::Ended(_)) => {
+        SubmitEnd::Followed(following::FollowEnd::Ended(_)) => {
             let reasons = status.failed.iter().map(|f| format!("\n  job {}: {}", f.job, f.reason));
             format!(
                 "{name}: {done} of {total} records are done, {} jobs failed{}",

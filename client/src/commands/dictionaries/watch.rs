@@ -8,7 +8,7 @@ use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use serde::Serialize;
 
-use super::following::{End, Fixed, follow, follow_jobs, get};
+use super::following::{Fixed, FollowEnd, follow, follow_jobs, get};
 use crate::cli::{Global, WaitArgs};
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
@@ -26,8 +26,8 @@ pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Resul
     })
     .await?;
     let code = match end {
-        End::Interrupted => ExitCode::from(exit::INTERRUPTED),
-        End::Ended(_) => exit::code_of(&status),
+        FollowEnd::Interrupted => ExitCode::from(exit::INTERRUPTED),
+        FollowEnd::Ended(_) => exit::code_of(&status),
     };
     output.print("watch", &DictionaryJson::from(&status), || line(&status))?;
     Ok(code)
@@ -60,7 +60,7 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
                 look_again(connection, status).await;
                 continue;
             };
-            if matches!(followed?, End::Interrupted) {
+            if matches!(followed?, FollowEnd::Interrupted) {
                 return Err(Interrupted.into());
             }
         }

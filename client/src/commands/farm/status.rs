@@ -57,9 +57,9 @@ pub(crate) fn data(
     }
 }
 
-type Answer = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>);
+type FarmOverview = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>);
 
-async fn fetch(connection: &Connection) -> Result<Answer> {
+async fn fetch(connection: &Connection) -> Result<FarmOverview> {
     // A coordinator that this command has just started for itself is not one that runs.
     let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
     let status = connection.farm().status(StatusRequest {}).await?.into_inner();

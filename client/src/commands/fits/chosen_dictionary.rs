@@ -8,7 +8,7 @@ use optics_model::Grid;
 
 use crate::cli::Global;
 use crate::commands::dictionaries::list;
-use crate::connection::{Connection, lacks_farm};
+use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
 
 /// What a question goes to where there are several, and what `measure` computes where there is none: the first, since
 /// real surfaces lose no light.
@@ -21,8 +21,22 @@ pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
     })
 }
 
-/// The dictionary that was named; without a name the usual one, or the only one.
-pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Result<String> {
+/// Asks a dictionary of a farm that exists: the one that was named; without a name the usual one, or the only one. Returns
+/// its name with the answer.
+pub(crate) async fn ask<T>(
+    global: &Global,
+    given: Option<&String>,
+    question: impl AsyncFn(&Connection, String) -> Result<T>,
+) -> Result<(String, T)> {
+    with_farm(global, Purpose::Ask, async |connection| {
+        let dictionary = name(connection, given).await?;
+        let answer = question(connection, dictionary.clone()).await?;
+        Ok((dictionary, answer))
+    })
+    .await
+}
+
+async fn name(connection: &Connection, given: Option<&String>) -> Result<String> {
     if let Some(name) = given {
         return Ok(name.clone());
     }
@@ -32,13 +46,13 @@ pub(crate) async fn name(connection: &Connection, given: Option<&String>) -> Res
 
 /// A dictionary that is to be computed.
 #[derive(Debug)]
-pub(crate) struct Wanted {
+pub(crate) struct WantedDictionary {
     pub name: DictionaryName,
     pub grid: Grid,
     pub records_done: usize,
 }
 
-impl Wanted {
+impl WantedDictionary {
     pub fn new(name: DictionaryName, grid: Grid) -> Self {
         Self { name, grid, records_done: 0 }
     }
@@ -47,12 +61,12 @@ impl Wanted {
 /// The dictionary of a command that computes one on this machine where there is none.
 pub(crate) enum Chosen {
     Complete(String),
-    Lacking(Wanted),
+    Lacking(WantedDictionary),
 }
 
 /// The built-in dictionary that was named, or the usual one without a name, for a command that computes on this machine, if
 /// its folder holds no farm yet.
-pub(crate) fn of_an_empty_folder(global: &Global, given: Option<&String>) -> Option<Wanted> {
+pub(crate) fn of_an_empty_folder(global: &Global, given: Option<&String>) -> Option<WantedDictionary> {
     if lacks_farm(global) { built_in(given.map_or(USUAL[0], String::as_str)) } else { None }
 }
 
@@ -77,14 +91,14 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
     Ok(match running {
         Some(d) if given.is_none() || built_in(&name).is_some() => {
             let records_done = d.records_done();
-            Chosen::Lacking(Wanted { name: d.name, grid: d.grid, records_done })
+            Chosen::Lacking(WantedDictionary { name: d.name, grid: d.grid, records_done })
         }
         _ => Chosen::Complete(name),
     })
 }
 
-fn built_in(name: &str) -> Option<Wanted> {
-    Some(Wanted::new(DictionaryName::new(name).ok()?, named_grid(name)?))
+fn built_in(name: &str) -> Option<WantedDictionary> {
+    Some(WantedDictionary::new(DictionaryName::new(name).ok()?, named_grid(name)?))
 }
 
 fn pick(names: &[String]) -> Result<String> {

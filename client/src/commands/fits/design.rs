@@ -8,7 +8,6 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::answers::{SetUpJson, design_text};
 use crate::cli::{DesignArgs, Global};
-use crate::connection::{Purpose, with_farm};
 use crate::figure_files::{self, drawn};
 use crate::output::{Output, wrapped};
 
@@ -19,11 +18,9 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
-    let (dictionary, design) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = chosen_dictionary::name(connection, given).await?;
-        let request = DesignRequest { dictionary: dictionary.clone(), ..(&question).into() };
-        let answer = connection.fits().design(request).await?.into_inner();
-        Ok((dictionary, Design::try_from(answer)?))
+    let (dictionary, design) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
+        let request = DesignRequest { dictionary, ..(&question).into() };
+        Ok(Design::try_from(connection.fits().design(request).await?.into_inner())?)
     })
     .await?;
     if let Some(path) = &args.plot {
@@ -39,7 +36,7 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
 
 /// What was asked, and what is answered.
 #[derive(Debug, Serialize)]
-pub(crate) struct JsonData<'a> {
+pub(crate) struct DesignJson<'a> {
     dictionary: &'a str,
     noise: f64,
     noise_floor: f64,
@@ -59,9 +56,9 @@ pub(crate) fn data<'a>(
     question: &'a DesignQuestion,
     assumed: &Assumed,
     design: &'a Design,
-) -> JsonData<'a> {
+) -> DesignJson<'a> {
     let (asked, known) = (question.settings(), question.settings().set_up.settings());
-    JsonData {
+    DesignJson {
         dictionary,
         noise: asked.noise,
         noise_floor: asked.noise_floor,

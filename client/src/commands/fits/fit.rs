@@ -1,16 +1,16 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
-use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_lab::measurement_file::MeasurementFile;
 use farm_proto::wire::FitRequest;
 use optics_model::Measurement;
 use optics_model::fit::{FitOptions, MaterialFit};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{Report, UsedOptions, fits_text, neighbours};
+use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
 use crate::cli::{FitArgs, Global};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::Connection;
 use crate::figure_files;
 use crate::output::Output;
 
@@ -23,10 +23,8 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
-    let (dictionary, fits) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = chosen_dictionary::name(connection, given).await?;
-        let fits = fit_all(connection, &dictionary, &materials, &options).await?;
-        Ok((dictionary, fits))
+    let (dictionary, fits) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
+        fit_all(connection, &dictionary, &materials, &options).await
     })
     .await?;
     let pictures = match &args.plot {
@@ -34,27 +32,16 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
         None => Vec::new(),
     };
     let used = UsedOptions::new(&dictionary, &options, &assumed);
-    let data = data(used, &fits, &notes);
+    let data = MeasurementAnswer { options: used, answer: FitJson { materials: &fits }, notes: &notes };
     output.print("fit", &data, || {
-        let report = Report { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
+        let report = FitsReport { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
         text(&report, args.top, &pictures)
     })
 }
 
-pub(crate) fn data<'a>(
-    options: UsedOptions<'a>,
-    materials: &'a [MaterialFit],
-    notes: &'a [Note],
-) -> impl Serialize {
-    #[derive(Serialize)]
-    struct Data<'a> {
-        #[serde(flatten)]
-        options: UsedOptions<'a>,
-        materials: &'a [MaterialFit],
-        /// What was assumed when the file was read, and what looks suspicious in it.
-        notes: &'a [Note],
-    }
-    Data { options, materials, notes }
+#[derive(Debug, Serialize)]
+pub(crate) struct FitJson<'a> {
+    pub(crate) materials: &'a [MaterialFit],
 }
 
 async fn fit_all(
@@ -78,7 +65,7 @@ async fn fit_all(
 }
 
 /// What was found, then the best records of each channel.
-fn text(report: &Report, top: u32, pictures: &[PathBuf]) -> String {
+fn text(report: &FitsReport, top: u32, pictures: &[PathBuf]) -> String {
     let mut text = fits_text(report);
     if top > 1 {
         for fit in report.fits {

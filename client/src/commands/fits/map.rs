@@ -1,15 +1,15 @@
 use anyhow::{Context, Result, bail};
 use farm_figures::numbers::{albedo, significant};
-use farm_lab::measurement_file::{MeasurementFile, Note, normal};
+use farm_lab::measurement_file::{MeasurementFile, normal};
 use farm_proto::wire::MapRequest;
 use optics_model::Measurement;
 use optics_model::fit::{DistanceMap, FitOptions, FitSettings, MapLayer};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::UsedOptions;
+use crate::answers::{MeasurementAnswer, UsedOptions};
 use crate::cli::{Global, MapArgs};
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::Connection;
 use crate::figure_files;
 use crate::output::{Output, table};
 
@@ -23,10 +23,8 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     let materials = chosen(materials, &args)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
-    let (dictionary, maps) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = chosen_dictionary::name(connection, given).await?;
-        let maps = map_all(connection, &dictionary, &materials, &options).await?;
-        Ok((dictionary, maps))
+    let (dictionary, maps) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
+        map_all(connection, &dictionary, &materials, &options).await
     })
     .await?;
     if let Some(path) = &args.plot {
@@ -34,7 +32,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
         figure_files::write_maps(&maps, path)?;
     }
     let used = UsedOptions::new(&dictionary, &options, &assumed);
-    let data = data(used, &maps, &notes);
+    let data = MeasurementAnswer { options: used, answer: MapJson { maps: &maps }, notes: &notes };
     output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
 }
 
@@ -116,18 +114,7 @@ pub(crate) struct MaterialMap {
     pub(crate) map: DistanceMap,
 }
 
-pub(crate) fn data<'a>(
-    options: UsedOptions<'a>,
-    maps: &'a [MaterialMap],
-    notes: &'a [Note],
-) -> impl Serialize {
-    #[derive(Serialize)]
-    struct Data<'a> {
-        #[serde(flatten)]
-        options: UsedOptions<'a>,
-        maps: &'a [MaterialMap],
-        /// What was assumed when the file was read, and what looks suspicious in it.
-        notes: &'a [Note],
-    }
-    Data { options, maps, notes }
+#[derive(Debug, Serialize)]
+pub(crate) struct MapJson<'a> {
+    pub(crate) maps: &'a [MaterialMap],
 }

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
 use farm_lab::session_folder::SessionFolder;
-use farm_lab::set_up::{Session, SetUp};
+use farm_lab::set_up::SetUp;
 use farm_link::logs::tell;
 use farm_proto::DictionaryName;
 use farm_proto::wire::MeasureRequest;
@@ -15,9 +15,10 @@ use optics_model::fit::{
 };
 use serde::Serialize;
 
-use super::chosen_dictionary::{self, Chosen, Wanted};
+use super::chosen_dictionary::{self, Chosen, WantedDictionary};
 use crate::answers::{
-    Found, Report, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale, media_files,
+    FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
+    media_files,
 };
 use crate::cli::{Global, MeasureArgs};
 use crate::commands::dictionaries::submit;
@@ -39,7 +40,7 @@ pub(crate) struct Inputs {
     common_g: bool,
     dictionary: Option<String>,
     /// The session's own dictionary, unless another was named.
-    own: Option<Wanted>,
+    own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
     output: Option<PathBuf>,
@@ -47,96 +48,57 @@ pub(crate) struct Inputs {
 }
 
 impl Inputs {
+    /// A session's folder has a scale factor of 1, as well known as its white reference, and a dictionary of its own.
     pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
         let folder =
             args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
         let session = folder.as_ref().and_then(SessionFolder::session);
         let set_up = args.options.set_up.read(session.as_deref())?;
+        let of_session = folder.as_ref().and_then(|_| set_up.mu_std_error());
+        let given =
+            args.mu.map(|mu| [mu, args.mu_std_error]).or_else(|| of_session.map(|error| [1.0, error]));
+        let range = args.search.range()?;
+        let [mu, mu_std_error] = given.unwrap_or([1.0, 0.0]);
+        let curves = args.plot.is_some() || folder.is_some();
         let settings = args.options.settings(&set_up)?;
-        let inputs = Self {
-            measurements: args.measurements,
-            folder: None,
-            options: FitOptions::default(),
-            search_mu: Some(args.search.range()?),
+        let options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
+        check_objective(options.objective(), &args, folder.is_some())?;
+        chosen_dictionary::check(args.options.dictionary.as_ref())?;
+        args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+        let own = match &folder {
+            Some(folder) if args.options.dictionary.is_none() => {
+                let (name, grid) = folder.dictionary()?;
+                Some(WantedDictionary::new(DictionaryName::new(name)?, grid))
+            }
+            _ => None,
+        };
+        Ok(Self {
+            measurements: folder.as_ref().map_or(args.measurements, SessionFolder::measurements),
+            folder,
+            set_up,
+            options,
+            search_mu: given.is_none().then_some(range),
             common_g: !args.free_g,
             dictionary: args.options.dictionary,
-            own: None,
+            own,
             mixtures: args.mixtures,
             bound: args.bound,
             output: args.output,
             plot: args.plot,
-            set_up,
-        };
-        inputs.with(folder, settings, args.mu.map(|mu| [mu, args.mu_std_error]))
-    }
-
-    /// The folder of a session, with all options at their defaults.
-    pub(crate) fn of_folder(path: &Path) -> Result<Self> {
-        let folder = SessionFolder::open(path)?;
-        let set_up = SetUp::new(folder.session().as_deref(), Session::default())?;
-        let settings = set_up.settings(FitSettings::default());
-        let inputs = Self {
-            measurements: folder.measurements(),
-            folder: None,
-            options: FitOptions::default(),
-            search_mu: Some(MuRange::default()),
-            common_g: true,
-            dictionary: None,
-            own: None,
-            mixtures: None,
-            bound: false,
-            output: None,
-            plot: None,
-            set_up,
-        };
-        inputs.with(Some(folder), settings, None)
-    }
-
-    /// `mu` is the scale factor that was given, with its standard error. A session's folder has a scale factor of 1, as
-    /// well known as its white reference, and a dictionary of its own.
-    fn with(
-        mut self,
-        folder: Option<SessionFolder>,
-        settings: FitSettings,
-        mu: Option<[f64; 2]>,
-    ) -> Result<Self> {
-        let of_session = folder.as_ref().and_then(|_| self.set_up.mu_std_error());
-        let mu = mu.or_else(|| of_session.map(|error| [1.0, error]));
-        if mu.is_some() {
-            self.search_mu = None;
-        }
-        let [mu, mu_std_error] = mu.unwrap_or([1.0, 0.0]);
-        let curves = self.plot.is_some() || folder.is_some();
-        self.options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
-        self.check_objective(folder.is_some())?;
-        chosen_dictionary::check(self.dictionary.as_ref())?;
-        self.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
-        if let Some(folder) = folder {
-            self.measurements = folder.measurements();
-            if self.dictionary.is_none() {
-                let (name, grid) = folder.dictionary()?;
-                self.own = Some(Wanted::new(DictionaryName::new(name)?, grid));
-            }
-            self.folder = Some(folder);
-        }
-        Ok(self)
+        })
     }
 }
 
-impl Inputs {
-    /// The paper's objective gives the best records, from which neither media nor intervals follow.
-    fn check_objective(&self, is_session: bool) -> Result<()> {
-        let needs = match () {
-            () if self.options.objective() == Objective::Likelihood => return Ok(()),
-            () if self.output.is_some() => "--output",
-            () if self.bound => "--bound",
-            () if is_session => "the folder of a session, whose report has media",
-            () => return Ok(()),
-        };
-        bail!(
-            "--objective paper gives records of the dictionary without intervals: leave it out with {needs}"
-        )
-    }
+/// The paper's objective gives the best records, from which neither media nor intervals follow.
+fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -> Result<()> {
+    let needs = match () {
+        () if objective == Objective::Likelihood => return Ok(()),
+        () if args.output.is_some() => "--output",
+        () if args.bound => "--bound",
+        () if is_session => "the folder of a session, whose report has media",
+        () => return Ok(()),
+    };
+    bail!("--objective paper gives records of the dictionary without intervals: leave it out with {needs}")
 }
 
 pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Result<()> {
@@ -166,7 +128,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     let answer = || {
         let assumed = assumed.text(options.settings());
-        let report = Report { fits: &found.materials, assumed, bound: inputs.bound };
+        let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound };
         let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
         text(&found, &report, inputs.output.as_deref(), &pictures) + &budget
@@ -189,9 +151,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 async fn ask(
     global: &Global,
     given: Option<&String>,
-    own: Option<Wanted>,
+    own: Option<WantedDictionary>,
     request: &MeasureRequest,
-) -> Result<(String, Found)> {
+) -> Result<(String, MeasureAnswer)> {
     let mut wanted = own;
     if wanted.is_none() {
         wanted =
@@ -209,19 +171,19 @@ async fn ask(
 }
 
 enum Asked {
-    Answered(String, Box<Found>),
-    Lacks(Wanted),
+    Answered(String, Box<MeasureAnswer>),
+    Lacks(WantedDictionary),
 }
 
 async fn ask_once(
     global: &Global,
     given: Option<&String>,
-    wanted: Option<&Wanted>,
+    wanted: Option<&WantedDictionary>,
     request: &MeasureRequest,
 ) -> Result<Asked> {
     let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
     with_farm(global, purpose, async |connection| {
-        let dictionary = if let Some(Wanted { name, grid, .. }) = wanted {
+        let dictionary = if let Some(WantedDictionary { name, grid, .. }) = wanted {
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
@@ -243,8 +205,8 @@ async fn ask_once(
     .await
 }
 
-fn announce(global: &Global, wanted: &Wanted) {
-    let Wanted { name, grid, records_done } = wanted;
+fn announce(global: &Global, wanted: &WantedDictionary) {
+    let WantedDictionary { name, grid, records_done } = wanted;
     let total = grid.stored_records();
     if !global.quiet {
         tell(format_args!(
@@ -256,7 +218,7 @@ fn announce(global: &Global, wanted: &Wanted) {
     }
 }
 
-fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
     if let Some(unmixed) = &found.unmixed {
         text += &format!("\n\n{}", inks_text(unmixed));
@@ -271,7 +233,7 @@ fn text(found: &Found, report: &Report, folder: Option<&Path>, pictures: &[PathB
     text
 }
 
-fn write_folder(folder: &Path, found: &Found) -> Result<()> {
+fn write_folder(folder: &Path, found: &MeasureAnswer) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     for (name, text) in media_files(&found.materials)? {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
@@ -279,9 +241,13 @@ fn write_folder(folder: &Path, found: &Found) -> Result<()> {
     Ok(())
 }
 
-pub(crate) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [Note]) -> impl Serialize {
+pub(crate) fn data<'a>(
+    options: UsedOptions<'a>,
+    found: &'a MeasureAnswer,
+    notes: &'a [Note],
+) -> impl Serialize {
     #[derive(Serialize)]
-    struct Data<'a> {
+    struct MeasureJson<'a> {
         #[serde(flatten)]
         options: UsedOptions<'a>,
         /// Null if every channel has its own.
@@ -295,7 +261,7 @@ pub(crate) fn data<'a>(options: UsedOptions<'a>, found: &'a Found, notes: &'a [N
         #[serde(skip_serializing_if = "Option::is_none")]
         unmixed: Option<&'a Unmixed>,
     }
-    Data {
+    MeasureJson {
         options,
         common_g: found.common.g,
         common: &found.common,
@@ -326,7 +292,8 @@ mod tests {
         let path = folder.path().to_str().unwrap();
         let cli = Cli::try_parse_from(["farmctl", "measure", path]).unwrap();
         let Command::Measure(args) = cli.command else { panic!("not the verb") };
-        let [parsed, direct] = [Inputs::of(args), Inputs::of_folder(folder.path())].map(Result::unwrap);
+        let [parsed, direct] =
+            [Inputs::of(args), Inputs::of(MeasureArgs::new(folder.path().to_owned()))].map(Result::unwrap);
         assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
         assert_eq!(direct.options.settings().mu_std_error, 0.01);
     }

@@ -9,7 +9,6 @@ use serde::Serialize;
 
 use super::chosen_dictionary;
 use crate::cli::{Global, ProfileArgs};
-use crate::connection::{Purpose, with_farm};
 use crate::figure_files;
 use crate::output::Output;
 
@@ -19,22 +18,20 @@ pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> 
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
     args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
-    let (dictionary, profiles) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = chosen_dictionary::name(connection, given).await?;
-        let request = ProfileRequest { dictionary: dictionary.clone(), ..(&question).into() };
-        let answer = connection.fits().profile(request).await?.into_inner();
-        Ok((dictionary, PredictedProfiles::try_from(answer)?))
+    let (dictionary, profiles) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
+        let request = ProfileRequest { dictionary, ..(&question).into() };
+        Ok(PredictedProfiles::try_from(connection.fits().profile(request).await?.into_inner())?)
     })
     .await?;
     if let Some(path) = &args.plot {
         figure_files::write(&profile_figure(&profiles)?, path)?;
     }
-    let data = JsonData { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
+    let data = ProfileJson { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
     output.print("profile", &data, || table(&profiles))
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct JsonData<'a> {
+pub(crate) struct ProfileJson<'a> {
     pub(crate) dictionary: &'a str,
     pub(crate) x_mm: Vec<f64>,
     #[serde(flatten)]

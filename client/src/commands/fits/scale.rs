@@ -1,14 +1,13 @@
 use anyhow::{Context, Result};
 use farm_figures::scale_figure;
-use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_lab::measurement_file::MeasurementFile;
 use farm_proto::wire::ScaleRequest;
 use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{OLDER, UsedOptions, common_text, scale_text};
+use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_text, scale_text};
 use crate::cli::{Global, ScaleArgs};
-use crate::connection::{Purpose, with_farm};
 use crate::figure_files::{self, drawn};
 use crate::output::Output;
 
@@ -22,15 +21,14 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let MeasurementFile { materials, notes } = output.read_measurements(&args.measurements)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
-    let (dictionary, answer) = with_farm(global, Purpose::Ask, async |connection| {
-        let dictionary = chosen_dictionary::name(connection, given).await?;
+    let (dictionary, answer) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
         let request = ScaleRequest {
-            dictionary: dictionary.clone(),
+            dictionary,
             materials: materials.iter().map(Into::into).collect(),
             options: Some((&options).into()),
             mu: Some(range.into()),
         };
-        Ok((dictionary, connection.fits().scale(request).await?.into_inner()))
+        Ok(connection.fits().scale(request).await?.into_inner())
     })
     .await?;
     let scale = ScaleCurve::try_from(answer.scale.context("the farm's answer holds no curve")?)?;
@@ -42,29 +40,17 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let used = UsedOptions::new(&dictionary, &options, &assumed);
-    let data = data(used, &scale, &common, &fits, &notes);
+    let answer = ScaleJson { scale: &scale, common: &common, materials: &fits };
+    let data = MeasurementAnswer { options: used, answer, notes: &notes };
     output.print("scale", &data, || {
         format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(&args.plot))
     })
 }
 
-pub(crate) fn data<'a>(
-    options: UsedOptions<'a>,
-    scale: &'a ScaleCurve,
-    common: &'a Common,
-    materials: &'a [MaterialFit],
-    notes: &'a [Note],
-) -> impl Serialize {
-    #[derive(Serialize)]
-    struct Data<'a> {
-        #[serde(flatten)]
-        options: UsedOptions<'a>,
-        scale: &'a ScaleCurve,
-        /// By refined fits.
-        common: &'a Common,
-        materials: &'a [MaterialFit],
-        /// What was assumed when the file was read, and what looks suspicious in it.
-        notes: &'a [Note],
-    }
-    Data { options, scale, common, materials, notes }
+#[derive(Debug, Serialize)]
+pub(crate) struct ScaleJson<'a> {
+    pub(crate) scale: &'a ScaleCurve,
+    /// By refined fits.
+    pub(crate) common: &'a Common,
+    pub(crate) materials: &'a [MaterialFit],
 }

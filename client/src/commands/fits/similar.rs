@@ -24,18 +24,18 @@ pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     })
 }
 
-pub(crate) fn data(args: &SimilarArgs) -> Result<JsonData> {
+pub(crate) fn data(args: &SimilarArgs) -> Result<SimilarJson> {
     let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;
     let media = args
         .to
         .iter()
         .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
         .collect::<Result<Vec<Medium>, _>>()?;
-    Ok(JsonData { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
+    Ok(SimilarJson { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct JsonData {
+pub(crate) struct SimilarJson {
     medium: SimilarMedia,
     similar: Vec<SimilarMedia>,
 }

@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
 
-use crate::cli::{CaptureArgs, Global};
+use crate::cli::{CaptureArgs, Global, MeasureArgs};
 use crate::commands::fits::measure;
 use crate::output::{Output, table, warning, wrapped, write_whole};
 use crate::progress::has_bars;
@@ -45,7 +45,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
             .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
     }
     if args.measure {
-        measure::run(global, measure::Inputs::of_folder(&folder)?, output).await?;
+        measure::run(global, measure::Inputs::of(MeasureArgs::new(folder))?, output).await?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -108,7 +108,7 @@ fn set_up_text(captured: &Captured) -> String {
 
 /// What was found of one channel of a sample.
 #[derive(Debug, serde::Serialize)]
-struct Row {
+struct CapturedRow {
     sample: String,
     material: String,
     thickness_mm: f64,
@@ -125,11 +125,11 @@ struct Row {
     origin_std_error_mm: f64,
 }
 
-fn rows(captured: &Captured) -> Vec<Row> {
+fn rows(captured: &Captured) -> Vec<CapturedRow> {
     let rows = captured.samples.iter().flat_map(|sample| {
         sample.profile.profiles.iter().enumerate().map(move |(c, profile)| {
             let [dark, light] = capture::ends(profile);
-            Row {
+            CapturedRow {
                 sample: sample.about.label(),
                 material: sample.about.material.clone(),
                 thickness_mm: sample.about.thickness_mm,

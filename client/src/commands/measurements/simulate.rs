@@ -11,7 +11,7 @@ use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 
 use serde::Serialize;
 
-use camera::{Camera, NOISE};
+use camera::{NOISE, SimulatedCamera};
 use farm_lab::grid_file::read_scene;
 use farm_lab::measurement_file::{MeasurementWriter, check_name};
 use farm_lab::whole_file::open_node;
@@ -156,7 +156,7 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Outpu
         );
     }
     let (noise, seed) = (args.noise.unwrap_or(NOISE), args.seed);
-    Camera::new(noise, seed)?;
+    SimulatedCamera::new(noise, seed)?;
     Ok(OutputStyle::Measurement { material: check_name(material)?.to_owned(), noise, seed })
 }
 
@@ -165,7 +165,7 @@ fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<(
     let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
         OutputStyle::Measurement { material, noise, seed } => {
-            let mut camera = Camera::new(*noise, *seed)?;
+            let mut camera = SimulatedCamera::new(*noise, *seed)?;
             let mut measurement = MeasurementWriter::new(&mut out, material)?;
             for job in jobs {
                 for Record { profiles, .. } in each(job)? {

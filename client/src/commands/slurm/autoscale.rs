@@ -9,18 +9,18 @@ use farm_link::walltime::span_text;
 use farm_link::{ClientAccess, Target};
 use tokio::time::{Instant, sleep};
 
-use self::ask::{Told, ask, newest_events};
-use self::tell::{Seen, Step, Teller};
+use self::ask::{FarmState, ask, newest_events};
+use self::report::{FarmSnapshot, Reporter, Step};
 use super::{JOB_NAME, submission, warn_of_loopback};
 use crate::cli::{Global, SlurmAutoscaleArgs};
 use crate::connection::{Purpose, with_farm};
 use crate::interrupt::interrupted;
 use crate::output::{Output, counted, sentence};
-use crate::slurm::scaling::{Action, Decision, Hold, Limits, Scaling, TaskId, TaskState};
+use crate::slurm::scaling::{Action, Decision, Hold, Scaling, ScalingLimits, TaskId, TaskState};
 use crate::slurm::{SbatchOption, Submission, queue, shell_quoted};
 
 mod ask;
-mod tell;
+mod report;
 
 /// Looks in a row without work after which there is none: gaps between dictionaries are short.
 const IDLE_LOOKS: u32 = 2;
@@ -37,12 +37,13 @@ struct Hopeless {
 
 pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Output) -> Result<()> {
     is_one_cluster(&args.workers_are.sbatch_option, |name| std::env::var(name).ok())?;
-    let limits = Limits { most: args.max_workers, threads: args.workers_are.threads, worth: args.worth };
+    let limits =
+        ScalingLimits { most: args.max_workers, threads: args.workers_are.threads, worth: args.worth };
     let submission = submission(global, args.workers_are, &job_name(global)?, NonZeroU32::MIN)?;
     warn_of_loopback(global, &submission.coordinator);
     let mut autoscaler = Autoscaler {
         global,
-        teller: Teller::new(output, global.quiet),
+        reporter: Reporter::new(output, global.quiet),
         submission,
         scaling: Scaling::new(limits),
         start: Instant::now(),
@@ -67,7 +68,7 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
             Err(error) if seen.is_none() || error.is::<Hopeless>() => return Err(error),
             Err(error) => {
                 idle_looks = 0;
-                autoscaler.teller.tell(Step::Unknown, sentence(&error), seen.as_ref())?;
+                autoscaler.reporter.report(Step::Unknown, sentence(&error), seen.as_ref())?;
             }
         }
         if args.until_done && idle_looks >= IDLE_LOOKS {
@@ -104,7 +105,7 @@ fn job_name(global: &Global) -> Result<String> {
 
 struct Autoscaler<'a> {
     global: &'a Global,
-    teller: Teller<'a>,
+    reporter: Reporter<'a>,
     submission: Submission,
     scaling: Scaling,
     start: Instant,
@@ -119,14 +120,14 @@ struct Autoscaler<'a> {
 
 impl Autoscaler<'_> {
     /// Looks once, and acts. Where an answer is missing nothing is done.
-    async fn look(&mut self) -> Result<Seen> {
+    async fn look(&mut self) -> Result<FarmSnapshot> {
         if self.events.is_none() {
             self.events = Some(with_farm(self.global, Purpose::Ask, newest_events).await?);
         }
         // The queue before the farm: who has left it has had the time to reach the coordinator.
         let mut tasks = queue::tasks(&self.submission.job_name).await?;
         let since = self.events.clone().unwrap_or_default();
-        let Told { demand, registered, joined, events } =
+        let FarmState { demand, registered, joined, events } =
             with_farm(self.global, Purpose::Ask, async |connection| ask(connection, since.clone()).await)
                 .await?;
         self.events = Some(events);
@@ -138,27 +139,31 @@ impl Autoscaler<'_> {
         let now = self.start.elapsed();
         let decision = self.scaling.look(now, &demand, &tasks, &[registered, joined].concat());
         let count = |of: TaskState| tasks.iter().filter(|(_, state)| *state == of).count();
-        let seen = Seen {
+        let seen = FarmSnapshot {
             demand,
             wanted: decision.wanted,
             running: count(TaskState::Running),
             queued: count(TaskState::Waiting),
         };
-        if self.teller.stands(Step::Unknown) {
-            self.teller.is_over(Step::Unknown);
-            self.teller.tell(Step::Answering, "the farm and Slurm answer again".to_owned(), Some(&seen))?;
+        if self.reporter.stands(Step::Unknown) {
+            self.reporter.is_over(Step::Unknown);
+            self.reporter.report(
+                Step::Answering,
+                "the farm and Slurm answer again".to_owned(),
+                Some(&seen),
+            )?;
         }
-        self.tell_failures(now, &decision, &seen)?;
-        self.tell_held(count(TaskState::Held), &seen)?;
+        self.report_failures(now, &decision, &seen)?;
+        self.report_held(count(TaskState::Held), &seen)?;
         if !matches!(decision.action, Action::Hold(_)) {
-            self.teller.is_over(Step::Holding);
+            self.reporter.is_over(Step::Holding);
         }
         self.act(now, decision.action, &seen).await?;
         self.proven = true;
         Ok(seen)
     }
 
-    fn tell_failures(&mut self, now: Duration, decision: &Decision, seen: &Seen) -> Result<()> {
+    fn report_failures(&mut self, now: Duration, decision: &Decision, seen: &FarmSnapshot) -> Result<()> {
         let Some(last) = decision.failed.last() else { return Ok(()) };
         let who = match decision.failed.len() {
             1 => format!("worker {last}"),
@@ -171,22 +176,22 @@ impl Autoscaler<'_> {
         let log = self.submission.log.of_task(last.job, last.task);
         let message =
             format!("{who} ended without having reached the coordinator, see the log ({log}){next}");
-        self.teller.tell(Step::Failed, message, Some(seen))
+        self.reporter.report(Step::Failed, message, Some(seen))
     }
 
-    fn tell_held(&mut self, held: usize, seen: &Seen) -> Result<()> {
+    fn report_held(&mut self, held: usize, seen: &FarmSnapshot) -> Result<()> {
         if held == 0 {
-            self.teller.is_over(Step::Held);
+            self.reporter.is_over(Step::Held);
             return Ok(());
         }
         let who = if held == 1 { "1 worker is".to_owned() } else { format!("{held} workers are") };
         let message = format!(
             "{who} held in the queue, and counted no more: see `squeue --me` for the reason; release or cancel them"
         );
-        self.teller.tell(Step::Held, message, Some(seen))
+        self.reporter.report(Step::Held, message, Some(seen))
     }
 
-    async fn act(&mut self, now: Duration, action: Action, seen: &Seen) -> Result<()> {
+    async fn act(&mut self, now: Duration, action: Action, seen: &FarmSnapshot) -> Result<()> {
         match action {
             Action::Nothing => Ok(()),
             Action::Submit(count) => self.submit(now, count, seen).await,
@@ -195,7 +200,7 @@ impl Autoscaler<'_> {
                 self.scaling.cancelled(&tasks);
                 queue::cancel(&tasks).await?;
                 let message = format!("took {} out of the queue", counted(tasks.len() as u64, "worker"));
-                self.teller.tell(Step::Cancelled, message, Some(seen))
+                self.reporter.report(Step::Cancelled, message, Some(seen))
             }
             Action::Hold(why) => {
                 let message = match why {
@@ -203,30 +208,30 @@ impl Autoscaler<'_> {
                     Hold::Failing => "a pause, since workers ended without having reached the coordinator",
                     Hold::Refused => "a pause, since the queue takes no more workers",
                 };
-                self.teller.tell(Step::Holding, message.to_owned(), Some(seen))
+                self.reporter.report(Step::Holding, message.to_owned(), Some(seen))
             }
             Action::GiveUp => Err(Hopeless { log: self.submission.log.as_str().to_owned() }.into()),
         }
     }
 
-    async fn submit(&mut self, now: Duration, count: NonZeroU32, seen: &Seen) -> Result<()> {
+    async fn submit(&mut self, now: Duration, count: NonZeroU32, seen: &FarmSnapshot) -> Result<()> {
         self.submission.workers = count;
         let job = match queue::submit(&self.submission, &self.submission.script()).await {
             Ok(job) => job,
             Err(error) if !self.proven => return Err(error),
             Err(error) => {
                 self.scaling.refused(now, count);
-                return self.teller.tell(Step::Refused, sentence(&error), Some(seen));
+                return self.reporter.report(Step::Refused, sentence(&error), Some(seen));
             }
         };
-        self.teller.is_over(Step::Refused);
+        self.reporter.is_over(Step::Refused);
         self.jobs.insert(job);
         self.scaling.submitted(job, count);
         let message = format!("submitted {} as job {job}", counted(count.get().into(), "worker"));
-        self.teller.tell_of_job(Step::Submitted, message, Some(job), Some(seen))
+        self.reporter.report_job(Step::Submitted, message, Some(job), Some(seen))
     }
 
-    fn end(&mut self, why: &str, seen: Option<&Seen>) -> Result<()> {
+    fn end(&mut self, why: &str, seen: Option<&FarmSnapshot>) -> Result<()> {
         let left = match seen.map_or(0, |seen| seen.running + seen.queued) {
             0 => String::new(),
             left => format!(
@@ -236,7 +241,7 @@ impl Autoscaler<'_> {
                 shell_quoted(self.submission.job_name.as_str())
             ),
         };
-        self.teller.tell(Step::Ended, format!("{why}{left}"), seen)
+        self.reporter.report(Step::Ended, format!("{why}{left}"), seen)
     }
 }
 

@@ -4,9 +4,9 @@ use super::*;
 
 const LOOK: Duration = Duration::from_secs(30);
 
-fn limits(most: u32) -> Limits {
+fn limits(most: u32) -> ScalingLimits {
     let most = NonZeroU32::new(most).unwrap();
-    Limits { most, threads: 4, worth: Duration::from_mins(2) }
+    ScalingLimits { most, threads: 4, worth: Duration::from_mins(2) }
 }
 
 fn demand(waiting: u64, computing: u64) -> Demand {

@@ -22,7 +22,7 @@ shots = ["white_*.pgm"]
 "#;
 
 /// A folder with a session and empty photographs; `change` replaces a part of the session by another.
-fn read(change: (&str, &str)) -> Result<Session> {
+fn read(change: (&str, &str)) -> Result<CaptureSession> {
     let folder = tempfile::tempdir().unwrap();
     for name in ["dark_1", "dark_2", "chart", "board", "white_2", "white_1", "white_10"] {
         write(folder.path().join(format!("{name}.pgm")), "").unwrap();
@@ -30,7 +30,7 @@ fn read(change: (&str, &str)) -> Result<Session> {
     assert!(SOUND.contains(change.0), "{}", change.0);
     let path = folder.path().join("session.toml");
     write(&path, SOUND.replacen(change.0, change.1, 1)).unwrap();
-    let read = Session::read(&path);
+    let read = CaptureSession::read(&path);
     // Paths are of the folder that is gone.
     read.map_err(|e| anyhow::anyhow!(format!("{e:#}").replace(&folder.path().display().to_string(), "DIR")))
 }

@@ -219,7 +219,7 @@ fn small_files_do_not_become_large_pictures() {
         [(zeros_of_a_picture, 64_000_000), (large_tile, 144_000_000), (one_place, 6400 * 6400)]
     {
         let bytes = maker.bytes();
-        let expected = Unreadable::Compressed { file_bytes: bytes.len(), samples };
+        let expected = UnreadablePhotograph::Compressed { file_bytes: bytes.len(), samples };
         assert_eq!(decode(&bytes), Err(expected));
     }
 }

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::ChosenAxes;
 use crate::commands::dictionaries::show;
 use crate::connection::Connection;
-use crate::connection::records::Records;
+use crate::connection::records::RecordStream;
 use crate::output::grouped;
 
 /// Axes of the arrays of records, the last one running fastest.
@@ -88,7 +88,7 @@ pub(super) fn unit_of_axis(name: &str) -> Option<&'static str> {
     }
 }
 
-/// What `show --json` tells of the dictionary, and what the arrays mean.
+/// The answer of `show --json`, and the meaning of the arrays.
 pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<serde_json::Value> {
     #[derive(Serialize)]
     struct ArraysAbout<D> {
@@ -106,7 +106,7 @@ pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Resu
 
 /// The chosen records, all of which must be done: arrays have no place for what is missing.
 pub(super) struct Complete<'a> {
-    records: Records<'a>,
+    records: RecordStream<'a>,
     dictionary: &'a DictionaryStatus,
     wanted: std::vec::IntoIter<u32>,
 }
@@ -127,7 +127,7 @@ impl<'a> Complete<'a> {
                 grouped(total as u64)
             );
         }
-        let records = Records::ask(connection, dictionary, indices.clone()).await?;
+        let records = RecordStream::ask(connection, dictionary, indices.clone()).await?;
         Ok(Self { records, dictionary, wanted: indices.into_iter() })
     }
 

@@ -12,7 +12,7 @@ use optics_model::grid::Quality;
 use serde::Serialize;
 
 use crate::connection::Connection;
-use crate::connection::records::Records;
+use crate::connection::records::RecordStream;
 use crate::output::table;
 
 /// Rows of the table by albedo.
@@ -46,7 +46,7 @@ struct OfAlbedo {
 
 /// Reads all records of a dictionary that are done: number and noise of each.
 pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> Result<Vec<(usize, f64)>> {
-    let mut answers = Records::ask(connection, status, Vec::new()).await?;
+    let mut answers = RecordStream::ask(connection, status, Vec::new()).await?;
     let mut found = Vec::new();
     while let Some(record) = answers.next().await? {
         found.push((record.index, Quality::noise_of(std::slice::from_ref(&record))));

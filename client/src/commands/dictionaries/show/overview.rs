@@ -9,26 +9,26 @@ use farm_figures::{OverviewFigure, Picture, overview_figure};
 
 /// Indices into the axes of σ_t, albedo and g that are shown.
 #[derive(Debug)]
-pub(super) struct ChosenAxes {
+pub(super) struct OverviewAxes {
     sigma_t: Vec<usize>,
     albedo: Vec<usize>,
     g: Vec<usize>,
 }
 
 /// At most six σ_t, six albedos and four g, evenly over the axes: 288 records of the paper's, as in its figure.
-pub(super) fn chosen_axes(grid: &Grid) -> ChosenAxes {
+pub(super) fn chosen_axes(grid: &Grid) -> OverviewAxes {
     let spread = |n: usize, most: usize| -> Vec<usize> {
         let count = n.min(most);
         (0..count).map(|i| if count == 1 { 0 } else { i * (n - 1) / (count - 1) }).collect()
     };
-    ChosenAxes {
+    OverviewAxes {
         sigma_t: spread(grid.sigma_t_per_mm().len(), 6),
         albedo: spread(grid.albedo().len(), 6),
         g: spread(grid.g().len(), 4),
     }
 }
 
-impl ChosenAxes {
+impl OverviewAxes {
     /// The records shown, in the order of the figure: thickness, σ_t, albedo, g.
     pub(super) fn records(&self, grid: &Grid) -> Vec<u32> {
         let mut records = Vec::new();
@@ -44,7 +44,7 @@ impl ChosenAxes {
 }
 
 /// Draws the first channel of those records that are there.
-pub(super) fn picture(name: &str, grid: &Grid, axes: &ChosenAxes, records: &[Record]) -> Result<Picture> {
+pub(super) fn picture(name: &str, grid: &Grid, axes: &OverviewAxes, records: &[Record]) -> Result<Picture> {
     let by_index: HashMap<usize, &Record> = records.iter().map(|r| (r.index, r)).collect();
     let profile = |index: &u32| {
         by_index.get(&(*index as usize)).map_or_else(Vec::new, |r| {

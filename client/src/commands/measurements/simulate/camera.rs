@@ -11,14 +11,14 @@ const UNIFORM: usize = 12;
 
 /// A camera whose pixels have this noise.
 #[derive(Debug)]
-pub(super) struct Camera {
+pub(super) struct SimulatedCamera {
     noise: f64,
     /// The noise of a seed is the same on every machine: sums of integers, and no function that libraries round
     /// differently.
     random: blake3::OutputReader,
 }
 
-impl Camera {
+impl SimulatedCamera {
     /// None if there is no noise. `noise` is a share of each value.
     pub(super) fn new(noise: f64, seed: u64) -> Result<Option<Self>> {
         if !(0.0..=0.5).contains(&noise) {
@@ -60,7 +60,7 @@ mod tests {
     fn pixels_scatter_by_the_stated_noise() {
         let exact = Estimate::new(vec![0.8; 40_000], vec![0.1; 40_000]).unwrap();
         let exact = [Profile { radiance_factor: exact, derivatives: None }];
-        let mut camera = Camera::new(0.01, 3).unwrap().unwrap();
+        let mut camera = SimulatedCamera::new(0.01, 3).unwrap().unwrap();
         let seen = camera.photograph(&exact).unwrap().remove(0).radiance_factor;
         assert!(seen.std_errors().iter().all(|e| *e == 0.008));
         let z: Vec<f64> = seen.values().iter().map(|v| (f64::from(*v) - 0.8) / 0.008).collect();
@@ -78,9 +78,9 @@ mod tests {
     /// The noise is a share of at most one half.
     #[test]
     fn noise_is_at_most_a_half() {
-        assert!(Camera::new(0.0, 1).unwrap().is_none());
+        assert!(SimulatedCamera::new(0.0, 1).unwrap().is_none());
         for noise in [-0.1, 0.6, f64::NAN] {
-            assert!(Camera::new(noise, 1).unwrap_err().to_string().contains("noise"));
+            assert!(SimulatedCamera::new(noise, 1).unwrap_err().to_string().contains("noise"));
         }
     }
 }

@@ -18,7 +18,7 @@ pub(super) async fn newest_events(connection: &Connection) -> Result<String> {
 }
 
 /// The demand of the farm and its workers.
-pub(super) struct Told {
+pub(super) struct FarmState {
     pub(super) demand: Demand,
     /// Who is there.
     pub(super) registered: Vec<TaskId>,
@@ -28,7 +28,7 @@ pub(super) struct Told {
     pub(super) events: String,
 }
 
-pub(super) async fn ask(connection: &Connection, since: String) -> Result<Told> {
+pub(super) async fn ask(connection: &Connection, since: String) -> Result<FarmState> {
     let status = connection.farm().status(StatusRequest {}).await?.into_inner();
     let demand = Demand {
         waiting: status.jobs_pending,
@@ -45,7 +45,7 @@ pub(super) async fn ask(connection: &Connection, since: String) -> Result<Told> 
         let page = connection.farm().list_events(request).await?.into_inner();
         events = page.next_page_token;
         if page.events.is_empty() {
-            return Ok(Told { demand, registered, joined, events });
+            return Ok(FarmState { demand, registered, joined, events });
         }
         let joins = page.events.iter().filter(|event| event.kind == "WORKER_JOINED");
         joined.extend(joins.filter_map(|event| task(&event.worker)));

@@ -71,7 +71,7 @@ fn measured(gel: [f64; 2], ring: f64, seed: u64) -> Measurement {
 }
 
 fn scene_of(found: &Refined) -> &[SceneEstimate] {
-    &found.likelihood.as_ref().unwrap().scene
+    &found.likelihood.scene
 }
 
 /// Between the nodes responses are interpolated to 1 % of what one standard deviation does.
@@ -126,7 +126,7 @@ fn scene_is_estimated_with_the_medium() {
             );
             assert!(estimate.std_error < estimate.prior_std_error && !estimate.at_end, "{estimate:?}");
         }
-        let shares = &found.likelihood.as_ref().unwrap().budget;
+        let shares = &found.likelihood.budget;
         assert!(shares.iter().any(|s| s.quantity.as_deref() == Some("gel thickness")), "{shares:?}");
         let wrong = refined_with(&exact, &measured, with_g);
         assert!(scene_of(&wrong).is_empty());

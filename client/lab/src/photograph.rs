@@ -22,7 +22,7 @@ use anyhow::{Context, Result};
 use optics_capture::Colour;
 
 pub use about::{About, Orientation};
-pub use unreadable::Unreadable;
+pub use unreadable::UnreadablePhotograph;
 
 use crate::bounded_file;
 
@@ -81,7 +81,7 @@ pub fn read(path: &Path) -> Result<(Photograph, blake3::Hash)> {
 const FEW_ZEROS: f64 = 0.1;
 
 /// Refuses what ends in rows of exact zeros.
-fn whole(photograph: Photograph) -> Result<Photograph, Unreadable> {
+fn whole(photograph: Photograph) -> Result<Photograph, UnreadablePhotograph> {
     let samples = &photograph.samples;
     let row = photograph.width * photograph.layout.samples_per_pixel();
     let there = samples.len() - samples.iter().rev().take_while(|v| **v == 0).count();
@@ -89,27 +89,29 @@ fn whole(photograph: Photograph) -> Result<Photograph, Unreadable> {
     if samples.len() - there < row || zeros as f64 >= FEW_ZEROS * there as f64 {
         return Ok(photograph);
     }
-    Err(Unreadable::ZeroRows { from: there.div_ceil(row) + 1, to: photograph.height })
+    Err(UnreadablePhotograph::ZeroRows { from: there.div_ceil(row) + 1, to: photograph.height })
 }
 
-/// Decodes a file of any format that is known, told by its first bytes.
-pub fn decode(bytes: &[u8]) -> Result<Photograph, Unreadable> {
+/// Decodes a file of any format that is known, recognised by its first bytes.
+pub fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     match bytes {
-        [] => Err(Unreadable::Empty),
-        [0xff, 0xd8, ..] => Err(Unreadable::Jpeg),
+        [] => Err(UnreadablePhotograph::Empty),
+        [0xff, 0xd8, ..] => Err(UnreadablePhotograph::Jpeg),
         [0x89, b'P', b'N', b'G', ..] => png::decode(bytes),
         [b'P', b'2' | b'3' | b'5' | b'6', ..] => netpbm::decode(bytes),
-        [b'P', b'1' | b'4', ..] => Err(Unreadable::EightBit { bits: 1 }),
+        [b'P', b'1' | b'4', ..] => Err(UnreadablePhotograph::EightBit { bits: 1 }),
         // Canon, Olympus, Panasonic, Fujifilm.
         [_, _, _, _, _, _, _, _, b'C', b'R', ..] if tiff::is_tiff(bytes) => {
-            Err(Unreadable::CamerasOwn("CR2"))
+            Err(UnreadablePhotograph::CamerasOwn("CR2"))
         }
-        [_, _, _, _, b'f', b't', b'y', b'p', b'c', b'r', b'x', ..] => Err(Unreadable::CamerasOwn("CR3")),
-        [b'I', b'I', b'R', b'O' | b'S', ..] => Err(Unreadable::CamerasOwn("ORF")),
-        [b'I', b'I', b'U', 0, ..] => Err(Unreadable::CamerasOwn("RW2")),
-        [b'F', b'U', b'J', b'I', b'F', b'I', b'L', b'M', ..] => Err(Unreadable::CamerasOwn("RAF")),
+        [_, _, _, _, b'f', b't', b'y', b'p', b'c', b'r', b'x', ..] => {
+            Err(UnreadablePhotograph::CamerasOwn("CR3"))
+        }
+        [b'I', b'I', b'R', b'O' | b'S', ..] => Err(UnreadablePhotograph::CamerasOwn("ORF")),
+        [b'I', b'I', b'U', 0, ..] => Err(UnreadablePhotograph::CamerasOwn("RW2")),
+        [b'F', b'U', b'J', b'I', b'F', b'I', b'L', b'M', ..] => Err(UnreadablePhotograph::CamerasOwn("RAF")),
         _ if tiff::is_tiff(bytes) => tiff::decode(bytes),
-        _ => Err(Unreadable::UnknownFormat),
+        _ => Err(UnreadablePhotograph::UnknownFormat),
     }
 }
 
@@ -119,19 +121,19 @@ const MOST_COMPRESSED: u64 = 64;
 const SMALL_BYTES: u64 = 64 << 20;
 
 /// Refuses more samples than a photograph's file can hold, before memory is taken.
-fn checked_samples(file_bytes: usize, samples: u64) -> Result<(), Unreadable> {
+fn checked_samples(file_bytes: usize, samples: u64) -> Result<(), UnreadablePhotograph> {
     let most = MOST_COMPRESSED.saturating_mul(file_bytes as u64).max(SMALL_BYTES);
     if samples.saturating_mul(2) > most {
-        return Err(Unreadable::Compressed { file_bytes, samples });
+        return Err(UnreadablePhotograph::Compressed { file_bytes, samples });
     }
     Ok(())
 }
 
 /// Refuses sizes that no photograph has, before memory is taken.
-fn checked_size(width: u64, height: u64) -> Result<(usize, usize), Unreadable> {
+fn checked_size(width: u64, height: u64) -> Result<(usize, usize), UnreadablePhotograph> {
     let pixels = width.checked_mul(height).filter(|n| (1..=MOST_PIXELS as u64).contains(n));
     match pixels {
         Some(_) => Ok((width as usize, height as usize)),
-        None => Err(Unreadable::Size { width, height }),
+        None => Err(UnreadablePhotograph::Size { width, height }),
     }
 }

@@ -30,7 +30,7 @@ use behind::Url;
 use captures::Captures;
 use desk::TheDesk;
 use farm::FarmAccess;
-use gate::Gate;
+use gate::PageGate;
 use server::Server;
 
 /// Generated from `proto/desk/v1/desk.proto`.
@@ -58,7 +58,7 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     let captures = Captures::new(args.captures)?;
     let listener = listen(args.listen).await?;
     let farm = Arc::new(FarmAccess::open(global).await?);
-    let gate = Gate::new(listener.local_addr()?, behind.as_ref())
+    let gate = PageGate::new(listener.local_addr()?, behind.as_ref())
         .map_err(|error| anyhow::anyhow!("making a token: {error}"))?;
     let origin = match &behind {
         Some(url) => url.origin(),

@@ -16,11 +16,11 @@ pub use samples::{ends, mean};
 use super::stage::Captured;
 use samples::Slab;
 
-const STYLE: &str = include_str!("page.css");
+const STYLE: &str = include_str!("report/page.css");
 
 /// What `capture` contributes to the page: sections as HTML, and the slabs with their pictures.
 #[derive(Debug, Serialize, Deserialize)]
-pub struct Report {
+pub struct CaptureReport {
     title: String,
     summary: String,
     slabs: Vec<Slab>,
@@ -28,7 +28,7 @@ pub struct Report {
     inputs: String,
 }
 
-impl Report {
+impl CaptureReport {
     pub(super) fn of(captured: &Captured) -> Self {
         Self {
             title: title(captured),

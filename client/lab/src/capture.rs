@@ -13,9 +13,9 @@ mod strip;
 
 pub use board_sheet::board_sheet;
 pub use budget::{SessionErrors, error_of};
-pub use report::{Media, Report, Simulated, ends, mean};
+pub use report::{CaptureReport, Media, Simulated, ends, mean};
 pub use results::{FILES, write_folder};
-pub use session_file::Session;
+pub use session_file::CaptureSession;
 pub use session_file::pattern;
 pub use shots::Shots;
 pub use stage::{Captured, capture};

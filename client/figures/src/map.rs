@@ -11,7 +11,7 @@ use crate::drawing::canvas::Canvas;
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::picture::Picture;
 use overlay::keys;
-use plan::Plan;
+use plan::MapPlan;
 
 /// The meaning of a map's cells and marks.
 #[derive(Debug)]
@@ -50,7 +50,7 @@ fn figure(words: &MapLabels, map: &DistanceMap) -> anyhow::Result<Picture> {
         let n: usize = layer.errors.iter().map(Vec::len).sum();
         ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", layer.g);
     }
-    let plan = Plan::new(map)?;
+    let plan = MapPlan::new(map)?;
     let keys = keys(words, map, &plan.frame(0, 0.0));
     let head = Head::new(&words.title, &keys, plan.width - 2.0 * MARGIN);
     let top = head.height().ceil();
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn map_cells_end_at_geometric_midpoints() {
         let figure = figure(1);
-        let plan = Plan::new(&figure).unwrap();
+        let plan = MapPlan::new(&figure).unwrap();
         let frame = plan.frame(0, 0.0);
         let pixels = images(&draw(&figure).unwrap()).remove(0);
         let color = |sigma_t: f64, co_albedo: f64| {

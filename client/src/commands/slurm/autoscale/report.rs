@@ -45,21 +45,21 @@ struct StepJson {
 
 /// What a look saw.
 #[derive(Debug, Clone)]
-pub(super) struct Seen {
+pub(super) struct FarmSnapshot {
     pub(super) demand: Demand,
     pub(super) wanted: u32,
     pub(super) running: usize,
     pub(super) queued: usize,
 }
 
-pub(super) struct Teller<'a> {
+pub(super) struct Reporter<'a> {
     output: &'a Output,
     quiet: bool,
     /// A lasting state, which is not reported again at each step.
     standing: BTreeMap<Step, String>,
 }
 
-impl<'a> Teller<'a> {
+impl<'a> Reporter<'a> {
     pub(super) fn new(output: &'a Output, quiet: bool) -> Self {
         Self { output, quiet, standing: BTreeMap::new() }
     }
@@ -74,16 +74,16 @@ impl<'a> Teller<'a> {
         self.standing.remove(&step);
     }
 
-    pub(super) fn tell(&mut self, step: Step, message: String, seen: Option<&Seen>) -> Result<()> {
-        self.tell_of_job(step, message, None, seen)
+    pub(super) fn report(&mut self, step: Step, message: String, seen: Option<&FarmSnapshot>) -> Result<()> {
+        self.report_job(step, message, None, seen)
     }
 
-    pub(super) fn tell_of_job(
+    pub(super) fn report_job(
         &mut self,
         step: Step,
         message: String,
         job_id: Option<u64>,
-        seen: Option<&Seen>,
+        seen: Option<&FarmSnapshot>,
     ) -> Result<()> {
         let lasts = matches!(step, Step::Holding | Step::Refused | Step::Held | Step::Unknown);
         if lasts && self.standing.insert(step, message.clone()).as_ref() == Some(&message) {
@@ -131,15 +131,15 @@ mod tests {
     #[test]
     fn lasting_state_is_reported_once() {
         let output = Output::new(false);
-        let mut teller = Teller::new(&output, true);
-        let tell = |teller: &mut Teller, step| teller.tell(step, "so".to_owned(), None).unwrap();
+        let mut reporter = Reporter::new(&output, true);
+        let report = |reporter: &mut Reporter, step| reporter.report(step, "so".to_owned(), None).unwrap();
         for step in [Step::Held, Step::Holding, Step::Held] {
-            tell(&mut teller, step);
-            assert!(teller.stands(step));
+            report(&mut reporter, step);
+            assert!(reporter.stands(step));
         }
-        teller.is_over(Step::Held);
-        assert!(teller.stands(Step::Holding) && !teller.stands(Step::Held));
-        tell(&mut teller, Step::Submitted);
-        assert!(!teller.stands(Step::Submitted), "each array is reported");
+        reporter.is_over(Step::Held);
+        assert!(reporter.stands(Step::Holding) && !reporter.stands(Step::Held));
+        report(&mut reporter, Step::Submitted);
+        assert!(!reporter.stands(Step::Submitted), "each array is reported");
     }
 }

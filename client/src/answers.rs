@@ -17,10 +17,10 @@ mod table;
 
 pub(crate) use budget::budget_text;
 pub(crate) use design::design_text;
-pub(crate) use fits::{Report, fits_text, neighbours, objective};
-pub(crate) use found::{Found, OLDER, media_files};
+pub(crate) use fits::{FitsReport, fits_text, neighbours, objective};
+pub(crate) use found::{MeasureAnswer, OLDER, media_files};
 pub(crate) use inks::inks_text;
-pub(crate) use options::{SetUpJson, UsedOptions};
+pub(crate) use options::{MeasurementAnswer, SetUpJson, UsedOptions};
 pub(crate) use scale::{common_text, scale_text};
 pub(crate) use scene::low_scale;
 pub(crate) use summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
