@@ -1,5 +1,8 @@
 //! The flow of work through a real farm, and invalid requests.
 
+#[path = "flow/effort.rs"]
+mod effort;
+
 use std::time::Duration;
 
 use anyhow::{Context, Result};

@@ -4,6 +4,13 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+#[path = "physics/example.rs"]
+mod example;
+#[path = "physics/measurement_checks.rs"]
+mod measurement_checks;
+#[path = "physics/noise.rs"]
+mod noise;
+
 use std::sync::atomic::AtomicBool;
 
 use farm_tests::reference;

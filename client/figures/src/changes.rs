@@ -6,7 +6,7 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
-use crate::drawing::sheet::{Cell, Sheet};
+use crate::drawing::sheet::{Sheet, SheetCell};
 
 const REFERENCE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const CHANGED: [Stroke; 4] = [
@@ -50,12 +50,12 @@ pub fn changes_figure(figure: &ChangesFigure) -> anyhow::Result<Picture> {
     Sheet { title: &figure.title, legend, cells, alike: true }.draw()
 }
 
-fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> Cell<'a> {
+fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> SheetCell<'a> {
     let changed = CHANGED.into_iter().cycle().zip(&panel.changed);
     let lines: Vec<_> = std::iter::once((REFERENCE, &panel.reference)).chain(changed).collect();
     let keys = lines.iter().map(|(stroke, line)| Key::line(*stroke, line.label.as_str())).collect();
     let curves = lines.iter().map(|(stroke, line)| (*stroke, &line.curve)).collect();
-    Cell { column: &panel.parameter, thickness_mm: panel.thickness_mm, keys, x_mm, curves }
+    SheetCell { column: &panel.parameter, thickness_mm: panel.thickness_mm, keys, x_mm, curves }
 }
 
 #[cfg(test)]

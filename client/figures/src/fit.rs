@@ -7,7 +7,7 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
-use crate::drawing::sheet::{Cell, Sheet};
+use crate::drawing::sheet::{Sheet, SheetCell};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 
@@ -33,7 +33,7 @@ pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
 }
 
 /// None without a record to compare with.
-fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<Cell<'a>> {
+fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<SheetCell<'a>> {
     let (best, neighbours) = compared.candidates.split_first()?;
     let mut keys = vec![Key::line(GRID, label(&channel.candidates.first()?.medium))];
     let mut curves = vec![(MEASURED, &compared.measured)];
@@ -45,7 +45,7 @@ fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<Cell<'a>
     }
     keys.extend(channel.refined.as_ref().and_then(misfit_short).map(Key::note));
     let (column, thickness_mm) = (&channel.channel, compared.thickness_mm);
-    Some(Cell { column, thickness_mm, keys, x_mm: &compared.x_mm, curves })
+    Some(SheetCell { column, thickness_mm, keys, x_mm: &compared.x_mm, curves })
 }
 
 fn label(m: &Medium) -> String {

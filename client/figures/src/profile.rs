@@ -7,7 +7,7 @@ use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::number::number;
 use crate::drawing::picture::Picture;
-use crate::drawing::sheet::{Cell, Sheet};
+use crate::drawing::sheet::{Sheet, SheetCell};
 
 const PROFILE: Stroke = Stroke::solid(Color::BLUE, 1.5);
 const BAND: Stroke = Stroke::dashed(Color::ORANGE, 1.0, "3 2");
@@ -35,7 +35,7 @@ pub fn profile_figure(profiles: &PredictedProfiles) -> anyhow::Result<Picture> {
     }
     legend.push(Key::note("|∇| per pixel of 10 mm / 360"));
     let curves: Vec<Curve> = profiles.channels.iter().map(curve).collect();
-    let cells = profiles.channels.iter().enumerate().map(|(i, channel)| Cell {
+    let cells = profiles.channels.iter().enumerate().map(|(i, channel)| SheetCell {
         column: &channel.channel,
         thickness_mm: profiles.thickness_mm,
         keys: Vec::new(),

@@ -36,14 +36,14 @@ const LARGEST: u64 = 1_000_000_000;
 
 /// What the samples of a photograph are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Layout {
+pub enum SampleLayout {
     /// One sample a pixel, its colour by row and column modulo 2; none if the file does not state it.
     Mosaic(Option<[Colour; 4]>),
     /// Three samples a pixel.
     Rgb,
 }
 
-impl Layout {
+impl SampleLayout {
     pub fn samples_per_pixel(self) -> usize {
         match self {
             Self::Mosaic(_) => 1,
@@ -57,7 +57,7 @@ impl Layout {
 pub struct Photograph {
     pub width: usize,
     pub height: usize,
-    pub layout: Layout,
+    pub layout: SampleLayout,
     /// Row by row.
     pub samples: Vec<u16>,
     /// Black level by row and column modulo 2, or by colour.

@@ -177,7 +177,9 @@ mod tests {
             expected.iter().map(|t| message.find(t).unwrap_or_else(|| panic!("{t}\n{message}"))).collect();
         assert!(places.is_sorted(), "{message}");
         let mut records = channels;
-        records.iter_mut().for_each(|channel| channel.refined = None);
+        for channel in &mut records {
+            channel.refined = None;
+        }
         let pure = [MaterialFit { material: "white".into(), channels: records }];
         let assumed = Some("assumed: much".to_owned());
         let message = text(&FitsReport { fits: &pure, assumed, bound: false });

@@ -1,7 +1,13 @@
-//! `farmctl` from the user's side: output, JSON shapes, exit codes, and concurrent commands.
+//! `farmctl` from the user's side: output, JSON shapes, exit codes, and concurrent commands; its servers and autoscaler.
 
+mod autoscale;
+mod errors;
 mod fit;
+mod measurements;
+mod serve;
 mod surroundings;
+mod verbs;
+mod web;
 
 use std::io::{BufRead as _, BufReader};
 use std::process::Command;

@@ -30,13 +30,13 @@ const X_LABEL: f64 = 1.5 * LABEL;
 pub(crate) struct Sheet<'a> {
     pub(crate) title: &'a str,
     pub(crate) legend: Vec<Key>,
-    pub(crate) cells: Vec<Cell<'a>>,
+    pub(crate) cells: Vec<SheetCell<'a>>,
     /// Whether the cells of a row have the same axes.
     pub(crate) alike: bool,
 }
 
 #[derive(Debug)]
-pub(crate) struct Cell<'a> {
+pub(crate) struct SheetCell<'a> {
     pub(crate) column: &'a str,
     pub(crate) thickness_mm: f64,
     pub(crate) keys: Vec<Key>,
@@ -62,7 +62,7 @@ impl Sheet<'_> {
 
 /// A cell with its axes; `place` is its column and row.
 struct Placed<'a> {
-    cell: &'a Cell<'a>,
+    cell: &'a SheetCell<'a>,
     place: (usize, usize),
     profile: Axis,
     gradient: Axis,
@@ -253,7 +253,7 @@ fn place_of<T: PartialEq>(seen: &mut Vec<T>, value: T) -> usize {
 }
 
 /// Axes for profiles and gradients. Zero is shown unless all profiles are far from it.
-fn axes(cells: &[&Cell]) -> (Axis, Axis) {
+fn axes(cells: &[&SheetCell]) -> (Axis, Axis) {
     let curves = || cells.iter().flat_map(|cell| &cell.curves);
     let values = extent(curves().flat_map(|(_, curve)| curve.values.iter().copied()));
     let gradient = extent(curves().flat_map(|(_, curve)| curve.gradient.iter().copied()));

@@ -14,7 +14,7 @@ pub use media::{Media, Simulated};
 pub use samples::{ends, mean};
 
 use super::stage::Captured;
-use samples::Slab;
+use samples::SlabSection;
 
 const STYLE: &str = include_str!("report/page.css");
 
@@ -23,7 +23,7 @@ const STYLE: &str = include_str!("report/page.css");
 pub struct CaptureReport {
     title: String,
     summary: String,
-    slabs: Vec<Slab>,
+    slabs: Vec<SlabSection>,
     set_up: String,
     inputs: String,
 }
@@ -33,7 +33,7 @@ impl CaptureReport {
         Self {
             title: title(captured),
             summary: samples::summary(captured),
-            slabs: captured.samples.iter().map(|sample| Slab::of(captured, sample)).collect(),
+            slabs: captured.samples.iter().map(|sample| SlabSection::of(captured, sample)).collect(),
             set_up: set_up::section(captured),
             inputs: inputs(captured),
         }
@@ -43,7 +43,7 @@ impl CaptureReport {
     pub fn page(&self, media: Option<&Media>) -> String {
         let Self { summary, set_up, inputs, .. } = self;
         let title = escaped(&self.title);
-        let slabs: String = self.slabs.iter().map(Slab::section).collect();
+        let slabs: String = self.slabs.iter().map(SlabSection::section).collect();
         let media = media.map_or_else(
             || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>".to_owned(),
             |media| media.section(&self.slabs),

@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
 
 use super::picture::Thumbnail;
-use crate::photograph::{self, About, Layout, Photograph};
+use crate::photograph::{self, About, Photograph, SampleLayout};
 
 /// Reads photographs, refuses what does not belong to one session, and remembers what was read.
 #[derive(Debug, Default)]
@@ -79,22 +79,22 @@ impl Shots {
 
     fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
         let pattern = match (photograph.layout, self.pattern) {
-            (Layout::Rgb, None) => Pattern::Rgb,
-            (Layout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours),
-            (Layout::Mosaic(None), Some(given)) => Pattern::Bayer(given),
-            (Layout::Mosaic(Some(colours)), Some(given)) => {
+            (SampleLayout::Rgb, None) => Pattern::Rgb,
+            (SampleLayout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours),
+            (SampleLayout::Mosaic(None), Some(given)) => Pattern::Bayer(given),
+            (SampleLayout::Mosaic(Some(colours)), Some(given)) => {
                 if colours != given {
                     let [says, given] = [colours, given].map(|p| p.map(Colour::letter).concat());
                     bail!("camera.pattern is {given:?}, but the file says {says:?}: leave it out");
                 }
                 Pattern::Bayer(given)
             }
-            (Layout::Mosaic(None), None) => bail!(
+            (SampleLayout::Mosaic(None), None) => bail!(
                 "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
                  under [camera], `--pattern` beside --check (`dcraw -i -v` tells it as \"Filter pattern\"); of a \
                  monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
             ),
-            (Layout::Rgb, Some(_)) => {
+            (SampleLayout::Rgb, Some(_)) => {
                 bail!("the file has three colours in each pixel, so camera.pattern must be left out")
             }
         };

@@ -3,7 +3,7 @@
 
 use super::directory::Tag;
 use super::unreadable::UnreadablePhotograph;
-use super::{Layout, Photograph};
+use super::{Photograph, SampleLayout};
 
 /// Fewest samples of each place of the mosaic that determine a level: to a sixteenth of the noise.
 const FEWEST: usize = 256;
@@ -20,7 +20,7 @@ pub(super) fn black(
     areas: &[u64],
     active: &[u64],
 ) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
-    let Some(stated) = whole.black.filter(|_| whole.layout != Layout::Rgb && !areas.is_empty()) else {
+    let Some(stated) = whole.black.filter(|_| whole.layout != SampleLayout::Rgb && !areas.is_empty()) else {
         return Ok(None);
     };
     let refused = || {

@@ -1,7 +1,7 @@
 //! PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them, or with numbers as text.
 
 use super::unreadable::UnreadablePhotograph;
-use super::{About, Layout, Photograph, checked_size};
+use super::{About, Photograph, SampleLayout, checked_size};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     let picture = NetpbmPicture::read(bytes)?;
@@ -29,7 +29,7 @@ fn pictures(mut rest: &[u8]) -> usize {
 
 /// The values of a header, and where the pixels begin.
 struct NetpbmPicture {
-    layout: Layout,
+    layout: SampleLayout,
     width: usize,
     height: usize,
     most: u64,
@@ -40,7 +40,8 @@ struct NetpbmPicture {
 
 impl NetpbmPicture {
     fn read(bytes: &[u8]) -> Result<Self, UnreadablePhotograph> {
-        let layout = if matches!(bytes[1], b'3' | b'6') { Layout::Rgb } else { Layout::Mosaic(None) };
+        let layout =
+            if matches!(bytes[1], b'3' | b'6') { SampleLayout::Rgb } else { SampleLayout::Mosaic(None) };
         let mut head = NetpbmHead { bytes, at: 2 };
         let width = head.number("width")?;
         let height = head.number("height")?;

@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use super::icc::tone_curve;
 use super::unreadable::UnreadablePhotograph;
-use super::{About, Layout, Photograph, checked_samples, checked_size};
+use super::{About, Photograph, SampleLayout, checked_samples, checked_size};
 
 pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     let damaged = |e: png::DecodingError| UnreadablePhotograph::Damaged(e.to_string());
@@ -20,8 +20,8 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
         return Err(UnreadablePhotograph::NotLinear { seen });
     }
     let layout = match info.color_type {
-        png::ColorType::Rgb => Layout::Rgb,
-        png::ColorType::Grayscale => Layout::Mosaic(None),
+        png::ColorType::Rgb => SampleLayout::Rgb,
+        png::ColorType::Grayscale => SampleLayout::Mosaic(None),
         other => {
             let allowed = "allowed are grey and RGB without alpha";
             return Err(UnreadablePhotograph::tag("colour type", format_args!("{other:?}"), allowed));

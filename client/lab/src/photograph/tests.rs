@@ -129,7 +129,7 @@ fn dng_gives_samples_levels_and_exposure() {
     dng.tags.push((33_434, 5, vec![1, 20]));
     let photograph = dng.decode().unwrap();
     assert_eq!((photograph.width, photograph.height), (6, 4));
-    assert_eq!(photograph.layout, Layout::Mosaic(Some(RGGB)));
+    assert_eq!(photograph.layout, SampleLayout::Mosaic(Some(RGGB)));
     assert_eq!(photograph.samples, counting());
     assert_eq!((photograph.black, photograph.white), (Some([64.0; 4]), Some([15_000.0; 4])));
     let about = About { exposure_s: Some(0.05), iso: Some(100.0), ..About::default() };
@@ -271,14 +271,14 @@ fn masked_margins_give_the_black_level() {
 #[test]
 fn rgb_and_patternless_mosaics_are_read() {
     let rgb = Maker::rgb().decode().unwrap();
-    assert_eq!((rgb.layout, rgb.samples), (Layout::Rgb, counting()));
+    assert_eq!((rgb.layout, rgb.samples), (SampleLayout::Rgb, counting()));
     let grey = Maker { tags: vec![], ..Maker::dng() }.with(262, &[1]).decode().unwrap();
-    assert_eq!((grey.layout, grey.black, grey.white), (Layout::Mosaic(None), None, None));
+    assert_eq!((grey.layout, grey.black, grey.white), (SampleLayout::Mosaic(None), None, None));
     let pgm = [&b"P5\n# a comment\n2 1\n65535\n"[..], &[1, 0, 2, 3]].concat();
     assert_eq!(decode(&pgm).unwrap().samples, [256, 515]);
     let ppm = [&b"P6 1 1 1023\n"[..], &[0, 1, 0, 2, 0, 3]].concat();
     let ppm = decode(&ppm).unwrap();
-    assert_eq!((ppm.layout, ppm.white, ppm.samples), (Layout::Rgb, Some([1023.0; 4]), vec![1, 2, 3]));
+    assert_eq!((ppm.layout, ppm.white, ppm.samples), (SampleLayout::Rgb, Some([1023.0; 4]), vec![1, 2, 3]));
 }
 
 fn png(colour: png_crate::ColorType, depth: png_crate::BitDepth, gamma: Option<f32>) -> Vec<u8> {
@@ -300,7 +300,7 @@ fn png(colour: png_crate::ColorType, depth: png_crate::BitDepth, gamma: Option<f
 fn png_with_a_tone_curve_is_refused() {
     use png_crate::{BitDepth, ColorType};
     let rgb = decode(&png(ColorType::Rgb, BitDepth::Sixteen, None)).unwrap();
-    assert_eq!((rgb.layout, rgb.samples), (Layout::Rgb, counting()));
+    assert_eq!((rgb.layout, rgb.samples), (SampleLayout::Rgb, counting()));
     assert!(decode(&png(ColorType::Grayscale, BitDepth::Sixteen, Some(1.0))).is_ok());
     let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
     let gamma = refused(&png(ColorType::Rgb, BitDepth::Sixteen, Some(0.45455)));

@@ -7,7 +7,7 @@ use super::directory::{Bytes, Directory, Tag};
 use super::icc::tone_curve;
 use super::masked::{self, within};
 use super::unreadable::UnreadablePhotograph;
-use super::{About, Layout, MOST_DIRECTORIES, Photograph};
+use super::{About, MOST_DIRECTORIES, Photograph, SampleLayout};
 
 /// PhotometricInterpretation of a mosaic, and of a demosaiced picture without a tone curve.
 const CFA: u64 = 32_803;
@@ -144,15 +144,15 @@ fn bits(picture: &Directory) -> Result<u32, UnreadablePhotograph> {
     }
 }
 
-fn layout(picture: &Directory) -> Result<Layout, UnreadablePhotograph> {
+fn layout(picture: &Directory) -> Result<SampleLayout, UnreadablePhotograph> {
     let samples = picture.whole_of(Tag::SAMPLES)?.unwrap_or(1);
     let kind = picture.needed(Tag::PHOTOMETRIC)?;
     match (kind, samples) {
-        (CFA, 1) => pattern(picture).map(|pattern| Layout::Mosaic(Some(pattern))),
+        (CFA, 1) => pattern(picture).map(|pattern| SampleLayout::Mosaic(Some(pattern))),
         // Grey may be a mosaic whose colours are not in the file, or of a monochrome camera.
-        (1 | LINEAR_RAW, 1) => Ok(Layout::Mosaic(None)),
+        (1 | LINEAR_RAW, 1) => Ok(SampleLayout::Mosaic(None)),
         (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
-            None | Some(1) => Ok(Layout::Rgb),
+            None | Some(1) => Ok(SampleLayout::Rgb),
             Some(other) => {
                 Err(UnreadablePhotograph::tag(Tag::PLANAR.name, other, "allowed is 1, colours side by side"))
             }
@@ -225,7 +225,7 @@ fn not_linear(picture: &Directory) -> Option<String> {
 }
 
 /// Black level by row and column modulo 2, or by colour. None where it changes within the picture.
-fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
+fn black(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels = picture.numbers(Tag::BLACK)?;
     let size = picture.whole(Tag::BLACK_DIM)?;
     for delta in [Tag::BLACK_DELTA_H, Tag::BLACK_DELTA_V] {
@@ -242,22 +242,22 @@ fn black(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, Unread
     }
     Ok(match (layout, levels.as_slice(), size.as_slice()) {
         (_, [all], _) => Some([*all; 4]),
-        (Layout::Rgb, [r, g, b], _) => Some([*r, *g, *b, *g]),
-        (Layout::Mosaic(_), [a, b, c, d], [2, 2]) => Some([*a, *b, *c, *d]),
-        (Layout::Mosaic(_), [a, b], [1, 2]) => Some([*a, *b, *a, *b]),
-        (Layout::Mosaic(_), [a, b], [2, 1]) => Some([*a, *a, *b, *b]),
+        (SampleLayout::Rgb, [r, g, b], _) => Some([*r, *g, *b, *g]),
+        (SampleLayout::Mosaic(_), [a, b, c, d], [2, 2]) => Some([*a, *b, *c, *d]),
+        (SampleLayout::Mosaic(_), [a, b], [1, 2]) => Some([*a, *b, *a, *b]),
+        (SampleLayout::Mosaic(_), [a, b], [2, 1]) => Some([*a, *a, *b, *b]),
         _ => None,
     })
 }
 
 /// Level at which the sensor is full, by row and column modulo 2, or by colour; the lowest where the tag has other
 /// counts.
-fn white(picture: &Directory, layout: Layout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
+fn white(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels: Vec<f64> = picture.numbers(Tag::WHITE)?.into_iter().filter(|level| *level > 0.0).collect();
     Ok(match (layout, levels.as_slice()) {
         (_, []) => None,
-        (Layout::Rgb, [r, g, b]) => Some([*r, *g, *b, *g]),
-        (Layout::Mosaic(_), [a, b, c, d]) => Some([*a, *b, *c, *d]),
+        (SampleLayout::Rgb, [r, g, b]) => Some([*r, *g, *b, *g]),
+        (SampleLayout::Mosaic(_), [a, b, c, d]) => Some([*a, *b, *c, *d]),
         (_, levels) => Some([levels.iter().copied().fold(f64::INFINITY, f64::min); 4]),
     })
 }

@@ -2,7 +2,7 @@
 
 use super::super::strip::simulated_uri;
 use super::escaped;
-use super::samples::Slab;
+use super::samples::SlabSection;
 
 /// What `measure` contributes to the page.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ pub struct Simulated {
 }
 
 impl Media {
-    pub(super) fn section(&self, slabs: &[Slab]) -> String {
+    pub(super) fn section(&self, slabs: &[SlabSection]) -> String {
         let strips = self.simulated.iter().filter_map(|simulated| {
             let slab = slabs.iter().find(|slab| slab.label == simulated.label)?;
             Some(simulated.beside(slab))
@@ -37,7 +37,7 @@ impl Media {
 }
 
 impl Simulated {
-    fn beside(&self, slab: &Slab) -> String {
+    fn beside(&self, slab: &SlabSection) -> String {
         format!(
             "<figure><div>{}</div><img class=\"strip\" src=\"{}\" alt=\"strip across the edge, simulated\">\
              <figcaption>{}: photograph above, simulation below.</figcaption></figure>\n",

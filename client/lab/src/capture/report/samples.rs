@@ -66,14 +66,14 @@ pub fn mean(values: &[f64]) -> f64 {
 
 /// One slab: its strip of a photograph as a data URI, and as HTML what stands before and after that.
 #[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Slab {
+pub(super) struct SlabSection {
     pub(super) label: String,
     strip: String,
     before: String,
     after: String,
 }
 
-impl Slab {
+impl SlabSection {
     pub(super) fn of(captured: &Captured, sample: &CapturedSample) -> Self {
         let label = sample.about.label();
         let shots: String = sample.profile.shots.iter().map(|shot| shots::figure(captured, shot)).collect();

@@ -157,11 +157,11 @@ fn compressions_that_are_not_read_are_named() {
 #[test]
 fn linear_grey_and_text_numbers_are_read() {
     let mono = Maker { tags: vec![], ..Maker::dng() }.with(262, &[34_892]).decode().unwrap();
-    assert_eq!((mono.layout, mono.samples), (Layout::Mosaic(None), counting()));
+    assert_eq!((mono.layout, mono.samples), (SampleLayout::Mosaic(None), counting()));
     let text = decode(b"P2\n# text\n3 2\n65535\n1 2 3\n400 5\n65535\n").unwrap();
-    assert_eq!((text.layout, text.samples), (Layout::Mosaic(None), vec![1, 2, 3, 400, 5, 65_535]));
+    assert_eq!((text.layout, text.samples), (SampleLayout::Mosaic(None), vec![1, 2, 3, 400, 5, 65_535]));
     let rgb = decode(b"P3 1 1 1023 7 8 9").unwrap();
-    assert_eq!((rgb.layout, rgb.white, rgb.samples), (Layout::Rgb, Some([1023.0; 4]), vec![7, 8, 9]));
+    assert_eq!((rgb.layout, rgb.white, rgb.samples), (SampleLayout::Rgb, Some([1023.0; 4]), vec![7, 8, 9]));
     let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
     assert_eq!(refused(b"P2 3 2 1023 1 2 3 4"), "the file is damaged: 4 of 6 samples are there");
     assert_eq!(refused(b"P2 1 1 1023 1024"), "the file is damaged: a sample is 1024, the greatest is 1023");

@@ -1,7 +1,8 @@
 //! Checks for mistakes in measured profiles: units, encodings, places, swapped names.
 //!
 //! Each check is numerics over plain arrays. It refuses only what no medium can show, whatever its σ_t, α, g and
-//! thickness; what is merely likely is a warning. `tests/tests/measurement_checks.rs` holds them against traced media.
+//! thickness; what is merely likely is a warning. `tests/tests/physics/measurement_checks.rs` holds them against traced
+//! media.
 
 mod edge;
 mod errors;
