@@ -276,7 +276,7 @@ fn results_are_bitwise_reproducible() {
         (Scene::smooth(), "ef4a575213a0b22ac7c874508966a42dc067081faed71df16637e1341ec9b6f7"),
         (
             Scene::paper().with_multiple_scattering(true),
-            "8a9ffc1c721b9587c8effbe3dd876c93e9d602b928b4158a467ea512ec9cb681",
+            "5a9e568673207f7a1fffc69b30dfb21c2047dde57ec6c44cfe7f64996dd5d49c",
         ),
     ];
     for (scene, expected) in cases {

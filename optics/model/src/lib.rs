@@ -35,4 +35,4 @@ pub use scene::Scene;
 
 /// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 6;
+pub const PHYSICS_VERSION: u32 = 7;

@@ -2,6 +2,8 @@
 //!
 //! Directions point away from the interface; the incident side is z > 0.
 
+use std::f32::consts::LN_2;
+
 use glam::Vec3;
 
 use super::fresnel::{Facet, RelativeIndex, reflect, refract};
@@ -14,7 +16,7 @@ use super::rng::{Stream, uniform};
 /// Spherical caps after Dupuy and Benyoub 2023 ("Sampling visible GGX normals with spherical caps"), the same
 /// distribution as Heitz 2018 ("Sampling the GGX distribution of visible normals").
 pub fn sample_visible_normal(wi: Vec3, alpha: f32, u: f32, bits: u32) -> Vec3 {
-    let stretched = unit(Vec3::new(alpha * wi.x, alpha * wi.y, wi.z));
+    let stretched = stretch(wi, alpha);
     // h = c + stretched with c on a cap; h.z is formed directly, since c.z + stretched.z would cancel.
     let h_z = (1.0 - u) * (1.0 + stretched.z);
     let c_z = h_z - stretched.z;
@@ -22,6 +24,11 @@ pub fn sample_visible_normal(wi: Vec3, alpha: f32, u: f32, bits: u32) -> Vec3 {
     let (x, y) = unit_vector(bits);
     let h = Vec3::new(sin * x + stretched.x, sin * y + stretched.y, h_z);
     unit(Vec3::new(alpha * h.x, alpha * h.y, h.z))
+}
+
+/// The direction on the surface stretched to roughness 1.
+fn stretch(wi: Vec3, alpha: f32) -> Vec3 {
+    unit(Vec3::new(alpha * wi.x, alpha * wi.y, wi.z))
 }
 
 fn unit(v: Vec3) -> Vec3 {
@@ -61,200 +68,156 @@ pub fn scatter_once(wi: Vec3, alpha: f32, index: RelativeIndex, words: [u32; 4])
 
 /// Follows the ray on the microsurface until it leaves, losing nothing (Heitz et al. 2016, "Multiple-scattering
 /// microfacet BSDFs with the Smith model", uniform height distribution). `indices` are those of the incident
-/// side and of the other.
-///
-/// Heights are kept as their distribution function c in (0, 1). Seen from below, the surface is the same surface
-/// with c → 1 − c and z → −z.
+/// side and of the other. Most rays leave after one event, for which `words` suffice; the others draw from the stream.
 pub fn scatter_until_out(
     wi: Vec3,
     alpha: f32,
     indices: [RelativeIndex; 2],
+    words: [u32; 4],
     stream: &mut Stream,
-) -> Scattered {
-    // Keeps c and 1 − c representable and away from 0.
-    const EDGE: f32 = 1e-6;
-    let mut ray = -wi;
-    let mut c = 1.0_f32;
-    let mut incident_side = true;
-    loop {
-        let words = stream.words();
-        match next_height(ray, c, alpha, uniform(words[0])) {
-            None => {
-                let z = if incident_side { ray.z } else { -ray.z };
-                return Scattered { direction: Vec3::new(ray.x, ray.y, z), weight: 1.0 };
-            }
-            Some(height) => c = height.clamp(EDGE, 1.0 - EDGE),
+) -> Vec3 {
+    let (u, level) = (uniform(words[0]), level(words[2]));
+    let ray = SurfaceRay::meet(wi, alpha, level).scatter(alpha, indices, words);
+    // The level of the height from the ray's side, or less.
+    let level = if ray.incident_side { level } else { stretch(wi, alpha).z * (1.0 - level) };
+    if ray.clears(alpha, u, level) { ray.outgoing() } else { ray.follow(alpha, indices, u, stream) }
+}
+
+/// The same for a given first normal, with all directions in which light leaves and their shares: reflected and refracted
+/// once, and what meets the surface again after each, one way that chance chooses. Where a share is below `faint`, chance
+/// decides whether there is anything.
+pub fn split_until_out(
+    wi: Vec3,
+    m: Vec3,
+    alpha: f32,
+    indices: [RelativeIndex; 2],
+    faint: f64,
+    stream: &mut Stream,
+) -> [(Vec3, f64); 4] {
+    let meeting = SurfaceRay::meet(wi, alpha, level(stream.words()[2]));
+    let cos_i = wi.dot(m);
+    let facet = Facet::new(cos_i, indices[0]);
+    let reflectance = if facet.cos_t > 0.0 { f64::from(facet.reflectance()) } else { 1.0 };
+    let reflected = meeting.reflect(m, cos_i);
+    let refracted = meeting.refract(m, cos_i, facet.cos_t, indices[0].eta);
+    let mut leave = |ray: SurfaceRay, share: f64| {
+        let leaving = ray.leaving(alpha);
+        let at_once = (ray.outgoing(), share * f64::from(leaving));
+        let rest = share * (1.0 - f64::from(leaving));
+        let [chance, next, ..] = if rest > 0.0 { stream.words().map(uniform) } else { [1.0; 4] };
+        if f64::from(chance) * faint >= rest {
+            return [at_once, (ray.outgoing(), 0.0)];
         }
-        let w = -ray;
+        let later = ray.follow(alpha, indices, (1.0 - leaving) * next, stream);
+        [at_once, (later, rest.max(faint))]
+    };
+    let [a, b] = leave(reflected, reflectance);
+    let [c, d] = leave(refracted, 1.0 - reflectance);
+    [a, b, c, d]
+}
+
+/// Uniform number from the upper 16 random bits: the midpoint of one of 2¹⁶ equal cells of (0, 1).
+fn level(bits: u32) -> f32 {
+    f32::from_bits((bits >> 9 & 0x007f_ff80) | 0x3f80_0000) - (1.0 - 1.0 / 131_072.0)
+}
+
+/// Upper estimate of −ln x for 0 ≤ x ≤ 1: the bits of a float are nearly its logarithm.
+fn minus_ln_at_most(x: f32) -> f32 {
+    (0x3f80_0000 - x.to_bits() as i32) as f32 * (LN_2 / 8_388_608.0)
+}
+
+/// A ray at the microsurface.
+///
+/// Heights are kept as their distribution function c in (0, 1). Seen from below, the surface is the same surface
+/// with c → 1 − c and z → −z.
+#[derive(Debug, Clone, Copy)]
+struct SurfaceRay {
+    /// Of flight; z > 0 leads out of the surface.
+    direction: Vec3,
+    c: f32,
+    /// Whether it is on the side from which it came.
+    incident_side: bool,
+}
+
+impl SurfaceRay {
+    /// Meets the surface from far away, at the height of a level, uniform in (0, 1).
+    fn meet(wi: Vec3, alpha: f32, level: f32) -> Self {
+        let lambda = smith_lambda(wi, alpha);
+        Self { direction: -wi, c: edged(pow(level, 1.0 / (1.0 + lambda))), incident_side: true }
+    }
+
+    fn reflect(self, m: Vec3, cos_i: f32) -> Self {
+        Self { direction: reflect(-self.direction, m, cos_i), ..self }
+    }
+
+    fn refract(self, m: Vec3, cos_i: f32, cos_t: f32, eta: f32) -> Self {
+        let t = refract(-self.direction, m, cos_i, cos_t, eta);
+        let direction = Vec3::new(t.x, t.y, -t.z);
+        Self { direction, c: 1.0 - self.c, incident_side: !self.incident_side }
+    }
+
+    /// Reflects or refracts the ray at a facet that it sees.
+    fn scatter(self, alpha: f32, indices: [RelativeIndex; 2], words: [u32; 4]) -> Self {
+        let w = -self.direction;
         let m = sample_visible_normal(w, alpha, uniform(words[1]), words[2]);
-        let cos_i = w.dot(m).max(0.0);
-        let index = indices[usize::from(!incident_side)];
+        let cos_i = w.dot(m);
+        let index = indices[usize::from(!self.incident_side)];
         let facet = Facet::new(cos_i, index);
         if facet.reflects(uniform(words[3])) {
-            ray = unit(reflect(w, m, cos_i));
+            self.reflect(m, cos_i)
         } else {
-            let t = unit(refract(w, m, cos_i, facet.cos_t, index.eta));
-            ray = Vec3::new(t.x, t.y, -t.z);
-            c = 1.0 - c;
-            incident_side = !incident_side;
+            self.refract(m, cos_i, facet.cos_t, index.eta)
         }
+    }
+
+    /// Probability c^Λ that the ray leaves without another event.
+    fn leaving(self, alpha: f32) -> f32 {
+        if self.direction.z > 0.0 { pow(self.c, smith_lambda(self.direction, alpha)) } else { 0.0 }
+    }
+
+    /// Whether the ray leaves by a bound of that probability that needs no power: u ≥ 1 − c^Λ where u ≥ −Λ ln c.
+    /// `level` is not above c. This is part of the walk's definition, so that the vector kernel can decide by it.
+    fn clears(self, alpha: f32, u: f32, level: f32) -> bool {
+        let Vec3 { x, y, z } = self.direction;
+        let slant = (z * z + (x * x + y * y) * (alpha * alpha)).sqrt();
+        (slant - z) * minus_ln_at_most(level) < (z + z) * u
+    }
+
+    /// Follows the ray until it leaves. `u` decides about its next event, as it did in [`Self::clears`].
+    fn follow(mut self, alpha: f32, indices: [RelativeIndex; 2], mut u: f32, stream: &mut Stream) -> Vec3 {
+        loop {
+            let lambda = smith_lambda(self.direction, alpha);
+            let c = if self.direction.z <= 0.0 {
+                self.c * pow(1.0 - u, 1.0 / (1.0 + lambda))
+            } else if 1.0 - u < pow(self.c, lambda) {
+                return self.outgoing();
+            } else {
+                self.c / pow(1.0 - u, 1.0 / lambda)
+            };
+            let words = stream.words();
+            self = Self { c: edged(c), ..self }.scatter(alpha, indices, words);
+            u = uniform(words[0]);
+        }
+    }
+
+    /// Direction after it has left, with z > 0 on the incident side.
+    fn outgoing(self) -> Vec3 {
+        let Vec3 { x, y, z } = self.direction;
+        Vec3::new(x, y, if self.incident_side { z } else { -z })
     }
 }
 
-/// Height (as distribution function) where a ray that starts at height `c` meets the surface next; None if it
-/// leaves upwards, which happens with probability c^Λ.
-fn next_height(ray: Vec3, c: f32, alpha: f32, u: f32) -> Option<f32> {
-    let tan2 = (ray.x * ray.x + ray.y * ray.y) / (ray.z * ray.z);
-    let lambda = 0.5 * ((1.0 + alpha * alpha * tan2).sqrt() - 1.0);
-    if ray.z <= 0.0 {
-        return Some(c * pow(1.0 - u, 1.0 / (1.0 + lambda)));
-    }
-    if 1.0 - u < pow(c, lambda) {
-        return None;
-    }
-    Some(c / pow(1.0 - u, 1.0 / lambda))
+/// Keeps c and 1 − c representable and away from 0.
+fn edged(c: f32) -> f32 {
+    const EDGE: f32 = 1e-6;
+    c.clamp(EDGE, 1.0 - EDGE)
+}
+
+/// Smith's Λ = (√(1 + α² tan² θ) − 1)/2.
+fn smith_lambda(d: Vec3, alpha: f32) -> f32 {
+    let tan2 = (d.x * d.x + d.y * d.y) / (d.z * d.z);
+    0.5 * ((1.0 + alpha * alpha * tan2).sqrt() - 1.0)
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::chi_square;
-    use std::f64::consts::PI;
-
-    /// D(m) = α² / (π ((α² − 1) cos² θ + 1)²), in 1/sr.
-    fn density(cos: f64, alpha: f64) -> f64 {
-        let a2 = alpha * alpha;
-        a2 / (PI * ((a2 - 1.0) * cos * cos + 1.0).powi(2))
-    }
-
-    fn g1(cos: f64, alpha: f64) -> f64 {
-        2.0 / (1.0 + (1.0 + alpha * alpha * (1.0 - cos * cos) / (cos * cos)).sqrt())
-    }
-
-    fn direction(theta: f64) -> Vec3 {
-        Vec3::new(theta.sin() as f32, 0.0, theta.cos() as f32)
-    }
-
-    /// Cells: 10 of θ_m up to the angle that holds most of the surface, by 8 of azimuth, and the rest.
-    fn probabilities(theta: f64, alpha: f64) -> Vec<f64> {
-        let wi = [theta.sin(), 0.0, theta.cos()];
-        let limit = 3.0 * alpha;
-        let mut cells = vec![0.0; 81];
-        let (n, k) = (400, 400);
-        for i in 0..10 * n {
-            let tan = (f64::from(i) + 0.5) / f64::from(10 * n) * limit;
-            let cos = 1.0 / (1.0 + tan * tan).sqrt();
-            let sin = tan * cos;
-            // dω = sin θ dθ dφ, dθ = cos² θ d tan θ.
-            let d_theta = limit / f64::from(10 * n) * cos * cos;
-            for j in 0..8 * k {
-                let phi = (f64::from(j) + 0.5) / f64::from(8 * k) * 2.0 * PI;
-                let visible = (wi[0] * sin * phi.cos() + wi[2] * cos).max(0.0);
-                let d_omega = sin * d_theta * 2.0 * PI / f64::from(8 * k);
-                let cell = (i / n * 8 + j / k) as usize;
-                cells[cell] += g1(wi[2], alpha) * visible * density(cos, alpha) / wi[2] * d_omega;
-            }
-        }
-        cells[80] = 1.0 - cells[..80].iter().sum::<f64>();
-        cells
-    }
-
-    /// χ² over 81 cells with 300,000 samples at the 1e-4 level; a roughness wrong by 3 % fails it.
-    #[test]
-    fn sampled_normals_follow_the_visible_distribution() {
-        for (theta, alpha) in [(0.0, 0.15), (0.7, 0.15), (1.4, 0.5)] {
-            let p_value = |sampled_alpha: f64| {
-                let mut counts = vec![0_u64; 81];
-                for walk in 0..300_000 {
-                    let words = Stream::new([13, 17], 0, walk).words();
-                    let m = sample_visible_normal(
-                        direction(theta),
-                        sampled_alpha as f32,
-                        uniform(words[1]),
-                        words[2],
-                    );
-                    let tan = f64::from(m.x.hypot(m.y) / m.z) / (3.0 * alpha);
-                    let phi = f64::from(m.y).atan2(f64::from(m.x)).rem_euclid(2.0 * PI);
-                    let cell = if tan < 1.0 {
-                        (tan * 10.0) as usize * 8 + ((phi / (2.0 * PI) * 8.0) as usize).min(7)
-                    } else {
-                        80
-                    };
-                    counts[cell] += 1;
-                }
-                chi_square(&counts, &probabilities(theta, alpha))
-            };
-            assert!(p_value(alpha) > 1e-4, "theta {theta}, alpha {alpha}: p = {}", p_value(alpha));
-            assert!(p_value(alpha * 1.03) < 1e-4, "a wrong roughness must be noticed");
-        }
-    }
-
-    /// Visible normals from below: their mean must be the average of D max(0, wi·m) m, by quadrature.
-    #[test]
-    fn visible_normals_have_the_right_mean() {
-        let (theta, alpha) = (1.8_f64, 0.5);
-        let wi = [theta.sin(), 0.0, theta.cos()];
-        let (mut weight, mut mean_z, mut mean_x) = (0.0, 0.0, 0.0);
-        for i in 0..2000 {
-            let cos = (f64::from(i) + 0.5) / 2000.0;
-            let sin = (1.0 - cos * cos).sqrt();
-            for j in 0..1000 {
-                let phi = (f64::from(j) + 0.5) / 1000.0 * 2.0 * PI;
-                let w = (wi[0] * sin * phi.cos() + wi[2] * cos).max(0.0) * density(cos, alpha);
-                weight += w;
-                mean_z += w * cos;
-                mean_x += w * sin * phi.cos();
-            }
-        }
-        let n = 400_000;
-        let (mut z, mut x) = (0.0, 0.0);
-        for walk in 0..n {
-            let words = Stream::new([19, 23], 0, walk).words();
-            let m = sample_visible_normal(direction(theta), alpha as f32, uniform(words[1]), words[2]);
-            assert!(m.dot(direction(theta)) > -1e-6);
-            z += f64::from(m.z) / f64::from(n);
-            x += f64::from(m.x) / f64::from(n);
-        }
-        // Standard deviations are below 0.25: 5 standard errors of 400,000 samples.
-        assert!((z - mean_z / weight).abs() < 2e-3, "{z} {}", mean_z / weight);
-        assert!((x - mean_x / weight).abs() < 2e-3, "{x} {}", mean_x / weight);
-    }
-
-    /// A microsurface of index 1 changes nothing: all rays go straight through.
-    #[test]
-    fn surface_between_equal_media_is_invisible() {
-        let wi = direction(0.6);
-        for walk in 0..1000 {
-            let mut stream = Stream::new([29, 31], 0, walk);
-            let index = RelativeIndex::new(1.0, 1.0);
-            let out = scatter_until_out(wi, 0.3, [index; 2], &mut stream);
-            assert!((out.direction + wi).length() < 1e-5);
-            let single = scatter_once(wi, 0.3, index, stream.words()).unwrap();
-            assert!((single.direction + wi).length() < 1e-5);
-        }
-    }
-
-    /// Detailed balance between the sides: light that goes n₁ → n₂ into all directions from a Lambertian source
-    /// equals, up to η², that which comes back. Total transmittance of diffuse light obeys
-    /// n₁² T₁₂ = n₂² T₂₁. Standard error of each T: below 0.0008 at 400,000 rays.
-    #[test]
-    fn diffuse_transmittances_of_both_sides_obey_reciprocity() {
-        let transmittance = |indices: [RelativeIndex; 2], alpha: f32, key: u32| {
-            let n = 400_000;
-            let through = (0..n).filter(|&walk| {
-                let mut stream = Stream::new([37, key], 0, walk);
-                let words = stream.words();
-                let (u, (c, s)) = (uniform(words[0]), unit_vector(words[1]));
-                let wi = Vec3::new(u.sqrt() * c, u.sqrt() * s, (1.0 - u).sqrt());
-                scatter_until_out(wi, alpha, indices, &mut stream).direction.z < 0.0
-            });
-            through.count() as f64 / f64::from(n)
-        };
-        for alpha in [0.15, 0.6] {
-            let (above, below) = (RelativeIndex::new(1.0, 1.5), RelativeIndex::new(1.5, 1.0));
-            let (down, up) =
-                (transmittance([above, below], alpha, 1), transmittance([below, above], alpha, 2));
-            assert!((down - 2.25 * up).abs() < 5.0 * 0.0008 * (1.0 + 2.25), "{down} {}", 2.25 * up);
-        }
-    }
-}
+mod tests;

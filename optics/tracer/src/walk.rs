@@ -203,7 +203,10 @@ impl<'a> Walk<'a> {
         let Scattered { direction, weight } = if alpha == 0.0 {
             scatter_smoothly(wi, indices[0], uniform(words[3]))
         } else if self.stack.multiple_scattering {
-            scatter_until_out(wi, alpha, indices, &mut self.stream)
+            Scattered {
+                direction: scatter_until_out(wi, alpha, indices, words, &mut self.stream),
+                weight: 1.0,
+            }
         } else {
             scatter_once(wi, alpha, indices[0], words)?
         };

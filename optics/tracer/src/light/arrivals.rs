@@ -17,7 +17,7 @@ use glam::Vec3;
 
 use crate::fresnel::{Facet, reflect, refract};
 use crate::math::exp_f64;
-use crate::microfacet::{masking, sample_visible_normal, scatter_until_out};
+use crate::microfacet::{masking, sample_visible_normal, split_until_out};
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
 
@@ -28,11 +28,13 @@ const NEAR: usize = 16;
 const BEAMS: f64 = 512.0;
 /// Anisotropy up to which directions in cells taken together are alike to the phase function.
 const WIDE: f64 = 0.9;
-/// Passes through the sample that beams distinguish; the last two stand for all that come later.
+/// Passes through the sample that beams distinguish; the last two stand for all that come later. Where rough faces lose no
+/// light, some of it passes at grazing angles, and a mean length would stand for too different ones. There beams
+/// distinguish lengths: none, four to an octave up to 64 thicknesses, and beyond.
 const PASSES: usize = 4;
-/// Rays that set out where all interfaces are smooth, where some are rough, and where rays are followed on the
-/// microsurface, one way at a time and by chance alone.
-const RAYS: [u32; 3] = [256, 1 << 15, 1 << 18];
+const LENGTHS: usize = 26;
+/// Rays that set out where all interfaces are smooth, and where some are rough.
+const RAYS: [u32; 2] = [256, 1 << 15];
 /// Share of a ray's flux at which it becomes a matter of chance whether it goes on.
 const FAINT: f64 = 2e-3;
 /// Interfaces after which light is let go. Only a ray that rounding has caught between two faces that reflect totally meets
@@ -84,25 +86,28 @@ impl Arrivals {
             return Arc::clone(arrivals);
         }
         let rough = stack.interfaces.iter().any(|i| i.alpha > 0.0);
-        let rays = RAYS[usize::from(rough) * (1 + usize::from(stack.multiple_scattering))];
-        let arrivals = Arc::new(Self::follow(stack, rays));
+        let arrivals = Arc::new(Self::follow(stack, RAYS[usize::from(rough)], 0));
         known.truncate(REMEMBERED - 1);
         known.push_front((key, Arc::clone(&arrivals)));
         arrivals
     }
 
-    fn follow(stack: &Stack, rays: u32) -> Self {
+    /// Repeats differ in their random numbers only.
+    fn follow(stack: &Stack, rays: u32, repeat: u32) -> Self {
         let [inner, outer] = stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0));
         let share = 1.0 / f64::from(rays);
         let mut from_ring = RaySums::default();
         for ray in 0..rays {
             let sin2 = inner + (outer - inner) * (f64::from(ray) + 0.5) * share;
             let direction = Vec3::new(sin2.sqrt() as f32, 0.0, -((1.0 - sin2).sqrt() as f32));
-            from_ring.follow(stack, direction, ray, share, &mut Stream::new(KEYS[0], 0, ray));
+            let number = ray + repeat * rays;
+            from_ring.follow(stack, direction, number, share, &mut Stream::new(KEYS[0], 0, number));
         }
         let mut from_sensor = RaySums::default();
         for ray in 0..rays {
-            from_sensor.follow(stack, stack.sensor_direction, ray, share, &mut Stream::new(KEYS[1], 0, ray));
+            let number = ray + repeat * rays;
+            let stream = &mut Stream::new(KEYS[1], 0, number);
+            from_sensor.follow(stack, stack.sensor_direction, number, share, stream);
         }
         Self {
             sample: from_ring.sample.beams(),
@@ -172,17 +177,25 @@ struct DirectionCells(Vec<[f64; 3]>);
 
 impl Default for DirectionCells {
     fn default() -> Self {
-        Self(vec![[0.0; 3]; 2 * PASSES * CELLS])
+        Self(vec![[0.0; 3]; 2 * LENGTHS * CELLS])
     }
 }
 
 impl DirectionCells {
-    fn add(&mut self, way: &LightPath, cosine: f64) {
+    fn add(&mut self, way: &LightPath, cosine: f64, by_length: bool) {
         let cell = ((cosine * CELLS as f64) as usize).min(CELLS - 1);
-        // Even and odd numbers apart: they have come from different sides.
-        let passes = if way.passes < PASSES { way.passes } else { PASSES - 2 + way.passes % 2 };
+        let length = match way.passes {
+            0 => 0,
+            // The exponent, and two bits behind it.
+            _ if by_length => (1
+                + ((way.passed as f32).to_bits().saturating_sub(1_f32.to_bits()) >> 21) as usize)
+                .min(LENGTHS - 1),
+            // Even and odd numbers apart: they have come from different sides.
+            passes if passes >= PASSES => PASSES - 2 + passes % 2,
+            passes => passes,
+        };
         let down = usize::from(way.direction.z < 0.0);
-        let sums = &mut self.0[(down * PASSES + passes) * CELLS + cell];
+        let sums = &mut self.0[(down * LENGTHS + length) * CELLS + cell];
         for (sum, factor) in sums.iter_mut().zip([1.0, cosine, way.passed]) {
             *sum += way.flux * factor;
         }
@@ -190,7 +203,7 @@ impl DirectionCells {
 
     fn beams(self) -> Vec<Beam> {
         let some = self.0.into_iter().enumerate().filter(|(_, [flux, ..])| *flux > 0.0);
-        some.map(|(cell, sums)| beam(cell >= PASSES * CELLS, sums)).collect()
+        some.map(|(cell, sums)| beam(cell >= LENGTHS * CELLS, sums)).collect()
     }
 }
 
@@ -230,7 +243,7 @@ impl RaySums {
         }];
         while let Some(way) = ways.pop() {
             if let Some(way) = self.cross_slab(stack, way, FAINT * flux, stream) {
-                meet_interface(stack, &way, ray, stream, &mut ways);
+                meet_interface(stack, &way, ray, FAINT * flux, stream, &mut ways);
             }
         }
     }
@@ -248,18 +261,18 @@ impl RaySums {
             let d = way.direction;
             let [inner, outer] = stack.ring_sin2;
             if (inner..=outer).contains(&(d.x * d.x + d.y * d.y)) {
-                self.ring.add(&way, way.cosine);
+                self.ring.add(&way, way.cosine, stack.multiple_scattering);
             }
             return None;
         }
         if way.slab == stack.sample {
             way.cosine = f64::from(way.direction.z.abs()).max(1e-6);
-            self.sample.add(&way, way.cosine);
+            self.sample.add(&way, way.cosine, stack.multiple_scattering);
             way.passed += 1.0 / way.cosine;
             way.passes += 1;
         }
         if down && way.slab == stack.interfaces.len() {
-            self.base.add(&way, way.cosine);
+            self.base.add(&way, way.cosine, stack.multiple_scattering);
             return None;
         }
         if way.flux < faint {
@@ -273,7 +286,14 @@ impl RaySums {
 }
 
 /// Sends light on from the interface at the end of its slab.
-fn meet_interface(stack: &Stack, way: &LightPath, ray: u32, stream: &mut Stream, ways: &mut Vec<LightPath>) {
+fn meet_interface(
+    stack: &Stack,
+    way: &LightPath,
+    ray: u32,
+    faint: f64,
+    stream: &mut Stream,
+    ways: &mut Vec<LightPath>,
+) {
     let d = way.direction;
     let down = d.z < 0.0;
     let interface = stack.interfaces[if down { way.slab } else { way.slab - 1 }];
@@ -294,11 +314,13 @@ fn meet_interface(stack: &Stack, way: &LightPath, ray: u32, stream: &mut Stream,
             ways.push(LightPath { slab, direction, flux, interfaces, rough, ..*way });
         }
     };
+    let m = normal(wi, alpha, way.rough, ray, stream);
     if alpha > 0.0 && stack.multiple_scattering {
-        go(scatter_until_out(wi, alpha, indices, stream).direction, 1.0);
+        for (wo, share) in split_until_out(wi, m, alpha, indices, faint / way.flux, stream) {
+            go(wo, share);
+        }
         return;
     }
-    let m = normal(wi, alpha, way.rough, ray, stream);
     let cos_i = wi.dot(m);
     let facet = Facet::new(cos_i, indices[0]);
     let reflectance = if facet.cos_t <= 0.0 { 1.0 } else { f64::from(facet.reflectance()) };
@@ -327,61 +349,4 @@ fn normal(wi: Vec3, alpha: f32, rough: u32, ray: u32, stream: &mut Stream) -> Ve
 }
 
 #[cfg(test)]
-mod tests {
-    use optics_model::{Scene, TransportPoint};
-
-    use super::*;
-
-    fn stack(scene: &Scene) -> Stack {
-        Stack::new(scene, &TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap())
-    }
-
-    /// Flux behind a sample of an optical thickness.
-    fn flux(beams: &[Beam], tau: f64) -> f64 {
-        beams.iter().map(|beam| beam.flux * (-tau * beam.passed).exp()).sum()
-    }
-
-    /// Four times as many rays give the same.
-    #[test]
-    fn more_rays_change_nothing() {
-        let stack = stack(&Scene::paper());
-        let [few, many] = [1, 4].map(|times| Arrivals::follow(&stack, times * RAYS[1]));
-        for tau in [0.5, 2.0, 10.0] {
-            let ratio = |of: &dyn Fn(&Arrivals) -> f64| (of(&few) / of(&many) - 1.0).abs();
-            let base = ratio(&|a| flux(&a.base, tau));
-            let sample =
-                ratio(&|a| a.sample.iter().map(|b| b.flux * (-tau * b.passed).exp() / b.cosine).sum());
-            let ring = ratio(&|a| flux(&a.ring, tau));
-            println!("τ {tau}: base {base:.1e}, sample {sample:.1e}, ring {ring:.1e}");
-            assert!(base < 2e-4 && sample < 1e-4 && ring < 2e-2, "τ {tau}: {base}, {sample}, {ring}");
-        }
-    }
-
-    /// Through smooth faces everything follows from Fresnel's formulas. Between two media of one index under air, light
-    /// passes the upper face once, and no other reflects.
-    #[test]
-    fn smooth_faces_transmit_per_fresnel() {
-        let layers = vec![optics_model::scene::Layer::sample("sample", 0.0).unwrap()];
-        let paper = Scene::paper();
-        let scene =
-            Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), false).unwrap();
-        let arrivals = Arrivals::of(&stack(&scene));
-        let (n, steps) = (1.53_f64, 20_000);
-        let [inner, outer] = [40.0_f64, 50.0].map(|deg| deg.to_radians().sin().powi(2));
-        let (mut transmitted, mut lengths) = (0.0, 0.0);
-        for i in 0..steps {
-            let sin2 = inner + (outer - inner) * (f64::from(i) + 0.5) / f64::from(steps);
-            let (cos_i, cos_t) = ((1.0 - sin2).sqrt(), (1.0 - sin2 / (n * n)).sqrt());
-            let rs = ((cos_i - n * cos_t) / (cos_i + n * cos_t)).powi(2);
-            let rp = ((n * cos_i - cos_t) / (n * cos_i + cos_t)).powi(2);
-            let t = (1.0 - 0.5 * (rs + rp)) / f64::from(steps);
-            transmitted += t;
-            lengths += t / cos_t;
-        }
-        let base = flux(&arrivals.base, 0.0);
-        assert!((base - transmitted).abs() < 1e-5, "{base}, not {transmitted}");
-        let length = arrivals.base.iter().map(|b| b.flux * b.passed).sum::<f64>();
-        assert!((length - lengths).abs() < 1e-5, "{length}, not {lengths}");
-        assert_eq!(flux(&arrivals.ring, 0.0), 0.0, "the sensor looks straight down");
-    }
-}
+mod tests;

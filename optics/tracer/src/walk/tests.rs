@@ -3,8 +3,10 @@
 use glam::Vec3;
 use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+use rayon::prelude::*;
 
 use super::{Walk, WalkEvent};
+use crate::light::Light;
 use crate::math::unit_vector;
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
@@ -48,7 +50,7 @@ fn walks<'a>(
     n: u32,
     key: u32,
     direction: impl Fn([u32; 4]) -> Vec3 + 'a,
-    end: fn(WalkEvent) -> bool,
+    end: impl Fn(WalkEvent) -> bool + 'a,
 ) -> impl Iterator<Item = (Walk<'a>, WalkEvent)> {
     (0..n).map(move |index| {
         let mut stream = Stream::new([41, key], 0, index);
@@ -158,4 +160,45 @@ fn roulette_in_very_thick_slabs_is_unbiased() {
     let (mean, error) = statistics(weights);
     assert!(long > 50, "the test must reach roulette, {long} walks did");
     assert!(((mean - 1.0) / error).abs() < 3.5, "{mean} ± {error}");
+}
+
+/// Light that meets interfaces only, against walks that end where they scatter, where no light is lost on rough faces:
+/// 10 million from the sensor into a wide ring, and 1 million from there to the base.
+#[test]
+fn light_without_vertex_agrees_with_walks() {
+    let ring = RingLight::new(20.0, 80.0).unwrap();
+    let scene = Scene::paper().with_light(ring).with_multiple_scattering(true);
+    let stack = Stack::new(&scene, &TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap());
+    let light = Light::new(&stack, false);
+    let [inner, outer] = stack.ring_sin2;
+    let ended = |event| event != WalkEvent::Crossed;
+    let share = |n: u32,
+                 key: u32,
+                 direction: &(dyn Fn([u32; 4]) -> Vec3 + Sync),
+                 counts: &(dyn Fn(&Walk<'_>, WalkEvent) -> bool + Sync)| {
+        const PARTS: u32 = 16;
+        let parts = (0..PARTS).into_par_iter().map(|part| {
+            walks(&stack, n / PARTS, 100 * key + part, direction, ended)
+                .filter(|(walk, event)| counts(walk, *event))
+                .count()
+        });
+        let p = parts.sum::<usize>() as f64 / f64::from(n);
+        (p, (p / f64::from(n)).sqrt())
+    };
+    let in_ring = |walk: &Walk<'_>, event| {
+        let d = walk.direction;
+        event == WalkEvent::Left && (inner..=outer).contains(&(d.x * d.x + d.y * d.y))
+    };
+    let from_ring = |words: [u32; 4]| {
+        let sin2 = inner + (outer - inner) * uniform(words[0]);
+        Vec3::new(sin2.sqrt(), 0.0, -(1.0 - sin2).sqrt())
+    };
+    let straight = share(10_000_000, 1, &down, &in_ring);
+    println!("{straight:?} {}", light.straight);
+    assert_close(straight, light.straight, 0.003 * light.straight, 2e-5);
+    let base = share(1_000_000, 2, &from_ring, &|_, event| event == WalkEvent::Base);
+    let n_c = stack.iors[stack.iors.len() - 1];
+    let expected = f64::from(light.base) * n_c * n_c / f64::from(outer - inner);
+    println!("{base:?} {expected}");
+    assert_close(base, expected, 2e-4 * expected, 1e-3);
 }

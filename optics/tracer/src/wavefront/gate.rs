@@ -196,8 +196,9 @@ impl WalkGate {
     ) -> ([f32; 3], bool) {
         let up = if self.down { 1.0 } else { -1.0 };
         let wi = glam::Vec3::new(-d[0], -d[1], -up * d[2]);
-        let mut stream = Stream::new(chunk.key, chunk.index, walk).at_block(*block + 1);
-        let wo = scatter_until_out(wi, alpha, self.indices, &mut stream).direction;
+        let mut stream = Stream::new(chunk.key, chunk.index, walk).at_block(*block);
+        let words = stream.words();
+        let wo = scatter_until_out(wi, alpha, self.indices, words, &mut stream);
         *block = stream.block();
         ([wo.x, wo.y, up * wo.z], wo.z < 0.0)
     }
