@@ -85,7 +85,7 @@ impl Report {
         id.put_into(response.headers_mut());
         self.code = code(response.headers());
         if response.body().is_end_stream() {
-            self.tell_end();
+            self.log_end();
         }
         let (means, connection) = (self.means.as_ref(), self.connection.take());
         let answer = means.map(|means| Answer::new(means.account.clone(), connection));
@@ -100,7 +100,7 @@ impl Report {
     }
 
     /// The stream has ended without trailers.
-    fn tell_end(&mut self) {
+    fn log_end(&mut self) {
         self.report_end(self.code.unwrap_or(Code::Unknown as i32));
     }
 
@@ -245,7 +245,7 @@ impl HttpBody for ObservedBody {
                 }
             }
             Some(Err(status)) => this.report.report_end(status.code() as i32),
-            None => this.report.tell_end(),
+            None => this.report.log_end(),
         }
         Poll::Ready(frame)
     }

@@ -25,7 +25,7 @@ impl Verification {
         if context.roster.is_fenced(arrived.by) {
             return stored == new;
         }
-        let Some(Producer(first)) = self.producer(part, stored, context.schedule) else {
+        let Some(StoredBy(first)) = self.producer(part, stored, context.schedule) else {
             // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
             if stored != new && context.schedule.job(part).is_some() {
                 self.suspects.insert(arrived.job());
@@ -42,14 +42,14 @@ impl Verification {
     }
 
     /// The producer of the stored result of a part; None if this is not the stored result.
-    fn producer(&self, part: PartId, stored: Digest, schedule: &Schedule) -> Option<Producer> {
+    fn producer(&self, part: PartId, stored: Digest, schedule: &Schedule) -> Option<StoredBy> {
         let job = schedule.job(part)?;
         match &job.stage {
             Stage::Done { records, by, .. } if !job.is_divided() => {
-                (*records == stored).then_some(Producer(*by))
+                (*records == stored).then_some(StoredBy(*by))
             }
             // Of blocks only those that are being checked are still known.
-            _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(Producer(None)),
+            _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(StoredBy(None)),
         }
     }
 
@@ -217,4 +217,4 @@ impl Verification {
 }
 
 /// The machine that computed the stored result, if it is known.
-struct Producer(Option<Origin>);
+struct StoredBy(Option<Origin>);

@@ -156,7 +156,7 @@ where
                 Box::pin(answered.instrument(span))
             }
             Err(status) => {
-                span.in_scope(|| self.shared.tell_refused(&request, &status));
+                span.in_scope(|| self.shared.log_refused(&request, &status));
                 let response = report.refuse(status, &id);
                 Box::pin(async move { Ok(response) })
             }
@@ -217,7 +217,7 @@ fn open(
 }
 
 impl Shared {
-    fn tell_refused<B>(&self, request: &Request<B>, status: &Status) {
+    fn log_refused<B>(&self, request: &Request<B>, status: &Status) {
         if let Some(calls) = self.refused.count(self.clock.now()) {
             let peer = permission::peer(request.extensions());
             let (code, reason) = (status.code(), status.message());
