@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use farm_link::logs::tell;
+use farm_link::logs::print_line;
 use farm_proto::wire::{Event, ListEventsRequest};
 use serde::Serialize;
 
