@@ -10,7 +10,7 @@ use farm_link::{arguments, logs};
 fn main() -> ExitCode {
     let cli: farmctl::cli::Cli = arguments::parse();
     if let Err(error) = logs::init(LogFormat::Text, "error") {
-        logs::print_line(format_args!("farmctl: {error}"));
+        logs::to_stderr(format_args!("farmctl: {error}"));
         return ExitCode::FAILURE;
     }
     farmctl::run(cli)

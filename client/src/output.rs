@@ -8,7 +8,7 @@ use std::path::Path;
 
 use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
 use farm_lab::measurement_file::{MeasurementFile, Note, read_measurements};
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
 use serde::Serialize;
 
@@ -64,7 +64,7 @@ impl Output {
     pub(crate) fn notes(&self, notes: &[Note], path: &Path) {
         if !self.json {
             for note in notes {
-                print_line(format_args!("farmctl: note: {}: {}", path.display(), note.text));
+                to_stderr(format_args!("farmctl: note: {}: {}", path.display(), note.text));
             }
         }
     }
@@ -78,7 +78,7 @@ impl Output {
                 return;
             }
         }
-        print_line(format_args!("farmctl: {message}"));
+        to_stderr(format_args!("farmctl: {message}"));
     }
 }
 

@@ -8,7 +8,7 @@ use std::io::IsTerminal;
 use std::time::Duration;
 
 use console::Term;
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -93,7 +93,7 @@ impl Progress {
             BarLook::Lines { last } => {
                 if last.is_none_or(|last| last.elapsed() >= LINE) {
                     *last = Some(tokio::time::Instant::now());
-                    print_line(format_args!("{}: {text}", status.name));
+                    to_stderr(format_args!("{}: {text}", status.name));
                 }
             }
             BarLook::Nothing => {}
@@ -103,8 +103,8 @@ impl Progress {
     /// A line on standard error, above the bar. It is printed without progress as well.
     pub(crate) fn print(&self, line: &str) {
         match &self.look {
-            BarLook::Bar(bar, _) => bar.suspend(|| print_line(line)),
-            BarLook::Lines { .. } | BarLook::Nothing => print_line(line),
+            BarLook::Bar(bar, _) => bar.suspend(|| to_stderr(line)),
+            BarLook::Lines { .. } | BarLook::Nothing => to_stderr(line),
         }
     }
 

@@ -18,7 +18,7 @@ async fn main() -> ExitCode {
     match run(arguments::parse::<Args>()).await {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            logs::print_line(format_args!("farm-coordinator: {error}"));
+            logs::to_stderr(format_args!("farm-coordinator: {error}"));
             ExitCode::FAILURE
         }
     }

@@ -16,13 +16,13 @@ const REFUSED: u8 = 4;
 async fn main() -> ExitCode {
     let args: Args = arguments::parse();
     if let Err(error) = logs::init(args.log_format, "info") {
-        logs::print_line(format_args!("farm-worker: {error}"));
+        logs::to_stderr(format_args!("farm-worker: {error}"));
         return ExitCode::FAILURE;
     }
     let config = match config(args) {
         Ok(config) => config,
         Err(error) => {
-            logs::print_line(format_args!("farm-worker: {error}"));
+            logs::to_stderr(format_args!("farm-worker: {error}"));
             return ExitCode::FAILURE;
         }
     };
@@ -31,7 +31,7 @@ async fn main() -> ExitCode {
     match farm_worker::run(config, shutdown).await {
         Ok(_) => ExitCode::SUCCESS,
         Err(error) => {
-            logs::print_line(format_args!("farm-worker: {error}"));
+            logs::to_stderr(format_args!("farm-worker: {error}"));
             if matches!(error, Error::Refused(_)) { ExitCode::from(REFUSED) } else { ExitCode::FAILURE }
         }
     }

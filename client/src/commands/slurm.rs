@@ -9,7 +9,7 @@ use serde::Serialize;
 use crate::cli::{Global, SlurmCommand, SlurmSubmitArgs, SlurmWorkerArgs};
 use crate::output::{Output, counted};
 use crate::slurm::{CoordinatorAddress, OneLine, Submission, queue};
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_link::walltime::span_text;
 
 mod autoscale;
@@ -144,7 +144,7 @@ fn shown(path: &Path) -> Result<String> {
 fn warn_of_loopback(global: &Global, coordinator: &CoordinatorAddress) {
     let loopback = |url: &String| ["//127.", "//localhost", "//[::1]"].iter().any(|host| url.contains(host));
     if !global.quiet && coordinator.server.as_ref().is_some_and(loopback) {
-        print_line(
+        to_stderr(
             "farmctl: note: on another machine than the coordinator's, workers do not find it at a loopback address",
         );
     }

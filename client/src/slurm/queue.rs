@@ -5,7 +5,7 @@ use std::process::{Output, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use tokio::io::AsyncWriteExt;
 use tokio::process::Command;
 use tokio::time::timeout;
@@ -45,7 +45,7 @@ pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64>
     let text = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "sbatch refused the job ({}): {}", output.status, text.trim());
     if !text.trim().is_empty() {
-        print_line(text.trim_end());
+        to_stderr(text.trim_end());
     }
     job_id(&String::from_utf8_lossy(&output.stdout))
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use axum::extract::Request;
 use axum::response::Response;
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
@@ -48,7 +48,7 @@ where
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
             Err(error) => {
-                print_line(format_args!("farmctl: a connection was not accepted: {error}"));
+                to_stderr(format_args!("farmctl: a connection was not accepted: {error}"));
                 // Out of files, for example: asking again at once would only burn time.
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;

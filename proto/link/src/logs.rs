@@ -72,7 +72,7 @@ impl fmt::Display for LogFormat {
 }
 
 /// Writes a line for people to standard error. That it may be full, closed or not read is no reason to end or to wait.
-pub fn print_line(line: impl fmt::Display) {
+pub fn to_stderr(line: impl fmt::Display) {
     let _ = standard_error().write_all(format!("{line}\n").as_bytes());
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use farm_lab::measurement_file::MeasurementWriter;
 use farm_lab::whole_file::{DraftFile, open_node};
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::GetRequest;
@@ -116,7 +116,7 @@ async fn export(
         bail!("none of the records asked for is done yet");
     }
     if count < wanted {
-        print_line(format_args!(
+        to_stderr(format_args!(
             "farmctl: {count} of the {wanted} records asked for are done, the others are left out"
         ));
     }

@@ -1,7 +1,7 @@
 use std::time::Duration;
 
 use anyhow::Result;
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_proto::wire::{Event, ListEventsRequest};
 use serde::Serialize;
 
@@ -79,7 +79,7 @@ async fn follow(
         let page = match connection.farm().list_events(request.clone()).await {
             Ok(page) => page.into_inner(),
             Err(error) => {
-                outage.outlast(error.into(), tell).await?;
+                outage.outlast(error.into(), to_stderr).await?;
                 continue;
             }
         };

@@ -7,7 +7,7 @@ use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
-use farm_link::logs::print_line;
+use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::wire::MeasureRequest;
 use optics_model::fit::{
@@ -209,7 +209,7 @@ fn announce(global: &Global, wanted: &WantedDictionary) {
     let WantedDictionary { name, grid, records_done } = wanted;
     let total = grid.stored_records();
     if !global.quiet {
-        print_line(format_args!(
+        to_stderr(format_args!(
             "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",
             global.data.display(),
             grouped(total.saturating_sub(*records_done) as u64),
