@@ -83,7 +83,7 @@ async fn follow(
                 continue;
             }
         };
-        outage.is_over(tell);
+        outage.is_over(to_stderr);
         if page.events.is_empty() {
             tokio::time::sleep(LOOK).await;
         }
