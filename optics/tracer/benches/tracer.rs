@@ -49,13 +49,18 @@ fn scattering_steps(c: &mut Criterion) {
     }
 }
 
-/// Crossings per second in the paper's stack with a sample that is nearly clear.
+/// Crossings per second in the paper's stack with a sample that is nearly clear, where rough faces lose light and where they
+/// do not.
 fn crossings(c: &mut Criterion) {
-    let job = job(Scene::paper(), [0.01, 0.0, 0.5], &[1.0]);
     let mut group = group(c, "crossings");
-    group.throughput(Throughput::Elements(count_events(&job).crossings));
-    for kernel in Kernel::all() {
-        group.bench_function(kernel.name(), |b| b.iter(|| run_walks(kernel, &job)));
+    for (name, conserving) in [("lossy", false), ("conserving", true)] {
+        let scene = Scene::paper().with_multiple_scattering(conserving);
+        let job = job(scene, [0.01, 0.0, 0.5], &[1.0]);
+        group.throughput(Throughput::Elements(count_events(&job).crossings));
+        for kernel in Kernel::all() {
+            let id = BenchmarkId::new(kernel.name(), name);
+            group.bench_function(id, |b| b.iter(|| run_walks(kernel, &job)));
+        }
     }
 }
 

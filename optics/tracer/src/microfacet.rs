@@ -117,12 +117,12 @@ pub fn split_until_out(
 }
 
 /// Uniform number from the upper 16 random bits: the midpoint of one of 2¹⁶ equal cells of (0, 1).
-fn level(bits: u32) -> f32 {
+pub fn level(bits: u32) -> f32 {
     f32::from_bits((bits >> 9 & 0x007f_ff80) | 0x3f80_0000) - (1.0 - 1.0 / 131_072.0)
 }
 
 /// Upper estimate of −ln x for 0 ≤ x ≤ 1: the bits of a float are nearly its logarithm.
-fn minus_ln_at_most(x: f32) -> f32 {
+pub fn minus_ln_at_most(x: f32) -> f32 {
     (0x3f80_0000 - x.to_bits() as i32) as f32 * (LN_2 / 8_388_608.0)
 }
 

@@ -4,7 +4,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
 use super::lanes::{Floats, Mask, WalkLanes};
-use super::numbers::{Philox, choose, constant, root, uniform, unit_vector};
+use super::numbers::{Philox, choose, constant, level, minus_ln_at_most, root, uniform, unit_vector};
 use crate::exits::Chunk;
 use crate::fresnel::RelativeIndex;
 use crate::microfacet::scatter_until_out;
@@ -30,8 +30,8 @@ pub enum GateKind {
     Rough {
         alpha: f32,
     },
-    /// Rough, followed on the microsurface.
-    Multiple {
+    /// Rough, and rays are followed until they leave.
+    Conserving {
         alpha: f32,
     },
     /// The Lambertian base.
@@ -60,7 +60,7 @@ pub fn gates(stack: &Stack) -> Vec<WalkGate> {
     for (i, interface) in stack.interfaces.iter().enumerate() {
         let kind = match interface.alpha {
             0.0 => GateKind::Smooth,
-            alpha if stack.multiple_scattering => GateKind::Multiple { alpha },
+            alpha if stack.multiple_scattering => GateKind::Conserving { alpha },
             alpha => GateKind::Rough { alpha },
         };
         let (above, below) = (interface.from_above, interface.from_below);
@@ -163,12 +163,8 @@ impl WalkGate {
         let [_, radial, azimuth, choice] = random.words(walks.block, walks.walk);
         walks.block += 1;
         let (wi, index) = (self.back(walks), self.indices[0]);
-        let m = visible_normal(wi, alpha, uniform(radial), unit_vector(azimuth));
-        let cos_i = wi[0] * m[0] + wi[1] * m[1] + wi[2] * m[2];
-        let (cos_t, reflects) = fresnel(cos_i, index, uniform(choice));
-        let k = choose(reflects, cos_i * 2.0, cos_i * index.eta - cos_t);
-        let e = choose(reflects, constant(k, 1.0), constant(k, index.eta));
-        let wo = [m[0] * k - wi[0] * e, m[1] * k - wi[1] * e, m[2] * k - wi[2] * e];
+        let m = visible_normal(stretch(wi, alpha), alpha, uniform(radial), unit_vector(azimuth));
+        let (wo, reflects) = scatter(wi, m, index, uniform(choice));
         let cos = choose(reflects, wo[2], -wo[2]);
         let sin2 = wo[0] * wo[0] + wo[1] * wo[1];
         walks.weight *= (cos + cos) / (cos + (cos * cos + sin2 * (alpha * alpha)).sqrt());
@@ -184,7 +180,33 @@ impl WalkGate {
         walks.dz = if self.down { z } else { -z };
     }
 
-    /// Follows the rays on the microsurface, one after the other: exact, seldom asked for, and not worth vectors.
+    /// Reflects or refracts the chosen lanes at a rough interface that loses no light. The few whose rays may meet it again
+    /// are returned apart.
+    #[inline(always)]
+    pub fn cross_conserving<S: Simd>(
+        &self,
+        alpha: f32,
+        random: &Philox<S>,
+        walks: &mut WalkLanes<S>,
+        lanes: Mask<S>,
+    ) -> (Fates<S>, Mask<S>) {
+        let [next, radial, azimuth, choice] = random.words(walks.block, walks.walk);
+        let (wi, index) = (self.back(walks), self.indices[0]);
+        let stretched = stretch(wi, alpha);
+        let m = visible_normal(stretched, alpha, uniform(radial), unit_vector(azimuth));
+        let (wo, reflects) = scatter(wi, m, index, uniform(choice));
+        let level = level(azimuth);
+        let cos = choose(reflects, wo[2], -wo[2]);
+        let slant = (cos * cos + (wo[0] * wo[0] + wo[1] * wo[1]) * (alpha * alpha)).sqrt();
+        let level = choose(reflects, level, stretched[2] * (constant(level, 1.0) - level));
+        let clears = ((slant - cos) * minus_ln_at_most(level)).simd_lt((cos + cos) * uniform(next));
+        let (out, again) = (lanes & clears, lanes & !clears);
+        walks.block += 1;
+        self.turn(walks, wo);
+        (Fates { reflected: out & reflects, transmitted: out & !reflects, lost: lanes & !lanes }, again)
+    }
+
+    /// Sends one ray, with `block` the next after that of its first event, over the microsurface until it leaves.
     #[inline(never)]
     pub fn cross_one(
         &self,
@@ -196,7 +218,7 @@ impl WalkGate {
     ) -> ([f32; 3], bool) {
         let up = if self.down { 1.0 } else { -1.0 };
         let wi = glam::Vec3::new(-d[0], -d[1], -up * d[2]);
-        let mut stream = Stream::new(chunk.key, chunk.index, walk).at_block(*block);
+        let mut stream = Stream::new(chunk.key, chunk.index, walk).at_block(*block - 1);
         let words = stream.words();
         let wo = scatter_until_out(wi, alpha, self.indices, words, &mut stream);
         *block = stream.block();
@@ -229,16 +251,36 @@ fn fresnel<S: Simd>(cos_i: Floats<S>, index: RelativeIndex, u: Floats<S>) -> (Fl
     (cos_t, reflects)
 }
 
-/// Normals visible from `wi`, see [`crate::microfacet`].
+/// Direction after reflection or refraction at a facet, and the lanes that are reflected.
+#[inline(always)]
+fn scatter<S: Simd>(
+    wi: [Floats<S>; 3],
+    m: [Floats<S>; 3],
+    index: RelativeIndex,
+    u: Floats<S>,
+) -> ([Floats<S>; 3], Mask<S>) {
+    let cos_i = wi[0] * m[0] + wi[1] * m[1] + wi[2] * m[2];
+    let (cos_t, reflects) = fresnel(cos_i, index, u);
+    let k = choose(reflects, cos_i * 2.0, cos_i * index.eta - cos_t);
+    let e = choose(reflects, constant(k, 1.0), constant(k, index.eta));
+    ([m[0] * k - wi[0] * e, m[1] * k - wi[1] * e, m[2] * k - wi[2] * e], reflects)
+}
+
+/// The direction on the surface stretched to roughness 1, see [`crate::microfacet`].
+#[inline(always)]
+fn stretch<S: Simd>(wi: [Floats<S>; 3], alpha: f32) -> [Floats<S>; 3] {
+    unit([wi[0] * alpha, wi[1] * alpha, wi[2]])
+}
+
+/// Normals visible from stretched directions.
 #[inline(always)]
 fn visible_normal<S: Simd>(
-    wi: [Floats<S>; 3],
+    stretched: [Floats<S>; 3],
     alpha: f32,
     u: Floats<S>,
     (x, y): (Floats<S>, Floats<S>),
 ) -> [Floats<S>; 3] {
     let one = constant(u, 1.0);
-    let stretched = unit([wi[0] * alpha, wi[1] * alpha, wi[2]]);
     let h_z = (one - u) * (one + stretched[2]);
     let c_z = h_z - stretched[2];
     let sin = root(one - c_z * c_z);

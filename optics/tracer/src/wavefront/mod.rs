@@ -288,7 +288,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         let fates = match gate.kind {
             GateKind::Smooth => gate.cross_smooth(&self.random, &mut walks, lanes),
             GateKind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
-            GateKind::Multiple { alpha } => self.cross_singly(gate, alpha, &mut walks, lanes),
+            GateKind::Conserving { alpha } => self.cross_conserving(gate, alpha, &mut walks, lanes),
             GateKind::Base => {
                 let walk = walks.walk.to_array();
                 let (x, clear_x) = (walks.x.to_array(), walks.clear_x.to_array());
@@ -306,30 +306,35 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         self.go_on(&mut walks, fates.transmitted, gate.transmitted);
     }
 
+    /// Nearly all rays leave after one event; the others are followed one after the other.
     #[inline(always)]
-    fn cross_singly(
+    fn cross_conserving(
         &mut self,
         gate: WalkGate,
         alpha: f32,
         walks: &mut WalkLanes<S>,
         lanes: Mask<S>,
     ) -> Fates<S> {
+        let came = [walks.dx, walks.dy, walks.dz];
+        let (mut fates, again) = gate.cross_conserving(alpha, &self.random, walks, lanes);
+        if !again.any_true() {
+            return fates;
+        }
         let (mut reflected, mut transmitted) = (0, 0);
         let (walk, mut block) = (walks.walk.to_array(), walks.block.to_array());
         let (mut dx, mut dy, mut dz) = (walks.dx.to_array(), walks.dy.to_array(), walks.dz.to_array());
-        for lane in bits(lanes) {
-            let d = [dx[lane], dy[lane], dz[lane]];
+        let came = [came[0].to_array(), came[1].to_array(), came[2].to_array()];
+        for lane in bits(again) {
+            let d = came.map(|d| d[lane]);
             let (d, through) = gate.cross_one(alpha, self.chunk, walk[lane], &mut block[lane], d);
             [dx[lane], dy[lane], dz[lane]] = d;
             *(if through { &mut transmitted } else { &mut reflected }) |= 1 << lane;
         }
         walks.block = block.simd_into(self.simd);
         [walks.dx, walks.dy, walks.dz] = [dx, dy, dz].map(|d| d.simd_into(self.simd));
-        Fates {
-            reflected: Mask::from_bitmask(self.simd, reflected),
-            transmitted: Mask::from_bitmask(self.simd, transmitted),
-            lost: Mask::splat(self.simd, false),
-        }
+        fates.reflected |= Mask::from_bitmask(self.simd, reflected);
+        fates.transmitted |= Mask::from_bitmask(self.simd, transmitted);
+        fates
     }
 
     #[inline(always)]

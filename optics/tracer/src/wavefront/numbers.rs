@@ -87,6 +87,12 @@ pub fn symmetric<S: Simd>(bits: Words<S>) -> Floats<S> {
     from_bits((bits >> 9 & 0x007f_ff80) | 0x4000_0000) - (3.0 - 1.0 / 65_536.0)
 }
 
+/// [`crate::microfacet::level`].
+#[inline(always)]
+pub fn level<S: Simd>(bits: Words<S>) -> Floats<S> {
+    from_bits((bits >> 9 & 0x007f_ff80) | 0x3f80_0000) - (1.0 - 1.0 / 131_072.0)
+}
+
 /// (cos φ, sin φ), from the lower 16 bits.
 #[inline(always)]
 pub fn unit_vector<S: Simd>(bits: Words<S>) -> (Floats<S>, Floats<S>) {
@@ -132,6 +138,14 @@ pub fn ln<S: Simd>(x: Floats<S>) -> Floats<S> {
 pub fn power_of_two<S: Simd>(x: Floats<S>) -> Floats<S> {
     let bits: i32x16<S> = ((x.max(-100.0) + 127.0) * 8_388_608.0).to_int();
     from_bits(bits.bitcast())
+}
+
+/// [`crate::microfacet::minus_ln_at_most`].
+#[inline(always)]
+pub fn minus_ln_at_most<S: Simd>(x: Floats<S>) -> Floats<S> {
+    let bits: i32x16<S> = x.bitcast();
+    let below_one = i32x16::splat(x.token(), 0x3f80_0000) - bits;
+    below_one.to_float::<Floats<S>>() * (LN_2 / 8_388_608.0)
 }
 
 /// A value in all lanes.
