@@ -1,12 +1,11 @@
 //! The lowest minimum of one channel.
 
+use super::descent::COARSE;
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
 use super::system::State;
 use crate::surrogate::Surrogate;
 
-/// Cost by which a first descent may miss its minimum.
-const ROUGHLY: f64 = 0.5;
 /// A start in the basis is followed if its cost is at most this much above the lowest, and this factor.
 const FOLLOWED: (f64, f64) = (60.0, 1.3);
 /// Most starts that are followed.
@@ -31,7 +30,7 @@ pub(super) fn lowest<'a>(
         let one = std::slice::from_ref(data);
         let (mut assembly, state) =
             assemble(one, &[&surrogates[start.ior]], &[start.medium], 0.0, Sharing::default());
-        let state = assembly.system.approach(state, ROUGHLY);
+        let state = assembly.system.approach(state, COARSE);
         (assembly, state, start.ior)
     };
     let followed = starts.iter().map(follow);

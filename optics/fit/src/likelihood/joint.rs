@@ -18,6 +18,7 @@ use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 use super::answer::Found;
+use super::descent::COARSE;
 use super::outside;
 use super::problem::{ChannelData, Sharing, assemble};
 use super::start::{Scan, Start};
@@ -29,8 +30,6 @@ use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
 
-/// Cost by which the first descent may miss its minimum.
-const ROUGHLY: f64 = 1.0;
 /// Widest distance of two scale factors of the mesh, in the logarithm.
 const MESH_STEP: f64 = 0.05;
 /// Most channels that the mesh is computed for.
@@ -188,7 +187,7 @@ impl<'a> Set<'a> {
             self.surrogates.iter().zip(&starts).map(|(s, start)| &s[start.ior]).collect();
         let media: Vec<[f64; 3]> = starts.iter().map(|s| s.medium).collect();
         let (mut assembly, state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
-        let state = assembly.system.approach(state, ROUGHLY);
+        let state = assembly.system.approach(state, COARSE);
         let state = assembly.system.settle(state);
         let (_, normal) = assembly.system.look(&state);
         // Some materials may leave their own media open.

@@ -20,6 +20,7 @@ use optics_model::fit::{ChannelFit, FitOptions, MeasurePlan, Measured, Mixtures,
 use optics_model::{Invalid, Measurement};
 
 use super::blend::{Blend, Ink, Part};
+use super::descent::{COARSE, FINE};
 use super::joint::{all_channels, scales};
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
 use super::quantity::Quantity;
@@ -34,9 +35,6 @@ use answer::{Request, Solution};
 use limits::{outside, predicted};
 use start::{Equation, rank, solve};
 
-/// Costs by which the first descent, and the last one, may miss their minimum.
-const ROUGHLY: f64 = 0.5;
-const WELL: f64 = 0.003;
 /// Information added to every unknown when the errors of slabs' own media are sought.
 const HARDLY: f64 = 1e-9;
 /// Least σ_s in 1/mm and √σ_a that an ink has, instead of nothing.
@@ -90,7 +88,7 @@ pub(crate) fn unmix(
     let scale = (measured.common.mu / options.settings().mu).ln();
     let surrogates: Vec<&Surrogate> = models.iter().collect();
     let (mut assembly, state) = assemble(&channels, &surrogates, &media, scale, sharing);
-    let state = assembly.system.approach(state, ROUGHLY);
+    let state = assembly.system.approach(state, COARSE);
     let state = assembly.system.settle(state);
     let slabs = slabs(channels, &mixed, mixtures, &assembly, &state);
     check_rank(&slabs, &inks)?;
@@ -207,10 +205,10 @@ impl<'a> Unmixing<'a, '_> {
     fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
         loop {
             let (mut system, state, inks) = self.system(from);
-            let state = system.descend(state, None, ROUGHLY);
+            let state = system.descend(state, None, COARSE);
             system.move_near(&state.x);
             if !self.leave_out(&system, &state)? {
-                let state = system.descend(state, None, WELL);
+                let state = system.descend(state, None, FINE);
                 return Ok((Solved { system, state, inks, common_g: self.common_g }, self.slabs));
             }
         }

@@ -4,17 +4,15 @@ use nalgebra::{Cholesky, DVector};
 use rayon::prelude::*;
 
 use super::Line;
+use super::descent::{COARSE, FINE};
 use super::form::without_specks;
 use super::records_noise::Modes;
 use super::robust::{is_dust, specks};
 use super::system::{State, System};
 use super::term::Own;
-use super::unknowns::submatrix;
+use super::unknowns::{submatrix, subvector};
 use crate::surrogate::NoisePlace;
 
-/// Cost by which a rough descent, and the last one, may miss their minimum.
-const ROUGHLY: f64 = 0.5;
-const WELL: f64 = 0.003;
 /// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
 const FAR: f64 = 0.01;
 /// How far off in mm a descent finds an edge from its stated origin.
@@ -44,11 +42,13 @@ impl System<'_> {
         while softness > 1.0 {
             softness = (HARDER * softness).min(self.typical_residual(&state)).max(1.0);
             self.terms.iter_mut().for_each(|term| term.softness = softness);
-            state = self.descend(state, None, ROUGHLY);
+            state = self.descend(state, None, COARSE);
         }
         for _ in 0..2 {
-            if self.leave_out_specks(&state) {
-                state = self.descend(state, None, WELL);
+            let changed = self.leave_out_specks(&state);
+            state = self.descend(state, None, FINE);
+            if !changed {
+                break;
             }
         }
         // The quantities of the scene do not change what they do.
@@ -56,7 +56,7 @@ impl System<'_> {
         let is_far = |i: usize| (state.x[i] - modes_at.x[i]).abs() > FAR && !of_scene(i);
         if (0..state.x.len()).any(is_far) {
             self.add_modes(&mut state);
-            state = self.descend(state, None, WELL);
+            state = self.descend(state, None, FINE);
         }
         state
     }
@@ -74,7 +74,7 @@ impl System<'_> {
         let mut there = State { x, ..state.clone() };
         let mut step = DVector::zeros(there.x.len());
         if let Some(root) = Cholesky::new(submatrix(&normal.information, &others)) {
-            let pull = DVector::from_iterator(others.len(), others.iter().map(|i| normal.downhill[*i]));
+            let pull = subvector(&normal.downhill, &others);
             others.iter().zip(root.solve(&pull).iter()).for_each(|(i, s)| step[*i] = *s);
         }
         self.advance(&mut there, &normal, &step);

@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
 
 use super::Line;
-use super::descent::Descent;
+use super::descent::{Descent, Step};
 use super::form::{Form, Loose, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
@@ -28,8 +28,7 @@ const MINIMA: usize = 24;
 /// A minimum of media is hopeless if it is higher than the lowest by this factor, and by this much.
 const HOPELESS: (f64, f64) = (4.0, 200.0);
 /// Descents in the basis.
-const DESCENT: Descent =
-    Descent { most_steps: 12, damping: (1e-3, 0.0, 1e3), factors: (10.0, 0.1), tolerance: 0.01 };
+const DESCENT: Descent = Descent { most_steps: 12, tolerance: 0.01 };
 
 /// A profile to be compressed; its values and errors are multiplied by μ.
 #[derive(Debug, Clone, Copy)]
@@ -314,9 +313,11 @@ impl Scan<'_> {
     fn descend(&self, surrogate: &Surrogate, ior: usize, x: [f64; 3], held: [bool; 3], scale: f64) -> Start {
         let start = self.parabola(surrogate, x, scale);
         let step = |from: &Parabola, damping: f64| {
-            Some(self.parabola(surrogate, self.step(from, held, damping)?, scale))
+            let to = self.step(from, held, damping)?;
+            Some(Step { predicted: from.fall(to), to: self.parabola(surrogate, to, scale) })
         };
-        let found = DESCENT.run(start, |p| p.cost, step);
+        let decrement = |from: &Parabola| self.step(from, held, 0.0).map_or(0.0, |to| from.fall(to));
+        let found = DESCENT.run(start, |p| p.cost, decrement, step);
         Start { medium: found.x, ior, cost: found.cost }
     }
 
@@ -360,4 +361,12 @@ struct Parabola {
     cost: f64,
     downhill: Vector3<f64>,
     normal: Matrix3<f64>,
+}
+
+impl Parabola {
+    /// The fall of −2 ln L on the way to another place.
+    fn fall(&self, to: [f64; 3]) -> f64 {
+        let step = Vector3::from(to) - Vector3::from(self.x);
+        2.0 * self.downhill.dot(&step) - step.dot(&(self.normal * step))
+    }
 }

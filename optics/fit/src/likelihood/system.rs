@@ -5,18 +5,17 @@ use std::cell::OnceCell;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::descent::Descent;
+use super::descent::{Descent, Step};
 use super::quantity::Quantity;
 use super::term::{Linear, Reduced, Term};
-use super::unknowns::{SceneUnknown, Unknown, clamped, damped_step, free, inverse_over_free};
+use super::unknowns::{SceneUnknown, Unknown, clamped, free, inverse_over_free, limited_step};
 use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point};
 use crate::surrogate::Surrogate;
 
-/// The valleys of mixtures are longer: inks trade off through the media that they make.
-const STEPS_OF_MIXTURES: usize = 60;
-/// Descents of all unknowns.
-const DESCENT: Descent =
-    Descent { most_steps: 40, damping: (1e-9, 1e-4, 1e6), factors: (30.0, 0.03), tolerance: 0.0 };
+/// Information below which an unknown is hardly determined, in units in which it is of the order of 1.
+const UNDETERMINED: f64 = 100.0;
+/// A bound that no descent should reach.
+const MOST_STEPS: usize = 400;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -151,14 +150,28 @@ impl System<'_> {
     }
 
     pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
-        let n = self.unknowns.len();
-        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
         let one = |i: usize| self.terms[i].reduce(&linear[i], &own[i]);
         let reduced: Vec<Reduced> = if linear.len() < MANY {
             (0..linear.len()).map(one).collect()
         } else {
             (0..linear.len()).into_par_iter().map(one).collect()
         };
+        self.sum(x, reduced)
+    }
+
+    /// The same with all unknowns damped: in proportion to their information, and those that are hardly determined by more.
+    fn damped(&self, normal: &Normal, x: &DVector<f64>, damping: f64) -> Normal {
+        let mut damped = self.sum(x, normal.reduced.iter().map(|reduced| reduced.damped(damping)).collect());
+        for i in 0..x.len() {
+            damped.information[(i, i)] += damping * (damped.information[(i, i)] + UNDETERMINED);
+        }
+        damped
+    }
+
+    /// All profiles together with what is known beforehand.
+    fn sum(&self, x: &DVector<f64>, reduced: Vec<Reduced>) -> Normal {
+        let n = self.unknowns.len();
+        let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for (i, reduced) in reduced.iter().enumerate() {
             self.add_reduced(i, x, reduced, &mut information, &mut downhill);
         }
@@ -206,22 +219,28 @@ impl System<'_> {
         }
     }
 
-    /// The minimum of −2 ln L below a state, with a quantity held; steps end that lower it by less than `tolerance`.
+    /// The minimum of −2 ln L below a state, with a quantity held, to within `tolerance`.
     pub(super) fn descend(&self, from: State, held: Option<&Held>, tolerance: f64) -> State {
         let spring =
             |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
         let total = |place: &Place| place.state.cost + spring(&place.state.x);
         let step = |from: &Place, damping: f64| {
-            let Place { state, linear, normal } = from;
-            let normal = normal.get_or_init(|| self.normal(&state.x, &state.own, linear));
-            let x = clamped(&self.unknowns, &state.x + self.step(&state.x, normal, held, damping)?);
+            let state = &from.state;
+            let damped = self.damped(from.normal(self), &state.x, damping);
+            let step = self.step(&state.x, &damped, held)?;
             let mut there = state.clone();
-            self.advance(&mut there, normal, &(&x - &state.x));
-            Some(self.place(State { x, ..there }))
+            let fall = self.advance(&mut there, &damped, &step);
+            let known = |x: &DVector<f64>| self.prior_cost(x) + spring(x);
+            let predicted = fall + known(&state.x) - known(&there.x);
+            Some(Step { to: self.place(there), predicted })
         };
-        let is_blended = self.terms.iter().any(|term| term.blend.is_some());
-        let most_steps = if is_blended { STEPS_OF_MIXTURES } else { DESCENT.most_steps };
-        Descent { most_steps, tolerance, ..DESCENT }.run(self.place(from), total, step).state
+        let decrement = |place: &Place| {
+            let normal = place.normal(self);
+            let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
+            own + self.shared_decrement(&place.state.x, normal, held)
+        };
+        let descent = Descent { most_steps: MOST_STEPS, tolerance };
+        descent.run(self.place(from), total, decrement, step).state
     }
 
     fn place(&self, mut state: State) -> Place {
@@ -230,19 +249,25 @@ impl System<'_> {
         Place { state, linear, normal: OnceCell::new() }
     }
 
-    /// Moves a state, each profile's own unknowns following.
-    pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) {
+    /// Moves a state within its limits, each profile's own unknowns following, and returns the fall of the profiles'
+    /// −2 ln L that their quadratics promise.
+    pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) -> f64 {
         let from = state.x.clone();
         state.x = clamped(&self.unknowns, &state.x + step);
+        let mut fall = 0.0;
         for (i, (reduced, own)) in normal.reduced.iter().zip(&mut state.own).enumerate() {
             let shared = if self.terms[i].blend.is_some() {
                 let (from, to) = (self.point(i, &from), self.point(i, &state.x));
                 DVector::from_fn(to.0.len(), |k, _| to.0[k] - from.0[k])
             } else {
-                DVector::from_iterator(self.slots[i].len(), self.slots[i].iter().map(|s| step[*s]))
+                let slots = &self.slots[i];
+                DVector::from_iterator(slots.len(), slots.iter().map(|s| state.x[*s] - from[*s]))
             };
-            own.iter_mut().zip(reduced.own_step(&shared).iter()).for_each(|(w, d)| *w += d);
+            let own_step = reduced.own_step(&shared);
+            fall += reduced.fall(&shared, &own_step);
+            own.iter_mut().zip(own_step.iter()).for_each(|(w, d)| *w += d);
         }
+        fall
     }
 
     /// Whether an extinction or an anisotropy, other than the quantity itself, lies where the dictionary or the bounds end
@@ -274,24 +299,37 @@ impl System<'_> {
         })
     }
 
-    fn step(
-        &self,
-        x: &DVector<f64>,
-        normal: &Normal,
-        held: Option<&Held>,
-        damping: f64,
-    ) -> Option<DVector<f64>> {
-        let (mut information, mut downhill) = (normal.information.clone(), normal.downhill.clone());
-        if let Some(Held { quantity, at, stiffness }) = held {
-            let gradient = quantity.gradient(x);
-            downhill += &gradient * (*stiffness * (at - quantity.value(x)));
-            information += &gradient * gradient.transpose() * *stiffness;
-        }
-        damped_step(&self.unknowns, x, &information, &downhill, damping)
+    fn step(&self, x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> Option<DVector<f64>> {
+        let (information, downhill) = with_spring(x, normal, held);
+        limited_step(&self.unknowns, x, &information, &downhill)
+    }
+
+    /// The fall of −2 ln L that an undamped step of the shared unknowns promises.
+    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> f64 {
+        let (information, downhill) = with_spring(x, normal, held);
+        let step = limited_step(&self.unknowns, x, &information, &downhill);
+        step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
     }
 
     /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. None if it is singular.
     pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         inverse_over_free(&self.unknowns, information, 0.0)
     }
+}
+
+impl Place {
+    fn normal(&self, system: &System) -> &Normal {
+        self.normal.get_or_init(|| system.normal(&self.state.x, &self.state.own, &self.linear))
+    }
+}
+
+/// Information and pull with those of the penalty on a quantity.
+fn with_spring(x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> (DMatrix<f64>, DVector<f64>) {
+    let (mut information, mut downhill) = (normal.information.clone(), normal.downhill.clone());
+    if let Some(Held { quantity, at, stiffness }) = held {
+        let gradient = quantity.gradient(x);
+        downhill += &gradient * (*stiffness * (at - quantity.value(x)));
+        information += &gradient * gradient.transpose() * *stiffness;
+    }
+    (information, downhill)
 }

@@ -2,9 +2,8 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 
-/// Ridge, added to the information of every unknown when a step is taken, in units in which unknowns are of the order of
-/// 1. It keeps undetermined unknowns from dominating the step.
-const RIDGE: f64 = 0.1;
+/// Ridge, added to the information of every unknown when a step is taken: undetermined unknowns must not make it singular.
+const RIDGE: f64 = 1e-6;
 
 /// A quantity that profiles share.
 #[derive(Debug, Clone, Copy)]
@@ -40,28 +39,42 @@ pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64>
     x
 }
 
-/// A damped Gauss–Newton step of the unknowns that can move and are not pulled over their limits.
-pub(super) fn damped_step(
+/// The step to the least of a quadratic, of the unknowns that can move and are not pulled over their limits. An unknown
+/// that it would push over a limit goes up to it, and the others follow.
+pub(super) fn limited_step(
     unknowns: &[Unknown],
     x: &DVector<f64>,
     information: &DMatrix<f64>,
     downhill: &DVector<f64>,
-    damping: f64,
 ) -> Option<DVector<f64>> {
     let inwards = |i: &usize| {
         let (low, high) = unknowns[*i].limits;
         !((x[*i] <= low && downhill[*i] < 0.0) || (x[*i] >= high && downhill[*i] > 0.0))
     };
-    let free: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
-    let mut matrix = submatrix(information, &free);
-    for i in 0..free.len() {
-        matrix[(i, i)] = matrix[(i, i)] * (1.0 + damping) + RIDGE;
-    }
-    let pull = DVector::from_iterator(free.len(), free.iter().map(|i| downhill[*i]));
-    let solved = Cholesky::new(matrix)?.solve(&pull);
+    let mut moving: Vec<usize> = free(unknowns).into_iter().filter(inwards).collect();
     let mut step = DVector::zeros(x.len());
-    free.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
-    Some(step)
+    loop {
+        let pull = downhill - information * &step;
+        let mut matrix = submatrix(information, &moving);
+        (0..moving.len()).for_each(|i| matrix[(i, i)] += RIDGE);
+        let solved = Cholesky::new(matrix)?.solve(&subvector(&pull, &moving));
+        let before = moving.len();
+        let mut at = 0;
+        moving.retain(|i| {
+            let (low, high) = unknowns[*i].limits;
+            let to = x[*i] + solved[at];
+            at += 1;
+            let stays = (low..=high).contains(&to);
+            if !stays {
+                step[*i] = to.clamp(low, high) - x[*i];
+            }
+            stays
+        });
+        if moving.len() == before {
+            moving.iter().zip(solved.iter()).for_each(|(i, s)| step[*i] = *s);
+            return Some(step);
+        }
+    }
 }
 
 /// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
@@ -96,6 +109,11 @@ pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64
     DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
 }
 
+/// The elements of these indices.
+pub(super) fn subvector(vector: &DVector<f64>, indices: &[usize]) -> DVector<f64> {
+    DVector::from_iterator(indices.len(), indices.iter().map(|i| vector[*i]))
+}
+
 /// A quadratic over some unknowns that is left when others follow.
 pub(super) fn eliminate(
     information: &DMatrix<f64>,
@@ -104,8 +122,7 @@ pub(super) fn eliminate(
     others: &[usize],
 ) -> (DMatrix<f64>, DVector<f64>) {
     let inner = submatrix(information, kept);
-    let part =
-        |indices: &[usize]| DVector::from_iterator(indices.len(), indices.iter().map(|i| downhill[*i]));
+    let part = |indices: &[usize]| subvector(downhill, indices);
     let mixed = DMatrix::from_fn(others.len(), kept.len(), |i, k| information[(others[i], kept[k])]);
     let ridge = DMatrix::identity(others.len(), others.len()) * 1e-9;
     match Cholesky::new(submatrix(information, others) + ridge) {

@@ -4,6 +4,7 @@ use nalgebra::{Cholesky, DMatrix};
 use optics_model::fit::Interval;
 
 use crate::likelihood::chi2::exceedance;
+use crate::likelihood::descent::FINE;
 use crate::likelihood::problem::{Assembly, Sharing};
 use crate::likelihood::profile::{Profile, interval};
 use crate::likelihood::quantity::Quantity;
@@ -12,8 +13,6 @@ use crate::likelihood::unknowns::eliminate;
 use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::surrogate::g;
 
-/// Cost by which the last descent of a channel may miss its minimum.
-const WELL: f64 = 0.003;
 /// Probability of the channels' pulls below which they count as contradictory.
 const DISAGREE: f64 = 0.01;
 
@@ -112,7 +111,7 @@ pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
 fn descend_with(system: &mut System, from: State, common: &[usize]) -> State {
     let hold = |system: &mut System, held: bool| common.iter().for_each(|i| system.unknowns[*i].held = held);
     hold(system, true);
-    let state = system.descend(from, None, WELL);
+    let state = system.descend(from, None, FINE);
     hold(system, false);
     let (_, normal) = system.look(&state);
     let inwards = |i: &&usize| {

@@ -8,6 +8,7 @@ use optics_model::fit::{Cause, Suspicion};
 
 use super::minimum::Joint;
 use crate::likelihood::LN_SCALE;
+use crate::likelihood::descent::FINE;
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::Term;
 
@@ -18,11 +19,6 @@ const STEP: f64 = 0.05;
 const FURTHEST: f64 = 1.0;
 /// Exponents nearer to 1 than this are not named.
 const NEAR_ONE: f64 = 0.02;
-/// Cost by which a descent may miss its minimum.
-const WELL: f64 = 0.01;
-/// Most descents along a valley, and the fall of −2 ln L below which one is the last.
-const MOST_DESCENTS: usize = 10;
-const MOST_LEFT: f64 = 0.1;
 /// Values below this share of the largest are too dark for their noise to follow the power.
 const DARK: f64 = 0.01;
 /// Limits of the logarithm of a factor that was given.
@@ -59,7 +55,7 @@ struct Tried {
 fn exponent(joint: &Joint) -> Option<Response> {
     let at = |ln_power: f64, from: &State| {
         let system = with_terms(joint, |term| raised(term, ln_power.exp()));
-        let state = system.descend(from.clone(), None, WELL);
+        let state = system.descend(from.clone(), None, FINE);
         Tried { ln_power, state }
     };
     let start = at(0.0, &joint.state);
@@ -98,30 +94,16 @@ fn exponent(joint: &Joint) -> Option<Response> {
 fn factor(joint: &Joint) -> Option<Response> {
     let mut system = with_terms(joint, Term::clone);
     let slot = system.slots[0][LN_SCALE];
-    let given = system.descend(joint.state.clone(), None, WELL);
+    let given = system.descend(joint.state.clone(), None, FINE);
     let unknown = &mut system.unknowns[slot];
     (unknown.prior, unknown.held, unknown.limits) = (None, false, SCALES);
-    let free = descend_far(&system, given.clone());
+    let free = system.descend(given.clone(), None, FINE);
     // Values are too large where the factor on μ is below 1.
     let amount = (given.x[slot] - free.x[slot]).exp() - 1.0;
     let fall = given.cost - free.cost;
     let response =
         || Response { cause: Cause::Gain, amount, fall, misfits_left: misfits(joint, &system, &free) };
     (fall > CONVINCING).then(response)
-}
-
-/// The minimum at the end of a valley that one descent does not pass through.
-fn descend_far(system: &System, from: State) -> State {
-    let mut state = from;
-    for _ in 0..MOST_DESCENTS {
-        let next = system.descend(state.clone(), None, WELL);
-        let fall = state.cost - next.cost;
-        state = next;
-        if fall < MOST_LEFT {
-            break;
-        }
-    }
-    state
 }
 
 /// The system with other terms.

@@ -60,11 +60,13 @@ fn intervals_cover_the_truth_as_claimed() {
     assert!(widths[30] < 0.06, "{}", widths[30]);
 }
 
-/// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end.
+/// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end. What similarity theory keeps is known
+/// all the same: at least 17 of 20 intervals of 95 % hold the truth (the binomial probability of fewer is 1.6 %).
 #[test]
 fn extinction_anisotropy_valley_is_reported() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
-    for seed in 0..5 {
+    let mut held = 0;
+    for seed in 0..20 {
         let (sigma_t, albedo, g) = medium(seed);
         let r = refined(&dictionary, (sigma_t, albedo, g), seed, None);
         assert!(r.valley && r.resolved_at_g, "{r:?}");
@@ -74,11 +76,11 @@ fn extinction_anisotropy_valley_is_reported() {
         assert!(r.correlation < -0.9, "{}", r.correlation);
         assert!(r.g.high - r.g.low > 0.4, "{:?}", r.g);
         assert!(r.sigma_t_per_mm.contains(sigma_t) && r.sigma_t_per_mm.high > 1.5 * r.sigma_t_per_mm.low);
-        // What similarity theory keeps is known all the same.
         let reduced = r.reduced_scattering_per_mm;
-        assert!(reduced.contains(albedo * sigma_t * (1.0 - g)), "{reduced:?}");
+        held += u32::from(reduced.contains(albedo * sigma_t * (1.0 - g)));
         assert!(reduced.high < 1.2 * reduced.low, "{reduced:?}");
     }
+    assert!(held >= 17, "{held} of 20");
 }
 
 /// Where the profile does not depend on σ_t any more, the data give a bound on one side at best.
