@@ -103,8 +103,8 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Bytes that a channel of a grid takes at most: values, responses, descriptions and, of smaller dictionaries, gradients, for the
-    /// whole profiles and for one other range of pixels.
+    /// Bytes that a channel of a grid takes at most: values, responses, descriptions and, of smaller dictionaries,
+    /// gradients, for the whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid) -> usize {
         let views = 2 * view::bytes_of(grid);
         records::bytes_of(grid).saturating_add(responses::bytes_of(grid)).saturating_add(views)

@@ -55,7 +55,7 @@ impl Camera {
 
     /// What is seen of a profile on the dictionary's pixels, and of its derivatives.
     pub(super) fn expose(&self, values: &[f64], slopes: &[Line], origin_mm: f64, blur_mm2: f64) -> Exposure {
-        let kernel = Kernel::new(blur_mm2 / self.pitch_mm.powi(2));
+        let kernel = BlurKernel::new(blur_mm2 / self.pitch_mm.powi(2));
         let places = self.places(origin_mm);
         let seen = |padded: &[f64]| average(&places, &integral(padded));
         let padded = pad(values);
@@ -78,7 +78,7 @@ impl Camera {
     /// The values alone.
     #[cfg(test)]
     fn values(&self, values: &[f64], origin_mm: f64, blur_mm2: f64) -> Line {
-        let kernel = Kernel::new(blur_mm2 / self.pitch_mm.powi(2));
+        let kernel = BlurKernel::new(blur_mm2 / self.pitch_mm.powi(2));
         average(&self.places(origin_mm), &integral(&kernel.blur(&pad(values))))
     }
 
@@ -169,12 +169,12 @@ fn average(edges: &[Edge], integral: &[f64]) -> Line {
 }
 
 /// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for every variance, down to none.
-struct Kernel {
+struct BlurKernel {
     taps: [f64; TAPS],
     by_variance: [f64; TAPS],
 }
 
-impl Kernel {
+impl BlurKernel {
     /// `variance` in squared pixels.
     fn new(variance: f64) -> Self {
         let mut kernel = Self { taps: [0.0; TAPS], by_variance: [0.0; TAPS] };

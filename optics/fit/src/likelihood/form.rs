@@ -20,14 +20,14 @@ pub(super) struct Loose {
 }
 
 /// A quadratic form over pixels, with some columns integrated out.
-pub(super) struct Form<'a> {
+pub(super) struct QuadraticForm<'a> {
     weights: &'a [f64],
     /// Weighted columns, and the root of what their integral takes away.
     columns: Vec<Line>,
     root: DMatrix<f64>,
 }
 
-impl<'a> Form<'a> {
+impl<'a> QuadraticForm<'a> {
     /// The columns have coefficients of variance 1.
     pub(super) fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
         let weighted: Vec<Line> =

@@ -12,7 +12,7 @@ use optics_model::MeasuredProfile;
 
 use super::Line;
 use super::descent::{Descent, Step};
-use super::form::{Form, Loose, loose_columns, smoothed, without_specks};
+use super::form::{Loose, QuadraticForm, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
@@ -98,7 +98,7 @@ impl Compressed {
         let mean = part(basis.mean());
         let smooth = smoothed(&values, &weights, &directions, &mean)?;
         let columns = loose_columns(&smooth, sensor, pixels.start, loose, ratio);
-        let form = Form::new(&weights, &columns)?;
+        let form = QuadraticForm::new(&weights, &columns)?;
         let k = DMatrix::from_fn(directions.len(), directions.len(), |i, j| {
             form.of(&directions[i], &directions[j])
         });

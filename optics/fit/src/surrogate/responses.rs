@@ -28,7 +28,7 @@ pub(crate) struct LocalResponses {
 
 /// What the quantities change in a profile.
 #[derive(Debug)]
-pub(crate) struct Change {
+pub(crate) struct ProfileChange {
     pub values: Vec<f64>,
     /// By the medium's coordinates.
     pub slopes: [Vec<f64>; 3],
@@ -44,12 +44,13 @@ impl LocalResponses {
 
     /// The change of a profile of a medium and a thickness near by, with the quantities at these differences from the
     /// scene. Its derivative by the logarithm of the thickness is that by ln σ_t.
-    pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> Change {
+    pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> ProfileChange {
         let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
         x[SIGMA_T] += thickness_mm.ln();
         let off: [f64; 3] = std::array::from_fn(|i| x[i] - self.at[i]);
         let zero = || vec![0.0; pixels];
-        let mut change = Change { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
+        let mut change =
+            ProfileChange { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
         for (response, u) in self.each.iter().zip(quantities) {
             let mut by = zero();
             let mut add = |order: &[Vec<f64>; 4], factor: f64, slope: f64| {

@@ -80,7 +80,7 @@ const SMALL: f64 = 0.1;
 
 /// What a thickness is predicted from, as indices into the grid's thicknesses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Basis {
+enum ThicknessBasis {
     One(usize),
     Two { thin: usize, thick: usize },
 }
@@ -105,9 +105,9 @@ impl Surrogate<'_> {
     /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but
     /// not to be trusted there.
     pub(crate) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
-        let whole = match Basis::of(self.grid(), thickness_mm) {
-            Basis::One(thickness) => self.scaled(thickness, thickness_mm, x),
-            Basis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
+        let whole = match ThicknessBasis::of(self.grid(), thickness_mm) {
+            ThicknessBasis::One(thickness) => self.scaled(thickness, thickness_mm, x),
+            ThicknessBasis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
         };
         let cut = |v: Vec<f64>| v[pixels.clone()].to_vec();
         PredictionAt {
@@ -120,8 +120,10 @@ impl Surrogate<'_> {
     /// For predictions at thicknesses about this one, and media about this; none if it is not near one of the dictionary's.
     pub(crate) fn near(&self, thickness_mm: f64, x: Coordinates) -> Option<NearThickness> {
         let axis = self.grid().thickness_mm();
-        let Basis::Two { thin, thick } = Basis::of(self.grid(), thickness_mm) else {
-            let Basis::One(base) = Basis::of(self.grid(), thickness_mm) else { return None };
+        let ThicknessBasis::Two { thin, thick } = ThicknessBasis::of(self.grid(), thickness_mm) else {
+            let ThicknessBasis::One(base) = ThicknessBasis::of(self.grid(), thickness_mm) else {
+                return None;
+            };
             return Some(NearThickness { base, difference: None });
         };
         let (thin_mm, thick_mm) = (axis[thin], axis[thick]);
@@ -293,7 +295,7 @@ fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
     ((sigma_t[0] * thick_mm).ln() - SAME, (sigma_t[sigma_t.len() - 1] * thin_mm).ln() + SAME)
 }
 
-impl Basis {
+impl ThicknessBasis {
     fn of(grid: &Grid, thickness_mm: f64) -> Self {
         let axis = grid.thickness_mm();
         let after = axis.partition_point(|t| *t < thickness_mm);
@@ -358,8 +360,8 @@ fn reach(grid: &Grid, thickness: usize) -> f64 {
             LayerMedium::Sample => 0.0,
         })
         .sum();
-    match Basis::beyond(grid, thickness) {
-        Basis::One(_) if clear_mm > 0.0 => {
+    match ThicknessBasis::beyond(grid, thickness) {
+        ThicknessBasis::One(_) if clear_mm > 0.0 => {
             REACH.min(SCALED_REACH * grid.thickness_mm()[thickness] / clear_mm)
         }
         _ => REACH,

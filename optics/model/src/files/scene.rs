@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::invalid::{Invalid, Result};
 use crate::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Sensor};
-use numbers::{Number, UncertainNumber, default_scope, priors, resolved};
+use numbers::{LayerNumber, UncertainNumber, default_scope, priors, resolved};
 
 /// Content of a scene file. Tables that are left out are those of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -59,11 +59,11 @@ pub struct LayerTable {
     #[serde(default)]
     pub sample: bool,
     /// Of the sample a table without a value: `{ std_error = 0.01 }`.
-    pub ior: Option<Number>,
-    pub thickness_mm: Option<Number>,
+    pub ior: Option<LayerNumber>,
+    pub thickness_mm: Option<LayerNumber>,
     /// GGX α of the upper face, or the name of the layer that has the same: the sample's, for its lower face.
     #[serde(default)]
-    pub roughness: Number,
+    pub roughness: LayerNumber,
 }
 
 impl TryFrom<SceneFile> for Scene {
@@ -125,8 +125,8 @@ fn ring_light([inner, outer]: [f64; 2]) -> Result<RingLight> {
 }
 
 fn layer(table: &LayerTable) -> Result<Layer> {
-    let needed = |field: &str, number: Option<&Number>| {
-        number.and_then(Number::value).ok_or_else(|| {
+    let needed = |field: &str, number: Option<&LayerNumber>| {
+        number.and_then(LayerNumber::value).ok_or_else(|| {
             Invalid::new(
                 field,
                 "missing",
@@ -141,7 +141,7 @@ fn layer(table: &LayerTable) -> Result<Layer> {
             (needed("ior", ior.as_ref())?, needed("thickness_mm", thickness_mm.as_ref())?);
         return Layer::clear(name, ior, thickness_mm, roughness);
     }
-    if ior.as_ref().and_then(Number::value).is_some() || thickness_mm.is_some() {
+    if ior.as_ref().and_then(LayerNumber::value).is_some() || thickness_mm.is_some() {
         let allowed =
             "those of the sample come from the grid; `ior = { std_error = … }` makes its index uncertain";
         return Err(Invalid::new("sample", "true with ior or thickness_mm", allowed));
@@ -156,15 +156,15 @@ impl From<&Scene> for SceneFile {
             let name = |layer: usize| scene.layers()[layer].name();
             match prior {
                 Some(prior) if name(prior.layers()[0]) != name(layer) => {
-                    Some(Number::SameAs(name(prior.layers()[0]).to_owned()))
+                    Some(LayerNumber::SameAs(name(prior.layers()[0]).to_owned()))
                 }
                 Some(prior) => {
                     let per =
                         Some(prior.scope()).filter(|s| *s != default_scope(scene, kind, prior.layers()));
                     let per = per.map(|scope| scope.name().to_owned());
-                    Some(Number::Uncertain(UncertainNumber { value, std_error: prior.std_error(), per }))
+                    Some(LayerNumber::Uncertain(UncertainNumber { value, std_error: prior.std_error(), per }))
                 }
-                None => value.map(Number::Exact),
+                None => value.map(LayerNumber::Exact),
             }
         };
         let layers = scene.layers().iter().enumerate().map(|(i, l)| {

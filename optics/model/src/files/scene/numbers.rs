@@ -9,7 +9,7 @@ use crate::scene::{Prior, PriorKind, Scene, Scope};
 /// A number of a layer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
-pub enum Number {
+pub enum LayerNumber {
     Exact(f64),
     Uncertain(UncertainNumber),
     /// That of another layer, by its name.
@@ -28,18 +28,18 @@ pub struct UncertainNumber {
     pub per: Option<String>,
 }
 
-impl Default for Number {
+impl Default for LayerNumber {
     fn default() -> Self {
         Self::Exact(0.0)
     }
 }
 
-impl<'de> Deserialize<'de> for Number {
+impl<'de> Deserialize<'de> for LayerNumber {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         struct AnyNumber;
 
         impl<'de> serde::de::Visitor<'de> for AnyNumber {
-            type Value = Number;
+            type Value = LayerNumber;
 
             fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 f.write_str(
@@ -47,21 +47,21 @@ impl<'de> Deserialize<'de> for Number {
                 )
             }
 
-            fn visit_f64<E>(self, number: f64) -> Result<Number, E> {
-                Ok(Number::Exact(number))
+            fn visit_f64<E>(self, number: f64) -> Result<LayerNumber, E> {
+                Ok(LayerNumber::Exact(number))
             }
 
-            fn visit_i64<E>(self, number: i64) -> Result<Number, E> {
-                Ok(Number::Exact(number as f64))
+            fn visit_i64<E>(self, number: i64) -> Result<LayerNumber, E> {
+                Ok(LayerNumber::Exact(number as f64))
             }
 
-            fn visit_str<E>(self, name: &str) -> Result<Number, E> {
-                Ok(Number::SameAs(name.to_owned()))
+            fn visit_str<E>(self, name: &str) -> Result<LayerNumber, E> {
+                Ok(LayerNumber::SameAs(name.to_owned()))
             }
 
-            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Number, A::Error> {
+            fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<LayerNumber, A::Error> {
                 let table = serde::de::value::MapAccessDeserializer::new(map);
-                UncertainNumber::deserialize(table).map(Number::Uncertain)
+                UncertainNumber::deserialize(table).map(LayerNumber::Uncertain)
             }
         }
 
@@ -69,7 +69,7 @@ impl<'de> Deserialize<'de> for Number {
     }
 }
 
-impl Number {
+impl LayerNumber {
     pub(super) fn value(&self) -> Option<f64> {
         match self {
             Self::Exact(value) => Some(*value),
@@ -83,10 +83,10 @@ impl Number {
 pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
     let all = tables.clone();
     crate::invalid::each("layer", tables, |mut table| {
-        let Number::SameAs(name) = &table.roughness else { return Ok(table) };
+        let LayerNumber::SameAs(name) = &table.roughness else { return Ok(table) };
         let other = all.iter().find(|t| t.name == *name).map(|t| &t.roughness);
         match other {
-            Some(number) if !matches!(number, Number::SameAs(_)) => table.roughness = number.clone(),
+            Some(number) if !matches!(number, LayerNumber::SameAs(_)) => table.roughness = number.clone(),
             _ => {
                 let names: Vec<&str> = all.iter().map(|t| t.name.as_str()).collect();
                 let allowed = format!("a number, or the name of a layer that has one: {}", names.join(", "));
@@ -111,7 +111,7 @@ pub(super) fn priors(
                 PriorKind::Thickness => table.thickness_mm.as_ref(),
                 _ => table.ior.as_ref(),
             };
-            let Some(Number::Uncertain(number)) = number else { continue };
+            let Some(LayerNumber::Uncertain(number)) = number else { continue };
             // The lower face of the sample is named after what lies below.
             let shares = |layer: &usize| tables[*layer].name == table.name || tables[*layer].sample;
             let group = found
