@@ -139,6 +139,14 @@ impl System<'_> {
         if self.of_scene.iter().any(|u| u.slot == slot) { (FIRM / off.abs()).min(1.0) } else { 1.0 }
     }
 
+    /// Information of an unknown's prior, and its pull at `x`; zeros without one.
+    pub(super) fn prior_pull(&self, slot: usize, x: f64) -> (f64, f64) {
+        let unknown = &self.unknowns[slot];
+        let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) else { return (0.0, 0.0) };
+        let weight = self.prior_weight(slot, (x - mean) / sd);
+        (weight / (sd * sd), -weight * (x - mean) / (sd * sd))
+    }
+
     fn cost(&self, x: &DVector<f64>, linear: &[Linear]) -> f64 {
         linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
@@ -189,12 +197,10 @@ impl System<'_> {
         for (i, reduced) in reduced.iter().enumerate() {
             self.add_reduced(i, x, reduced, &mut information, &mut downhill);
         }
-        for (i, unknown) in self.unknowns.iter().enumerate() {
-            if let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) {
-                let weight = self.prior_weight(i, (x[i] - mean) / sd);
-                information[(i, i)] += weight / (sd * sd);
-                downhill[i] -= weight * (x[i] - mean) / (sd * sd);
-            }
+        for i in 0..n {
+            let (of_prior, pull) = self.prior_pull(i, x[i]);
+            information[(i, i)] += of_prior;
+            downhill[i] += pull;
         }
         if let Some(coupling) = &self.coupling {
             downhill += &coupling.downhill - &coupling.information * (x - &coupling.centre);
