@@ -10,6 +10,7 @@ mod misfit;
 mod mixtures;
 mod plain;
 mod response;
+mod set_up;
 mod table_1;
 mod there_and_back;
 

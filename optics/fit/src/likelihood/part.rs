@@ -44,10 +44,9 @@ impl System<'_> {
         let (own, own_downhill) = self.contribution(terms, state, normal);
         let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);
         for slot in &used {
-            if let Some((mean, sd)) = self.unknowns[*slot].prior.filter(|_| !self.unknowns[*slot].held) {
-                rest[(*slot, *slot)] -= 1.0 / (sd * sd);
-                downhill[*slot] += (state.x[*slot] - mean) / (sd * sd);
-            }
+            let (of_prior, pull) = self.prior_pull(*slot, state.x[*slot]);
+            rest[(*slot, *slot)] -= of_prior;
+            downhill[*slot] -= pull;
         }
         let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
         let (information, downhill) = eliminate(&rest, &downhill, &used, &others);

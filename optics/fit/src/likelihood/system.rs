@@ -16,6 +16,8 @@ use crate::surrogate::Surrogate;
 const UNDETERMINED: f64 = 100.0;
 /// A bound that no descent should reach.
 const MOST_STEPS: usize = 400;
+/// Standard deviations up to which the prior of a quantity of the scene is normal.
+const FIRM: f64 = 2.0;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -120,9 +122,29 @@ impl System<'_> {
 
     /// −2 ln L of what is known beforehand.
     fn prior_cost(&self, x: &DVector<f64>) -> f64 {
-        let known = self.unknowns.iter().zip(x.iter()).filter(|(u, _)| !u.held);
-        let priors = known.filter_map(|(u, x)| u.prior.map(|(mean, sd)| ((x - mean) / sd).powi(2)));
+        let cost = |(i, unknown): (usize, &Unknown)| {
+            let (mean, sd) = unknown.prior.filter(|_| !unknown.held)?;
+            let off = (x[i] - mean) / sd;
+            let weight = self.prior_weight(i, off);
+            // Of the quadratic and linear parts: the same where the weight is 1.
+            Some(weight * (2.0 - weight) * off * off)
+        };
+        let priors = self.unknowns.iter().enumerate().filter_map(cost);
         priors.sum::<f64>() + self.coupling.as_ref().map_or(0.0, |c| c.cost(x))
+    }
+
+    /// How much a prior counts at `off` standard deviations. Those of the scene's quantities are rough guesses: beyond
+    /// [`FIRM`] they pull no harder, so that data that contradict them are followed.
+    fn prior_weight(&self, slot: usize, off: f64) -> f64 {
+        if self.of_scene.iter().any(|u| u.slot == slot) { (FIRM / off.abs()).min(1.0) } else { 1.0 }
+    }
+
+    /// Information of an unknown's prior, and its pull at `x`; zeros without one.
+    pub(super) fn prior_pull(&self, slot: usize, x: f64) -> (f64, f64) {
+        let unknown = &self.unknowns[slot];
+        let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) else { return (0.0, 0.0) };
+        let weight = self.prior_weight(slot, (x - mean) / sd);
+        (weight / (sd * sd), -weight * (x - mean) / (sd * sd))
     }
 
     fn cost(&self, x: &DVector<f64>, linear: &[Linear]) -> f64 {
@@ -175,11 +197,10 @@ impl System<'_> {
         for (i, reduced) in reduced.iter().enumerate() {
             self.add_reduced(i, x, reduced, &mut information, &mut downhill);
         }
-        for (i, unknown) in self.unknowns.iter().enumerate() {
-            if let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) {
-                information[(i, i)] += 1.0 / (sd * sd);
-                downhill[i] -= (x[i] - mean) / (sd * sd);
-            }
+        for i in 0..n {
+            let (of_prior, pull) = self.prior_pull(i, x[i]);
+            information[(i, i)] += of_prior;
+            downhill[i] += pull;
         }
         if let Some(coupling) = &self.coupling {
             downhill += &coupling.downhill - &coupling.information * (x - &coupling.centre);

@@ -150,3 +150,6 @@ fn local_response(prior: &Prior, differences: &[(f64, [Vec<f64>; 4])]) -> LocalR
         _ => unreachable!("a {} has one step or two", prior.kind().name()),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -82,7 +82,7 @@ impl<'a> Joint<'a> {
                 .filter(|i| !unknowns[*i].held && !shared.contains(i))
                 .collect();
             for i in &others {
-                information[(*i, *i)] += unknowns[*i].prior.map_or(0.0, |(_, sd)| 1.0 / (sd * sd));
+                information[(*i, *i)] += system.prior_pull(*i, self.state.x[*i]).0;
             }
             let (information, pull) = eliminate(&information, &downhill, shared, &others);
             let ridge = DMatrix::identity(shared.len(), shared.len()) * 1e-9;

@@ -1,0 +1,147 @@
+//! Responses between their nodes, against profiles that were traced in the changed scene with the same random walks.
+
+use std::sync::atomic::AtomicBool;
+
+use optics_model::grid::{Axes, Responses};
+use optics_model::job::JobSpec;
+use optics_model::scene::{Prior, Scene};
+use optics_model::{Grid, Medium, PackedRecords, TransportPoint, Walks};
+use optics_tracer::{base_as_seen, trace};
+
+use crate::surrogate::{Surrogate, coordinates};
+use crate::{DictionaryBuilder, FitDictionary};
+
+const SLABS_MM: [f64; 2] = [0.5, 1.0];
+const IOR: f64 = 1.53;
+
+fn lab() -> Scene {
+    let lab = Scene::lab();
+    let first = lab.channels()[..1].to_vec();
+    lab.with_channels(first).unwrap()
+}
+
+fn records(scene: &Scene, medium: &Medium, thickness_mm: f64, walks: Walks, seed: u64) -> Vec<f64> {
+    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
+    let job = JobSpec::new(scene.clone(), point, vec![medium.albedo()], walks, seed, false).unwrap();
+    let record = trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
+    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
+}
+
+fn dictionary() -> FitDictionary {
+    let scene = lab();
+    let axes = Axes {
+        sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+        albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
+        g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
+        thickness_mm: SLABS_MM.to_vec(),
+        sample_ior: vec![IOR],
+    };
+    let responses = Responses::of(&scene, &axes, |varied| base_as_seen(&scene, varied)).unwrap().unwrap();
+    let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
+    let grid = grid.with_responses(responses).unwrap();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for job in 0..grid.job_count() {
+        let job = JobSpec::of(&grid, job);
+        builder.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
+    }
+    builder.build()
+}
+
+/// Media off the nodes: a sequence of low discrepancy over ln σ_t, ln(1 − α) and g.
+fn media(count: u32) -> Vec<Medium> {
+    let at = |i: u32, step: f64| (0.5 + f64::from(i) * step).fract();
+    let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+    let medium = |i: u32| {
+        let co_albedo = log(1e-3, 0.7, at(i, 0.671_043_606_7));
+        let sigma_t = log(1.1, 9.0, at(i, 0.819_172_513_4));
+        Medium::new(sigma_t, 1.0 - co_albedo, 0.75 * at(i, 0.549_700_477_9)).unwrap()
+    };
+    (0..count).map(medium).collect()
+}
+
+/// Differences of a quantity at which responses are compared, in standard deviations: one up and down within the range,
+/// and half way to the farthest step.
+fn places(prior: &Prior, scene: &Scene) -> Vec<f64> {
+    let (low, high) = prior.range(scene);
+    let sd = prior.std_error();
+    let far = prior.steps(scene).iter().fold(0.0, |far: f64, step| far.max(step.abs())) / sd;
+    vec![1.0, (-1.0_f64).max(low / sd), (0.5 * far).min(high / sd)]
+}
+
+/// What is compared for one quantity and place, over media and slabs.
+#[derive(Default)]
+struct ResponseErrors {
+    /// Root mean square of the traced difference, in per cent of the profile.
+    effects: Vec<f64>,
+    /// That of the response's error, over that of the records' noise.
+    over_noise: Vec<f64>,
+    /// Error of the mean level in per cent.
+    levels: Vec<f64>,
+}
+
+fn quantile(values: &[f64], share: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((share * sorted.len() as f64) as usize).min(sorted.len() - 1)]
+}
+
+fn root_mean_square(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let n = values.len() as f64;
+    (values.map(|v| v * v).sum::<f64>() / n).sqrt()
+}
+
+impl ResponseErrors {
+    fn add(&mut self, plain: &[f64], changed: &[f64], found: &[f64], noise: &[Vec<f64>]) {
+        let n = plain.len();
+        let error = |i: usize| found[i] - (changed[i] - plain[i]);
+        let of_records = |i: usize| noise.iter().map(|f| (f[i] / plain[i]).powi(2)).sum::<f64>().sqrt();
+        let off = root_mean_square((0..n).map(|i| error(i) / plain[i]));
+        self.effects.push(100.0 * root_mean_square((0..n).map(|i| changed[i] / plain[i] - 1.0)));
+        self.over_noise.push(off / root_mean_square((0..n).map(of_records)));
+        self.levels.push(100.0 * ((0..n).map(error).sum::<f64>() / plain.iter().sum::<f64>()).abs());
+    }
+}
+
+/// Prints the errors of all quantities: `FARM_TEST_MEDIA` media of `FARM_TEST_WALKS` walks. In the median they are below
+/// the noise of the records.
+#[test]
+#[ignore = "long form"]
+fn responses_agree_with_traced_differences() {
+    let number = |name: &str, default: u64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
+    let media = media(number("FARM_TEST_MEDIA", 20) as u32);
+    let walks = Walks::new(number("FARM_TEST_WALKS", 1_000_000)).unwrap();
+    let (scene, dictionary) = (lab(), dictionary());
+    let surrogate = Surrogate::new(&dictionary, 0, 0);
+    let all = |scene: &Scene| -> Vec<[Vec<f64>; 2]> {
+        let of = |(seed, m): (usize, &Medium)| SLABS_MM.map(|mm| records(scene, m, mm, walks, seed as u64));
+        media.iter().enumerate().map(of).collect()
+    };
+    let plain = all(&scene);
+    println!("| quantity | u | effect % | error over noise: median | 95 % | of the level %: median | 95 % |");
+    for (p, prior) in scene.priors().iter().enumerate() {
+        for u in places(prior, &scene) {
+            let varied = scene.varied(prior, u * prior.std_error(), scene.channels().to_vec()).unwrap();
+            let channels = base_as_seen(&scene, &varied).unwrap();
+            let changed = all(&varied.with_channels(channels).unwrap());
+            let mut quantities = vec![0.0; scene.priors().len()];
+            quantities[p] = u;
+            let mut compared = ResponseErrors::default();
+            for (m, medium) in media.iter().enumerate() {
+                for (slab, mm) in SLABS_MM.into_iter().enumerate() {
+                    let x = coordinates(medium);
+                    let found = surrogate.responses(mm, x).unwrap().change(mm, x, &quantities).values;
+                    let noise = surrogate.noise_factors_at(mm, x).factors;
+                    compared.add(&plain[m][slab], &changed[m][slab], &found, &noise);
+                }
+            }
+            let ResponseErrors { effects, over_noise, levels } = compared;
+            let [median, most] = [0.5, 0.95].map(|share| quantile(&over_noise, share));
+            let [level, worst] = [0.5, 0.95].map(|share| quantile(&levels, share));
+            let (name, effect) = (scene.name_of(prior), quantile(&effects, 0.5));
+            println!(
+                "| {name} | {u:+.2} | {effect:.3} | {median:.2} | {most:.2} | {level:.3} | {worst:.3} |"
+            );
+            assert!(median < 1.0, "{name} at {u}: {median}");
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Set-ups that differ from the scene `lab`.
+
+use farm_tests::statistics::Normal;
+use optics_model::scene::{RingLight, Scene, Scope};
+use optics_tracer::base_as_seen;
+
+use super::session::SLABS_MM;
+
+/// Indices of the priors of the scene `lab`.
+const ROUGHNESS: usize = 0;
+const COAT_ROUGHNESS: usize = 1;
+const GEL_THICKNESS: usize = 3;
+const GEL_INDEX: usize = 4;
+const SAMPLE_INDEX: usize = 5;
+const RING: usize = 7;
+
+/// The scene `lab` with the first channel alone.
+pub(super) fn lab() -> Scene {
+    let lab = Scene::lab();
+    let first = lab.channels()[..1].to_vec();
+    lab.with_channels(first).unwrap()
+}
+
+/// Differences of quantities from the scene's values.
+#[derive(Debug, Clone)]
+pub(super) struct ChangedSetUp {
+    /// By material, slab and prior.
+    differences: Vec<[Vec<f64>; 2]>,
+    /// Instead of the scene's.
+    ring: Option<RingLight>,
+}
+
+impl ChangedSetUp {
+    pub(super) const NAMES: [&str; 10] = [
+        "nominal",
+        "sample roughness 0.10",
+        "sample roughness 0.02",
+        "coat roughness 0.25",
+        "gel 0.05 mm",
+        "gel 0.10 mm",
+        "sample index 1.56",
+        "gel index 1.38",
+        "ring 2° off",
+        "ring 32–58°",
+    ];
+
+    /// # Panics
+    /// If there is no set-up of this name.
+    pub(super) fn named(name: &str) -> Self {
+        let number = Self::NAMES.iter().position(|n| *n == name).unwrap();
+        let changed = [
+            None,
+            Some((ROUGHNESS, 0.05)),
+            Some((ROUGHNESS, -0.03)),
+            Some((COAT_ROUGHNESS, 0.10)),
+            Some((GEL_THICKNESS, 0.03)),
+            Some((GEL_THICKNESS, 0.08)),
+            Some((SAMPLE_INDEX, 0.03)),
+            Some((GEL_INDEX, 0.05)),
+            Some((RING, 2.0)),
+            None,
+        ][number];
+        let mut differences = vec![0.0; lab().priors().len()];
+        if let Some((prior, difference)) = changed {
+            differences[prior] = difference;
+        }
+        let ring = (name == "ring 32–58°").then(|| RingLight::new(32.0, 58.0).unwrap());
+        Self { differences: vec![[differences.clone(), differences]; 6], ring }
+    }
+
+    /// All quantities from their priors, within the ranges of the responses.
+    pub(super) fn random(random: &mut Normal, materials: usize) -> Self {
+        let scene = lab();
+        let priors = scene.priors();
+        let zero = || vec![0.0; priors.len()];
+        let mut differences: Vec<_> = (0..materials).map(|_| [zero(), zero()]).collect();
+        for (p, prior) in priors.iter().enumerate() {
+            let (low, high) = prior.range(&scene);
+            let mut draw = || loop {
+                let difference = prior.std_error() * random.normal();
+                if (low..=high).contains(&difference) {
+                    return difference;
+                }
+            };
+            let of_session = draw();
+            for slabs in &mut differences {
+                let of_material = draw();
+                for slab in slabs {
+                    slab[p] = match prior.scope() {
+                        Scope::Session => of_session,
+                        Scope::Material => of_material,
+                        Scope::Slab => draw(),
+                    };
+                }
+            }
+        }
+        Self { differences, ring: None }
+    }
+
+    /// Nothing differs.
+    pub(super) fn none(materials: usize) -> Self {
+        let zero = vec![0.0; lab().priors().len()];
+        Self { differences: vec![[zero.clone(), zero]; materials], ring: None }
+    }
+
+    pub(super) fn difference(&self, material: usize, slab_mm: Option<f64>, prior: usize) -> f64 {
+        let slab = slab_mm.map_or(0, |mm| SLABS_MM.iter().position(|t| *t == mm).unwrap());
+        self.differences[material][slab][prior]
+    }
+
+    /// The scene of a slab; the bare board looks the same in all.
+    pub(super) fn scene(&self, material: usize, slab: usize) -> Scene {
+        changed(&self.differences[material][slab], self.ring)
+    }
+}
+
+/// The scene `lab` with these differences, by prior.
+fn changed(differences: &[f64], ring: Option<RingLight>) -> Scene {
+    let lab = lab();
+    let mut scene = lab.clone().with_priors(Vec::new()).unwrap();
+    for (prior, difference) in lab.priors().iter().zip(differences) {
+        if *difference != 0.0 {
+            scene = scene.varied(prior, *difference, lab.channels().to_vec()).unwrap();
+        }
+    }
+    if let Some(ring) = ring {
+        scene = scene.with_light(ring);
+    }
+    let channels = base_as_seen(&lab, &scene).unwrap();
+    scene.with_channels(channels).unwrap()
+}

@@ -1,0 +1,136 @@
+//! Media that are photographed in a set-up, and their fit.
+
+use std::sync::OnceLock;
+
+use farm_tests::statistics::Normal;
+use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
+use optics_model::fit::{FitOptions, FitSettings, MuRange};
+use optics_model::grid::{Axes, Responses};
+use optics_model::job::JobSpec;
+use optics_model::scene::Scene;
+use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
+use rayon::prelude::*;
+
+use super::outcome::SetUpOutcome;
+use super::scenes::{ChangedSetUp, lab};
+use crate::imperfect::truths::records;
+
+pub(super) const SLABS_MM: [f64; 2] = [0.5, 1.0];
+/// Noise of a pixel as a share of its value.
+const NOISE: f64 = 0.004;
+/// Walks of a profile in the set-ups of the table, and in random ones.
+const ROW_WALKS: u64 = 2_000_000;
+const RANDOM_WALKS: u64 = 200_000;
+/// Error of a level that so few walks leave: it counts as one of the gain.
+const LEVEL: f64 = 0.0025;
+/// Refractive index of the samples in the scene.
+const IOR: f64 = 1.53;
+
+/// Dictionary of the scene with its responses, or as if it was exact.
+pub(super) fn dictionary(uncertain: bool) -> &'static FitDictionary {
+    static BOTH: [OnceLock<FitDictionary>; 2] = [OnceLock::new(), OnceLock::new()];
+    BOTH[usize::from(uncertain)].get_or_init(|| {
+        let scene = if uncertain { lab() } else { lab().with_priors(Vec::new()).unwrap() };
+        let axes = Axes {
+            sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+            albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
+            g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
+            thickness_mm: SLABS_MM.to_vec(),
+            sample_ior: vec![IOR],
+        };
+        let base = |varied: &_| optics_tracer::base_as_seen(&scene, varied);
+        let responses = Responses::of(&scene, &axes, base).unwrap();
+        let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
+        let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
+        let mut builder = DictionaryBuilder::new(grid.clone());
+        for job in 0..grid.job_count() {
+            builder.add(&records(&JobSpec::of(&grid, job)));
+        }
+        builder.build()
+    })
+}
+
+/// The values of a profile in a scene.
+fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
+    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
+    let walks = Walks::new(walks).unwrap();
+    let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();
+    let record = records(&job).unpack().remove(0);
+    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
+}
+
+/// Materials in a set-up.
+#[derive(Debug)]
+pub(super) struct SetUpSession {
+    set_up: ChangedSetUp,
+    media: Vec<Medium>,
+    /// Whether thicknesses, edges, gains, zeros and slopes are off as their priors say.
+    flawed: bool,
+    seed: u64,
+}
+
+impl SetUpSession {
+    /// The six media of the table.
+    pub(super) fn of_row(set_up: ChangedSetUp) -> Self {
+        let media = [(6.0, 0.9991), (4.5, 0.7), (7.5, 0.98), (2.5, 0.98), (3.75, 0.995), (5.5, 0.35)];
+        let media = media.map(|(s, a)| Medium::new(s, a, 0.4).unwrap()).to_vec();
+        Self { set_up, media, flawed: false, seed: 0 }
+    }
+
+    /// Random media within the dictionary, in a random set-up or in the scene itself.
+    pub(super) fn random(number: u64, materials: usize, changed: bool) -> Self {
+        let mut random = Normal::new(910_000 + number);
+        let g = 0.1 + 0.6 * random.uniform();
+        let mut medium = || {
+            let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+            let sigma_t = log(1.3, 8.0, random.uniform());
+            Medium::new(sigma_t, 1.0 - log(2e-3, 0.6, random.uniform()), g).unwrap()
+        };
+        let media: Vec<Medium> = (0..6).map(|_| medium()).take(materials).collect();
+        let drawn = ChangedSetUp::random(&mut random, materials);
+        let set_up = if changed { drawn } else { ChangedSetUp::none(materials) };
+        Self { set_up, media, flawed: true, seed: 1 + number }
+    }
+
+    fn measurement(&self, material: usize) -> Measurement {
+        let profiles = (0..2).map(|slab| self.profile(material, slab)).collect();
+        Measurement::new(format!("m{material}"), profiles).unwrap()
+    }
+
+    fn profile(&self, material: usize, slab: usize) -> MeasuredProfile {
+        let number = (self.seed * 6 + material as u64) * 2 + slab as u64;
+        let mut random = Normal::new(920_000 + number);
+        let prior = FitSettings::default();
+        let mut off = |std_error: f64| if self.flawed { std_error * random.normal() } else { 0.0 };
+        let thickness_mm = SLABS_MM[slab] + off(prior.thickness_std_error_mm);
+        let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
+        let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
+        let scene = self.set_up.scene(material, slab);
+        let sensor = scene.sensor();
+        let walks = if self.flawed { RANDOM_WALKS } else { ROW_WALKS };
+        let values = traced(scene, &self.media[material], thickness_mm, walks, 930_000 + number);
+        let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
+        let exact: Vec<f64> =
+            values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
+        let std_errors: Vec<f64> = exact.iter().map(|v| NOISE * v.abs()).collect();
+        let noisy = exact.iter().zip(&std_errors).map(|(v, e)| v + e * random.normal()).collect();
+        let x = x.iter().map(|x| x + origin_mm).collect();
+        MeasuredProfile::new("R", SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
+    }
+
+    /// By `farmctl measure` without further options.
+    pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<SetUpOutcome> {
+        let count = self.media.len();
+        let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();
+        let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
+        let known = FitSettings::default().gain_std_error;
+        let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
+        let settings =
+            FitSettings { refine: true, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
+        let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+        let found = measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap();
+        let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
+        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m], truth);
+        found.materials.iter().enumerate().map(outcome).collect()
+    }
+}
