@@ -39,17 +39,17 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 133),
-    ("coordinator", 126),
+    ("client", 112),
+    ("coordinator", 120),
     ("deploy", 0),
     ("docs", 1),
     ("examples", 0),
-    ("optics", 80),
-    ("proto", 11),
+    ("optics", 78),
+    ("proto", 10),
     ("python", 7),
-    ("tests", 3),
+    ("tests", 4),
     ("web", 0),
-    ("worker", 3),
+    ("worker", 0),
 ];
 
 /// The functions under a test attribute: line and name.
