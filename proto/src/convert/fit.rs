@@ -125,12 +125,27 @@ mirror!(Refined {
     from_mixtures,
 });
 
-/// Older coordinators send one flag of resolution only.
+/// Older coordinators send one flag of resolution only, and no likelihood with the paper's objective.
 mod from_any_version {
     pub use super::optional::to_wire;
     use super::{Refined, Result, optional, wire};
 
+    /// One of no pixels, which bounds nothing.
+    fn no_likelihood() -> wire::Likelihood {
+        let open = Some(wire::Ends { low: f64::NEG_INFINITY, high: f64::INFINITY });
+        let bound = wire::Bound {
+            sigma_t_per_mm: open,
+            albedo: open,
+            g: open,
+            reduced_scattering_per_mm: open,
+            absorption_per_mm: open,
+        };
+        wire::Likelihood { probability: 1.0, bound: Some(bound), ..wire::Likelihood::default() }
+    }
+
     pub fn from_wire(field: &str, refined: Option<wire::Refined>) -> Result<Option<Refined>> {
+        let refined = refined
+            .map(|r| wire::Refined { likelihood: Some(r.likelihood.unwrap_or_else(no_likelihood)), ..r });
         let refined: Option<Refined> = optional::from_wire(field, refined)?;
         Ok(refined.map(|r| Refined { resolved_at_g: r.resolved_at_g || r.resolved, ..r }))
     }

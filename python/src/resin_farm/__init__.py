@@ -18,6 +18,7 @@ from resin_farm.channel_fit import (
     Likelihood,
     NuisanceEstimate,
     Refined,
+    SceneEstimate,
     SourceShare,
 )
 from resin_farm.design import Design, HalfWidths, SlabSet
@@ -61,6 +62,7 @@ __all__ = [
     "Refined",
     "Refused",
     "ScaleCurve",
+    "SceneEstimate",
     "SlabSet",
     "SourceShare",
     "Unavailable",

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from resin_farm._wire import fits_pb2
+from resin_farm._wire import fits_pb2, model_pb2
 from resin_farm.channel_fit import (
     Candidate,
     ChannelFit,
@@ -15,6 +15,7 @@ from resin_farm.channel_fit import (
     Likelihood,
     NuisanceEstimate,
     Refined,
+    SceneEstimate,
     SourceShare,
 )
 from resin_farm.medium import Array, Interval, Medium
@@ -115,7 +116,14 @@ def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
 
     def share(s: fits_pb2.SourceShare) -> SourceShare:
         source = fits_pb2.ErrorSource.Name(s.source).removeprefix("ERROR_SOURCE_").lower()
-        return SourceShare(source, s.sigma_t, s.albedo, s.reduced_scattering, s.absorption)
+        quantity = s.quantity if s.HasField("quantity") else None
+        return SourceShare(source, s.sigma_t, s.albedo, s.reduced_scattering, s.absorption, quantity)
+
+    def scene(e: fits_pb2.SceneEstimate) -> SceneEstimate:
+        scope = model_pb2.Scope.Name(e.scope).removeprefix("SCOPE_").lower()
+        slab = e.slab_mm if e.HasField("slab_mm") else None
+        errors = (e.std_error, e.prior, e.prior_std_error, e.at_end)
+        return SceneEstimate(e.quantity, e.unit, scope, slab, e.value, *errors)
 
     return Likelihood(
         wire.chi2,
@@ -124,6 +132,7 @@ def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
         tuple(map(nuisance, wire.nuisances)),
         len(wire.outliers),
         tuple(map(share, wire.budget)),
+        tuple(map(scene, wire.scene)),
     )
 
 
@@ -224,4 +233,5 @@ def _likelihood_of_json(found: Mapping[str, Any]) -> Likelihood:
         tuple(map(nuisance, found["nuisances"])),
         len(found["outliers"]),
         tuple(SourceShare(**share) for share in found.get("budget", ())),
+        tuple(SceneEstimate(**estimate) for estimate in found.get("scene", ())),
     )

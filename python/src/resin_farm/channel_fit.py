@@ -39,11 +39,34 @@ class SourceShare:
     """Share of a source of error in the variances of ln σ_t, √(1 - α), ln σ_s(1 - g) and √σ_a; they sum to 1."""
 
     source: str
-    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`."""
+    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`,
+    `scene`."""
     sigma_t: float
     albedo: float
     reduced_scattering: float
     absorption: float
+    quantity: str | None = None
+    """Which quantity of the scene, where the source is `scene`."""
+
+
+@dataclass(frozen=True)
+class SceneEstimate:
+    """An estimate of an uncertain quantity of the scene, with its prior."""
+
+    quantity: str
+    """As `gel thickness`."""
+    unit: str
+    """`mm`, `°`, or empty for pure numbers."""
+    scope: str
+    """What has this value: `session`, `slab` or `material`."""
+    slab_mm: float | None
+    """The slab that it belongs to, by its nominal thickness."""
+    value: float
+    std_error: float
+    prior: float
+    prior_std_error: float
+    at_end: bool
+    """The estimate lies where the dictionary's responses end: the truth may lie beyond."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +82,8 @@ class Likelihood:
     """Pixels that were given no weight."""
     budget: tuple[SourceShare, ...] = ()
     """Shares of the variances of the medium by source; empty if the data determine nothing."""
+    scene: tuple[SceneEstimate, ...] = ()
+    """Uncertain quantities of the scene; empty if it was taken as exact."""
 
 
 # eq=False: the equality of arrays has no single truth value.

@@ -26,7 +26,11 @@ fn scene_file_describes_any_stack() {
     let ran = run(dir.path(), &args("scene.toml"));
     assert_eq!((ran.code, ran.stdout.lines().count()), (0, 9), "{}", ran.stderr);
     fails(dir.path(), &args("bad.toml"), &["bad.toml", "layer[0].roughness = -0.1 is not valid"]);
-    fails(dir.path(), &args("none.toml"), &["\"none.toml\" is neither \"paper\" nor \"smooth\" nor a file"]);
+    fails(
+        dir.path(),
+        &args("none.toml"),
+        &["\"none.toml\" is none of \"lab\", \"paper\", \"smooth\", and no file"],
+    );
 }
 
 /// Parameters out of range are refused with the field, the value and the range.
@@ -83,7 +87,7 @@ fn bad_grids_leave_nothing_behind() {
         ("walks = 100", "walks = 100 is not valid"),
         ("colour = 'red'", "unknown field `colour`"),
         ("g = [0.4", "TOML parse error"),
-        ("scene = 'none.toml'", "neither \"paper\" nor \"smooth\" nor a file"),
+        ("scene = 'none.toml'", "none of \"lab\", \"paper\", \"smooth\", and no file"),
         ("scene = { layers = [] }", "unknown field `layers`"),
         ("scene = { layer = [] }", "exactly one layer must be the sample"),
     ] {

@@ -124,7 +124,8 @@ fn chart(dir: &Path) -> String {
     let media = [("pale", 4.8, 0.995), ("dark", 5.2, 0.92), ("both", 5.0, 0.956)];
     let mut all = String::new();
     for (material, sigma_t, albedo) in media {
-        let medium = format!("simulate --sigma-t {sigma_t} --albedo {albedo} --g 0.4 --thickness 0.5,1");
+        let medium =
+            format!("simulate --sigma-t {sigma_t} --albedo {albedo} --g 0.4 --thickness 0.5,1 --scene paper");
         let slab = format!("{medium} --walks 20000 --seed 7 --noise 0 --measurement {material}");
         let ran = run(dir, &slab.split(' ').collect::<Vec<_>>());
         let rows = ran.stdout.lines().filter(|line| !line.starts_with('#'));

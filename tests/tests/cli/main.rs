@@ -112,7 +112,8 @@ fn simulate_equals_the_profile_of_the_dictionary() {
     let farm = farm();
     let dir = farm.path();
     let simulate = |threads: &str| {
-        let args = "simulate --sigma-t 6 --albedo 0.999 --g 0.4 --thickness 1 --walks 5000 --threads";
+        let args = "simulate --sigma-t 6 --albedo 0.999 --g 0.4 --thickness 1 --scene paper --walks 5000 \
+                    --threads";
         let args: Vec<&str> = args.split(' ').chain([threads]).collect();
         run(dir, &args).stdout
     };

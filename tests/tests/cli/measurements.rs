@@ -23,7 +23,10 @@ fn own_files_are_measured_without_a_note() {
     let medium = "--sigma-t 6 --albedo 0.999 --g 0.4";
     let ran = run_line(
         dir,
-        &format!("simulate {medium} --thickness 0.5,1 --walks 5000 --noise 0 --measurement white -o s.csv"),
+        &format!(
+            "simulate {medium} --thickness 0.5,1 --scene paper --walks 5000 --noise 0 --measurement white -o \
+             s.csv"
+        ),
     );
     assert_eq!((ran.code, ran.stdout.as_str(), ran.stderr.as_str()), (0, "", ""));
     assert!(!dir.join("s.csv.partial").exists());

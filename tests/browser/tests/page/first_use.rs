@@ -128,7 +128,7 @@ async fn capture_is_measured_with_its_own_grid() {
     go_to(&browser, "Capture").await;
     browser.element(By::LinkText("measure it")).await.click().await.unwrap();
     browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
-    browser.shows("a dictionary of its own, for its board and its thicknesses: 168 records").await;
+    browser.shows("a dictionary of its own, for its board and its thicknesses: 1,176 records").await;
     browser.press("Compute it").await;
     browser
         .wait("it can be measured", LONG, async |browser| {

@@ -39,9 +39,9 @@ fn refused(from: &str, to: &str) -> String {
     read((from, to)).unwrap_err().to_string()
 }
 
-/// Fields that a session file omits have the paper's values.
+/// Fields that a session file omits have the paper's values, in the scene of a laboratory.
 #[test]
-fn absent_session_fields_are_the_paper_values() {
+fn absent_session_fields_have_defaults() {
     let session = read(("", "")).unwrap();
     assert_eq!(session.target, Target { square_mm: 20.0, square_std_error_mm: 0.01, dark_side: None });
     assert_eq!(session.samples[0].thickness_std_error_mm, 0.005);
@@ -49,7 +49,7 @@ fn absent_session_fields_are_the_paper_values() {
     let names = session.shots().map(|p| p.file_stem().unwrap().to_str().unwrap().to_owned());
     let order = ["dark_1", "dark_2", "chart", "board", "white_1", "white_10", "white_2"];
     assert_eq!(names.collect::<Vec<_>>(), order, "in the order of their use, each field's sorted");
-    assert_eq!(session.scene, optics_model::Scene::paper());
+    assert_eq!(session.scene, optics_model::Scene::lab());
 }
 
 /// The message names file, line and field, and the values that are allowed.
@@ -82,7 +82,11 @@ fn invalid_values_are_refused_with_range() {
         (", 0.1]", "]", "neutral.rho = 2 patches is not valid"),
         ("rho = [0.9", "rho = [9", "neutral.rho[0] = [9.0, 9.0, 9.0] is not valid"),
         ("[40, 0, 20, 20]", "[40, 0, 20]", "invalid length 3"),
-        ("[camera]", "scene = \"none.toml\"\n[camera]", "scene \"none.toml\" is neither"),
+        (
+            "[camera]",
+            "scene = \"none.toml\"\n[camera]",
+            "scene \"none.toml\" is none of \"lab\", \"paper\", \"smooth\", and no file",
+        ),
     ] {
         let message = refused(from, to);
         assert!(message.starts_with("session file DIR/session.toml"), "{message}");

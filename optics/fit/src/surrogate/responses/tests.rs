@@ -102,14 +102,11 @@ impl ResponseErrors {
     }
 }
 
-/// Prints the errors of all quantities: `FARM_TEST_MEDIA` media of `FARM_TEST_WALKS` walks. In the median they are below
-/// the noise of the records.
+/// Prints the errors of all quantities. In the median they are below the noise of the records.
 #[test]
 #[ignore = "long form"]
 fn responses_agree_with_traced_differences() {
-    let number = |name: &str, default: u64| std::env::var(name).map_or(default, |v| v.parse().unwrap());
-    let media = media(number("FARM_TEST_MEDIA", 20) as u32);
-    let walks = Walks::new(number("FARM_TEST_WALKS", 1_000_000)).unwrap();
+    let (media, walks) = (media(20), Walks::new(1_000_000).unwrap());
     let (scene, dictionary) = (lab(), dictionary());
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let all = |scene: &Scene| -> Vec<[Vec<f64>; 2]> {
