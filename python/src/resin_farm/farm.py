@@ -253,7 +253,7 @@ class Farm(FarmAccess):
         albedo: float,
         g: float,
         thickness_mm: float,
-        scene: str = "paper",
+        scene: str = "lab",
         sample_ior: float = 1.53,
         walks: int = 50_000,
         seed: int = 1,

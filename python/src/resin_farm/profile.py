@@ -58,7 +58,7 @@ def simulate(
     albedo: float,
     g: float,
     thickness_mm: float,
-    scene: str = "paper",
+    scene: str = "lab",
     sample_ior: float = 1.53,
     walks: int = 50_000,
     seed: int = 1,
@@ -70,7 +70,7 @@ def simulate(
         albedo: single-scattering albedo.
         g: anisotropy.
         thickness_mm: thickness of the slab.
-        scene: "paper", "smooth" or the path of a scene file.
+        scene: "lab", "paper", "smooth" or the path of a scene file.
         sample_ior: refractive index of the slab.
         walks: random walks, a multiple of 500 from 1,000 on.
         seed: of the random numbers.
