@@ -72,7 +72,7 @@ fn estimates(fits: &[MaterialFit]) -> Estimates<'_> {
 fn warnings(estimates: &Estimates) -> Vec<String> {
     let line = |((quantity, of), e): (&(&str, String), &&SceneEstimate)| {
         let off = ((e.value - e.prior) / e.prior_std_error).abs();
-        let found = with_unit(&minus(&format!("{}", significant(e))), e);
+        let found = with_unit(&minus(&significant(e)), e);
         if e.at_end {
             Some(format!(
                 "{quantity} ({of}): the estimate {found} lies where the dictionary's responses end; measure it, and \

@@ -79,14 +79,14 @@ pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
 /// Jobs of a grid by the walks that they share, the costliest first, so that none of the long ones is left over at the
 /// end.
 pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
+    type Shared = (f32, f64, f64, Option<usize>);
     let walks = |job: u32| {
         let point = grid.point(job as usize);
         // Variants of the scene have walks of their own.
         let variant = grid.response_of(job as usize).map(|response| response.variant);
         (point.walked_thickness(), point.g(), point.sample_ior(), variant)
     };
-    type Walks = (f32, f64, f64, Option<usize>);
-    let order = |a: &Walks, b: &Walks| {
+    let order = |a: &Shared, b: &Shared| {
         b.0.total_cmp(&a.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
     };
     let mut jobs: Vec<_> = (0..grid.job_count() as u32).map(|job| (walks(job), job)).collect();

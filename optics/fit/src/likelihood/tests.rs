@@ -330,9 +330,9 @@ fn derivatives_match_the_model() {
     let at = |moved: usize, by: f64| {
         let (mut point, mut own) = (assembly.system.point(0, &state.x), vec![0.3; term.own_count()]);
         if moved < SHARED {
-            point.0[moved] += by
+            point.0[moved] += by;
         } else {
-            own[moved - SHARED] += by
+            own[moved - SHARED] += by;
         }
         term.linear(&surrogates[0], &point, &own)
     };
