@@ -11,8 +11,9 @@ use tempfile::{Builder, NamedTempFile};
 /// What a new file may be used for, before the process's mask.
 const NEW_FILE: u32 = 0o666;
 
-/// A file that is written next to its place under a name of its own, and gets its name by [`DraftFile::finish`]. Dropped before,
-/// it leaves nothing. What goes to a device or a pipe is collected in a temporary file.
+/// A file that is written next to its place under a name of its own, and gets its name by
+/// [`DraftFile::finish`]. Dropped before, it leaves nothing. What goes to a device or a pipe is collected in a temporary
+/// file.
 #[derive(Debug)]
 pub struct DraftFile {
     file: BufWriter<NamedTempFile>,
