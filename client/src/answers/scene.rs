@@ -23,6 +23,9 @@ pub(super) fn scene_text(fits: &[MaterialFit]) -> Option<String> {
         vec![(*quantity).to_owned(), of.clone(), numbers, prior(e)]
     });
     let mut text = table(&["set-up", "of", "estimate", "prior"], &[], rows);
+    let note = "the errors of these estimates leave out the noise of the dictionary's responses: roughnesses and indices \
+                are less certain";
+    text += &format!("\n{}", wrapped(note));
     for line in warnings(&estimates) {
         text += &format!("\n{}", warning(&wrapped(&line)));
     }
@@ -44,8 +47,9 @@ pub(crate) fn low_scale(common: &Common, fits: &[MaterialFit]) -> Option<String>
     /// Scale factors that a white reference, or exposure, hardly explains.
     const LOW: f64 = 0.95;
     let low = common.mu_chosen && common.mu + 2.0 * common.mu_std_error < LOW && estimates(fits).is_empty();
-    let warning = "the scale factor is low: in a scene such as `paper`, whose rough surfaces lose light, that light is the \
-                   likeliest cause, and σ_t and α are wrong; measure with `--dictionary lab`, whose surfaces lose none";
+    let warning = "the scale factor is low: if the dictionary's scene is one whose rough surfaces lose light, such as \
+                   `paper`, that light is the likeliest cause, and σ_t and α are wrong; measure with `--dictionary lab`, \
+                   whose surfaces lose none";
     low.then(|| warning.to_owned())
 }
 

@@ -110,7 +110,7 @@ impl NetpbmHead<'_> {
         let digits = rest.iter().take(10).take_while(|b| b.is_ascii_digit()).count();
         let text = std::str::from_utf8(&rest[..digits]).unwrap_or_default();
         self.at += digits;
-        text.parse().map_err(|_| UnreadablePhotograph::Damaged(format!("the head tells no {what}")))
+        text.parse().map_err(|_| UnreadablePhotograph::Damaged(format!("the head has no {what}")))
     }
 
     /// Spaces, and comments to the end of their line.

@@ -317,7 +317,7 @@ fn files_without_linear_radiance_are_refused() {
         (b"\xff\xd8\xff\xe0", "JPEG holds 8 bits after a tone curve"),
         (b"II\x2a\0\x10\0\0\0CR\x02\0", "CR2 files, a camera's own format, are not read"),
         (b"P5 2 2 255\n    ", "8 bits a sample are too few"),
-        (b"P5 2 2\n", "the file is damaged: the head tells no greatest value"),
+        (b"P5 2 2\n", "the file is damaged: the head has no greatest value"),
         (
             b"P5 2 2 65535\n  ",
             "the file is cut off or damaged: the pixels should be at bytes 13 to 21, the file has 15",

@@ -156,11 +156,10 @@ impl Found<'_, '_> {
             }
             chi2 += dot(own, own);
         }
-        let unknowns = self.system.unknowns.iter().zip(self.state.x.iter()).filter(|(u, _)| !u.held);
         let mut parameters = 0.0;
-        for (unknown, x) in unknowns {
-            match unknown.prior {
-                Some((mean, sd)) => chi2 += ((x - mean) / sd).powi(2),
+        for slot in self.system.free() {
+            match self.system.cost_of_prior(slot, self.state.x[slot]) {
+                Some(cost) => chi2 += cost,
                 None => parameters += 1.0,
             }
         }

@@ -122,15 +122,18 @@ impl System<'_> {
 
     /// −2 ln L of what is known beforehand.
     fn prior_cost(&self, x: &DVector<f64>) -> f64 {
-        let cost = |(i, unknown): (usize, &Unknown)| {
-            let (mean, sd) = unknown.prior.filter(|_| !unknown.held)?;
-            let off = (x[i] - mean) / sd;
-            let weight = self.prior_weight(i, off);
-            // Of the quadratic and linear parts: the same where the weight is 1.
-            Some(weight * (2.0 - weight) * off * off)
-        };
-        let priors = self.unknowns.iter().enumerate().filter_map(cost);
+        let priors = (0..self.unknowns.len()).filter_map(|i| self.cost_of_prior(i, x[i]));
         priors.sum::<f64>() + self.coupling.as_ref().map_or(0.0, |c| c.cost(x))
+    }
+
+    /// −2 ln L of an unknown's prior at `x`; None if it has none or cannot move.
+    pub(super) fn cost_of_prior(&self, slot: usize, x: f64) -> Option<f64> {
+        let unknown = &self.unknowns[slot];
+        let (mean, sd) = unknown.prior.filter(|_| !unknown.held)?;
+        let off = (x - mean) / sd;
+        let weight = self.prior_weight(slot, off);
+        // Of the quadratic and linear parts: the same where the weight is 1.
+        Some(weight * (2.0 - weight) * off * off)
     }
 
     /// How much a prior counts at `off` standard deviations. Those of the scene's quantities are rough guesses: beyond

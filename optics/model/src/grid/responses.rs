@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use super::Axes;
 use crate::invalid::{Invalid, Result};
+use crate::medium::check_ior;
 use crate::scene::{Channel, Scene};
 
 /// Widest ratio of two extinctions of the responses, unless the grid's are farther apart.
@@ -76,6 +77,11 @@ impl Responses {
                 )));
             }
             let prior = &scene.priors()[variant.prior];
+            let own_iors = axes.sample_ior.iter().filter(|_| prior.is_sample_index(scene));
+            own_iors
+                .map(|ior| check_ior("sample_ior", ior + variant.step))
+                .collect::<Result<Vec<_>>>()
+                .map_err(at)?;
             scene.varied(prior, variant.step, variant.channels.clone()).map(Arc::new).map_err(at)
         };
         let scenes = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
@@ -191,5 +197,9 @@ mod tests {
         variants[0].step *= 2.0;
         let error = Responses::new(grid.scene(), grid.axes(), variants).unwrap_err();
         assert_eq!(error.field(), "responses");
+        // The index of the sample would be 0.995.
+        let axes = Axes { sample_ior: vec![1.02], ..grid.axes().clone() };
+        let error = Responses::of(grid.scene(), &axes, |s| Ok(s.channels().to_vec())).unwrap_err();
+        assert!(error.to_string().contains("sample_ior = 0.995 is not valid: allowed are 1 to 4"), "{error}");
     }
 }
