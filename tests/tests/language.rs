@@ -39,7 +39,7 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 112),
+    ("client", 110),
     ("coordinator", 120),
     ("deploy", 0),
     ("docs", 1),
