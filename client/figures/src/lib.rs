@@ -1,14 +1,17 @@
-//! Figures for people: the paper's Figs. 6, 7 and 9 of answers as they are, Figs. 3 and 5 of plain data, as SVG or PNG.
+//! Figures for people: the paper's Figs. 6, 7 and 9 of answers as they are, Figs. 3 and 5 of plain data, as SVG or PNG; and
+//! the texts of tables that terminal, report and page share.
 //!
 //! A figure function checks its data, lays panels out on a canvas in CSS pixels and gives a [`Picture`]. The same data
 //! gives the same bytes. Values that are not finite are left out.
 
+mod budget;
 mod changes;
 #[cfg(test)]
 mod checks;
 mod design;
 mod drawing;
 mod edge;
+pub mod estimates;
 mod fit;
 mod map;
 pub mod misfit;
@@ -20,6 +23,7 @@ mod scale;
 #[expect(clippy::unwrap_used, reason = "data of tests; with the feature they are not compiled as a test")]
 pub mod testing;
 
+pub use budget::{ChannelBudget, ErrorBudget, error_budget};
 pub use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
 pub use design::design_figure;
 pub use drawing::picture::Picture;

@@ -4,8 +4,10 @@ use optics_model::Medium;
 use optics_model::fit::{
     Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, ErrorSource, HalfWidths,
     Improvement, InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
-    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SlabSet, SourceShare, Stretch, Suspicion, Unmixed,
+    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SceneEstimate, SlabSet, SourceShare, Stretch,
+    Suspicion, Unmixed,
 };
+use optics_model::scene::Scope;
 
 /// Two sets at σ_t = 6 / mm and 1 − α = 0.001: 0.5 mm, photographed once, and 0.5 and 1 mm, photographed twice.
 pub fn design() -> Design {
@@ -147,6 +149,25 @@ pub fn likelihood(chi2: f64, probability: f64) -> Likelihood {
             share(ErrorSource::G, 0.8),
         ],
     }
+}
+
+/// A gel that contradicts its prior, a roughness at the end of its responses, and a ring as expected.
+pub fn scene_estimates() -> Vec<SceneEstimate> {
+    let estimate = |quantity: &str,
+                    unit: &str,
+                    scope,
+                    [value, std_error]: [f64; 2],
+                    [prior, sd]: [f64; 2]| {
+        let slab_mm = (scope == Scope::Slab).then_some(0.5);
+        let (quantity, unit) = (quantity.to_owned(), unit.to_owned());
+        let at_end = scope == Scope::Material;
+        SceneEstimate { quantity, unit, scope, slab_mm, value, std_error, prior, prior_std_error: sd, at_end }
+    };
+    vec![
+        estimate("gel thickness", "mm", Scope::Slab, [0.0972, 0.0031], [0.02, 0.02]),
+        estimate("sample roughness", "", Scope::Material, [0.12, 0.004], [0.05, 0.03]),
+        estimate("ring angle", "°", Scope::Session, [45.2, 0.9], [45.0, 1.0]),
+    ]
 }
 
 /// A strong absorber in white, with a mixture that contradicts it and one beyond the dictionary.

@@ -3,9 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use farm_figures::fit_figure;
+use farm_figures::estimates::estimate_rows;
+use farm_figures::{error_budget, fit_figure};
 use optics_model::Grid;
-use optics_model::fit::{FitCurves, Interval, MaterialFit, Refined, SourceShare};
+use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
 use serde::Serialize;
 
 use crate::capture::{CaptureReport, Media, Simulated};
@@ -52,7 +53,7 @@ impl SessionFolder {
         Ok((format!("session-{}", &digest[..12]), grid))
     }
 
-    /// Adds the error budgets to the session file, and renders the report with the fits. Returns the report's path; none
+    /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path; none
     /// if the folder holds no data of a report.
     pub fn complete(&self, fits: &[MaterialFit], mu: f64, text: String) -> Result<Option<PathBuf>> {
         if let Some(session) = self.session() {
@@ -65,14 +66,15 @@ impl SessionFolder {
         let figures =
             fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
         let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
-        let page = report.page(Some(&Media { text, figures, simulated }));
+        let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
+        let page = report.page(Some(&Media { text, estimates, budget, figures, simulated }));
         let path = self.path.join("report.html");
         write_whole(&path, page.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
         Ok(Some(path))
     }
 }
 
-/// A channel's 95 % intervals with their error budget.
+/// A channel's 95 % intervals with their error budget, and its estimates of the scene.
 #[derive(Debug, Serialize)]
 struct MediumErrors<'a> {
     material: &'a str,
@@ -80,16 +82,18 @@ struct MediumErrors<'a> {
     sigma_t_per_mm: Interval,
     albedo: Interval,
     budget: &'a [SourceShare],
+    scene: &'a [SceneEstimate],
 }
 
 impl<'a> MediumErrors<'a> {
     fn of(material: &'a str, channel: &'a str, refined: &'a Refined) -> Self {
         let Refined { sigma_t_per_mm, albedo, .. } = *refined;
-        Self { material, channel, sigma_t_per_mm, albedo, budget: &refined.likelihood.budget }
+        let Likelihood { budget, scene, .. } = &refined.likelihood;
+        Self { material, channel, sigma_t_per_mm, albedo, budget, scene }
     }
 }
 
-/// Writes the media's error budgets into the session's file, in addition to what `capture` wrote.
+/// Writes the media's errors into the session's file, in addition to what `capture` wrote.
 fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
     let place = || format!("session file {}", path.display());
     let text = std::fs::read_to_string(path).with_context(place)?;

@@ -15,6 +15,8 @@ pub(crate) struct FitsReport<'a> {
     pub(crate) assumed: Option<String>,
     /// Print the Cramér–Rao bound next to the intervals.
     pub(crate) bound: bool,
+    /// Print the estimates of the scene's quantities.
+    pub(crate) scene: bool,
 }
 
 /// The fits of all channels: the best determined quantities, the media, and remarks on them.
@@ -30,7 +32,9 @@ pub(crate) fn fits_text(report: &FitsReport) -> String {
     if report.bound {
         text += &format!("\n\n{}\n", bounds(fits));
     }
-    if let Some(scene) = scene_text(fits) {
+    if report.scene
+        && let Some(scene) = scene_text(fits)
+    {
         text += &format!("\n\n{scene}\n");
     }
     for line in objective(fits, report.assumed.clone()) {
@@ -164,7 +168,8 @@ mod tests {
         channels[1].refined.as_mut().unwrap().likelihood = likelihood(1130.0, 1e-9);
         let mixed = [MaterialFit { material: "white".into(), channels: channels.clone() }];
         let assumed = Some("assumed: origin ± 0.05 mm, gain ± 0.3 %".to_owned());
-        let message = text(&FitsReport { fits: &mixed, assumed, bound: true }).replace("\n  ", " ");
+        let message =
+            text(&FitsReport { fits: &mixed, assumed, bound: true, scene: true }).replace("\n  ", " ");
         let expected = [
             "Cramér–Rao bound",
             "objective: likelihood\n",
@@ -182,7 +187,7 @@ mod tests {
         }
         let pure = [MaterialFit { material: "white".into(), channels: records }];
         let assumed = Some("assumed: much".to_owned());
-        let message = text(&FitsReport { fits: &pure, assumed, bound: false });
+        let message = text(&FitsReport { fits: &pure, assumed, bound: false, scene: true });
         assert!(["objective", "assumed", "Cramér"].iter().all(|word| !message.contains(word)), "{message}");
     }
 
@@ -196,7 +201,7 @@ mod tests {
             (refined.resolved, refined.resolved_at_g) = (false, false);
         }
         let fits = [MaterialFit { material: "Vero White Plus".into(), channels }];
-        let text = text(&FitsReport { fits: &fits, assumed: None, bound: false });
+        let text = text(&FitsReport { fits: &fits, assumed: None, bound: false, scene: true });
         assert!(text.contains("objective: likelihood\n") && !text.contains("Cramér"), "{text}");
         let (shared, media) = (text.find("σ_s(1−g)").unwrap(), text.find("σ_t").unwrap());
         assert!(shared < media, "what is known best comes first");

@@ -85,10 +85,15 @@ pub(super) fn texts(warnings: &[Warning]) -> Vec<String> {
 
 /// The warnings as a list; empty without warnings.
 fn warnings(warnings: &[Warning]) -> String {
-    if warnings.is_empty() {
+    let texts = texts(warnings);
+    warning_list(&texts.iter().map(String::as_str).collect::<Vec<_>>())
+}
+
+fn warning_list(texts: &[&str]) -> String {
+    if texts.is_empty() {
         return String::new();
     }
-    let items = texts(warnings).into_iter().map(|text| format!("<li>{}</li>", escaped(&text)));
+    let items = texts.iter().map(|text| format!("<li>{}</li>", escaped(text)));
     format!("<ul class=\"warnings\">{}</ul>\n", items.collect::<String>())
 }
 

@@ -34,7 +34,8 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = MeasurementAnswer { options: used, answer: FitJson { materials: &fits }, notes: &notes };
     output.print("fit", &data, || {
-        let report = FitsReport { fits: &fits, assumed: assumed.text(options.settings()), bound: args.bound };
+        let assumed = assumed.text(options.settings());
+        let report = FitsReport { fits: &fits, assumed, bound: args.bound, scene: true };
         text(&report, args.top, &pictures)
     })
 }

@@ -126,16 +126,15 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    let answer = || {
+    // The report of a session has tables of the scene's estimates and of the budget.
+    let answer = |scene: bool| {
         let assumed = assumed.text(options.settings());
-        let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound };
-        let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
-        let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
-        text(&found, &report, inputs.output.as_deref(), &pictures) + &budget
+        let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound, scene };
+        text(&found, &report, inputs.output.as_deref(), &pictures)
     };
     let report = match &inputs.folder {
         Some(folder) => {
-            let plain = anstream::adapter::strip_str(&answer()).to_string();
+            let plain = anstream::adapter::strip_str(&answer(false)).to_string();
             folder.complete(&found.materials, found.common.mu, plain)?
         }
         None => None,
@@ -143,7 +142,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
     output.print("measure", &data, || {
         let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
-        answer() + &completed
+        let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
+        let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
+        answer(true) + &budget + &completed
     })
 }
 

@@ -1,14 +1,21 @@
-//! The section of media: the fits, and each photograph above its simulation, as in Fig. 2 of the paper.
+//! The section of media: the fits with the estimates of the scene and the error budget, and each photograph above its
+//! simulation, as in Fig. 2 of the paper.
+
+use farm_figures::estimates::{self, EstimateRow};
+use farm_figures::{ChannelBudget, ErrorBudget};
 
 use super::super::strip::simulated_uri;
-use super::escaped;
 use super::samples::SlabSection;
+use super::{escaped, warning_list};
 
 /// What `measure` contributes to the page.
 #[derive(Debug)]
 pub struct Media {
-    /// The answer as it is printed.
+    /// The answer as it is printed, without estimates of the scene and budget.
     pub text: String,
+    /// None if the scene was taken as exact.
+    pub estimates: Vec<EstimateRow>,
+    pub budget: Option<ErrorBudget>,
     /// Figures of the fits, as SVG.
     pub figures: Vec<String>,
     pub simulated: Vec<Simulated>,
@@ -32,8 +39,48 @@ impl Media {
         let strips: String = strips.collect();
         let figures: String =
             self.figures.iter().map(|svg| format!("<figure class=\"wide\">{svg}</figure>\n")).collect();
-        format!("<div class=\"wide\"><pre>{}</pre></div>\n{strips}{figures}", escaped(&self.text))
+        format!(
+            "<div class=\"wide\"><pre>{}</pre></div>\n{}{}{strips}{figures}",
+            escaped(&self.text),
+            scene(&self.estimates),
+            self.budget.as_ref().map(budget).unwrap_or_default()
+        )
     }
+}
+
+/// Estimates of the scene next to their priors; empty if the scene was taken as exact.
+fn scene(rows: &[EstimateRow]) -> String {
+    if rows.is_empty() {
+        return String::new();
+    }
+    let row = |row: &EstimateRow| {
+        let cells = [&row.quantity, &row.of, &row.estimate, &row.prior];
+        let cells = cells.map(|cell| format!("<td>{}</td>", escaped(cell))).concat();
+        let doubtful = if row.warning.is_some() { " class=\"doubtful\"" } else { "" };
+        format!("<tr{doubtful}>{cells}</tr>\n")
+    };
+    let warnings: Vec<&str> = rows.iter().filter_map(|row| row.warning.as_deref()).collect();
+    format!(
+        "<h3>Estimates of the set-up</h3>\n{}<div class=\"wide\"><table class=\"text\"><tr><th>quantity</th><th>of</th>\
+         <th>estimate</th><th>prior</th></tr>\n{}</table></div>\n<p class=\"faint\">Note: {}.</p>\n",
+        warning_list(&warnings),
+        rows.iter().map(row).collect::<String>(),
+        escaped(estimates::NOTE),
+    )
+}
+
+/// The error budget of σ_t of every channel that has one.
+fn budget(budget: &ErrorBudget) -> String {
+    let row = |channel: &ChannelBudget| {
+        let cells = [&channel.about, &channel.sigma_t].map(|cell| format!("<td>{}</td>", escaped(cell)));
+        format!("<tr>{}<td class=\"words\">{}</td></tr>\n", cells.concat(), escaped(&channel.shares))
+    };
+    format!(
+        "<h3>Error budget of σ_t</h3>\n<div class=\"wide\"><table class=\"text\"><tr><th>channel</th><th>95 %</th>\
+         <th>shares of the variance</th></tr>\n{}</table></div>\n<p>To improve first: {}.</p>\n",
+        budget.channels.iter().map(row).collect::<String>(),
+        escaped(&budget.first),
+    )
 }
 
 impl Simulated {
@@ -45,5 +92,49 @@ impl Simulated {
             simulated_uri(&self.values),
             escaped(&self.label)
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_figures::error_budget;
+    use farm_figures::estimates::estimate_rows;
+    use farm_figures::testing::{channel, scene_estimates};
+    use optics_model::fit::MaterialFit;
+
+    use super::*;
+
+    fn page(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> String {
+        let media =
+            Media { text: "σ_t".to_owned(), estimates, budget, figures: Vec::new(), simulated: Vec::new() };
+        media.section(&[])
+    }
+
+    /// Estimates that contradict a prior, or lie at an end of the responses, are marked and explained.
+    #[test]
+    fn doubtful_estimates_are_marked() {
+        let mut channels = vec![channel("R", 6.0, 1.0)];
+        channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
+        let fits = [MaterialFit { material: "<white>".into(), channels }];
+        let page = page(estimate_rows(&fits), error_budget(&fits));
+        let doubtful = "<tr class=\"doubtful\"><td>gel thickness</td><td>&lt;white&gt; 0.5 mm</td>\
+                        <td>0.097 ± 0.003 mm</td><td>0.02 ± 0.02 mm</td></tr>";
+        assert!(page.contains(doubtful), "{page}");
+        assert!(
+            page.contains("<tr><td>ring angle</td><td>all</td><td>45.2 ± 0.9 °</td><td>45 ± 1 °</td></tr>")
+        );
+        for warning in
+            ["is 3.9 standard deviations from its prior", "lies where the dictionary's responses end"]
+        {
+            assert!(page.contains(warning), "{warning}: {page}");
+        }
+        assert!(page.contains("<td>&lt;white&gt; R</td><td>5.4…6.6 / mm</td>"), "{page}");
+        assert!(page.contains("<p>To improve first: g, 80 % of the variance on average"), "{page}");
+    }
+
+    /// A scene that was taken as exact has no table.
+    #[test]
+    fn exact_scene_has_no_table() {
+        assert_eq!(page(Vec::new(), None), "<div class=\"wide\"><pre>σ_t</pre></div>\n");
     }
 }

@@ -1,0 +1,129 @@
+//! Estimates of a scene's uncertain quantities as rows of text, for the terminal's table, the report and the page. Rows are
+//! marked where the data contradict a prior or lead beyond the responses.
+
+use std::collections::BTreeMap;
+
+use optics_model::fit::{MaterialFit, SceneEstimate};
+use optics_model::scene::Scope;
+
+use crate::numbers::{minus, with_error};
+
+/// What the standard errors of all rows leave out.
+pub const NOTE: &str = "the errors of these estimates leave out the noise of the dictionary's responses: roughnesses and \
+                        indices are less certain";
+
+/// Estimate and prior of one quantity, for what shares it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct EstimateRow {
+    /// As `gel thickness`.
+    pub quantity: String,
+    /// `all` for the session, a material, or a slab as `white 0.5 mm`.
+    pub of: String,
+    /// With its standard error and unit, as `0.024 ± 0.002 mm`.
+    pub estimate: String,
+    pub prior: String,
+    /// Why the estimate is in doubt.
+    pub warning: Option<String>,
+}
+
+/// One row for each quantity and what shares it; none if the scene was taken as exact.
+///
+/// Channels of a set share estimates; where they differ by what each channel adds, the best determined one is shown.
+pub fn estimate_rows(fits: &[MaterialFit]) -> Vec<EstimateRow> {
+    let mut all: BTreeMap<(&str, String), &SceneEstimate> = BTreeMap::new();
+    for fit in fits {
+        let refined = fit.channels.iter().filter_map(|c| c.refined.as_ref());
+        for estimate in refined.flat_map(|r| &r.likelihood.scene) {
+            let of = shared_by(estimate, &fit.material);
+            let known = all.entry((estimate.quantity.as_str(), of)).or_insert(estimate);
+            if estimate.std_error < known.std_error {
+                *known = estimate;
+            }
+        }
+    }
+    all.into_iter().map(|((_, of), estimate)| row(of, estimate)).collect()
+}
+
+fn shared_by(estimate: &SceneEstimate, material: &str) -> String {
+    match (estimate.scope, estimate.slab_mm) {
+        (Scope::Session, _) => "all".to_owned(),
+        (_, None) => material.to_owned(),
+        (_, Some(mm)) => format!("{material} {mm} mm"),
+    }
+}
+
+fn row(of: String, e: &SceneEstimate) -> EstimateRow {
+    let (estimate, prior) =
+        (with_error(e.value, e.std_error), format!("{} ± {}", e.prior, e.prior_std_error));
+    EstimateRow {
+        warning: warning(&of, e),
+        quantity: e.quantity.clone(),
+        of,
+        estimate: with_unit(&estimate, e),
+        prior: with_unit(&prior, e),
+    }
+}
+
+fn warning(of: &str, e: &SceneEstimate) -> Option<String> {
+    let quantity = &e.quantity;
+    let with_error = with_error(e.value, e.std_error);
+    // As many digits as the error has meaning for.
+    let found = with_unit(with_error.split(' ').next().unwrap_or_default(), e);
+    if e.at_end {
+        return Some(format!(
+            "{quantity} ({of}): the estimate {found} lies where the dictionary's responses end; measure it, and compute a \
+             dictionary whose scene has the measured value"
+        ));
+    }
+    let off = ((e.value - e.prior) / e.prior_std_error).abs();
+    let prior = with_unit(&format!("{} ± {}", e.prior, e.prior_std_error), e);
+    e.is_conflict().then(|| {
+        format!(
+            "{quantity} ({of}): the estimate {found} is {off:.1} standard deviations from its prior {prior}: the scene does \
+             not describe this set-up, or something else is wrong with the data"
+        )
+    })
+}
+
+fn with_unit(numbers: &str, e: &SceneEstimate) -> String {
+    let numbers = minus(numbers);
+    if e.unit.is_empty() { numbers } else { format!("{numbers} {}", e.unit) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{channel, scene_estimates};
+
+    /// Channels share a row, in which the best determined estimate is shown.
+    #[test]
+    fn channels_share_a_row() {
+        let mut channels = vec![channel("R", 6.0, 1.0), channel("G", 9.0, 1.0)];
+        channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
+        let better = channels[1].refined.as_mut().unwrap();
+        better.likelihood.scene = scene_estimates();
+        better.likelihood.scene[0].std_error = 0.0008;
+        let rows = estimate_rows(&[MaterialFit { material: "white".into(), channels }]);
+        let cells: Vec<_> = rows.iter().map(|r| [&r.quantity, &r.of, &r.estimate, &r.prior]).collect();
+        assert_eq!(
+            cells,
+            [
+                ["gel thickness", "white 0.5 mm", "0.0972 ± 0.0008 mm", "0.02 ± 0.02 mm"],
+                ["ring angle", "all", "45.2 ± 0.9 °", "45 ± 1 °"],
+                ["sample roughness", "white", "0.120 ± 0.004", "0.05 ± 0.03"],
+            ]
+        );
+        let warnings: Vec<&str> = rows.iter().map(|r| r.warning.as_deref().unwrap_or_default()).collect();
+        assert!(warnings[0].contains("0.0972 mm is 3.9 standard deviations from its prior 0.02 ± 0.02 mm"));
+        assert!(
+            warnings[1].is_empty() && warnings[2].contains("0.120 lies where the dictionary's responses end")
+        );
+    }
+
+    /// An exact scene has no estimates.
+    #[test]
+    fn exact_scene_has_no_rows() {
+        let channels = vec![channel("R", 6.0, 1.0)];
+        assert_eq!(estimate_rows(&[MaterialFit { material: "white".into(), channels }]), []);
+    }
+}
