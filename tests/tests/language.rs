@@ -39,13 +39,13 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 110),
+    ("client", 108),
     ("coordinator", 120),
     ("deploy", 0),
     ("docs", 1),
     ("examples", 0),
     ("optics", 78),
-    ("proto", 10),
+    ("proto", 9),
     ("python", 7),
     ("tests", 4),
     ("web", 0),

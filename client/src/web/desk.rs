@@ -2,11 +2,13 @@
 
 mod colors;
 mod session;
+mod tables;
 
 use std::path::Path;
 
 use anyhow::{Result, anyhow, bail};
-use farm_figures::{Picture, fit_figure, map_figure, profile_figure};
+use farm_figures::estimates::{self, estimate_rows};
+use farm_figures::{Picture, error_budget, fit_figure, map_figure, profile_figure};
 use farm_proto::{to_status, wire};
 use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
 use optics_model::grid::NoiseLevel;
@@ -23,8 +25,8 @@ use super::api::{
     ReadMeasurementsResponse, Remark, SummarizeRequest, SummarizeResponse,
 };
 use super::captures::Captures;
-use crate::answers::{self, MeasureAnswer, all_remarks, common_text, media_files, objective};
-use farm_lab::grid_file::grid_of;
+use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, media_files, objective};
+use farm_lab::grid_file::{grid_of, named_grid};
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::set_up::SetUp;
 
@@ -70,7 +72,7 @@ impl Desk for TheDesk {
         let request = request.into_inner();
         let quality = request.quality();
         answer(move || {
-            let grid = request.file.as_ref().map_or_else(|| Ok(Grid::paper()), grid)?;
+            let grid = request.file.as_ref().map_or_else(|| built_in(&request.built_in), grid)?;
             let grid = match quality {
                 wire::NoiseLevel::Unspecified => grid,
                 wire::NoiseLevel::Draft => grid.with_effort(NoiseLevel::Draft)?,
@@ -104,7 +106,10 @@ impl Desk for TheDesk {
                 common: common_text(&found.common),
                 channels: channels(&found),
                 objective: objective(&found.materials, assumed),
-                remarks: all_remarks(&found.materials).into_iter().map(remark).collect(),
+                remarks: remarks(&found),
+                estimates: estimate_rows(&found.materials).into_iter().map(Into::into).collect(),
+                estimates_note: estimates::NOTE.to_owned(),
+                budget: error_budget(&found.materials).map(Into::into),
             })
         })
         .await
@@ -173,6 +178,13 @@ async fn answer<T: Send + 'static>(
     })
 }
 
+/// The grid of this name, or that of a laboratory's own measurements.
+fn built_in(name: &str) -> Result<Grid> {
+    let name = if name.is_empty() { "lab" } else { name };
+    let grid = named_grid(name);
+    grid.ok_or_else(|| Invalid::new("built_in", name, "allowed are \"lab\" and \"paper\"").into())
+}
+
 /// The grid of a file that comes from a browser: it must not name other files, which would be this machine's.
 fn grid(file: &File) -> Result<Grid> {
     let text = measurement_file::plain(&file.content)
@@ -218,8 +230,13 @@ fn channels(found: &MeasureAnswer) -> Vec<ChannelSummary> {
     channels.map(channel).collect()
 }
 
-fn remark(remark: answers::Remark) -> Remark {
-    Remark { about: remark.about, text: remark.text, warning: remark.warning }
+/// Remarks on channels, and on the scale factor of all.
+fn remarks(found: &MeasureAnswer) -> Vec<Remark> {
+    let of_all = low_scale(&found.common, &found.materials);
+    let of_all = of_all.map(|text| Remark { about: vec!["μ".to_owned()], text, warning: true });
+    let of_channels = all_remarks(&found.materials).into_iter();
+    let remark = |r: answers::Remark| Remark { about: r.about, text: r.text, warning: r.warning };
+    of_all.into_iter().chain(of_channels.map(remark)).collect()
 }
 
 /// Figures with the names of their files.

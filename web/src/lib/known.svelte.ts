@@ -26,4 +26,10 @@ export async function listDictionaries(): Promise<Dictionary[]> {
   return all;
 }
 
+// What `farmctl` asks without --dictionary: the usual ones, in this order, or the only one.
+export function usual(all: Dictionary[]): Dictionary | undefined {
+  const named = ['lab', 'paper'].map((name) => all.find((d) => d.name === name)).find((d) => d !== undefined);
+  return all.length === 1 ? all[0] : named;
+}
+
 export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;

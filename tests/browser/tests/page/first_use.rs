@@ -1,9 +1,11 @@
 //! The whole workflow from an empty folder to media, on the page alone.
 
+use std::path::Path;
+
 use farm_browser_tests::browser::{self, Browser};
 use farm_tests::page::Page;
 use farm_tests::process::{LONG, SOON, run};
-use serde_json::Value;
+use serde_json::{Value, json};
 use thirtyfour::By;
 
 use super::{go_to, let_in, measure_the_example, write_grid};
@@ -22,6 +24,10 @@ async fn first_use_computes_measures_and_saves() {
     browser.shows("There is no finished dictionary").await;
     browser.element(By::LinkText("Compute one")).await.click().await.unwrap();
     browser.shows("There is none yet").await;
+    // A laboratory's own measurements are meant, unless the paper's scene is chosen.
+    browser.shows("54,940 records in 1,340 jobs").await;
+    browser.shows("farmctl submit lab").await;
+    browser.pick("form select[name=scene]", "paper").await;
     browser.shows("34,276 records in 836 jobs").await;
     browser.choose_file("input[type=file]", &folder.path().join("coarse.toml")).await;
     browser.shows("180 records in 36 jobs").await;
@@ -86,7 +92,7 @@ async fn follows_the_crosshair(browser: &Browser) {
 }
 
 /// The page's table contains the numbers that `farmctl measure` prints for the same file.
-async fn same_numbers_as_the_command(browser: &Browser, folder: &std::path::Path) {
+async fn same_numbers_as_the_command(browser: &Browser, folder: &Path) {
     let white = farm_tests::reference::root().join("examples/white.csv");
     let ran = run(folder, &["measure", white.to_str().unwrap(), "--json"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
@@ -104,6 +110,22 @@ async fn same_numbers(browser: &Browser, answer: &Value) {
         // The page rounds.
         let there = numbers.iter().any(|number| (number / sigma_t - 1.0).abs() < 0.006);
         assert!(there, "{sigma_t} is not in the page's table:\n{shown}");
+    }
+}
+
+/// The page's tables of estimates and budget have the cells of those in the session's report.
+async fn same_tables_as_the_report(browser: &Browser, report: &Path) {
+    let report = std::fs::read_to_string(report).unwrap();
+    for title in ["Estimates of the set-up", "Error budget of σ_t"] {
+        let (_, table) = report.split_once(&format!("<h3>{title}</h3>")).unwrap();
+        let (table, _) = table.split_once("</table>").unwrap();
+        let cells = table.split("<td").skip(1).map(|cell| cell.split(['>', '<']).nth(1).unwrap());
+        let cells: Vec<&str> = cells.collect();
+        let script = format!(
+            "return [...document.querySelectorAll('[aria-label=\"{title}, a table\"] tbody :is(th, td)')].map((c) => c.textContent)"
+        );
+        assert!(!cells.is_empty());
+        assert_eq!(browser.script(&script, vec![]).await, json!(cells), "{title}");
     }
 }
 
@@ -145,6 +167,7 @@ async fn capture_is_measured_with_its_own_grid() {
     let measured = run(folder.path(), &["measure", "session", "--json"]);
     assert_eq!(measured.code, 0, "{}", measured.stderr);
     same_numbers(&browser, &serde_json::from_str(&measured.stdout).unwrap()).await;
+    same_tables_as_the_report(&browser, &folder.path().join("session/report.html")).await;
     // A link restores the view, also after a reload and from another tab.
     browser.css("section[aria-label=Explore] select").await;
     browser.pick("section[aria-label=Explore] select", "white B").await;

@@ -21,9 +21,8 @@ async fn nothing_is_cut_off_at_any_size() {
     }
     let folder = tempfile::tempdir().unwrap();
     write_grid(folder.path());
-    let grid = if pictures().is_some() { "paper" } else { "coarse.toml" };
-    let submit: &[&str] = if grid == "paper" { &["submit", "-q"] } else { &["submit", grid, "-q"] };
-    let submitted = run(folder.path(), submit);
+    let grid = if pictures().is_some() { "lab" } else { "coarse.toml" };
+    let submitted = run(folder.path(), &["submit", grid, "-q"]);
     assert_eq!(submitted.code, 0, "{}", submitted.stderr);
     let session = root().join("examples/session/session.toml");
     let captured = run(folder.path(), &["capture", session.to_str().unwrap(), "-o", "session"]);
@@ -63,8 +62,8 @@ async fn half_a_dictionary(browser: &Browser, name: &str) {
     let field = browser.css("form input[type=text]").await;
     field.clear().await.unwrap();
     field.send_keys(name).await.unwrap();
-    browser.pick("form select", "3").await;
-    browser.shows("34,276 records in 836 jobs").await;
+    browser.pick("form select[name=noise]", "3").await;
+    browser.shows("54,940 records in 1,340 jobs").await;
     browser.press("Compute").await;
     browser.shows(&format!("{name}: running")).await;
     browser.script("document.querySelectorAll('details').forEach((d) => (d.open = false))", vec![]).await;

@@ -1,0 +1,25 @@
+//! Rows of tables as messages of the page's service.
+
+use farm_figures::estimates::EstimateRow;
+use farm_figures::{ChannelBudget, ErrorBudget};
+
+use super::api;
+
+impl From<EstimateRow> for api::EstimateRow {
+    fn from(row: EstimateRow) -> Self {
+        let EstimateRow { quantity, of, estimate, prior, warning } = row;
+        Self { quantity, of, estimate, prior, warning: warning.unwrap_or_default() }
+    }
+}
+
+impl From<ErrorBudget> for api::ErrorBudget {
+    fn from(budget: ErrorBudget) -> Self {
+        Self { channels: budget.channels.into_iter().map(Into::into).collect(), first: budget.first }
+    }
+}
+
+impl From<ChannelBudget> for api::ChannelBudget {
+    fn from(ChannelBudget { about, sigma_t, shares }: ChannelBudget) -> Self {
+        Self { about, sigma_t, shares }
+    }
+}
