@@ -1,5 +1,6 @@
-//! Intervals beside the least that the pixels allow.
+//! Intervals next to the least that the pixels allow.
 
+use farm_figures::estimates::estimate_rows;
 use farm_figures::numbers::{short, significant};
 use optics_model::fit::{Ends, Interval, MaterialFit, Refined};
 
@@ -27,9 +28,15 @@ pub(super) fn bounds(fits: &[MaterialFit]) -> String {
         return wrapped("no bound: only --objective likelihood computes it");
     }
     let head = ["material", "ch", "quantity", "95 %\n± %", "bound\n± %", "ratio"];
+    let scene = if estimate_rows(fits).is_empty() {
+        "the scene is exact in this bound, as in the intervals"
+    } else {
+        "the quantities of the set-up below are unknowns of this bound, with their priors"
+    };
     format!(
-        "intervals beside the Cramér–Rao bound, the least that these pixels allow\n{}",
-        table(&head, &[3, 4, 5], rows)
+        "intervals next to the Cramér–Rao bound, the least that these pixels allow\n{}\n{}",
+        table(&head, &[3, 4, 5], rows),
+        wrapped(scene)
     )
 }
 
@@ -61,7 +68,7 @@ fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String>
 
 #[cfg(test)]
 mod tests {
-    use farm_figures::testing::channel;
+    use farm_figures::testing::{channel, scene_estimates};
     use optics_model::fit::ChannelFit;
 
     use super::*;
@@ -79,7 +86,7 @@ mod tests {
         assert_eq!(nothing[1..], ["–", "–", "–"]);
     }
 
-    /// Every refined channel has its rows.
+    /// Every refined channel has its rows; what the bound assumes of the scene follows.
     #[test]
     fn every_refined_channel_has_its_rows() {
         let record = ChannelFit { refined: None, ..channel("G", 9.0, 1.0) };
@@ -91,6 +98,10 @@ mod tests {
         let sigma_t: Vec<&str> =
             text.lines().find(|l| l.contains("σ_t")).unwrap().split_whitespace().collect();
         assert_eq!(sigma_t, ["σ_t", "10", "9", "1.1"]);
+        assert!(text.ends_with("\nthe scene is exact in this bound, as in the intervals"), "{text}");
+        let mut uncertain = vec![channel("R", 6.0, 1.0)];
+        uncertain[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
+        assert!(bounds(&fit(uncertain)).ends_with("are unknowns of this bound, with their priors"));
         let none = bounds(&fit(vec![record]));
         assert!(none.starts_with("no bound: only"), "{none}");
     }

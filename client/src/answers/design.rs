@@ -30,8 +30,14 @@ fn head(design: &Design, question: &DesignQuestion) -> String {
     );
     let mu = if s.mu_free { " The factor μ is determined by the photographs alone." } else { "" };
     let what = "Below are the least half-widths of 95 % intervals that any fit without bias can have \
-                (Cramér–Rao bound).";
-    wrapped(&format!("{medium}{mu} {what}"))
+                (Cramér–Rao bound)";
+    let uncertain = |i: &Improvement| i.limitation == Limitation::Scene;
+    let scene = if design.sets.iter().flat_map(|set| &set.improvements).any(uncertain) {
+        "with the uncertain quantities of the dictionary's scene as unknowns"
+    } else {
+        "with the dictionary's scene taken as exact"
+    };
+    wrapped(&format!("{medium}{mu} {what}, {scene}."))
 }
 
 fn held(design: &Design) -> String {

@@ -4,11 +4,12 @@ use optics_model::fit::{
     Bounds, DesignQuestion, DesignSettings, Ends, FitOptions, FitSettings, HalfWidths, Limitation, Objective,
     PixelRow, SlabSet, Z,
 };
-use optics_model::grid::Axes;
-use optics_model::{Invalid, MeasuredProfile, Measurement, Medium};
+use optics_model::grid::{Axes, Responses};
+use optics_model::scene::{Prior, PriorKind, Scope};
+use optics_model::{Estimate, Grid, Invalid, MeasuredProfile, Measurement, Medium, Profile, Record};
 
 use super::design;
-use crate::testing::{dense_axes, noisy_dictionary, profile_value};
+use crate::testing::{dense_axes, dictionary_of, noisy_dictionary, noisy_records, profile_value};
 use crate::{FitDictionary, fit};
 
 const PIXELS: u32 = 360;
@@ -186,6 +187,65 @@ fn fit_has_the_bound_of_its_design() {
     close(planned.reduced_scattering_per_mm, half(bound.reduced_scattering_per_mm), 0.01);
     close(planned.absorption_per_mm, half(bound.absorption_per_mm), 0.01);
     assert_eq!((planned.g, half(bound.g)), (0.0, 0.0));
+}
+
+/// The formula with an uncertain gel above and below the slab, which brightens the middle.
+fn uncertain_dictionary() -> FitDictionary {
+    let (exact, record) = noisy_records(dense_axes(), PIXELS, 0.0);
+    let gel = Prior::new(PriorKind::Thickness, vec![1, 3], 0.02, Scope::Slab).unwrap();
+    let scene = exact.scene().clone().with_priors(vec![gel]).unwrap();
+    let axes = exact.axes().clone();
+    let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap().unwrap();
+    let grid = Grid::new(scene, axes, exact.effort(), 1, false).unwrap().with_responses(responses).unwrap();
+    let of = grid.clone();
+    let varied = move |index: usize| {
+        let albedos = of.albedo().len();
+        let Some(place) = of.response_of(index / albedos) else { return record(index) };
+        let share = of.responses().unwrap().variants()[place.variant].step / 0.02;
+        let brighter = |profile: Profile| {
+            let values = profile.radiance_factor.values().iter().zip(centres());
+            let values: Vec<f32> =
+                values.map(|(v, x)| v * (1.0 + 0.01 * share * (-x * x).exp()) as f32).collect();
+            let std_errors = vec![0.0; values.len()];
+            Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
+        };
+        let nominal = record(exact.first_record(place.nominal_job) + index % albedos);
+        Record { index, profiles: nominal.profiles.into_iter().map(brighter).collect() }
+    };
+    dictionary_of(&grid, varied)
+}
+
+/// Uncertain quantities of the scene are unknowns of both bounds, with their priors; known exactly, they leave those of the
+/// exact scene.
+#[test]
+fn bounds_include_the_uncertain_scene() {
+    let [exact, uncertain] = [dictionary(dense_axes()), uncertain_dictionary()];
+    let options = FitOptions::new(FitSettings {
+        objective: Some(Objective::Likelihood),
+        refine: true,
+        g: Bounds::fixed(0.3),
+        ..FitSettings::default()
+    });
+    let options = options.unwrap();
+    let [narrow, wide] = [&exact, &uncertain].map(|dictionary| {
+        let refined =
+            fit(dictionary, &as_planned(&guess()), &options).unwrap().channels.remove(0).refined.unwrap();
+        let Ends { low, high } = refined.likelihood.bound.sigma_t_per_mm;
+        let planned =
+            sets(dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1])).remove(0);
+        close(planned.g_held.sigma_t_per_mm, 0.5 * (high - low), 0.01);
+        planned
+    });
+    assert!(
+        wide.g_held.sigma_t_per_mm > 1.1 * narrow.g_held.sigma_t_per_mm,
+        "{:?} {:?}",
+        wide.g_held,
+        narrow.g_held
+    );
+    let of_gel = wide.improvements.iter().find(|i| i.limitation == Limitation::Scene).unwrap();
+    assert_eq!(of_gel.quantity.as_deref(), Some("gel thickness"));
+    close(of_gel.removed.unwrap().sigma_t_per_mm, narrow.g_held.sigma_t_per_mm, 1e-3);
+    assert!(narrow.improvements.iter().all(|i| i.limitation != Limitation::Scene));
 }
 
 /// The formula knows σ_t and g by σ_t (1 − g) alone.
