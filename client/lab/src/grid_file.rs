@@ -41,7 +41,14 @@ pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -
 /// The grid with responses of its scene's uncertain quantities, if there are some.
 pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
     let base = |varied: &Scene| optics_tracer::base_as_seen(grid.scene(), varied);
-    match Responses::of(grid.scene(), grid.axes(), base)? {
+    let responses = Responses::of(grid.scene(), grid.axes(), base).map_err(|e| {
+        if !e.field().ends_with("sample_ior") {
+            return e;
+        }
+        let allowed = format!("the response of the sample's index would be traced there: {}", e.allowed());
+        Invalid::new("sample_ior", e.given(), allowed)
+    });
+    match responses? {
         Some(responses) => grid.with_responses(responses),
         None => Ok(grid),
     }

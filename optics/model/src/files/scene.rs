@@ -100,13 +100,12 @@ impl TryFrom<SceneFile> for Scene {
             (PriorKind::RingAngle, "light.std_error_deg", ring_error),
             (PriorKind::SensorAngle, "sensor.std_error_deg", sensor_error),
         ];
-        let priors = priors(&scene, &tables, angles)?;
-        let names: Vec<String> = priors.iter().map(|p| scene.name_of(p)).collect();
+        let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, angles)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
             // Priors have no place of their own in a file.
             let index = e.field().split(['[', ']']).nth(1).and_then(|i| i.parse::<usize>().ok());
-            let name = index.and_then(|i| names.get(i).cloned());
-            let field = name.unwrap_or_else(|| e.field().to_owned());
+            let key = index.and_then(|i| keys.get(i).cloned());
+            let field = key.unwrap_or_else(|| e.field().to_owned());
             e.renamed(field)
         })
     }
@@ -263,12 +262,12 @@ mod tests {
                 "layer[0].ior.per = day is not valid: allowed are session, slab and material",
             ),
             (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = -1"), "light.std_error_deg = -1"),
-            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = 60"), "ring angle = 60"),
+            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = 60"), "light.std_error_deg = 60"),
             (
                 format!(
                     "{sample}[[layer]]\nname = 'g'\nior = {{ value = 1.3, std_error = 4 }}\nthickness_mm = 1"
                 ),
-                "g index = 4",
+                "layer[1].ior.std_error = 4 is not valid: the response of the g index would be traced at ior = -8.7",
             ),
         ] {
             let error = scene(&text).unwrap_err().to_string();

@@ -233,7 +233,12 @@ impl Scene {
         }
         for step in prior.steps(self) {
             self.varied(prior, step, self.channels.clone()).map_err(|e| {
-                let allowed = format!("its {} would be {}: {}", self.name_of(prior), e.given(), e.allowed());
+                let (name, at) = (self.name_of(prior), e.field());
+                let allowed = format!(
+                    "the response of the {name} would be traced at {at} = {}: {}",
+                    e.given(),
+                    e.allowed()
+                );
                 Invalid::new("std_error", prior.std_error, allowed)
             })?;
         }

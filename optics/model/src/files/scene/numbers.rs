@@ -97,12 +97,13 @@ pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
     })
 }
 
-/// Quantities with a standard error. Layers share one if they have the same name, or if one was referred to.
+/// Quantities with a standard error, each with the key of that in the file. Layers share one if they have the same name, or
+/// if one was referred to.
 pub(super) fn priors(
     scene: &Scene,
     tables: &[LayerTable],
     angles: [(PriorKind, &str, Option<f64>); 2],
-) -> Result<Vec<Prior>> {
+) -> Result<Vec<(String, Prior)>> {
     let mut found: Vec<(PriorKind, &UncertainNumber, Vec<usize>)> = Vec::new();
     for kind in [PriorKind::Roughness, PriorKind::Thickness, PriorKind::Index] {
         for (i, table) in tables.iter().enumerate() {
@@ -125,20 +126,25 @@ pub(super) fn priors(
     }
     let mut priors = Vec::new();
     for (kind, number, layers) in found {
-        let place =
-            format!("layer[{}].{}", layers[0], if kind == PriorKind::Index { "ior" } else { kind.name() });
+        let key = match kind {
+            PriorKind::Index => "ior",
+            PriorKind::Thickness => "thickness_mm",
+            _ => kind.name(),
+        };
+        let place = format!("layer[{}].{key}", layers[0]);
         let scope = match &number.per {
             None => default_scope(scene, kind, &layers),
             Some(name) => Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| {
                 Invalid::new(format!("{place}.per"), name, "allowed are session, slab and material")
             })?,
         };
-        priors.push(Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(place))?);
+        let prior = Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(&place))?;
+        priors.push((format!("{place}.std_error"), prior));
     }
     for (kind, field, std_error) in angles {
         if let Some(std_error) = std_error {
             let prior = Prior::new(kind, Vec::new(), std_error, Scope::Session);
-            priors.push(prior.map_err(|e| e.renamed(field))?);
+            priors.push((field.to_owned(), prior.map_err(|e| e.renamed(field))?));
         }
     }
     Ok(priors)

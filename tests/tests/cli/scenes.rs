@@ -1,0 +1,125 @@
+//! Scenes with uncertain quantities: what a scene file may hold, and when responses can be asked.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::Stdio;
+
+use farm_tests::cli::{fails, folder, write};
+use farm_tests::process::{farmctl, run};
+
+/// Two records of the axes; an uncertain gel thickness adds two for each of its two steps.
+const GRID: &str = "scene = 'scene.toml'\nsigma_t_per_mm = [4, 8]\nalbedo = [0.9]\ng = [0.4]\nthickness_mm = [0.5]\nwalks = 1000\n";
+
+/// A scene file of nine lines: thickness of the gel in line 4, its index in line 3, the ring's error in the last.
+fn scene(ior: &str, thickness_mm: &str, roughness: &str, ring: &str) -> String {
+    format!(
+        "[[layer]]\nname = 'gel'\nior = {ior}\nthickness_mm = {thickness_mm}\n[[layer]]\nname = 's'\nsample = true\n\
+         roughness = {roughness}\n[light]\n{ring}\n"
+    )
+}
+
+fn write_files(dir: &Path, scene: &str, grid: &str) {
+    write(dir, "scene.toml", scene);
+    write(dir, "varied.toml", grid);
+}
+
+/// Values of uncertain quantities are refused with their key and line, the value, and what is allowed.
+#[test]
+fn impossible_uncertain_values_are_refused() {
+    let dir = folder();
+    let ring = "ring_deg = [40, 50]";
+    let with = |ior: &str, thickness: &str, roughness: &str| scene(ior, thickness, roughness, ring);
+    let free = "{ value = 0.05, std_error = 0.03 }";
+    for (scene, message) in [
+        (
+            with("1.33", "{ value = -0.02, std_error = 0.02 }", "0"),
+            "line 4: layer[0].thickness_mm = -0.02 is not valid: allowed are 0 and 1e-4 to 1000 mm",
+        ),
+        (
+            with("1.33", "{ value = 0.02, std_error = 0 }", free),
+            "line 4: layer[0].thickness_mm.std_error = 0 is not valid: allowed are numbers above 0; an exact quantity has none",
+        ),
+        (
+            with("{ value = 0.9, std_error = 0.01 }", "0.02", "0"),
+            "line 3: layer[0].ior = 0.9 is not valid: allowed are 1 to 4",
+        ),
+        (
+            with("{ value = 1.01, std_error = 0.01 }", "0.02", "0"),
+            "line 3: layer[0].ior.std_error = 0.01 is not valid: the response of the gel index would be traced at ior = 0.985: \
+             allowed are 1 to 4",
+        ),
+        (
+            with("1.33", "0.02", "{ value = 1.2, std_error = 0.1 }"),
+            "line 8: layer[1].roughness = 1.2 is not valid: allowed are 0 (smooth) and 0.001 to 1",
+        ),
+        (
+            scene("1.33", "0.02", "0", "ring_deg = [85, 95]\nstd_error_deg = 1"),
+            "line 10: light.ring_deg = [85, 95] is not valid: two angles from 0 to 90 degrees",
+        ),
+        (
+            scene("1.33", "0.02", "0", "ring_deg = [40, 50]\nstd_error_deg = 60"),
+            "line 11: light.std_error_deg = 60 is not valid: the response of the ring angle would be traced at inner_deg = -80",
+        ),
+        (with("1.33", "{ std_error = 0.02 }", "0"), "line 4: layer[0].thickness_mm = missing is not valid"),
+        (
+            with("1.33", "{ value = 0.02, error = 0.02 }", "0"),
+            "unknown field `error`, expected one of `value`, `std_error`",
+        ),
+    ] {
+        write_files(dir.path(), &scene, GRID);
+        fails(
+            dir.path(),
+            &["submit", "varied.toml"],
+            &["grid file varied.toml: scene file scene.toml", message],
+        );
+    }
+    // The value of the sample's index is the grid's.
+    let uncertain =
+        with("1.33", "0.02", "0").replace("sample = true", "sample = true\nior = { std_error = 0.5 }");
+    write_files(dir.path(), &uncertain, &format!("{GRID}sample_ior = [1.5]\n"));
+    let message = "line 7: sample_ior = 0.25 is not valid: the response of the sample's index would be traced there: allowed are 1 to 4";
+    fails(dir.path(), &["submit", "varied.toml"], &[message]);
+    assert!(!dir.path().join("farm-data").exists());
+}
+
+/// Another prior makes another dictionary: it is not computed into one of the same name.
+#[test]
+fn other_priors_need_another_name() {
+    let dir = folder();
+    let with = |error: &str| {
+        scene("1.33", &format!("{{ value = 0.02, std_error = {error} }}"), "0", "ring_deg = [40, 50]")
+    };
+    write_files(dir.path(), &with("0.02"), GRID);
+    assert_eq!(run(dir.path(), &["submit", "varied.toml", "-q"]).code, 0);
+    write_files(dir.path(), &with("0.01"), GRID);
+    fails(
+        dir.path(),
+        &["submit", "varied.toml"],
+        &["dictionary varied exists with another grid", "choose another name"],
+    );
+}
+
+/// Fits wait for the responses: with all records of the axes alone the dictionary is not complete.
+#[test]
+fn fits_need_all_responses() {
+    let dir = folder();
+    let grid = GRID.replace("walks = 1000", "walks = 4000000");
+    write_files(dir.path(), &scene("1.33", "0.02", "0", "ring_deg = [40, 50]"), &grid);
+    assert_eq!(run(dir.path(), &["submit", "varied.toml", "--name", "exact", "-q"]).code, 0);
+    // The records of the axes are reused.
+    let gel = "{ value = 0.02, std_error = 0.02 }";
+    write_files(dir.path(), &scene("1.33", gel, "0", "ring_deg = [40, 50]"), &grid);
+    let submit = farmctl(dir.path()).args(["submit", "varied.toml"]).stderr(Stdio::piped()).spawn();
+    let mut submit = submit.expect("farmctl starts");
+    let mut line = String::new();
+    let stderr = submit.stderr.take().expect("it is piped");
+    BufReader::new(stderr).read_line(&mut line).expect("it prints progress");
+    submit.kill().expect("it still runs");
+    submit.wait().expect("it ends");
+    assert!(line.contains(", 2 of 6 records"), "{line}");
+    let simulate = "simulate --sigma-t 6 --albedo 0.9 --g 0.4 --thickness 0.5 --walks 1000 --scene scene.toml \
+                    --measurement m -o m.csv";
+    assert_eq!(run(dir.path(), &simulate.split_whitespace().collect::<Vec<_>>()).code, 0);
+    let message = "dictionary varied is not complete: 2 of 6 records are done";
+    fails(dir.path(), &["fit", "m.csv", "--dictionary", "varied"], &[message]);
+}
