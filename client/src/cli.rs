@@ -325,6 +325,10 @@ pub struct ExportArgs {
     /// the answer of `show --json`.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json"])]
     pub npz: Option<PathBuf>,
+    /// Write the profiles of the responses, not those of the axes: traced in scenes in which one uncertain quantity has
+    /// another value, each row with the quantity, the step from the scene's value and its unit.
+    #[arg(long, conflicts_with = "measurement")]
+    pub responses: bool,
     /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
     #[arg(long, value_name = "NAME")]
     pub measurement: Option<String>,

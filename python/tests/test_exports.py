@@ -1,5 +1,6 @@
 """Exports of a dictionary are read back by the packages that they are written for."""
 
+import io
 import json
 import pathlib
 import subprocess
@@ -40,6 +41,35 @@ def arrays(farm: resin_farm.Farm, small: resin_farm.Dictionary, tmp_path_factory
         about = json.loads(archive["about.json"])
         coords = {axis: archive[axis] for axis in about["axes"]}
         return xr.Dataset({name: (about["axes"], archive[name]) for name in NAMES}, coords, about)
+
+
+def test_responses_have_their_variant_and_rows(tmp_path: pathlib.Path) -> None:
+    """The arrays have the numbers of the exported rows, and differ from the records of the axes by the step."""
+    grid = resin_farm.Grid(
+        sigma_t_per_mm=[4, 6, 8], albedo=[0.9, 0.99], g=[0.4], thickness_mm=[1], scene="lab", walks=5000
+    )
+    with resin_farm.Farm(tmp_path) as farm:
+        dictionary = farm.submit(grid, "derivatives", progress=False)
+        responses, records = dictionary.responses(), dictionary.to_xarray()
+        ran = export(farm, "--responses")
+    rows = pd.read_csv(io.StringIO(ran.stdout))
+    keys = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"]
+    assert responses["value"].dims == ("variant", *keys)
+    assert responses["sigma_t_per_mm"].values.tolist() == [4, 8], "nodes of the responses"
+    np.testing.assert_array_equal(rows["value"].astype(np.float32), responses["value"].values.ravel())
+    np.testing.assert_array_equal(rows["std_error"].astype(np.float32), responses["std_error"].values.ravel())
+    of_variant = rows.groupby(["quantity", "step"], sort=False)["unit"].first().reset_index()
+    assert of_variant["quantity"].tolist() == responses["quantity"].values.tolist()
+    assert of_variant["step"].tolist() == responses["step"].values.tolist()
+    assert set(responses["unit"].values) == {"", "mm", "°"}
+    thicker = responses.isel(variant=(responses["quantity"] == "gel thickness").values)
+    change = abs(thicker["value"] - records["value"].sel(sigma_t_per_mm=[4, 8])).mean([*keys])
+    assert 0 < change[0] < change[1] < 0.1, "steps of −0.015 and 0.08 mm"
+
+
+def test_an_exact_scene_has_no_responses(small: resin_farm.Dictionary) -> None:
+    with pytest.raises(resin_farm.FarmError, match="the dictionary has no responses: its scene is exact"):
+        small.responses()
 
 
 def test_a_zarr_store_has_arrays_and_attributes(

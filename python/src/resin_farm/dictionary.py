@@ -196,6 +196,19 @@ class Dictionary:
         }
         return dataset
 
+    def responses(self) -> xarray.Dataset:
+        """The profiles of varied scenes, in which one uncertain quantity has another value.
+
+        The variables are those of `to_xarray`, over variant and the axes, at the nodes where they were traced. The
+        coordinates `quantity`, `step` and `unit` name what is larger in a variant, and by how much.
+
+        Raises:
+            FarmError: if the scene is exact, or records are missing.
+            ImportError: if xarray is not installed.
+        """
+        dataset, _ = self._records("--responses")
+        return dataset.set_coords(["quantity", "step", "unit"])
+
     def to_zarr(self, path: str | os.PathLike[str]) -> None:
         """Writes all records as a Zarr store (format 3), with the variables and axes of `to_xarray`. Its attributes are
         what `farmctl show --json` reports, the axes and the units.
@@ -219,21 +232,25 @@ class Dictionary:
         dataset, about = self._records()
         _exports.write_parquet(dataset, about, pathlib.Path(path))
 
-    def _records(self) -> tuple[xarray.Dataset, dict[str, Any]]:
-        """All records, and the description that comes with them."""
+    def _records(self, *options: str) -> tuple[xarray.Dataset, dict[str, Any]]:
+        """All records that these options of `farmctl export` mean, and the description that comes with them."""
         _optional.require("data", "xarray")
         import xarray
 
         with tempfile.TemporaryDirectory() as folder:
             path = pathlib.Path(folder, "records.npz")
-            _programs.farmctl([*self._farm._arguments(), "export", self.name, "--npz", str(path)])
+            _programs.farmctl([*self._farm._arguments(), "export", self.name, "--npz", str(path), *options])
             with np.load(path) as archive:
                 about = json.loads(archive["about.json"])
                 arrays = {name: archive[name] for name in archive.files if name != "about.json"}
         dims = about["axes"]
         coords = {name: arrays.pop(name) for name in dims}
         units = about["units"]
-        variables = {name: (dims, values, {"units": units[name]}) for name, values in arrays.items()}
+        # Arrays with a unit have all axes, others that of the variants.
+        variables = {
+            name: (dims, values, {"units": units[name]}) if name in units else (dims[:1], values)
+            for name, values in arrays.items()
+        }
         dataset = xarray.Dataset(variables, coords)
         for name in dims:
             if name in units:

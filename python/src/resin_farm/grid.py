@@ -27,7 +27,7 @@ class Grid:
     thickness_mm: Axis | None = None
     sample_ior: Axis | None = None
     scene: str | None = None
-    """"paper", "smooth" or the path of a scene file."""
+    """"lab", "paper", "smooth" or the path of a scene file."""
     quality: Literal["draft", "paper", "fine"] | None = None
     """The noise of the records; "paper" if None."""
     walks: int | None = None
@@ -48,7 +48,7 @@ class Grid:
     def to_toml(self) -> str:
         """The grid as a grid file."""
         values_by_name = {field.name: getattr(self, field.name) for field in fields(self)}
-        if self.scene is not None and self.scene not in ("paper", "smooth"):
+        if self.scene is not None and self.scene not in ("lab", "paper", "smooth"):
             # Absolute, since the grid file may lie elsewhere.
             values_by_name["scene"] = str(pathlib.Path(self.scene).resolve())
         return "".join(f"{name} = {_toml(value)}\n" for name, value in values_by_name.items() if value is not None)

@@ -209,6 +209,53 @@ fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize
     (sides, bytes[end..].to_vec())
 }
 
+/// Profiles of the responses are exported with what was varied, at the nodes where they were traced.
+#[test]
+fn responses_are_exported_with_their_variant() {
+    let dir = folder();
+    let scene = "[[layer]]\nname = 'gel'\nior = 1.33\nthickness_mm = { value = 0.02, std_error = 0.02 }\n\
+                 [[layer]]\nname = 's'\nsample = true\nroughness = 0.05\n[light]\nring_deg = [40, 50]\nstd_error_deg = 1\n";
+    write(dir.path(), "scene.toml", scene);
+    let axes =
+        "sigma_t_per_mm = [4, 6, 8]\nalbedo = [0.9, 0.99]\ng = [0.4]\nthickness_mm = [1]\nwalks = 1000\n";
+    write(dir.path(), "varied.toml", &format!("scene = 'scene.toml'\n{axes}"));
+    assert_eq!(run(dir.path(), &["submit", "varied.toml", "-q"]).code, 0);
+    let ran = run_line(dir.path(), "export varied --responses");
+    assert_eq!((ran.code, ran.stderr.as_str()), (0, ""));
+    let rows: Vec<Vec<&str>> = ran.stdout.lines().map(|row| row.split(',').collect()).collect();
+    assert_eq!(rows[0][..6], ["record", "quantity", "step", "unit", "sigma_t_per_mm", "albedo"]);
+    // Two steps of the gel and one of the ring, at 4 and 8 /mm; 6 records of the axes come before.
+    assert_eq!(rows.len(), 1 + 3 * 2 * 2 * 3 * 360);
+    assert_eq!(rows[1][..6], ["6", "gel thickness", "-0.015", "mm", "4", "0.9"]);
+    assert_eq!(rows[rows.len() - 1][..6], ["17", "ring angle", "2", "°", "8", "0.99"]);
+
+    assert_eq!(run_line(dir.path(), "export varied --responses --albedo 0.9 --npz a.npz").code, 0);
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(dir.path().join("a.npz")).unwrap()).unwrap();
+    let (shape, values) = array(&mut archive, "value.npy");
+    assert_eq!(shape, [3, 1, 2, 1, 1, 1, 3, 360]);
+    let of_rows = rows[1..].iter().filter(|row| row[5] == "0.9").map(|row| row[11].parse::<f32>().unwrap());
+    assert_eq!(values, of_rows.flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
+    let (shape, steps) = array(&mut archive, "step.npy");
+    assert_eq!((shape, steps), (vec![3], [-0.015, 0.08, 2.0_f64].map(f64::to_le_bytes).concat()));
+    let about: Value = serde_json::from_reader(archive.by_name("about.json").unwrap()).unwrap();
+    assert_eq!((&about["axes"][0], &about["variants"][2]["unit"]), (&"variant".into(), &"°".into()));
+
+    let line = run_line(dir.path(), "export varied --responses --sigma-t 8 --albedo 0.9 --json").stdout;
+    let first: Value = serde_json::from_str(line.lines().next().unwrap()).unwrap();
+    assert_eq!(
+        (&first["data"]["quantity"], &first["data"]["step"]),
+        (&"gel thickness".into(), &(-0.015).into())
+    );
+    let wrong = ["export", "varied", "--responses", "--sigma-t", "6"];
+    fails(dir.path(), &wrong, &["sigma_t = 6", "the dictionary has 4, 8"]);
+    let exact = farm();
+    fails(
+        exact.path(),
+        &["export", "grid", "--responses"],
+        &["the dictionary has no responses: its scene is exact"],
+    );
+}
+
 /// The arrays for NumPy hold the values of the exported rows.
 #[test]
 fn numpy_arrays_hold_the_exported_rows() {

@@ -1,5 +1,7 @@
 mod arrays;
+mod chosen;
 mod npz;
+mod variant;
 
 use std::io::Write;
 use std::path::Path;
@@ -11,7 +13,7 @@ use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::GetRequest;
-use optics_model::{Estimate, Grid, Invalid, Record};
+use optics_model::{Estimate, Grid, Record};
 use serde::Serialize;
 
 use crate::cli::{ExportArgs, Global};
@@ -19,6 +21,8 @@ use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, envelope};
+use chosen::ChosenAxes;
+use variant::VariedQuantity;
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;
@@ -88,13 +92,13 @@ async fn export(
     let status = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?.into_inner();
     let status = DictionaryStatus::try_from(status)?;
     let grid = &status.grid;
-    let indices = selection(grid, args)?;
+    let indices = chosen::selection(grid, args)?;
     let material = args.measurement.as_deref();
     let mut measurement = material.map(|name| one_material(grid, &indices, name, json)).transpose()?;
     let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
     let mut records = RecordStream::ask(connection, &status, indices).await?;
     if !json && measurement.is_none() {
-        write_head(&mut out, grid)?;
+        write_head(&mut out, grid, args.responses)?;
     }
     let mut count = 0;
     while let Some(record) = records.next().await? {
@@ -145,90 +149,12 @@ fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<
     MeasurementWriter::new(Vec::new(), name)
 }
 
-/// Places along each axis that the lists admit.
-#[derive(Debug)]
-struct ChosenAxes {
-    iors: Vec<usize>,
-    sigma_ts: Vec<usize>,
-    gs: Vec<usize>,
-    thicknesses: Vec<usize>,
-    albedos: Vec<usize>,
-}
-
-impl ChosenAxes {
-    fn new(grid: &Grid, args: &ExportArgs) -> Result<Self, Invalid> {
-        Ok(Self {
-            iors: places("sample_ior", grid.sample_ior(), &args.sample_ior)?,
-            sigma_ts: places("sigma_t", grid.sigma_t_per_mm(), &args.sigma_t)?,
-            gs: places("g", grid.g(), &args.g)?,
-            thicknesses: places("thickness", grid.thickness_mm(), &args.thickness)?,
-            albedos: places("albedo", grid.albedo(), &args.albedo)?,
-        })
-    }
-
-    fn axes(&self) -> [&[usize]; 5] {
-        [&self.iors, &self.sigma_ts, &self.gs, &self.thicknesses, &self.albedos]
-    }
-
-    fn shape(&self) -> [usize; 5] {
-        self.axes().map(<[usize]>::len)
-    }
-
-    fn values(&self, grid: &Grid) -> [Vec<f64>; 5] {
-        let all = [grid.sample_ior(), grid.sigma_t_per_mm(), grid.g(), grid.thickness_mm(), grid.albedo()];
-        let mut axes = self.axes().into_iter().zip(all);
-        std::array::from_fn(|_| {
-            let (places, values) = axes.next().unwrap_or_default();
-            places.iter().map(|place| values[*place]).collect()
-        })
-    }
-
-    /// Numbers of the records, the albedo running fastest.
-    fn records(&self, grid: &Grid) -> Vec<u32> {
-        let mut indices = Vec::new();
-        for &ior in &self.iors {
-            for &sigma_t in &self.sigma_ts {
-                for &g in &self.gs {
-                    for &t in &self.thicknesses {
-                        let of_point =
-                            self.albedos.iter().map(|&a| grid.record_at(ior, sigma_t, g, t, a) as u32);
-                        indices.extend(of_point);
-                    }
-                }
-            }
-        }
-        indices
-    }
-}
-
-/// Numbers of the records that the lists admit; empty if no list is given, which means all.
-fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>, Invalid> {
-    if [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior].iter().all(|l| l.is_empty())
-    {
-        return Ok(Vec::new());
-    }
-    Ok(ChosenAxes::new(grid, args)?.records(grid))
-}
-
-/// Indices of the wanted values in an axis; all if none is named.
-fn places(field: &str, axis: &[f64], wanted: &[f64]) -> Result<Vec<usize>, Invalid> {
-    if wanted.is_empty() {
-        return Ok((0..axis.len()).collect());
-    }
-    let place = |value: &f64| {
-        axis.iter().position(|v| v == value).ok_or_else(|| {
-            let list = axis.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
-            Invalid::new(field, value, format!("the dictionary has {list}"))
-        })
-    };
-    let mut places = wanted.iter().map(place).collect::<Result<Vec<_>, _>>()?;
-    places.sort_unstable();
-    places.dedup();
-    Ok(places)
-}
-
-fn write_head(out: &mut impl Write, grid: &Grid) -> Result<()> {
-    write!(out, "record,sigma_t_per_mm,albedo,g,thickness_mm,sample_ior,channel,x_mm,value,std_error")?;
+fn write_head(out: &mut impl Write, grid: &Grid, responses: bool) -> Result<()> {
+    let variant = if responses { ",quantity,step,unit" } else { "" };
+    write!(
+        out,
+        "record{variant},sigma_t_per_mm,albedo,g,thickness_mm,sample_ior,channel,x_mm,value,std_error"
+    )?;
     if grid.derivatives() {
         write!(out, ",d_albedo,d_albedo_std_error,d_sigma_t,d_sigma_t_std_error")?;
     }
@@ -239,11 +165,13 @@ fn write_head(out: &mut impl Write, grid: &Grid) -> Result<()> {
 fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> {
     let (point, medium) = grid.parameters(record.index);
     let scene = grid.scene();
+    let variant = VariedQuantity::of_record(grid, record.index);
+    let variant = variant.map_or_else(String::new, |v| format!(",{},{},{}", v.quantity, v.step, v.unit));
     for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
         for pixel in 0..scene.sensor().pixels() {
             write!(
                 out,
-                "{},{},{},{},{},{},{},{}",
+                "{}{variant},{},{},{},{},{},{},{}",
                 record.index,
                 medium.sigma_t_per_mm(),
                 medium.albedo(),
@@ -265,6 +193,9 @@ fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> 
 #[derive(Debug, Serialize)]
 struct RecordJson<'a> {
     record: usize,
+    /// Of a record of the responses.
+    #[serde(flatten)]
+    variant: Option<VariedQuantity>,
     sigma_t_per_mm: f64,
     albedo: f64,
     g: f64,
@@ -309,6 +240,7 @@ impl<'a> RecordJson<'a> {
             });
         Self {
             record: record.index,
+            variant: VariedQuantity::of_record(grid, record.index),
             sigma_t_per_mm: medium.sigma_t_per_mm(),
             albedo: medium.albedo(),
             g: medium.g(),

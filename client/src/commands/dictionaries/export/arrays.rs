@@ -7,15 +7,21 @@ use farm_proto::status::DictionaryStatus;
 use optics_model::{Estimate, Grid, Profile, Record};
 use serde::Serialize;
 
-use super::ChosenAxes;
+use super::chosen::ChosenAxes;
+use super::variant::VariedQuantity;
 use crate::commands::dictionaries::show;
 use crate::connection::Connection;
 use crate::connection::records::RecordStream;
 use crate::output::grouped;
 
-/// Axes of the arrays of records, the last one running fastest.
-pub(super) const AXES: [&str; 7] =
-    ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"];
+/// Axes of the arrays of records, the last one running fastest; the first one is that of the responses alone.
+const AXES: [&str; 8] =
+    ["variant", "sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"];
+
+/// The axes of what is chosen.
+pub(super) fn axes(chosen: &ChosenAxes) -> &'static [&'static str] {
+    if chosen.variants().is_empty() { &AXES[1..] } else { &AXES }
+}
 
 /// An array of records: its name and unit, and which of a profile's estimates it has.
 pub(super) struct Array {
@@ -76,7 +82,12 @@ pub(super) fn numeric_axes(
 ) -> impl Iterator<Item = (&'static str, Vec<f64>)> {
     let [iors, sigmas, gs, thicknesses, albedos] = chosen.values(grid);
     let values = [iors, sigmas, gs, thicknesses, albedos, x_mm(grid)];
-    AXES.into_iter().filter(|name| *name != "channel").zip(values)
+    AXES[1..].iter().copied().filter(|name| *name != "channel").zip(values)
+}
+
+/// The variants along the first axis of responses; none for records of the axes.
+pub(super) fn variants(grid: &Grid, chosen: &ChosenAxes) -> Vec<VariedQuantity> {
+    chosen.variants().iter().filter_map(|variant| VariedQuantity::of(grid, *variant)).collect()
 }
 
 /// The unit of an axis, if it has one.
@@ -89,18 +100,29 @@ pub(super) fn unit_of_axis(name: &str) -> Option<&'static str> {
 }
 
 /// The answer of `show --json`, and the meaning of the arrays.
-pub(super) fn about(status: &DictionaryStatus, arrays: &'static [Array]) -> Result<serde_json::Value> {
+pub(super) fn about(
+    status: &DictionaryStatus,
+    chosen: &ChosenAxes,
+    arrays: &'static [Array],
+) -> Result<serde_json::Value> {
     #[derive(Serialize)]
     struct ArraysAbout<D> {
         farmctl: &'static str,
-        axes: [&'static str; 7],
+        axes: &'static [&'static str],
         units: BTreeMap<&'static str, &'static str>,
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        variants: Vec<VariedQuantity>,
         dictionary: D,
     }
     let of_axes = AXES.into_iter().filter_map(|axis| Some((axis, unit_of_axis(axis)?)));
     let units = arrays.iter().map(|array| (array.name, array.unit)).chain(of_axes).collect();
-    let about =
-        ArraysAbout { farmctl: env!("CARGO_PKG_VERSION"), axes: AXES, units, dictionary: show::data(status) };
+    let about = ArraysAbout {
+        farmctl: env!("CARGO_PKG_VERSION"),
+        axes: axes(chosen),
+        units,
+        variants: variants(&status.grid, chosen),
+        dictionary: show::data(status),
+    };
     Ok(serde_json::to_value(&about)?)
 }
 

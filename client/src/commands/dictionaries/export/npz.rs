@@ -11,8 +11,8 @@ use optics_model::Grid;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-use super::ChosenAxes;
-use super::arrays::{Array, Complete, about, channels, numeric_axes};
+use super::arrays::{Array, Complete, about, channels, numeric_axes, variants};
+use super::chosen::ChosenAxes;
 use crate::connection::Connection;
 
 /// Writes the chosen records, which must all be done.
@@ -31,7 +31,7 @@ pub(super) async fn write(
     }
     write_axes(grid, chosen, &mut archive)?;
     archive.start_file("about.json", stored())?;
-    let about = serde_json::to_string_pretty(&about(status, arrays)?)? + "\n";
+    let about = serde_json::to_string_pretty(&about(status, chosen, arrays)?)? + "\n";
     archive.write_all(about.as_bytes())?;
     archive.finish()?;
     Ok(())
@@ -51,7 +51,7 @@ async fn write_records(
 ) -> Result<()> {
     let grid = &status.grid;
     let (channels, pixels) = (grid.scene().channels().len(), grid.scene().sensor().pixels());
-    out.write_all(&head("<f4", &[&chosen.shape()[..], &[channels, pixels]].concat()))?;
+    out.write_all(&head("<f4", &[chosen.shape(), vec![channels, pixels]].concat()))?;
     let mut records = Complete::ask(connection, status, chosen).await?;
     let mut bytes = Vec::with_capacity(4 * channels * pixels);
     while let Some(record) = records.next().await? {
@@ -64,20 +64,39 @@ async fn write_records(
     Ok(())
 }
 
-/// The values along each axis, as an array of its name.
+/// The values along each axis, and what the variants are, as arrays of their names.
 fn write_axes(grid: &Grid, chosen: &ChosenAxes, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
-    let names = channels(grid);
     for (name, values) in numeric_axes(grid, chosen) {
-        archive.start_file(format!("{name}.npy"), stored())?;
-        archive.write_all(&head("<f8", &[values.len()]))?;
-        archive.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())?;
+        write_numbers(name, &values, archive)?;
     }
-    // Text of one length, in UTF-32, as NumPy has it.
-    let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
-    archive.start_file("channel.npy", stored())?;
-    archive.write_all(&head(&format!("<U{longest}"), &[names.len()]))?;
-    for name in names {
-        let padded = name.chars().map(u32::from).chain(std::iter::repeat(0)).take(longest);
+    let variants = variants(grid, chosen);
+    if !variants.is_empty() {
+        write_numbers("variant", &(0..variants.len()).map(|i| i as f64).collect::<Vec<_>>(), archive)?;
+        write_texts("quantity", variants.iter().map(|v| v.quantity.as_str()), archive)?;
+        write_numbers("step", &variants.iter().map(|v| v.step).collect::<Vec<_>>(), archive)?;
+        write_texts("unit", variants.iter().map(|v| v.unit), archive)?;
+    }
+    write_texts("channel", channels(grid).into_iter(), archive)
+}
+
+fn write_numbers(name: &str, values: &[f64], archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
+    archive.start_file(format!("{name}.npy"), stored())?;
+    archive.write_all(&head("<f8", &[values.len()]))?;
+    archive.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())?;
+    Ok(())
+}
+
+/// Text of one length, in UTF-32, as NumPy has it.
+fn write_texts<'a>(
+    name: &str,
+    texts: impl ExactSizeIterator<Item = &'a str> + Clone,
+    archive: &mut ZipWriter<impl Write + Seek>,
+) -> Result<()> {
+    let longest = texts.clone().map(|text| text.chars().count()).max().unwrap_or(0).max(1);
+    archive.start_file(format!("{name}.npy"), stored())?;
+    archive.write_all(&head(&format!("<U{longest}"), &[texts.len()]))?;
+    for text in texts {
+        let padded = text.chars().map(u32::from).chain(std::iter::repeat(0)).take(longest);
         archive.write_all(&padded.flat_map(u32::to_le_bytes).collect::<Vec<u8>>())?;
     }
     Ok(())
@@ -96,7 +115,7 @@ fn head(kind: &str, shape: &[usize]) -> Vec<u8> {
     let whole = (BEFORE_HEAD + text.len() + 1).next_multiple_of(64);
     text.extend(std::iter::repeat_n(' ', whole - BEFORE_HEAD - 1 - text.len()));
     text.push('\n');
-    // Seven axes take a few hundred bytes.
+    // Eight axes take a few hundred bytes.
     let length = (text.len() as u16).to_le_bytes();
     [b"\x93NUMPY\x01\x00", &length[..], text.as_bytes()].concat()
 }

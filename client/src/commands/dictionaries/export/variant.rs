@@ -1,0 +1,30 @@
+//! What distinguishes a variant of the responses from the scene.
+
+use optics_model::Grid;
+use serde::Serialize;
+
+/// The quantity that has another value in a variant.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct VariedQuantity {
+    /// As `gel thickness`.
+    pub(super) quantity: String,
+    /// By how much it is larger than in the scene, in the unit.
+    pub(super) step: f64,
+    /// `mm`, `°`, or nothing for pure numbers.
+    pub(super) unit: &'static str,
+}
+
+impl VariedQuantity {
+    /// None without such a variant.
+    pub(super) fn of(grid: &Grid, variant: usize) -> Option<Self> {
+        let (scene, variant) = (grid.scene(), grid.responses()?.variants().get(variant)?);
+        let prior = scene.priors().get(variant.prior)?;
+        Some(Self { quantity: scene.name_of(prior), step: variant.step, unit: prior.kind().unit() })
+    }
+
+    /// Of a record of the responses; None for those of the axes.
+    pub(super) fn of_record(grid: &Grid, record: usize) -> Option<Self> {
+        let place = grid.response_of(record / grid.albedo().len())?;
+        Self::of(grid, place.variant)
+    }
+}
