@@ -21,7 +21,7 @@ async fn nothing_is_cut_off_at_any_size() {
     }
     let folder = tempfile::tempdir().unwrap();
     write_grid(folder.path());
-    let grid = if pictures().is_some() { "lab" } else { "coarse.toml" };
+    let grid = if pictures().is_some() { "paper" } else { "coarse.toml" };
     let submitted = run(folder.path(), &["submit", grid, "-q"]);
     assert_eq!(submitted.code, 0, "{}", submitted.stderr);
     let session = root().join("examples/session/session.toml");
@@ -59,11 +59,12 @@ async fn half_a_dictionary(browser: &Browser, name: &str) {
     let open = "const new_one = [...document.querySelectorAll('details')].find((d) => d.innerText.includes('Compute a new one')); \
                 new_one.open = true";
     browser.script(open, vec![]).await;
+    browser.pick("form select[name=scene]", "paper").await;
     let field = browser.css("form input[type=text]").await;
     field.clear().await.unwrap();
     field.send_keys(name).await.unwrap();
     browser.pick("form select[name=noise]", "3").await;
-    browser.shows("54,940 records in 1,340 jobs").await;
+    browser.shows("34,276 records in 836 jobs").await;
     browser.press("Compute").await;
     browser.shows(&format!("{name}: running")).await;
     browser.script("document.querySelectorAll('details').forEach((d) => (d.open = false))", vec![]).await;
