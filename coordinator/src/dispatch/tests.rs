@@ -264,6 +264,10 @@ fn reasons_for_waiting_are_explained() {
     assert_eq!(bench.reasons(0), ["WAITING"]);
     assert_eq!(bench.reasons(100), ["WORKERS_SILENT", "WAITING"]);
     for name in ["a", "b", "c"] {
+        bench.farm.drain(name).unwrap();
+    }
+    assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
+    for name in ["a", "b", "c"] {
         bench.farm.leave(&worker(name));
     }
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);

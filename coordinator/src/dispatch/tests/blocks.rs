@@ -9,6 +9,7 @@ use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, arrive, job_of, seconds, stored};
+use crate::dispatch::part::PartId;
 use crate::dispatch::{Admission, Dictionary};
 
 /// Of one job in three blocks.
@@ -45,6 +46,15 @@ fn divided_job_is_leased_by_blocks() {
     assert_eq!(bench.acquire(5, "c", 5)[0].job.block(), Some(0));
     bench.finish(6, "c", &leases[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
+}
+
+/// The blocks of a divided job cost as much together as the job: what is late depends on it.
+#[test]
+fn blocks_share_the_cost_of_their_job() {
+    let bench = divided(0.0);
+    let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
+    let job = dictionary.job(PartId { dictionary: dictionary.id(), job: 0, part: 0 }).unwrap();
+    assert!((3.0 * job.part_cost() / job.cost - 1.0).abs() < 1e-12, "{job:?}");
 }
 
 /// A job that needs more walks is leased again with the new number.

@@ -4,9 +4,9 @@ use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::LeaseKey;
 use farm_proto::status::DictionaryState;
 
-use super::{Bench, DIGEST, job_of, seconds, worker};
-use crate::dispatch::Admission;
-use crate::stored::DesiredState;
+use super::{Bench, DIGEST, about, job_of, seconds, worker};
+use crate::dispatch::{Admission, Registration};
+use crate::stored::{DesiredState, Machine, Origin};
 
 /// The late result of the first worker still counts, and the second result is compared with it.
 #[test]
@@ -60,6 +60,21 @@ fn leases_survive_a_restart_of_the_coordinator() {
     let other_grid = vec![(lease[0].key, true, DIGEST)];
     let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
     assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
+}
+
+/// After a restart a lease is taken up again only with the access token of its holder.
+#[test]
+fn restart_keeps_leases_to_their_tokens() {
+    let with_token = |token: &str| {
+        let mut bench = Bench::new(&[]);
+        let machine = Machine { token: token.to_owned(), ..Machine::at("d") };
+        let about = Registration { machine, ..about("d") };
+        bench.farm.register(seconds(0), worker("d"), Origin(4), about).unwrap();
+        bench
+    };
+    let lease = with_token("t").acquire(0, "d", 1);
+    assert!(!with_token("u").renew(0, "d", &lease[0], true));
+    assert!(with_token("t").renew(0, "d", &lease[0], true));
 }
 
 /// A worker that leaves frees all its leases, including those whose grant it has not received.

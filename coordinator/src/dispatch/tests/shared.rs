@@ -53,8 +53,11 @@ fn shared_walks_are_computed_once() {
     assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
     assert!(bench.reasons_of("e", 0).contains(&"SHARED"), "{:?}", bench.reasons_of("e", 0));
     assert_eq!(bench.farm.schedule.served_by((FIRST, 2)), [(SECOND, 2)]);
+    assert!(bench.farm.schedule.done_elsewhere(SECOND).is_empty());
     bench.finish(1, "a", &leases[0]);
+    assert_eq!(bench.farm.schedule.done_elsewhere(SECOND), [2]);
     bench.farm.taken_over((SECOND, 2), Walks::PAPER, DIGEST, None);
+    assert!(bench.farm.schedule.done_elsewhere(SECOND).is_empty());
     assert_eq!(bench.farm.schedule.by_id(SECOND).unwrap().ended(), (1, 0));
     assert!(bench.farm.schedule.served_by((FIRST, 2)).is_empty());
 }
@@ -143,4 +146,20 @@ fn shared_straggler_gets_a_second_copy() {
     bench.farm.look_over(super::seconds(14));
     bench.farm.look_over(super::seconds(18));
     assert_eq!(places(&bench.acquire(18, "b", 9)), [(FIRST, 2)]);
+}
+
+/// A worker that asks in vain does not make the time without work count: the expected end stays where it was.
+#[test]
+fn requests_in_vain_keep_the_pace() {
+    let mut bench = overlapping(vec![0.9, 0.95]);
+    bench.farm.set_desire(SECOND, DesiredState::Pause, String::new());
+    let leases = bench.acquire(0, "a", 9);
+    for (at, lease) in (1..).zip(&leases) {
+        bench.finish(at, "a", lease);
+    }
+    assert!(leases.len() == 3 && bench.acquire(3, "a", 9).is_empty());
+    bench.farm.set_desire(SECOND, DesiredState::Run, String::new());
+    let second = bench.farm.schedule.by_id(SECOND).unwrap();
+    let [soon, later] = [3, 100].map(|at| bench.farm.status_of(super::seconds(at), second).eta_s);
+    assert!(soon.is_some() && soon == later, "{soon:?} {later:?}");
 }

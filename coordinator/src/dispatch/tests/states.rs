@@ -2,8 +2,12 @@
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState::{Checked, Computing, Done, Failed, Waiting};
+use farm_proto::status::WorkerState;
+use optics_model::Walks;
 
-use super::{Bench, DIGEST};
+use super::{Bench, DIGEST, seconds, worker};
+use crate::dispatch::EventKind;
+use crate::stored::{DesiredState, EndedJob};
 
 /// A job waits, is computed, done and checked, or given up.
 #[test]
@@ -35,4 +39,59 @@ fn job_states_follow_its_life() {
     bench.fail(5, "c", again);
     assert_eq!(states(&bench)[other], Failed);
     assert!(bench.farm.job_states(DictionaryId(9)).is_empty());
+}
+
+/// Records that came from other dictionaries are counted, and those of a range that are done: jobs 0 and 2, of two each.
+#[test]
+fn finished_and_reused_records_are_counted() {
+    let done = |job| EndedJob::Done {
+        job,
+        walks: Walks::PAPER,
+        records: DIGEST,
+        by: None,
+        confirmed: vec![],
+        reused: true,
+    };
+    let bench = Bench::new(&[done(0), done(2)]);
+    assert_eq!(bench.status().records_reused, 4);
+    let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
+    assert_eq!([0..6, 1..5, 2..4].map(|range| dictionary.finished_records(range)), [4, 2, 0]);
+}
+
+/// What is done to a dictionary, and its end, are recorded as its events.
+#[test]
+fn dictionary_events_are_recorded_in_order() {
+    let mut bench = Bench::new(&[]);
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
+    for lease in bench.acquire(0, "a", 3) {
+        bench.finish(1, "a", &lease);
+    }
+    let events = bench.farm.take_outbox().events;
+    let kinds: Vec<_> = events.iter().filter(|event| event.dictionary == "d").map(|e| e.kind).collect();
+    assert_eq!(kinds, [EventKind::Paused, EventKind::Resumed, EventKind::Done]);
+}
+
+/// The explanation of a cancelled dictionary contains the reason that was given.
+#[test]
+fn cancellation_is_explained_with_its_reason() {
+    let mut bench = Bench::new(&[]);
+    bench.farm.set_desire(DictionaryId(1), DesiredState::Cancel, "enough".to_owned());
+    let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
+    let reasons = bench.farm.explain(seconds(0), dictionary);
+    assert!(reasons[0].code == "CANCELLED" && reasons[0].text.contains("enough"), "{reasons:?}");
+}
+
+/// A worker is listed as silent once it has missed its heartbeats, until it is heard of again.
+#[test]
+fn unheard_workers_are_listed_as_silent() {
+    let mut bench = Bench::new(&[]);
+    let states = |bench: &Bench, at| {
+        let workers = bench.farm.workers(seconds(at), &worker(""), 9);
+        workers.into_iter().map(|worker| worker.state).collect::<Vec<_>>()
+    };
+    assert_eq!(states(&bench, 30), [WorkerState::Idle; 3]);
+    assert_eq!(states(&bench, 31), [WorkerState::Silent; 3]);
+    bench.acquire(31, "a", 1);
+    assert_eq!(states(&bench, 31), [WorkerState::Working, WorkerState::Silent, WorkerState::Silent]);
 }
