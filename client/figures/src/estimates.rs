@@ -8,9 +8,9 @@ use optics_model::scene::Scope;
 
 use crate::numbers::{minus, with_error};
 
-/// What the standard errors of all rows leave out.
-pub const NOTE: &str = "the errors of these estimates leave out the noise of the dictionary's responses: roughnesses and \
-                        indices are less certain";
+/// How far the standard errors of the rows hold.
+pub const NOTE: &str = "the noise of the dictionary's responses makes errors of roughnesses and indices too small, by a \
+                        factor of 1.2 to 2 in tests";
 
 /// Estimate and prior of one quantity, for what shares it.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -3,7 +3,6 @@
 use nalgebra::{Cholesky, DVector};
 use rayon::prelude::*;
 
-use super::Line;
 use super::descent::{COARSE, FINE};
 use super::form::without_specks;
 use super::records_noise::Modes;
@@ -11,10 +10,13 @@ use super::robust::{is_dust, specks};
 use super::system::{State, System};
 use super::term::Own;
 use super::unknowns::{submatrix, subvector};
-use crate::surrogate::NoisePlace;
+use super::{Line, SHARED};
+use crate::surrogate::{Coordinates, NoisePlace, Surrogate};
 
 /// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
 const FAR: f64 = 0.01;
+/// The same for a quantity of the scene, in standard deviations of its prior.
+const FAR_OF_SCENE: f64 = 0.1;
 /// How far off in mm a descent finds an edge from its stated origin.
 const FAR_MM: f64 = 0.06;
 /// By this factor the noise is made smaller at a time, on the way to a model without dust.
@@ -51,9 +53,10 @@ impl System<'_> {
                 break;
             }
         }
-        // The quantities of the scene do not change what they do.
+        // The noise of the responses grows with the quantities of the scene.
         let of_scene = |i: usize| self.of_scene.iter().any(|unknown| unknown.slot == i);
-        let is_far = |i: usize| (state.x[i] - modes_at.x[i]).abs() > FAR && !of_scene(i);
+        let far = |i: usize| if of_scene(i) { FAR_OF_SCENE } else { FAR };
+        let is_far = |i: usize| (state.x[i] - modes_at.x[i]).abs() > far(i);
         if (0..state.x.len()).any(is_far) {
             self.add_modes(&mut state);
             state = self.descend(state, None, FINE);
@@ -110,27 +113,61 @@ impl System<'_> {
     /// Updates what depends on the state in every profile: the records' noise, and all that `move_near` does.
     fn add_modes(&mut self, state: &mut State) {
         self.move_near(&state.x);
-        let modes = |i: usize| {
+        let places: Vec<NoisePlace> = self.places_of(|surrogate, mm, x| surrogate.noise_at(mm, x), state);
+        let alike = |i: usize| places.iter().map(|other| places[i].in_common(other)).sum();
+        let alike: Vec<f64> = (0..self.terms.len()).map(alike).collect();
+        let of_responses = self.response_factors(state, &alike);
+        let modes = |(i, of_responses): (usize, Vec<Line>)| {
             let (term, point) = (&self.terms[i], self.point(i, &state.x));
-            let noise = self.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
+            let mut noise = self.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
+            noise.factors.extend(of_responses);
             let origin = term.origin_mm(&state.own[i]);
             Modes::new(&noise, &term.camera, origin, &term.std_errors)
         };
-        let found: Vec<Modes> = (0..self.terms.len()).into_par_iter().map(modes).collect();
-        for ((term, own), found) in self.terms.iter_mut().zip(&mut state.own).zip(found) {
+        let found: Vec<Modes> = of_responses.into_par_iter().enumerate().map(modes).collect();
+        for (i, ((term, own), found)) in self.terms.iter_mut().zip(&mut state.own).zip(found).enumerate() {
             own.truncate(term.priors.len());
             own.resize(term.priors.len() + found.modes.len(), 0.0);
             (term.modes, term.rest_variances, term.alike) = (found.modes, found.rest_variances, 1.0);
+            term.count_alike(own, alike[i]);
         }
-        let places: Vec<NoisePlace> = (0..self.terms.len())
-            .map(|i| {
-                let point = self.point(i, &state.x);
-                self.surrogates[i].noise_at(point.thickness_mm(), point.medium())
-            })
-            .collect();
-        for (i, (term, own)) in self.terms.iter_mut().zip(&mut state.own).enumerate() {
-            term.count_alike(own, places.iter().map(|other| places[i].in_common(other)).sum());
+    }
+
+    /// Something of every profile's medium and thickness.
+    fn places_of<T: Send>(
+        &self,
+        of: impl Fn(&Surrogate, f64, Coordinates) -> T + Sync,
+        state: &State,
+    ) -> Vec<T> {
+        let place = |i: usize| {
+            let point = self.point(i, &state.x);
+            of(self.surrogates[i], point.thickness_mm(), point.medium())
+        };
+        (0..self.terms.len()).into_par_iter().map(place).collect()
+    }
+
+    /// The noise of the responses in every profile, as factors of its covariance. All modes of a profile are counted as
+    /// those of `alike` profiles: these factors count as those of the profiles that have a quantity in common instead.
+    fn response_factors(&self, state: &State, alike: &[f64]) -> Vec<Vec<Line>> {
+        if self.of_scene.is_empty() {
+            return vec![Vec::new(); self.terms.len()];
         }
+        let noises = self.places_of(|surrogate, mm, x| surrogate.response_noise(mm, x), state);
+        let of_quantity = |i: usize, prior: usize, slot: usize| -> Vec<Line> {
+            let Some(noise) = &noises[i] else { return Vec::new() };
+            let sharing = (0..noises.len()).filter(|k| self.slots[*k].contains(&slot));
+            let others = sharing.filter_map(|k| noises[k].as_ref());
+            let common: f64 = others.map(|other| noise.place.in_common(&other.place)).sum();
+            let size = (common / alike[i]).sqrt();
+            let mut factors = noise.factors(prior, state.x[slot]);
+            factors.iter_mut().flatten().for_each(|v| *v *= size);
+            factors
+        };
+        let of_term = |i: usize| {
+            let slots = self.slots[i].iter().skip(SHARED).enumerate();
+            slots.flat_map(|(prior, slot)| of_quantity(i, prior, *slot)).collect()
+        };
+        (0..self.terms.len()).into_par_iter().map(of_term).collect()
     }
 
     /// What the standard deviation of residuals would be if those of most pixels were normal, in that of the noise.

@@ -13,13 +13,17 @@ pub(crate) struct Weights {
 }
 
 /// Weights of the nodes from `first` on.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Direction {
     first: usize,
     values: Vec<f64>,
 }
 
 impl Direction {
+    pub(super) fn of(weights: &Weights) -> Self {
+        Self { first: weights.first, values: weights.values.clone() }
+    }
+
     /// 1 for the same weights, 0 for weights that share no node.
     pub(crate) fn cosine(&self, other: &Self) -> f64 {
         self.cosine_where(other, |node, of_other| node == of_other)
@@ -198,7 +202,7 @@ const NOTHING: f64 = 1e-11;
 
 /// Functions that span the terms and are orthonormal over the window's nodes under their weights. Each is given by its
 /// values, at the nodes and then at any places. Orthogonalised twice: terms are nearly alike where a window is narrow.
-fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
+pub(super) fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
     let product =
         |a: &[f64], b: &[f64]| -> f64 { window.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum() };
     let mut basis: Vec<Vec<f64>> = Vec::with_capacity(terms.len());

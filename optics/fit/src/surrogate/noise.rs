@@ -16,7 +16,7 @@ pub(crate) struct NoiseFactors {
 }
 
 /// Where a prediction's noise comes from.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct NoisePlace {
     ior: usize,
     albedo: f64,
@@ -51,7 +51,7 @@ impl Surrogate<'_> {
     }
 
     /// Index of the dictionary's nearest thickness, and the factor from it.
-    fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
+    pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
         let off = |t: &f64| (thickness_mm / t).ln().abs();
         let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
@@ -63,13 +63,19 @@ impl Surrogate<'_> {
         let (thickness, ratio) = self.nearest_thickness(thickness_mm);
         let thickness_mm = self.grid().thickness_mm()[thickness];
         let depth = |sigma_t: &f64| (sigma_t * thickness_mm) as f32;
-        NoisePlace {
-            ior: self.ior,
-            depths: self.grid().sigma_t_per_mm().iter().map(depth).collect(),
-            albedo: albedo(x[ALBEDO]).clamp(0.0, 1.0),
-            sigma_t: self.sigma_t.direction(x[SIGMA_T] + ratio.ln()),
-            g: self.g.direction(x[G]),
-        }
+        let depths = self.grid().sigma_t_per_mm().iter().map(depth).collect();
+        let directions = [self.sigma_t.direction(x[SIGMA_T] + ratio.ln()), self.g.direction(x[G])];
+        self.noise_place(x[ALBEDO], depths, directions)
+    }
+
+    /// With the optical thicknesses of the nodes that the directions are over.
+    pub(super) fn noise_place(
+        &self,
+        albedo_coordinate: f64,
+        depths: Vec<f32>,
+        [sigma_t, g]: [Direction; 2],
+    ) -> NoisePlace {
+        NoisePlace { ior: self.ior, albedo: albedo(albedo_coordinate).clamp(0.0, 1.0), depths, sigma_t, g }
     }
 
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all

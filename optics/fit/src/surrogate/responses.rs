@@ -6,7 +6,11 @@
 
 use optics_model::scene::Prior;
 
-use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, interpolation};
+use noise::Stencil;
+
+use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
+
+pub(crate) mod noise;
 
 /// A response at one medium, and its derivatives by the medium's coordinates.
 #[derive(Debug, Clone)]
@@ -81,17 +85,14 @@ impl Surrogate<'_> {
     pub(crate) fn responses(&self, thickness_mm: f64, x: Coordinates) -> Option<LocalResponses> {
         let grid = self.grid();
         let (scene, responses) = (grid.scene(), grid.responses()?);
-        let off = |t: &f64| (thickness_mm / t).ln().abs();
-        let axis = grid.thickness_mm();
-        let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
-        let mut at = x;
-        at[SIGMA_T] += (thickness_mm / nominal).ln();
+        let (thickness, at) = self.response_place(thickness_mm, x);
+        let stencil = self.response_stencil(thickness, at);
         let each = scene.priors().iter().enumerate().map(|(index, prior)| {
             let variants =
                 (0..responses.variants().len()).filter(|v| responses.variants()[*v].prior == index);
             let differences = variants.map(|v| {
                 let u = responses.variants()[v].step / prior.std_error();
-                (u, self.traced_difference(v, thickness, at))
+                (u, self.traced_difference(v, &stencil))
             });
             local_response(prior, &differences.collect::<Vec<_>>())
         });
@@ -101,24 +102,25 @@ impl Surrogate<'_> {
         Some(LocalResponses { at: optical, each })
     }
 
+    /// The nearest of the dictionary's thicknesses, and coordinates of a slab of it that is optically as thick.
+    fn response_place(&self, thickness_mm: f64, mut x: Coordinates) -> (usize, Coordinates) {
+        let (index, ratio) = self.nearest_thickness(thickness_mm);
+        x[SIGMA_T] += ratio.ln();
+        (index, x)
+    }
+
     /// The difference that a variant makes, and its derivatives by the medium's coordinates.
-    fn traced_difference(&self, variant: usize, thickness: usize, x: Coordinates) -> [Vec<f64>; 4] {
+    fn traced_difference(&self, variant: usize, stencil: &Stencil) -> [Vec<f64>; 4] {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         let records = self.dictionary.responses(self.channel);
-        // Nodes fall.
-        let s_nodes: Vec<f64> = nodes.sigma_t().iter().map(|i| -grid.sigma_t_per_mm()[*i].ln()).collect();
-        let g_nodes: Vec<f64> = nodes.g().iter().map(|i| (1.0 - grid.g()[*i]).ln()).collect();
-        let clamped = |nodes: &[f64], x: f64| x.clamp(nodes[nodes.len() - 1], nodes[0]);
-        let s = interpolation(&s_nodes, clamped(&s_nodes, -x[SIGMA_T]));
-        let g = interpolation(&g_nodes, clamped(&g_nodes, x[G]));
-        let a = interpolation(&self.albedo, x[ALBEDO]);
+        let Stencil { thickness, sigma_t: s, g, albedo: a } = stencil;
         let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; self.pixels()]);
         for (i, (ws, ds)) in s.values.iter().zip(&s.slopes).enumerate() {
             for (k, (wg, dg)) in g.values.iter().zip(&g.slopes).enumerate() {
                 for (j, (wa, da)) in a.values.iter().zip(&a.slopes).enumerate() {
                     let (sigma_t, g) = (nodes.sigma_t()[s.first + i], nodes.g()[g.first + k]);
-                    let record = grid.record_at(self.ior, sigma_t, g, thickness, a.first + j);
+                    let record = grid.record_at(self.ior, sigma_t, g, *thickness, a.first + j);
                     let row =
                         records.difference(variant, record).expect("responses are traced at their nodes");
                     let weights = [ws * wa * wg, -ds * wa * wg, ws * da * wg, ws * wa * dg];

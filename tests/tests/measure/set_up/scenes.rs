@@ -1,7 +1,9 @@
 //! Set-ups that differ from the scene `lab`.
 
+use std::sync::OnceLock;
+
 use farm_tests::statistics::Normal;
-use optics_model::scene::{RingLight, Scene, Scope};
+use optics_model::scene::{Channel, RingLight, Scene, Scope};
 use optics_tracer::base_as_seen;
 
 use super::session::SLABS_MM;
@@ -28,6 +30,8 @@ pub(super) struct ChangedSetUp {
     differences: Vec<[Vec<f64>; 2]>,
     /// Instead of the scene's.
     ring: Option<RingLight>,
+    /// Of the base: coat and lamps are the session's, so they are the same for all slabs.
+    channels: OnceLock<Vec<Channel>>,
 }
 
 impl ChangedSetUp {
@@ -65,7 +69,7 @@ impl ChangedSetUp {
             differences[prior] = difference;
         }
         let ring = (name == "ring 32–58°").then(|| RingLight::new(32.0, 58.0).unwrap());
-        Self { differences: vec![[differences.clone(), differences]; 6], ring }
+        Self { differences: vec![[differences.clone(), differences]; 6], ring, channels: OnceLock::new() }
     }
 
     /// All quantities from their priors, within the ranges of the responses.
@@ -94,13 +98,13 @@ impl ChangedSetUp {
                 }
             }
         }
-        Self { differences, ring: None }
+        Self { differences, ring: None, channels: OnceLock::new() }
     }
 
     /// Nothing differs.
     pub(super) fn none(materials: usize) -> Self {
         let zero = vec![0.0; lab().priors().len()];
-        Self { differences: vec![[zero.clone(), zero]; materials], ring: None }
+        Self { differences: vec![[zero.clone(), zero]; materials], ring: None, channels: OnceLock::new() }
     }
 
     pub(super) fn difference(&self, material: usize, slab_mm: Option<f64>, prior: usize) -> f64 {
@@ -110,22 +114,17 @@ impl ChangedSetUp {
 
     /// The scene of a slab; the bare board looks the same in all.
     pub(super) fn scene(&self, material: usize, slab: usize) -> Scene {
-        changed(&self.differences[material][slab], self.ring)
-    }
-}
-
-/// The scene `lab` with these differences, by prior.
-fn changed(differences: &[f64], ring: Option<RingLight>) -> Scene {
-    let lab = lab();
-    let mut scene = lab.clone().with_priors(Vec::new()).unwrap();
-    for (prior, difference) in lab.priors().iter().zip(differences) {
-        if *difference != 0.0 {
-            scene = scene.varied(prior, *difference, lab.channels().to_vec()).unwrap();
+        let lab = lab();
+        let mut scene = lab.clone().with_priors(Vec::new()).unwrap();
+        for (prior, difference) in lab.priors().iter().zip(&self.differences[material][slab]) {
+            if *difference != 0.0 {
+                scene = scene.varied(prior, *difference, lab.channels().to_vec()).unwrap();
+            }
         }
+        if let Some(ring) = self.ring {
+            scene = scene.with_light(ring);
+        }
+        let channels = self.channels.get_or_init(|| base_as_seen(&lab, &scene).unwrap());
+        scene.with_channels(channels.clone()).unwrap()
     }
-    if let Some(ring) = ring {
-        scene = scene.with_light(ring);
-    }
-    let channels = base_as_seen(&lab, &scene).unwrap();
-    scene.with_channels(channels).unwrap()
 }

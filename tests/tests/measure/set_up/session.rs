@@ -18,11 +18,10 @@ use crate::imperfect::truths::records;
 pub(super) const SLABS_MM: [f64; 2] = [0.5, 1.0];
 /// Noise of a pixel as a share of its value.
 const NOISE: f64 = 0.004;
-/// Walks of a profile in the set-ups of the table, and in random ones.
-const ROW_WALKS: u64 = 2_000_000;
-const RANDOM_WALKS: u64 = 200_000;
-/// Error of a level that so few walks leave: it counts as one of the gain.
-const LEVEL: f64 = 0.0025;
+/// Walks of a profile.
+const WALKS: u64 = 2_000_000;
+/// Error of a level that these walks leave: with flaws it counts as one of the gain.
+const LEVEL: f64 = 0.0008;
 /// Refractive index of the samples in the scene.
 const IOR: f64 = 1.53;
 
@@ -107,8 +106,7 @@ impl SetUpSession {
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let scene = self.set_up.scene(material, slab);
         let sensor = scene.sensor();
-        let walks = if self.flawed { RANDOM_WALKS } else { ROW_WALKS };
-        let values = traced(scene, &self.media[material], thickness_mm, walks, 930_000 + number);
+        let values = traced(scene, &self.media[material], thickness_mm, WALKS, 930_000 + number);
         let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
         let exact: Vec<f64> =
             values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();

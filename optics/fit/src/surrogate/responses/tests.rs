@@ -38,13 +38,56 @@ fn dictionary() -> FitDictionary {
     };
     let responses = Responses::of(&scene, &axes, |varied| base_as_seen(&scene, varied)).unwrap().unwrap();
     let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
-    let grid = grid.with_responses(responses).unwrap();
+    traced(grid.with_responses(responses).unwrap())
+}
+
+fn traced(grid: Grid) -> FitDictionary {
     let mut builder = DictionaryBuilder::new(grid.clone());
     for job in 0..grid.job_count() {
         let job = JobSpec::of(&grid, job);
         builder.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
     }
     builder.build()
+}
+
+/// The sample's roughness as the only uncertain quantity, in a dictionary of few walks.
+fn of_roughness(seed: u64) -> FitDictionary {
+    let roughness = lab().priors()[0].clone();
+    let scene = lab().with_priors(vec![roughness]).unwrap();
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.0, 2.0, 4.0, 8.0],
+        albedo: vec![0.8, 0.9, 0.97],
+        g: vec![0.0, 0.4, 0.7],
+        thickness_mm: vec![1.0],
+        sample_ior: vec![IOR],
+    };
+    let responses = Responses::of(&scene, &axes, |varied| base_as_seen(&scene, varied)).unwrap().unwrap();
+    let grid = Grid::new(scene, axes, Walks::new(10_000).unwrap(), seed, false).unwrap();
+    traced(grid.with_responses(responses).unwrap())
+}
+
+/// The noise of a response is that by which dictionaries of other seeds differ, within the scatter of few seeds.
+#[test]
+fn noise_is_the_scatter_between_seeds() {
+    let (mm, x) = (1.0, coordinates(&Medium::new(3.0, 0.93, 0.3).unwrap()));
+    let dictionaries: Vec<FitDictionary> = (1..=6).map(of_roughness).collect();
+    let surrogates = dictionaries.iter().map(|dictionary| Surrogate::new(dictionary, 0, 0));
+    let (mut values, mut stated) = (Vec::new(), 0.0);
+    for surrogate in surrogates {
+        let change = |u: f64| surrogate.responses(mm, x).unwrap().change(mm, x, &[u]).values;
+        // At the step itself the noise is that of one difference; the slope's is taken off.
+        values.push(change(2.5));
+        let factors = surrogate.response_noise(mm, x).unwrap().factors(0, 2.5);
+        stated += factors.iter().flatten().map(|f| f * f).sum::<f64>() / 6.0;
+    }
+    let pixels = values[0].len();
+    let variance = |p: usize| {
+        let mean = values.iter().map(|v| v[p]).sum::<f64>() / 6.0;
+        values.iter().map(|v| (v[p] - mean).powi(2)).sum::<f64>() / 5.0
+    };
+    let found: f64 = (0..pixels).map(variance).sum();
+    println!("stated over found: {}", stated / found);
+    assert!((0.5..4.0).contains(&(stated / found)), "{}", stated / found);
 }
 
 /// Media off the nodes: a sequence of low discrepancy over ln σ_t, ln(1 − α) and g.

@@ -1,0 +1,204 @@
+//! The noise of the responses in a prediction, from the scatter of traced differences about polynomials in ln σ_t.
+//!
+//! At every node of ln(1 − g) the differences of a variant are followed by a polynomial of ln σ_t. Contrasts of the nodes
+//! that it leaves, each of unit length, have the noise of one difference. A polynomial that does not follow the response
+//! makes them larger: the noise is then overestimated.
+
+use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
+use crate::surrogate::interpolation;
+use crate::surrogate::local_axis::{Direction, Weights, orthonormal};
+use crate::surrogate::noise::NoisePlace;
+
+/// Highest degree of the polynomials.
+const DEGREE: usize = 3;
+
+/// What the responses' noise does to a prediction.
+#[derive(Debug)]
+pub(crate) struct ResponseNoise {
+    /// By prior of the scene.
+    each: Vec<Vec<Step>>,
+    /// The walks that the responses come from.
+    pub place: NoisePlace,
+}
+
+/// One of the one or two traced values of a quantity.
+#[derive(Debug)]
+struct Step {
+    /// In standard deviations of the prior.
+    u: f64,
+    /// Profiles f_k: Σ f_k f_kᵀ is the covariance of the difference there.
+    factors: Vec<Vec<f64>>,
+}
+
+impl ResponseNoise {
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the noise of a quantity's response gives to a prediction,
+    /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error is no measure of what is not
+    /// known of u: the noise itself makes it too small.
+    pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
+        let steps = &self.each[prior];
+        let scaled = |(i, step): (usize, &Step)| {
+            let other = steps.iter().enumerate().find(|(k, _)| *k != i).map(|(_, step)| step.u);
+            // Weight of this difference in u (L + Q u), and its derivative.
+            let (weight, slope) = match other {
+                None => (u / step.u, 1.0 / step.u),
+                Some(v) => {
+                    let scale = step.u * (step.u - v);
+                    (u * (u - v) / scale, (2.0 * u - v) / scale)
+                }
+            };
+            let size = weight.hypot(slope);
+            step.factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect::<Vec<_>>()
+        };
+        steps.iter().enumerate().flat_map(scaled).collect()
+    }
+}
+
+/// Where responses are interpolated: weights of their nodes.
+pub(super) struct Stencil {
+    /// Index of the dictionary's thickness.
+    pub thickness: usize,
+    pub sigma_t: Weights,
+    pub g: Weights,
+    pub albedo: Weights,
+}
+
+impl Surrogate<'_> {
+    /// The noise of the responses about a medium; None if the dictionary has none.
+    pub(crate) fn response_noise(&self, thickness_mm: f64, x: Coordinates) -> Option<ResponseNoise> {
+        let grid = self.grid();
+        let (scene, responses) = (grid.scene(), grid.responses()?);
+        let (thickness, at) = self.response_place(thickness_mm, x);
+        let stencil = self.response_stencil(thickness, at);
+        let of_prior = |(index, prior): (usize, &optics_model::scene::Prior)| {
+            let variants = responses.variants().iter().enumerate().filter(|(_, v)| v.prior == index);
+            let step = |(v, variant): (usize, &optics_model::grid::Variant)| Step {
+                u: variant.step / prior.std_error(),
+                factors: self.scatter(v, &stencil),
+            };
+            variants.map(step).collect()
+        };
+        let each = scene.priors().iter().enumerate().map(of_prior).collect();
+        let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
+        let depths = responses.sigma_t().iter().map(depth).collect();
+        let directions = [Direction::of(&stencil.sigma_t), Direction::of(&stencil.g)];
+        Some(ResponseNoise { each, place: self.noise_place(at[ALBEDO], depths, directions) })
+    }
+
+    /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated difference.
+    fn scatter(&self, variant: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
+        let nodes = self.grid().responses().expect("the grid has responses");
+        let x: Vec<f64> = nodes.sigma_t().iter().map(|i| self.grid().sigma_t_per_mm()[*i].ln()).collect();
+        let contrasts = contrasts(&x);
+        let count = contrasts.len() * nodes.g().len();
+        let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
+        let size = (square(&stencil.sigma_t) * square(&stencil.g) / count.max(1) as f64).sqrt();
+        let mut factors = Vec::with_capacity(count);
+        for g in nodes.g() {
+            for contrast in &contrasts {
+                let mut factor = vec![0.0; self.pixels()];
+                for (sigma_t, weight) in nodes.sigma_t().iter().zip(contrast) {
+                    self.add_difference(variant, [*sigma_t, *g], stencil, size * weight, &mut factor);
+                }
+                factors.push(factor);
+            }
+        }
+        factors
+    }
+
+    /// Adds a multiple of a variant's difference at a node, at the albedo of a stencil.
+    fn add_difference(
+        &self,
+        variant: usize,
+        [sigma_t, g]: [usize; 2],
+        stencil: &Stencil,
+        factor: f64,
+        into: &mut [f64],
+    ) {
+        let records = self.dictionary.responses(self.channel);
+        for (j, weight) in stencil.albedo.values.iter().enumerate() {
+            let record =
+                self.grid().record_at(self.ior, sigma_t, g, stencil.thickness, stencil.albedo.first + j);
+            let row = records.difference(variant, record).expect("responses are traced at their nodes");
+            into.iter_mut().zip(row).for_each(|(v, d)| *v += factor * weight * f64::from(*d));
+        }
+    }
+
+    /// The weights of the nodes at coordinates.
+    pub(super) fn response_stencil(&self, thickness: usize, x: Coordinates) -> Stencil {
+        let grid = self.grid();
+        let nodes = grid.responses().expect("the grid has responses");
+        // Nodes fall.
+        let s_nodes: Vec<f64> = nodes.sigma_t().iter().map(|i| -grid.sigma_t_per_mm()[*i].ln()).collect();
+        let g_nodes: Vec<f64> = nodes.g().iter().map(|i| (1.0 - grid.g()[*i]).ln()).collect();
+        let clamped = |nodes: &[f64], x: f64| x.clamp(nodes[nodes.len() - 1], nodes[0]);
+        Stencil {
+            thickness,
+            sigma_t: interpolation(&s_nodes, clamped(&s_nodes, -x[SIGMA_T])),
+            g: interpolation(&g_nodes, clamped(&g_nodes, x[G])),
+            albedo: interpolation(&self.albedo, x[ALBEDO]),
+        }
+    }
+}
+
+/// Weights of nodes, of unit length and orthogonal to each other and to polynomials up to [`DEGREE`], or up to a lower
+/// one where nodes are few; none for one node.
+fn contrasts(x: &[f64]) -> Vec<Vec<f64>> {
+    let n = x.len();
+    if n < 2 {
+        return Vec::new();
+    }
+    let middle = x.iter().sum::<f64>() / n as f64;
+    let powers = (n - 1).min(DEGREE + 1);
+    let monomials = (0..powers).map(|p| x.iter().map(|x| (x - middle).powi(p as i32)).collect());
+    let units = (0..n).map(|i| (0..n).map(|k| if i == k { 1.0 } else { 0.0 }).collect());
+    let mut basis = orthonormal(monomials.chain(units).collect(), &vec![1.0; n]);
+    basis.drain(..powers);
+    basis.truncate(n - powers);
+    basis
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Contrasts vanish for polynomials that the nodes exceed, and have unit length.
+    #[test]
+    fn contrasts_are_blind_to_polynomials() {
+        for n in 1..8 {
+            let x: Vec<f64> = (0..n).map(|i| (f64::from(i) + 0.1 * f64::from(i % 3)).ln_1p()).collect();
+            let found = contrasts(&x);
+            let powers = (n as usize).saturating_sub(1).min(DEGREE + 1);
+            assert_eq!(found.len(), if n == 1 { 0 } else { n as usize - powers });
+            for (i, contrast) in found.iter().enumerate() {
+                for power in 0..powers {
+                    let sum: f64 = contrast.iter().zip(&x).map(|(c, x)| c * x.powi(power as i32)).sum();
+                    assert!(sum.abs() < 1e-9, "{n} nodes, x^{power}: {sum}");
+                }
+                for (k, other) in found.iter().enumerate() {
+                    let product: f64 = contrast.iter().zip(other).map(|(a, b)| a * b).sum();
+                    let expected = if i == k { 1.0 } else { 0.0 };
+                    assert!((product - expected).abs() < 1e-9, "{n} nodes: {product}");
+                }
+            }
+        }
+    }
+
+    /// The weights of the differences are those of u (L + Q u), and their slopes add to them.
+    #[test]
+    fn noise_follows_the_weights_of_the_differences() {
+        let step = |u: f64, value: f64| Step { u, factors: vec![vec![value]] };
+        let place = NoisePlace::default();
+        let noise = ResponseNoise {
+            each: vec![vec![step(-1.0, 2.0), step(2.5, 3.0)], vec![step(2.0, 5.0)]],
+            place,
+        };
+        let close = |found: Vec<Vec<f64>>, expected: &[f64]| {
+            let off = found.iter().zip(expected).map(|(f, e)| (f[0] - e).abs()).fold(0.0, f64::max);
+            assert!(found.len() == expected.len() && off < 1e-12, "{found:?}");
+        };
+        // Weights 1 and 0, with the slopes −9/7 and −1/8.75.
+        close(noise.factors(0, -1.0), &[2.0 * 1.0_f64.hypot(9.0 / 7.0), 3.0 * 0.0_f64.hypot(-1.0 / 8.75)]);
+        close(noise.factors(1, 1.0), &[5.0 * 0.5_f64.hypot(0.5)]);
+        close(noise.factors(1, 0.0), &[2.5]);
+    }
+}
