@@ -22,7 +22,7 @@ const FAR_MM: f64 = 0.06;
 /// By this factor the noise is made smaller at a time, on the way to a model without dust.
 const HARDER: f64 = 0.4;
 
-impl System<'_> {
+impl<'a> System<'a> {
     /// A first minimum below a state, without the noise of records: specks are left out, and edges are looked for.
     pub(super) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
         self.leave_out_specks_by_neighbours();
@@ -113,7 +113,7 @@ impl System<'_> {
     /// Updates what depends on the state in every profile: the records' noise, and all that `move_near` does.
     fn add_modes(&mut self, state: &mut State) {
         self.move_near(&state.x);
-        let places: Vec<NoisePlace> = self.places_of(|surrogate, mm, x| surrogate.noise_at(mm, x), state);
+        let places: Vec<NoisePlace> = self.places_of(Surrogate::noise_at, state);
         let alike = |i: usize| places.iter().map(|other| places[i].in_common(other)).sum();
         let alike: Vec<f64> = (0..self.terms.len()).map(alike).collect();
         let of_responses = self.response_factors(state, &alike);
@@ -136,7 +136,7 @@ impl System<'_> {
     /// Something of every profile's medium and thickness.
     fn places_of<T: Send>(
         &self,
-        of: impl Fn(&Surrogate, f64, Coordinates) -> T + Sync,
+        of: impl Fn(&Surrogate<'a>, f64, Coordinates) -> T + Sync,
         state: &State,
     ) -> Vec<T> {
         let place = |i: usize| {
@@ -152,7 +152,7 @@ impl System<'_> {
         if self.of_scene.is_empty() {
             return vec![Vec::new(); self.terms.len()];
         }
-        let noises = self.places_of(|surrogate, mm, x| surrogate.response_noise(mm, x), state);
+        let noises = self.places_of(Surrogate::response_noise, state);
         let of_quantity = |i: usize, prior: usize, slot: usize| -> Vec<Line> {
             let Some(noise) = &noises[i] else { return Vec::new() };
             let sharing = (0..noises.len()).filter(|k| self.slots[*k].contains(&slot));

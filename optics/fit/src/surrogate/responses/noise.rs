@@ -188,10 +188,8 @@ mod tests {
     fn noise_follows_the_weights_of_the_differences() {
         let step = |u: f64, value: f64| Step { u, factors: vec![vec![value]] };
         let place = NoisePlace::default();
-        let noise = ResponseNoise {
-            each: vec![vec![step(-1.0, 2.0), step(2.5, 3.0)], vec![step(2.0, 5.0)]],
-            place,
-        };
+        let noise =
+            ResponseNoise { each: vec![vec![step(-1.0, 2.0), step(2.5, 3.0)], vec![step(2.0, 5.0)]], place };
         let close = |found: Vec<Vec<f64>>, expected: &[f64]| {
             let off = found.iter().zip(expected).map(|(f, e)| (f[0] - e).abs()).fold(0.0, f64::max);
             assert!(found.len() == expected.len() && off < 1e-12, "{found:?}");

@@ -38,13 +38,13 @@ fn dictionary() -> FitDictionary {
     };
     let responses = Responses::of(&scene, &axes, |varied| base_as_seen(&scene, varied)).unwrap().unwrap();
     let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
-    traced(grid.with_responses(responses).unwrap())
+    traced(&grid.with_responses(responses).unwrap())
 }
 
-fn traced(grid: Grid) -> FitDictionary {
+fn traced(grid: &Grid) -> FitDictionary {
     let mut builder = DictionaryBuilder::new(grid.clone());
     for job in 0..grid.job_count() {
-        let job = JobSpec::of(&grid, job);
+        let job = JobSpec::of(grid, job);
         builder.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
     }
     builder.build()
@@ -63,10 +63,11 @@ fn of_roughness(seed: u64) -> FitDictionary {
     };
     let responses = Responses::of(&scene, &axes, |varied| base_as_seen(&scene, varied)).unwrap().unwrap();
     let grid = Grid::new(scene, axes, Walks::new(10_000).unwrap(), seed, false).unwrap();
-    traced(grid.with_responses(responses).unwrap())
+    traced(&grid.with_responses(responses).unwrap())
 }
 
-/// The noise of a response is that by which dictionaries of other seeds differ, within the scatter of few seeds.
+/// At a step, where the response is one difference, its noise is that by which dictionaries of other seeds differ. With the
+/// noise of u ± 1 the stated variance is 1 + 0.69² of that, and 0.71² of the other difference's: twice as large.
 #[test]
 fn noise_is_the_scatter_between_seeds() {
     let (mm, x) = (1.0, coordinates(&Medium::new(3.0, 0.93, 0.3).unwrap()));
@@ -75,7 +76,6 @@ fn noise_is_the_scatter_between_seeds() {
     let (mut values, mut stated) = (Vec::new(), 0.0);
     for surrogate in surrogates {
         let change = |u: f64| surrogate.responses(mm, x).unwrap().change(mm, x, &[u]).values;
-        // At the step itself the noise is that of one difference; the slope's is taken off.
         values.push(change(2.5));
         let factors = surrogate.response_noise(mm, x).unwrap().factors(0, 2.5);
         stated += factors.iter().flatten().map(|f| f * f).sum::<f64>() / 6.0;
@@ -86,8 +86,7 @@ fn noise_is_the_scatter_between_seeds() {
         values.iter().map(|v| (v[p] - mean).powi(2)).sum::<f64>() / 5.0
     };
     let found: f64 = (0..pixels).map(variance).sum();
-    println!("stated over found: {}", stated / found);
-    assert!((0.5..4.0).contains(&(stated / found)), "{}", stated / found);
+    assert!((1.4..2.8).contains(&(stated / found)), "{}", stated / found);
 }
 
 /// Media off the nodes: a sequence of low discrepancy over ln σ_t, ln(1 − α) and g.
