@@ -32,4 +32,19 @@ export function usual(all: Dictionary[]): Dictionary | undefined {
   return all.length === 1 ? all[0] : named;
 }
 
+// The documentation's example was rendered in the scene `paper`.
+const EXAMPLE = 'paper';
+export const NEW_FOR_EXAMPLE = `#/farm?scene=${EXAMPLE}`;
+
+// The page's default: for the example a dictionary of its scene, if there is one.
+export function preset(ready: Dictionary[], example: boolean): Dictionary | undefined {
+  const rendered = example ? (ready.find((d) => d.name === EXAMPLE) ?? ready.find(losesLight)) : undefined;
+  return rendered ?? usual(ready) ?? ready[0];
+}
+
+// Whether rough surfaces lose the light that they scatter more than once.
+export function losesLight(dictionary: Dictionary | undefined): boolean {
+  return dictionary?.grid?.scene?.multipleScattering === false;
+}
+
 export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;

@@ -21,6 +21,8 @@ class Measured {
   // Name of the file, or of the capture's folder.
   name = $state('');
   capture = $state.raw<OpenCaptureResponse | null>(null);
+  // It is the documentation's example.
+  example = $state(false);
   materials = $state.raw<Measurement[]>([]);
   notes = $state.raw<Note[]>([]);
   answer = $state.raw<Answer | null>(null);
@@ -70,6 +72,7 @@ class Measured {
     const own = (this.turn += 1);
     [this.again, this.busy, this.wrong] = [false, 'Reading…', ''];
     [this.answer, this.name, this.capture, this.materials, this.notes] = [null, '', null, [], []];
+    this.example = false;
     try {
       const take = await ask();
       if (own !== this.turn) return;
@@ -86,7 +89,7 @@ class Measured {
       const file = await get();
       const { materials, notes } = await desk.readMeasurements(file ? { file: { ...file, mediaType: 'text/csv' } } : {});
       return () => {
-        [this.name, this.materials, this.notes] = [file?.name ?? 'white.csv', materials, notes];
+        [this.name, this.materials, this.notes, this.example] = [file?.name ?? 'white.csv', materials, notes, !file];
         if (chosen) keep(file);
         else this.again = wasMeasured(this.name);
       };

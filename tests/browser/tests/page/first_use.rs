@@ -20,14 +20,18 @@ async fn first_use_computes_measures_and_saves() {
     write_grid(folder.path());
     let mut page = Page::start(folder.path(), &[]);
     let browser = let_in(&page).await;
-    browser.press("Try the example").await;
-    browser.shows("There is no finished dictionary").await;
-    browser.element(By::LinkText("Compute one")).await.click().await.unwrap();
-    browser.shows("There is none yet").await;
     // A laboratory's own measurements are meant, unless the paper's scene is chosen.
+    go_to(&browser, "Farm").await;
+    browser.shows("There is none yet").await;
     browser.shows("54,940 records in 1,340 jobs").await;
     browser.shows("farmctl submit lab").await;
     browser.pick("form select[name=scene]", "paper").await;
+    browser.shows("34,276 records in 836 jobs").await;
+    // The example was rendered in that scene.
+    go_to(&browser, "Measure").await;
+    browser.press("Try the example").await;
+    browser.shows("There is no finished dictionary").await;
+    browser.element(By::LinkText("Compute one")).await.click().await.unwrap();
     browser.shows("34,276 records in 836 jobs").await;
     browser.choose_file("input[type=file]", &folder.path().join("coarse.toml")).await;
     browser.shows("180 records in 36 jobs").await;
@@ -127,6 +131,62 @@ async fn same_tables_as_the_report(browser: &Browser, report: &Path) {
         assert!(!cells.is_empty());
         assert_eq!(browser.script(&script, vec![]).await, json!(cells), "{title}");
     }
+}
+
+/// The example chooses its scene, own files choose `lab`, and a choice by hand stays.
+#[tokio::test(flavor = "multi_thread")]
+async fn example_chooses_the_papers_scene() {
+    const WHY: &str = "The example was rendered in the paper's scene, whose surfaces lose light.";
+    if !browser::is_there() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for scene in ["lab", "paper"] {
+        let grid = format!(
+            "scene = \"{scene}\"\nsigma_t_per_mm = [5, 28]\nalbedo = [0.999]\ng = [0.4]\nthickness_mm = [1]\nwalks = 1000\n"
+        );
+        std::fs::write(folder.path().join(format!("{scene}.toml")), grid).unwrap();
+    }
+    let own = ["own.csv", "another.csv"].map(|name| folder.path().join(name));
+    for own in &own {
+        std::fs::copy(farm_tests::reference::root().join("examples/white.csv"), own).unwrap();
+    }
+    let submit = |grid: &str| {
+        let submitted = run(folder.path(), &["submit", "-q", grid]);
+        assert_eq!(submitted.code, 0, "{}", submitted.stderr);
+    };
+    submit("lab.toml");
+    let page = Page::start(folder.path(), &[]);
+    let browser = let_in(&page).await;
+    browser.press("Try the example").await;
+    browser.shows(&format!("{WHY} Compute a dictionary of it.")).await;
+    submit("paper.toml");
+    chosen(&browser, "paper").await;
+    let shown = browser.shown().await;
+    assert!(shown.contains(WHY) && !shown.contains("Compute a dictionary"), "{shown}");
+    browser.choose_file("input[type=file]", &own[0]).await;
+    browser.shows("own.csv").await;
+    chosen(&browser, "lab").await;
+    assert!(!browser.shown().await.contains(WHY));
+    browser.pick("section[aria-label=Measurement] .options select", "paper").await;
+    browser.choose_file("input[type=file]", &own[1]).await;
+    browser.shows("another.csv").await;
+    chosen(&browser, "paper").await;
+    assert_eq!(browser.complaints().await, Vec::<String>::new());
+    browser.end().await;
+}
+
+/// The dictionary is selected, and the command names it unless it is the usual one.
+async fn chosen(browser: &Browser, name: &str) {
+    browser
+        .wait("the dictionary is selected", LONG, async |browser| {
+            let select = "section[aria-label=Measurement] .options select";
+            let value = format!("return document.querySelector('{select}')?.value ?? null");
+            (browser.script(&value, vec![]).await == name).then_some(())
+        })
+        .await;
+    let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
+    assert_eq!(line.contains("--dictionary paper"), name == "paper", "{line}");
 }
 
 /// A capture is measured with a dictionary of its own grid.
