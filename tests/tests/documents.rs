@@ -7,6 +7,7 @@ use std::path::{Component, Path, PathBuf};
 
 use farm_tests::reference::{own_files, root};
 use optics_model::Quantity;
+use serde_json::Value;
 
 fn is_document(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "md")
@@ -169,6 +170,32 @@ fn all_files_are_of_the_same_version() {
     let mut released = changelog.lines().filter_map(|line| line.strip_prefix("## "));
     let newest = released.find(|heading| *heading != "Unreleased").unwrap();
     assert_eq!(newest.split(' ').next(), Some(version), "CHANGELOG.md");
+}
+
+/// The keys of all objects of a JSON value.
+fn keys(value: &Value) -> BTreeSet<String> {
+    match value {
+        Value::Object(fields) => {
+            fields.iter().flat_map(|(key, value)| keys(value).into_iter().chain([key.clone()])).collect()
+        }
+        Value::Array(values) => values.iter().flat_map(keys).collect(),
+        _ => BTreeSet::new(),
+    }
+}
+
+/// Every key of the JSON that the client's snapshot holds is in back-quotes in the reference.
+#[test]
+fn formats_name_every_json_key() {
+    let read = |file: &str| std::fs::read_to_string(root().join(file)).unwrap();
+    let snapshot = read("client/src/commands/tests/farmctl-1.jsonl");
+    let answers = snapshot.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let keys: BTreeSet<String> = answers.flat_map(|answer| keys(&answer)).collect();
+    assert!(keys.len() > 200 && keys.contains("at_end") && keys.contains("quantity"), "{keys:?}");
+    let formats = read("docs/formats.md");
+    let named: BTreeSet<&str> =
+        prose(&formats).flat_map(|(_, line)| line.split('`').skip(1).step_by(2)).collect();
+    let missing: Vec<_> = keys.iter().filter(|key| !named.contains(key.as_str())).collect();
+    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
 }
 
 /// The tables of the set-up in the guide and in the reference have every quantity, with its option, column and default, and

@@ -1,6 +1,6 @@
 //! What programs read: the JSON of `farmctl/1`, byte by byte.
 
-use farm_figures::testing::{interval, likelihood};
+use farm_figures::testing::{interval, likelihood, scene_estimates};
 use farm_lab::measurement_file::Note;
 use farm_lab::set_up::{Assumed, SetUp};
 use farm_proto::DictionaryName;
@@ -11,8 +11,9 @@ use farm_proto::status::{
 use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
-    FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside, PixelRow,
-    PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, Suspicion, ThicknessError, Wavelet,
+    ErrorSource, FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside,
+    PixelRow, PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, SourceShare, Suspicion,
+    ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
@@ -251,8 +252,20 @@ fn materials() -> Vec<MaterialFit> {
     ]
 }
 
+/// A channel in a scene with uncertain quantities.
 fn with_likelihood() -> MaterialFit {
-    MaterialFit { material: "resin".to_owned(), channels: vec![channel("R", None)] }
+    let mut channel = channel("R", None);
+    let likelihood = &mut channel.refined.as_mut().unwrap().likelihood;
+    likelihood.scene = scene_estimates();
+    likelihood.budget.push(SourceShare {
+        source: ErrorSource::Scene,
+        quantity: Some("gel thickness".to_owned()),
+        sigma_t: 0.25,
+        albedo: 0.125,
+        reduced_scattering: 0.5,
+        absorption: 0.0,
+    });
+    MaterialFit { material: "resin".to_owned(), channels: vec![channel] }
 }
 
 fn by_g() -> Vec<GError> {
