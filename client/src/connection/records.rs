@@ -50,6 +50,11 @@ impl<'a> RecordStream<'a> {
         Ok(Self { connection, dictionary, indices, asked, stream, promised, received: 0, next: 0, tries: 0 })
     }
 
+    /// How many of the records asked for were done when the stream began.
+    pub(crate) fn promised(&self) -> usize {
+        self.promised
+    }
+
     /// The next record; None if all have come.
     pub(crate) async fn next(&mut self) -> Result<Option<Record>> {
         loop {

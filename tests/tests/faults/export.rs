@@ -1,5 +1,6 @@
 //! Exports whose stream is cut: they resume, or the command fails and reports how many records arrived.
 
+use std::io::Read as _;
 use std::process::{Child, Stdio};
 use std::time::Duration;
 
@@ -127,4 +128,44 @@ fn export_may_need_more_than_one_call() {
         named.stdout.lines().count(),
         all.lines().count()
     );
+}
+
+/// Arrays of the axes need their records alone, not those of the responses.
+#[test]
+fn arrays_do_not_wait_for_responses() {
+    let grid = |sigma_t: &str, gel_mm: &str| {
+        format!(
+            "sigma_t_per_mm = {sigma_t}\nalbedo = [0.9, 0.99]\ng = [0.4]\nthickness_mm = [1]\nwalks = 1000\n\
+             [[scene.layer]]\nname = 'gel'\nior = 1.33\nthickness_mm = {gel_mm}\n\
+             [[scene.layer]]\nname = 's'\nsample = true\n"
+        )
+    };
+    let uncertain = "{ value = 0.02, std_error = 0.02 }";
+    let farm = Farm::start(&["--insecure"]);
+    farm.submit("exact", &grid("[4, 8]", "0.02"));
+    let worker = farm.worker("worker", &[]);
+    farm.done("exact");
+    drop(worker);
+    // Records do not depend on priors, so those of the axes are there.
+    farm.submit("varied", &grid("[4, 8]", uncertain));
+    let varied = farm.listed("varied").unwrap();
+    assert!(varied["records_done"] == 4 && varied["records_total"].as_u64() > Some(4), "{varied}");
+    let values = |name: &str| {
+        let file = format!("{name}.npz");
+        let ran = farm.farmctl(&["export", name, "--npz", &file]);
+        assert_eq!((ran.code, ran.stderr.as_str()), (0, ""), "{name}");
+        let mut archive = zip::ZipArchive::new(std::fs::File::open(farm.path(&file)).unwrap()).unwrap();
+        let mut bytes = Vec::new();
+        archive.by_name("value.npy").unwrap().read_to_end(&mut bytes).unwrap();
+        bytes
+    };
+    assert!(values("varied") == values("exact"));
+    farm.submit("wider", &grid("[4, 6, 8]", uncertain));
+    let refused = |args: &[&str], message: &str| {
+        let ran = farm.farmctl(&[&["export", "--npz", "refused.npz"], args].concat());
+        assert!(ran.code == 1 && ran.stderr.contains(message), "{}", ran.stderr);
+        assert!(!farm.path("refused.npz").exists());
+    };
+    refused(&["wider"], "4 of 6 records are done: arrays have no place for what is missing");
+    refused(&["varied", "--responses"], "record 4 is not done yet");
 }

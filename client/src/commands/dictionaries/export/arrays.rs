@@ -139,9 +139,13 @@ impl<'a> Complete<'a> {
         dictionary: &'a DictionaryStatus,
         chosen: &ChosenAxes,
     ) -> Result<Self> {
-        let indices = chosen.records(&dictionary.grid);
-        let (done, total) = (dictionary.records_done(), dictionary.records_total());
-        if indices.len() == dictionary.grid.record_count() && done < total {
+        let wanted = chosen.records(&dictionary.grid);
+        let total = dictionary.grid.record_count();
+        let is_all = chosen.variants().is_empty() && wanted.len() == total;
+        let indices = if is_all { Vec::new() } else { wanted.clone() };
+        let records = RecordStream::ask(connection, dictionary, indices).await?;
+        let done = records.promised();
+        if is_all && done < total {
             bail!(
                 "{} of {} records are done: arrays have no place for what is missing; wait, choose others with \
                  --sigma-t, --albedo, --g, --thickness, or write CSV",
@@ -149,8 +153,7 @@ impl<'a> Complete<'a> {
                 grouped(total as u64)
             );
         }
-        let records = RecordStream::ask(connection, dictionary, indices.clone()).await?;
-        Ok(Self { records, dictionary, wanted: indices.into_iter() })
+        Ok(Self { records, dictionary, wanted: wanted.into_iter() })
     }
 
     /// The next record, the albedo running fastest; None if all have come.
