@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use farm_figures::estimates::estimate_rows;
 use farm_figures::{error_budget, fit_figure};
-use optics_model::Grid;
 use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
+use optics_model::{Grid, Scene};
 use serde::Serialize;
 
 use crate::capture::{CaptureReport, Media, Simulated};
@@ -51,6 +51,12 @@ impl SessionFolder {
         }
         let digest = hasher.finalize().to_hex();
         Ok((format!("session-{}", &digest[..12]), grid))
+    }
+
+    /// The scene of the session's dictionary; None without a grid file.
+    pub fn scene(&self) -> Result<Option<Scene>> {
+        let path = self.path.join("grid.toml");
+        if path.exists() { Ok(Some(read_grid(&path)?.scene().clone())) } else { Ok(None) }
     }
 
     /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path; none

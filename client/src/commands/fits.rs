@@ -5,6 +5,7 @@ pub(crate) mod design;
 pub(crate) mod fit;
 pub(crate) mod map;
 pub(crate) mod measure;
+mod other_scene;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;

@@ -3,10 +3,12 @@
 //! Setting after Elek, Sumin et al. 2017, supplement, Secs. 4 and 5.1.
 
 mod built_in;
+mod differences;
 mod priors;
 
 use crate::invalid::{Invalid, Result, check};
 use crate::medium::{check_ior, check_thickness};
+pub use differences::SceneDifference;
 pub use priors::{MAX_PRIORS, Prior, PriorKind, Scope};
 
 /// Most layers, channels and pixels that a scene may have.

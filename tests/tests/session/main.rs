@@ -119,6 +119,24 @@ fn captured_folder_is_measured_and_reported() {
     // A second measurement uses the existing dictionary.
     let again = run(folder.path(), &["measure", "white", "--json"]);
     assert_eq!(json(&again, "measure")["materials"], data["materials"]);
+    assert_eq!(data["notes"], serde_json::json!([]));
+    // A dictionary of another scene is noted, with the quantities and both values.
+    let axes = "sigma_t_per_mm = [5, 7, 10, 14, 20, 28]\nalbedo = [0.995, 0.999, 0.9999]\ng = [0.4]\n";
+    let other = format!("{axes}thickness_mm = [0.512, 1.006]\nwalks = 20000\n");
+    write(folder.path(), "other.toml", &other);
+    assert_eq!(run(folder.path(), &["submit", "other.toml", "-q"]).code, 0);
+    let measured = run(folder.path(), &["measure", "white", "--dictionary", "other", "--json"]);
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    let note = &json(&measured, "measure")["notes"][0];
+    assert_eq!(note["code"], "SCENE_DIFFERS");
+    for difference in [
+        "dictionary other has another scene than the session: ",
+        "light scattered repeatedly by rough surfaces lost instead of kept",
+        "gel thickness 0.02 mm instead of 0.02 ± 0.02 mm per slab",
+        "rho_light of R 0.985 instead of 0.98",
+    ] {
+        assert!(note["text"].as_str().unwrap().contains(difference), "{note}");
+    }
 }
 
 /// Nothing is written.

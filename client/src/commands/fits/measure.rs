@@ -10,12 +10,14 @@ use farm_lab::set_up::SetUp;
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::wire::MeasureRequest;
+use optics_model::Scene;
 use optics_model::fit::{
     Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, WantedDictionary};
+use super::other_scene;
 use crate::answers::{
     FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
     media_files,
@@ -103,7 +105,7 @@ fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -
 
 pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Result<()> {
     let mixtures = inputs.mixtures.as_deref().map(read_mixtures).transpose()?;
-    let MeasurementFile { materials, notes } = output.read_measurements(&inputs.measurements)?;
+    let MeasurementFile { materials, mut notes } = output.read_measurements(&inputs.measurements)?;
     let assumed = inputs.set_up.assumed(&materials);
     let materials = inputs.set_up.apply_to(materials)?;
     let request = MeasureRequest {
@@ -114,7 +116,14 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         common_g: inputs.common_g,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
     };
-    let (dictionary, found) = ask(global, inputs.dictionary.as_ref(), inputs.own, &request).await?;
+    let session = match &inputs.folder {
+        Some(folder) if inputs.dictionary.is_some() => folder.scene()?,
+        _ => None,
+    };
+    let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
+    let Answer { dictionary, found, note } = ask(global, inputs.own, &asked).await?;
+    output.notes(note.as_slice(), &inputs.measurements);
+    notes.extend(note);
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
@@ -148,21 +157,32 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     })
 }
 
-/// Computes the dictionary where it is lacking, and asks. Returns the dictionary's name, too.
-async fn ask(
-    global: &Global,
-    given: Option<&String>,
-    own: Option<WantedDictionary>,
-    request: &MeasureRequest,
-) -> Result<(String, MeasureAnswer)> {
+struct Question<'a> {
+    /// The dictionary that was named.
+    given: Option<&'a String>,
+    /// The session's scene, which that of a named dictionary should equal.
+    session: Option<&'a Scene>,
+    /// Without the dictionary's name.
+    request: MeasureRequest,
+}
+
+struct Answer {
+    dictionary: String,
+    found: Box<MeasureAnswer>,
+    /// How the dictionary's scene differs from the session's.
+    note: Option<Note>,
+}
+
+/// Computes the dictionary where it is lacking, and asks.
+async fn ask(global: &Global, own: Option<WantedDictionary>, question: &Question<'_>) -> Result<Answer> {
     let mut wanted = own;
     if wanted.is_none() {
-        wanted =
-            chosen_dictionary::of_an_empty_folder(global, given).inspect(|wanted| announce(global, wanted));
+        wanted = chosen_dictionary::of_an_empty_folder(global, question.given)
+            .inspect(|wanted| announce(global, wanted));
     }
     loop {
-        match ask_once(global, given, wanted.as_ref(), request).await? {
-            Asked::Answered(dictionary, found) => return Ok((dictionary, *found)),
+        match ask_once(global, wanted.as_ref(), question).await? {
+            Asked::Answered(answer) => return Ok(answer),
             Asked::Lacks(lacking) => {
                 announce(global, &lacking);
                 wanted = Some(lacking);
@@ -172,15 +192,14 @@ async fn ask(
 }
 
 enum Asked {
-    Answered(String, Box<MeasureAnswer>),
+    Answered(Answer),
     Lacks(WantedDictionary),
 }
 
 async fn ask_once(
     global: &Global,
-    given: Option<&String>,
     wanted: Option<&WantedDictionary>,
-    request: &MeasureRequest,
+    question: &Question<'_>,
 ) -> Result<Asked> {
     let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
     with_farm(global, purpose, async |connection| {
@@ -188,12 +207,16 @@ async fn ask_once(
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
-            match chosen_dictionary::or_lacking(connection, given).await? {
+            match chosen_dictionary::or_lacking(connection, question.given).await? {
                 Chosen::Complete(name) => name,
                 Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
             }
         };
-        let request = MeasureRequest { dictionary: dictionary.clone(), ..request.clone() };
+        let note = match question.session {
+            Some(session) => other_scene::note(connection, &dictionary, session).await?,
+            None => None,
+        };
+        let request = MeasureRequest { dictionary: dictionary.clone(), ..question.request.clone() };
         let fits = connection.fits();
         let found = tokio::select! {
             biased;
@@ -201,7 +224,7 @@ async fn ask_once(
             () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
             found = fits.measure(request) => found?.into_inner(),
         };
-        Ok(Asked::Answered(dictionary, Box::new(found.try_into()?)))
+        Ok(Asked::Answered(Answer { dictionary, found: Box::new(found.try_into()?), note }))
     })
     .await
 }

@@ -1,0 +1,59 @@
+//! A note where a session is compared with a dictionary of another scene.
+
+use anyhow::Result;
+use farm_lab::measurement_file::Note;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::GetRequest;
+use optics_model::Scene;
+
+use crate::connection::Connection;
+
+/// Asks for the dictionary's scene and compares it with the session's.
+pub(super) async fn note(connection: &Connection, dictionary: &str, session: &Scene) -> Result<Option<Note>> {
+    let request = GetRequest { name: dictionary.to_owned() };
+    let status = connection.dictionaries().get(request).await?.into_inner();
+    Ok(note_of(dictionary, session, DictionaryStatus::try_from(status)?.grid.scene()))
+}
+
+/// None if all quantities are the same.
+fn note_of(dictionary: &str, session: &Scene, other: &Scene) -> Option<Note> {
+    let differences = session.differences(other);
+    let list: Vec<String> =
+        differences.iter().map(|d| format!("{} {} instead of {}", d.quantity, d.other, d.own)).collect();
+    (!list.is_empty()).then(|| Note {
+        code: "SCENE_DIFFERS",
+        text: format!(
+            "dictionary {dictionary} has another scene than the session: {}; without --dictionary the session's own is \
+             used",
+            list.join("; ")
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::scene::Prior;
+
+    use super::*;
+
+    /// The note names the quantity, with the values of both scenes.
+    #[test]
+    fn note_has_both_values_of_a_prior() {
+        let lab = Scene::lab();
+        let halved = |prior: &Prior| {
+            let half = 0.5 * prior.std_error();
+            Prior::new(prior.kind(), prior.layers().to_vec(), half, prior.scope()).unwrap()
+        };
+        let mut priors = lab.priors().to_vec();
+        let gel = priors.iter_mut().find(|prior| lab.name_of(prior) == "gel thickness").unwrap();
+        *gel = halved(gel);
+        let session = lab.clone().with_priors(priors).unwrap();
+        let note = note_of("lab", &session, &lab).unwrap();
+        assert_eq!(
+            note.text,
+            "dictionary lab has another scene than the session: gel thickness 0.02 ± 0.02 mm per slab instead of 0.02 ± \
+             0.01 mm per slab; without --dictionary the session's own is used"
+        );
+        assert_eq!(note_of("lab", &lab, &lab), None);
+    }
+}

@@ -1,0 +1,154 @@
+//! In which quantities two scenes differ. Each value is a text with its prior.
+
+use super::{Channel, Layer, LayerMedium, Prior, PriorKind, Scene, Scope};
+
+/// A quantity that has another value or another prior in another scene.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SceneDifference {
+    /// As `gel thickness` or `rho_light of R`.
+    pub quantity: String,
+    /// In this scene, with its unit, as `0.02 ± 0.01 mm per slab`.
+    pub own: String,
+    /// In the other scene.
+    pub other: String,
+}
+
+impl Scene {
+    /// The quantities that have another value or prior in `other`. Numbers of layers and channels are compared where both
+    /// scenes have one of this name. Width and pixels of the sensor are not compared: they change no radiance.
+    pub fn differences(&self, other: &Self) -> Vec<SceneDifference> {
+        let others = other.quantities();
+        let differs = |(quantity, own): (String, String)| {
+            let (_, other) = others.iter().find(|(name, _)| *name == quantity)?;
+            (own != *other).then(|| SceneDifference { quantity, own, other: other.clone() })
+        };
+        self.quantities().into_iter().filter_map(differs).collect()
+    }
+
+    /// Names and values.
+    fn quantities(&self) -> Vec<(String, String)> {
+        let list = |names: Vec<&str>| names.join(", ");
+        let layers = list(self.layers.iter().map(Layer::name).collect());
+        let channels = list(self.channels.iter().map(Channel::name).collect());
+        let kept = if self.multiple_scattering { "kept" } else { "lost" };
+        let ring = format!("{}…{}", self.light.inner_deg(), self.light.outer_deg());
+        let mut all = vec![
+            ("layers".to_owned(), layers),
+            ("light scattered repeatedly by rough surfaces".to_owned(), kept.to_owned()),
+            ("ring".to_owned(), self.with_prior(PriorKind::RingAngle, None, &ring)),
+            (
+                "sensor angle".to_owned(),
+                self.with_prior(PriorKind::SensorAngle, None, &self.sensor.polar_deg().to_string()),
+            ),
+        ];
+        all.extend(self.numbers_of_layers());
+        all.push(("channels".to_owned(), channels));
+        for channel in &self.channels {
+            all.push((format!("rho_light of {}", channel.name()), channel.rho_light().to_string()));
+            all.push((format!("rho_dark of {}", channel.name()), channel.rho_dark().to_string()));
+        }
+        all
+    }
+
+    /// Layers of one name have their values in one text, from top to bottom; a common value is there once.
+    fn numbers_of_layers(&self) -> Vec<(String, String)> {
+        let mut all: Vec<(String, Vec<String>)> = Vec::new();
+        for (i, layer) in self.layers.iter().enumerate() {
+            let (ior, thickness) = match layer.medium() {
+                LayerMedium::Clear { ior, thickness_mm } => (ior.to_string(), Some(thickness_mm.to_string())),
+                LayerMedium::Sample => ("the grid's".to_owned(), None),
+            };
+            let numbers = [
+                (PriorKind::Index, Some(ior)),
+                (PriorKind::Thickness, thickness),
+                (PriorKind::Roughness, Some(layer.roughness().to_string())),
+            ];
+            for (kind, number) in numbers {
+                let Some(number) = number else { continue };
+                let (name, text) =
+                    (format!("{} {}", layer.name(), kind.name()), self.with_prior(kind, Some(i), &number));
+                match all.iter_mut().find(|(known, _)| *known == name) {
+                    Some((_, texts)) => texts.push(text),
+                    None => all.push((name, vec![text])),
+                }
+            }
+        }
+        let joined = |texts: Vec<String>| {
+            if texts.iter().all(|text| *text == texts[0]) { texts[0].clone() } else { texts.join(", ") }
+        };
+        all.into_iter().map(|(name, texts)| (name, joined(texts))).collect()
+    }
+
+    /// A value with its standard error, its unit and the scope of its prior.
+    fn with_prior(&self, kind: PriorKind, layer: Option<usize>, value: &str) -> String {
+        let is_own = |prior: &&Prior| {
+            prior.kind() == kind && layer.is_none_or(|layer| prior.layers().contains(&layer))
+        };
+        let unit = if kind.unit() == "mm" { " mm" } else { kind.unit() };
+        match self.priors.iter().find(is_own) {
+            Some(prior) if prior.scope() == Scope::Session => {
+                format!("{value} ± {}{unit}", prior.std_error())
+            }
+            Some(prior) => format!("{value} ± {}{unit} per {}", prior.std_error(), prior.scope().name()),
+            None => format!("{value}{unit}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{RingLight, Sensor};
+
+    fn texts(own: &Scene, other: &Scene) -> Vec<String> {
+        let text = |d: SceneDifference| format!("{}: {} | {}", d.quantity, d.own, d.other);
+        own.differences(other).into_iter().map(text).collect()
+    }
+
+    /// Every number of a scene is compared, with its prior.
+    #[test]
+    fn differences_have_both_values() {
+        let lab = Scene::lab();
+        assert_eq!(texts(&lab, &lab), [""; 0]);
+        let gel = lab.priors().iter().position(|p| lab.name_of(p) == "gel thickness").unwrap();
+        let mut priors = lab.priors().to_vec();
+        let wide = priors.remove(gel);
+        priors.push(Prior::new(wide.kind(), wide.layers().to_vec(), 0.004, wide.scope()).unwrap());
+        let narrower = lab.clone().with_priors(priors).unwrap();
+        assert_eq!(
+            texts(&narrower, &lab),
+            ["gel thickness: 0.02 ± 0.004 mm per slab | 0.02 ± 0.02 mm per slab"]
+        );
+        let light = Scene::paper().with_light(RingLight::new(40.0, 55.0).unwrap());
+        assert_eq!(texts(&light, &Scene::paper()), ["ring: 40…55° | 40…50°"]);
+        let tilted = |pixels| Scene::paper().with_sensor(Sensor::new(10.0, pixels, 8.0).unwrap());
+        assert_eq!(texts(&tilted(100), &Scene::paper()), ["sensor angle: 8° | 0°"]);
+        assert_eq!(texts(&tilted(100), &tilted(200)), [""; 0]);
+        let darker = vec![Channel::new("R", 0.95, 0.024).unwrap()];
+        let channels = Scene::paper().with_channels(darker).unwrap();
+        assert_eq!(
+            texts(&channels, &Scene::paper()),
+            ["channels: R | R, G, B", "rho_light of R: 0.95 | 0.985"]
+        );
+        let kept = Scene::paper().with_multiple_scattering(true);
+        assert_eq!(
+            texts(&kept, &Scene::paper()),
+            ["light scattered repeatedly by rough surfaces: kept | lost"]
+        );
+    }
+
+    /// Layers of one name share a text, from top to bottom.
+    #[test]
+    fn layers_of_one_name_are_compared_together() {
+        let scene = |lower_mm| {
+            let paper = Scene::paper();
+            let gel = |thickness| Layer::clear("gel", 1.33, thickness, 0.0).unwrap();
+            let layers = vec![gel(0.02), Layer::sample("sample", 0.05).unwrap(), gel(lower_mm)];
+            Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), false).unwrap()
+        };
+        assert_eq!(texts(&scene(0.02), &scene(0.03)), ["gel thickness: 0.02 mm | 0.02 mm, 0.03 mm"]);
+        let other = texts(&scene(0.02), &Scene::paper());
+        assert_eq!(other[0], "layers: gel, sample, gel | glass slip, gel, sample, gel, coat");
+        assert_eq!(other[1..], ["gel roughness: 0 | 0, 0.05"]);
+    }
+}
