@@ -57,7 +57,7 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
 
 /// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
 fn known(fits: &[MaterialFit]) -> String {
-    let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit", "error"];
+    let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit"];
     let row = |material: &str, channel: &ChannelFit| {
         let mut row = vec![short(material), channel.channel.clone()];
         if let Some(r) = &channel.refined {
@@ -67,14 +67,14 @@ fn known(fits: &[MaterialFit]) -> String {
             {
                 row.extend([value, interval]);
             }
-            row.extend([shown.misfit, format!("{:.4}", r.best.error)]);
+            row.push(shown.misfit);
         } else {
-            row.extend(std::iter::repeat_n("–".to_owned(), 6));
+            row.extend(std::iter::repeat_n("–".to_owned(), 5));
         }
         row
     };
     let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| row(&fit.material, c)));
-    format!("what similar media share, whatever g is\n{}", table(&head, &[2, 4, 6, 7], rows))
+    format!("what similar media share, whatever g is\n{}", table(&head, &[2, 4, 6], rows))
 }
 
 /// One row a channel: σ_t, α and g with their intervals; without refinement, those of the best record.

@@ -28,7 +28,8 @@ pub struct Candidate {
     #[serde(flatten)]
     pub medium: Medium,
     pub sample_ior: f64,
-    /// Σ over thicknesses of value_rms + λ · gradient_rms.
+    /// Eq. 1: Σ over thicknesses of value_rms + λ · gradient_rms. With the likelihood: root mean square of the residuals
+    /// over their noise, the set-up at its likeliest.
     pub error: f64,
     pub thicknesses: Vec<ThicknessError>,
 }
@@ -330,7 +331,8 @@ pub struct ScalePoint {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GError {
     pub g: f64,
-    /// Eq. 3's error at μ*.
+    /// Eq. 3's error at μ*. With the likelihood: the least −2 ln L of all channels up to a constant, at the value of
+    /// μ on the search's mesh next to the estimate.
     pub error: f64,
     /// The scale factor that would be the best with this anisotropy.
     pub best_mu: f64,
