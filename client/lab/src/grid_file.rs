@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use optics_model::grid::Responses;
 use optics_model::{Grid, GridFile, Invalid, Scene, SceneFile, SceneRef};
+use optics_tracer::SeenBase;
 use toml::de::DeTable;
 
 use crate::bounded_file;
@@ -40,8 +41,8 @@ pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -
 
 /// The grid with responses of its scene's uncertain quantities, if there are some.
 pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
-    let base = |varied: &Scene| optics_tracer::base_as_seen(grid.scene(), varied);
-    let responses = Responses::of(grid.scene(), grid.axes(), base).map_err(|e| {
+    let base = SeenBase::of(grid.scene());
+    let responses = Responses::of(grid.scene(), grid.axes(), |varied| base.through(varied)).map_err(|e| {
         if !e.field().ends_with("sample_ior") {
             return e;
         }

@@ -4,7 +4,7 @@ pub(crate) mod axes;
 mod channel;
 pub(crate) mod gradient;
 pub(crate) mod records;
-mod responses;
+pub(crate) mod responses;
 pub(crate) mod sketch;
 pub(crate) mod sum;
 pub(crate) mod view;
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use crate::stop::{Stop, Stopped};
 use channel::ChannelRecords;
 use records::Records;
-use responses::ResponseRecords;
+use responses::{ResponseRecords, VariedRecords};
 use view::{View, ViewKey};
 
 /// Collects the records of jobs, which may come in any order.
@@ -28,7 +28,7 @@ use view::{View, ViewKey};
 pub struct DictionaryBuilder {
     grid: Arc<Grid>,
     /// Those that are collected, by their index among the scene's.
-    channels: Vec<(usize, Records, ResponseRecords)>,
+    channels: Vec<(usize, Records, VariedRecords)>,
     /// Which records have come.
     present: Vec<bool>,
 }
@@ -42,7 +42,7 @@ impl DictionaryBuilder {
 
     /// For some channels of the grid's scene, by their indices.
     pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
-        let channel = |index| (index, Records::new(grid.clone()), ResponseRecords::new(grid.clone()));
+        let channel = |index| (index, Records::new(grid.clone()), VariedRecords::new(grid.clone()));
         let channels = channels.into_iter().map(channel).collect();
         let present = vec![false; grid.stored_records()];
         Self { grid, channels, present }
@@ -65,12 +65,12 @@ impl DictionaryBuilder {
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
-            for (index, channel, responses) in &mut self.channels {
+            for (index, channel, varied) in &mut self.channels {
                 let values = records.radiance_factors(number, *index);
                 if number < self.grid.record_count() {
                     channel.set(number, values);
                 } else {
-                    responses.set(number, values);
+                    varied.set(number, values);
                 }
             }
         }
@@ -85,8 +85,8 @@ impl DictionaryBuilder {
         assert!(self.present.iter().all(|present| *present), "every record has come");
         // No photograph is compared with the others.
         let seen: Vec<usize> = self.grid.scene().seen_channels().collect();
-        let described = |(index, records, responses): (usize, Records, ResponseRecords)| {
-            let responses = responses.subtract(&records);
+        let described = |(index, records, varied): (usize, Records, VariedRecords)| {
+            let responses = varied.responses(&records);
             let channel = ChannelRecords::new(records, responses);
             if seen.contains(&index) {
                 channel.whole_view();

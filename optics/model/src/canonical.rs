@@ -56,6 +56,9 @@ fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
         }
         message(&mut bytes, 2, &of_variant);
     }
+    if responses.walks_factor() > 1 {
+        whole(&mut bytes, 3, u64::from(responses.walks_factor()));
+    }
     bytes
 }
 

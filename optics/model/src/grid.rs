@@ -190,12 +190,7 @@ impl Grid {
         self.effort
     }
 
-    /// Walks that a job begins with.
-    pub fn walks_of(&self, job: usize) -> Walks {
-        self.effort.walks(&self.point(job))
-    }
-
-    /// The fewest and the most walks that a job begins with.
+    /// The fewest and the most walks that a job of the axes begins with.
     pub fn least_and_most_walks(&self) -> [Walks; 2] {
         let last = |axis: &[f64]| axis[axis.len() - 1];
         let of = |sigma_t, thickness| {

@@ -13,6 +13,8 @@
 //! All are integrals of the walk's own interface over visible normals, by sums over a Kronecker sequence
 //! (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"): good to 1e-4.
 
+use std::cell::OnceCell;
+
 use glam::Vec3;
 use optics_model::scene::{Channel, LayerMedium, sin2};
 use optics_model::{Invalid, Scene};
@@ -72,20 +74,38 @@ impl BareBoard {
     }
 }
 
-/// The channels of a varied scene: its base has the reflectances with which it looks, without a slab, as that of `scene`.
+/// The base of a scene as photographs without a slab show it.
 ///
-/// ρ of a base is known from photographs of it, through the scene. So it follows when what is known of the coat or of the
-/// lamps changes. Reflectances that would leave 0 to 1 end there.
-pub fn base_as_seen(scene: &Scene, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
-    if Coat::of(scene)? == Coat::of(varied)?
-        && (scene.light(), scene.sensor().polar_deg()) == (varied.light(), varied.sensor().polar_deg())
-    {
-        return Ok(scene.channels().to_vec());
+/// ρ of a base is known from these photographs, through the scene. So it follows when what is known of the coat or of the
+/// lamps changes.
+#[derive(Debug)]
+pub struct SeenBase<'a> {
+    scene: &'a Scene,
+    /// The scene's board, once it is needed.
+    board: OnceCell<BareBoard>,
+}
+
+impl<'a> SeenBase<'a> {
+    pub fn of(scene: &'a Scene) -> Self {
+        Self { scene, board: OnceCell::new() }
     }
-    let (known, other) = (BareBoard::of(scene)?, BareBoard::of(varied)?);
-    let rho = |rho: f64| other.reflectance(known.apparent(rho)).clamp(0.0, 1.0);
-    let channel = |c: &Channel| Channel::new(c.name(), rho(c.rho_light()), rho(c.rho_dark()));
-    scene.channels().iter().map(channel).collect()
+
+    /// The channels of a varied scene: its base has the reflectances with which it looks as that of the scene does.
+    /// Reflectances that would leave 0 to 1 end there.
+    pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
+        let scene = self.scene;
+        if Coat::of(scene)? == Coat::of(varied)?
+            && (scene.light(), scene.sensor().polar_deg()) == (varied.light(), varied.sensor().polar_deg())
+        {
+            return Ok(scene.channels().to_vec());
+        }
+        let other = BareBoard::of(varied)?;
+        let known = self.board.get().copied().map_or_else(|| BareBoard::of(scene), Ok)?;
+        self.board.get_or_init(|| known);
+        let rho = |rho: f64| other.reflectance(known.apparent(rho)).clamp(0.0, 1.0);
+        let channel = |c: &Channel| Channel::new(c.name(), rho(c.rho_light()), rho(c.rho_dark()));
+        scene.channels().iter().map(channel).collect()
+    }
 }
 
 /// A point of the unit cube.

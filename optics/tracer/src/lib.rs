@@ -39,7 +39,7 @@ use optics_model::profile::Record;
 use optics_model::sums::Sums;
 use rayon::prelude::*;
 
-pub use bare_board::{BareBoard, base_as_seen};
+pub use bare_board::{BareBoard, SeenBase};
 use exits::{Chunk, Exits, Offset};
 pub use kernel::Kernel;
 use light::Light;

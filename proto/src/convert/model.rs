@@ -144,6 +144,7 @@ impl From<&Grid> for wire::Grid {
                 Effort::Noise(level) => level.number(),
             },
             responses: grid.responses().into_iter().flat_map(Responses::variants).map(Into::into).collect(),
+            response_walks_factor: grid.responses().map_or(0, Responses::walks_factor),
         }
     }
 }
@@ -167,11 +168,12 @@ impl TryFrom<wire::Grid> for Grid {
         });
         let quality = quality.transpose()?;
         let variants = each("responses", grid.responses, Variant::try_from)?;
+        let walks_factor = grid.response_walks_factor.max(1);
         let grid = Grid::new(scene, axes, effort, grid.seed, grid.derivatives)?;
         let grid = if variants.is_empty() {
             grid
         } else {
-            let responses = Responses::new(grid.scene(), grid.axes(), variants)?;
+            let responses = Responses::new(grid.scene(), grid.axes(), variants, walks_factor)?;
             grid.with_responses(responses)?
         };
         quality.map_or(Ok(grid.clone()), |q| grid.with_quality(q))

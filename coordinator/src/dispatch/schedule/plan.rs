@@ -79,10 +79,10 @@ pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
 /// Jobs of a grid by the walks that they share, the costliest first, so that none of the long ones is left over at the
 /// end.
 pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
-    type Shared = (f32, f64, f64, Option<usize>);
+    type Shared = (f32, f64, f64, Option<Option<usize>>);
     let walks = |job: u32| {
         let point = grid.point(job as usize);
-        // Variants of the scene have walks of their own.
+        // Variants of the scene have walks of their own, and so has the baseline.
         let variant = grid.response_of(job as usize).map(|response| response.variant);
         (point.walked_thickness(), point.g(), point.sample_ior(), variant)
     };

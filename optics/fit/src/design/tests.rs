@@ -201,7 +201,8 @@ fn uncertain_dictionary() -> FitDictionary {
     let varied = move |index: usize| {
         let albedos = of.albedo().len();
         let Some(place) = of.response_of(index / albedos) else { return record(index) };
-        let share = of.responses().unwrap().variants()[place.variant].step / 0.02;
+        let step = |variant: usize| of.responses().unwrap().variants()[variant].step;
+        let share = place.variant.map_or(0.0, step) / 0.02;
         let brighter = |profile: Profile| {
             let values = profile.radiance_factor.values().iter().zip(centres());
             let values: Vec<f32> =

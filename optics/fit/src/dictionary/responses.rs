@@ -1,61 +1,217 @@
-//! What the uncertain quantities of a scene do to the records of a dictionary in one channel: differences of profiles
-//! that were traced in varied scenes and in the scene itself, with the same random walks.
+//! What the uncertain quantities of a scene do to the records of a dictionary in one channel, from the records that were
+//! traced in varied scenes and in the scene itself with the same random walks.
+//!
+//! A quantity that is off by u standard deviations of its prior changes a profile by h(u) L. The profile L depends on the
+//! medium; the curve h does not: it is estimated from all records at once, so that it has no noise to speak of.
 
 use std::sync::Arc;
 
 use optics_model::Grid;
+use optics_model::grid::Responses;
+use optics_model::scene::Prior;
 
 use crate::dictionary::records::Records;
 
-/// Bytes that a grid's responses take in one channel.
+/// Relative change of a profile by one standard deviation below which a quantity's curve is taken to be straight.
+const NO_EFFECT: f64 = 1e-4;
+/// The slope of a curve at the farthest steps is at least a tenth of that at 0: 1 + 2 q w ≥ 0.1.
+const MOST_CURVATURE: f64 = 0.45;
+
+/// Bytes that a grid's responses take in one channel while they are made.
 pub(crate) fn bytes_of(grid: &Grid) -> usize {
     let records = grid.stored_records() - grid.record_count();
     records.saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>())
 }
 
-/// Differences as `[record beyond those of the axes][pixel]`.
-#[derive(Debug)]
-pub(crate) struct ResponseRecords {
-    grid: Arc<Grid>,
-    differences: Vec<f32>,
+/// h(u) = w (1 + q w) with w = u (1 + b u).
+///
+/// For a roughness α, w goes with α² as the variance of a face's slopes does; for all else b = 0. q follows from the traced
+/// differences; it is 0 for one.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Curve {
+    pub bend: f64,
+    pub curvature: f64,
 }
 
-impl ResponseRecords {
+impl Curve {
+    /// h and its derivative.
+    pub(crate) fn at(self, u: f64) -> (f64, f64) {
+        let w = self.bent(u);
+        let slope = (1.0 + 2.0 * self.curvature * w) * (1.0 + 2.0 * self.bend * u);
+        (w * (1.0 + self.curvature * w), slope)
+    }
+
+    fn bent(self, u: f64) -> f64 {
+        u * (1.0 + self.bend * u)
+    }
+}
+
+/// The records of varied scenes, and those of the baseline, as they come: `[record beyond those of the axes][pixel]`.
+#[derive(Debug)]
+pub(crate) struct VariedRecords {
+    grid: Arc<Grid>,
+    values: Vec<f32>,
+}
+
+impl VariedRecords {
     /// All values are 0 at first.
     pub(crate) fn new(grid: Arc<Grid>) -> Self {
         let numbers = bytes_of(&grid) / size_of::<f32>();
-        Self { grid, differences: vec![0.0; numbers] }
+        Self { grid, values: vec![0.0; numbers] }
     }
 
     /// Takes in the values of a record beyond those of the axes.
     pub(crate) fn set(&mut self, record: usize, values: impl Iterator<Item = f32>) {
         let (pixels, first) = (self.pixels(), self.grid.record_count());
-        let row = &mut self.differences[(record - first) * pixels..][..pixels];
+        let row = &mut self.values[(record - first) * pixels..][..pixels];
         row.iter_mut().zip(values).for_each(|(v, new)| *v = new);
     }
 
-    /// Subtracts the records of the scene itself, once all are there.
-    pub(crate) fn subtract(mut self, records: &Records) -> Self {
-        let (pixels, albedos) = (self.pixels(), self.grid.albedo().len());
-        for (i, row) in self.differences.chunks_exact_mut(pixels).enumerate() {
-            let job = self.grid.nominal_jobs() + i / albedos;
-            let place = self.grid.response_of(job).expect("a job beyond those of the axes is of a response");
-            let nominal = self.grid.first_record(place.nominal_job) + i % albedos;
-            let values = records.values(nominal, 0..pixels);
-            row.iter_mut().zip(values.iter()).for_each(|(v, nominal)| *v -= nominal);
+    /// The responses, once all records are there.
+    pub(crate) fn responses(self, records: &Records) -> ResponseRecords {
+        let grid = self.grid.clone();
+        let (mut curves, mut linear) = (Vec::new(), Vec::new());
+        if let Some(responses) = grid.responses() {
+            for (index, prior) in grid.scene().priors().iter().enumerate() {
+                let steps = steps_of(responses, index, prior);
+                let curve = self.curve(prior, &steps, records);
+                let mut add = |differences: &[Vec<f64>], _: &[f32]| {
+                    let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
+                    let square: f64 = heights.iter().map(|h| h * h).sum();
+                    let of_pixel =
+                        |p: usize| heights.iter().zip(differences).map(|(h, d)| h * d[p]).sum::<f64>();
+                    linear.extend((0..differences[0].len()).map(|p| (of_pixel(p) / square) as f32));
+                };
+                self.each_row(&steps, records, &mut add);
+                curves.push(curve);
+            }
         }
-        self
+        ResponseRecords { grid, curves, linear }
     }
 
-    /// The difference that a variant makes to a record of the axes; None where it is not traced.
-    pub(crate) fn difference(&self, variant: usize, record: usize) -> Option<&[f32]> {
-        let (pixels, albedos) = (self.pixels(), self.grid.albedo().len());
-        let job = self.grid.response_job(variant, record / albedos)?;
-        let row = (job - self.grid.nominal_jobs()) * albedos + record % albedos;
-        Some(&self.differences[row * pixels..][..pixels])
+    /// The curve that relates the differences of all records at two steps best, in per cent of the profiles.
+    fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> Curve {
+        let straight = Curve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
+        let &[(_, near), (_, far)] = steps else { return straight };
+        let at = [near, far].map(|u| straight.bent(u));
+        // Of both differences over w: sums of squares and products.
+        let (mut squares, mut product) = ([0.0; 2], 0.0);
+        let mut add = |differences: &[Vec<f64>], of_scene: &[f32]| {
+            for (p, value) in of_scene.iter().enumerate() {
+                let value = f64::from(*value).max(f64::MIN_POSITIVE);
+                let [a, b] = std::array::from_fn(|i| differences[i][p] / (value * at[i]));
+                let none = NO_EFFECT * NO_EFFECT;
+                (squares[0], squares[1]) = (squares[0] + a * a + none, squares[1] + b * b + none);
+                product += a * b + none;
+            }
+        };
+        self.each_row(steps, records, &mut add);
+        Curve { curvature: curvature(at, squares, product), ..straight }
+    }
+
+    /// Calls a function with the differences at these variants and the scene's own values, for every record.
+    fn each_row(
+        &self,
+        steps: &[(usize, f64)],
+        records: &Records,
+        each: &mut impl FnMut(&[Vec<f64>], &[f32]),
+    ) {
+        let (grid, pixels) = (&self.grid, self.pixels());
+        let albedos = grid.albedo().len();
+        let responses = grid.responses().expect("the grid has responses");
+        let row = |job: usize, albedo: usize| {
+            let row = (job - grid.nominal_jobs()) * albedos + albedo;
+            &self.values[row * pixels..][..pixels]
+        };
+        let (first, ..) = steps[0];
+        let at_nodes = (0..grid.nominal_jobs()).filter(|job| grid.response_job(Some(first), *job).is_some());
+        for (nominal, albedo) in at_nodes.flat_map(|job| (0..albedos).map(move |albedo| (job, albedo))) {
+            let baseline = responses.is_by_baseline(first).then(|| grid.response_job(None, nominal));
+            let of_axes = records.values(grid.first_record(nominal) + albedo, 0..pixels);
+            let of_scene = baseline.flatten().map_or(&*of_axes, |job| row(job, albedo));
+            let difference = |(variant, _): &(usize, f64)| {
+                let job = grid.response_job(Some(*variant), nominal).expect("variants have the same nodes");
+                let values = row(job, albedo).iter().zip(of_scene);
+                values.map(|(v, s)| f64::from(*v) - f64::from(*s)).collect()
+            };
+            each(&steps.iter().map(difference).collect::<Vec<_>>(), of_scene);
+        }
     }
 
     fn pixels(&self) -> usize {
         self.grid.scene().sensor().pixels()
+    }
+}
+
+/// The variants of a prior, and their steps in its standard deviations.
+fn steps_of(responses: &Responses, index: usize, prior: &Prior) -> Vec<(usize, f64)> {
+    let variants = responses.variants().iter().enumerate().filter(|(_, v)| v.prior == index);
+    variants.map(|(number, variant)| (number, variant.step / prior.std_error())).collect()
+}
+
+/// q of two places w at which the differences over w have these sums of squares and of products: of the line through the
+/// origin from which both are off least.
+fn curvature(at: [f64; 2], squares: [f64; 2], product: f64) -> f64 {
+    let half = 0.5 * (squares[0] - squares[1]);
+    // The first difference over w is this multiple of the second.
+    let ratio = (half + half.hypot(product)) / product;
+    let found = (ratio - 1.0) / (at[0] - ratio * at[1]);
+    let (low, high) = (at[0].min(0.0), at[1].max(at[0]));
+    let most = if low < 0.0 { -MOST_CURVATURE / low } else { f64::INFINITY };
+    if found.is_finite() { found.clamp(-MOST_CURVATURE / high, most) } else { 0.0 }
+}
+
+/// L of every quantity of the scene at the nodes of the responses, and the curves.
+#[derive(Debug)]
+pub(crate) struct ResponseRecords {
+    grid: Arc<Grid>,
+    /// By prior of the scene.
+    curves: Vec<Curve>,
+    /// `[prior][record of a node][pixel]`.
+    linear: Vec<f32>,
+}
+
+impl ResponseRecords {
+    pub(crate) fn curve(&self, prior: usize) -> Curve {
+        self.curves[prior]
+    }
+
+    /// L of a quantity about a record of the axes; None where it is not traced.
+    pub(crate) fn linear(&self, prior: usize, record: usize) -> Option<&[f32]> {
+        let (pixels, albedos) = (self.grid.scene().sensor().pixels(), self.grid.albedo().len());
+        // The jobs of the first variant come first.
+        let job = self.grid.response_job(Some(0), record / albedos)? - self.grid.nominal_jobs();
+        let nodes = self.linear.len() / (self.curves.len() * pixels);
+        let row = prior * nodes + job * albedos + record % albedos;
+        Some(&self.linear[row * pixels..][..pixels])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The curvature that two exact differences have is found; without an effect a curve is straight.
+    #[test]
+    fn curvature_follows_from_two_differences() {
+        let at = [-1.3, 3.5];
+        for q in [-0.12, 0.0, 0.2] {
+            let [a, b] = at.map(|w: f64| 0.7 * (1.0 + q * w));
+            let found = curvature(at, [a * a, b * b], a * b);
+            assert!((found - q).abs() < 1e-12, "{found} {q}");
+        }
+        // The second difference lies where a parabola would have turned.
+        assert_eq!(curvature(at, [4.0, 0.01], 0.2), -MOST_CURVATURE / 3.5);
+        assert_eq!(curvature(at, [1e-8; 2], 1e-8), 0.0);
+    }
+
+    /// The slope of a curve is its derivative.
+    #[test]
+    fn curve_has_the_slope_of_its_heights() {
+        let curve = Curve { bend: 0.3, curvature: -0.1 };
+        for u in [-1.2, 0.0, 0.4, 2.0] {
+            let [low, high] = [u - 1e-6, u + 1e-6].map(|u| curve.at(u).0);
+            assert!((curve.at(u).1 - (high - low) / 2e-6).abs() < 1e-8);
+        }
     }
 }

@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use super::Grid;
+use super::{Grid, Walks};
 use crate::medium::{Medium, TransportPoint};
 use crate::scene::Scene;
 
-/// A job of the responses: a variant of the scene at the transport point of one of the axes' jobs.
+/// A job of the responses: a variant of the scene, or the baseline, at the transport point of one of the axes' jobs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ResponseJob {
-    pub variant: usize,
+    /// None for the baseline: the scene itself with the walks of the variants.
+    pub variant: Option<usize>,
     pub nominal_job: usize,
 }
 
@@ -17,7 +18,7 @@ impl Grid {
     /// Jobs: transport points of the axes, then those of the responses.
     pub fn job_count(&self) -> usize {
         let of_variant = self.response_lengths().iter().product::<usize>();
-        self.nominal_jobs() + self.responses().map_or(0, |r| r.variants().len() * of_variant)
+        self.nominal_jobs() + self.responses().map_or(0, |r| r.traced().len() * of_variant)
     }
 
     /// Transport points of the axes, each of them one job.
@@ -43,14 +44,16 @@ impl Grid {
         let (rest, t) = (index / n_t, index % n_t);
         let (rest, g) = (rest / n_g, rest % n_g);
         let (rest, sigma) = (rest / n_sigma, rest % n_sigma);
-        let (variant, ior) = (rest / n_ior, rest % n_ior);
+        let (variant, ior) = (responses.traced().nth(rest / n_ior)?, rest % n_ior);
         let nominal_job = self.job_of([ior, responses.sigma_t()[sigma], responses.g()[g], t]);
-        (variant < responses.variants().len()).then_some(ResponseJob { variant, nominal_job })
+        Some(ResponseJob { variant, nominal_job })
     }
 
-    /// The job of a variant at the transport point of a job of the axes; None if it is not traced there.
-    pub fn response_job(&self, variant: usize, nominal_job: usize) -> Option<usize> {
+    /// The job of a variant, or of the baseline, at the transport point of a job of the axes; None if it is not traced
+    /// there.
+    pub fn response_job(&self, variant: Option<usize>, nominal_job: usize) -> Option<usize> {
         let responses = self.responses()?;
+        let variant = responses.traced().position(|traced| traced == variant)?;
         let [_, n_sigma, n_g, n_t] = self.axis_lengths();
         let (rest, t) = (nominal_job / n_t, nominal_job % n_t);
         let (rest, g) = (rest / n_g, rest % n_g);
@@ -63,9 +66,22 @@ impl Grid {
 
     /// The scene that a job is traced in.
     pub fn scene_of(&self, job: usize) -> &Arc<Scene> {
-        match (self.response_of(job), self.responses()) {
-            (Some(place), Some(responses)) => responses.scene(place.variant),
+        match (self.response_of(job).and_then(|place| place.variant), self.responses()) {
+            (Some(variant), Some(responses)) => responses.scene(variant),
             _ => &self.scene,
+        }
+    }
+
+    /// Walks that a job begins with.
+    pub fn walks_of(&self, job: usize) -> Walks {
+        let walks = self.effort.walks(&self.point(job));
+        match (self.response_of(job), self.responses()) {
+            (Some(place), Some(responses))
+                if place.variant.is_none_or(|variant| responses.is_by_baseline(variant)) =>
+            {
+                walks.times(responses.walks_factor())
+            }
+            _ => walks,
         }
     }
 

@@ -22,6 +22,7 @@ impl Grid {
         let fits = |walks: Walks| u64::from(walks.blocks()) <= blocks.get();
         let most = self.quality.map(|q| ("quality.max_walks", q.max_walks()));
         let [_, first] = self.least_and_most_walks();
+        let first = first.times(self.responses().map_or(1, super::Responses::walks_factor));
         match [Some(("walks", first)), most].into_iter().flatten().find(|(_, walks)| !fits(*walks)) {
             None => Ok(()),
             Some((field, walks)) => {

@@ -3,6 +3,8 @@
 //!
 //! They have the seeds of the grid's own points, so that both follow the same random walks as far as possible: the
 //! difference of two such records has little noise. It is smooth in σ_t and g, so every few nodes of these axes will do.
+//! Where a quantity changes what becomes of a walk, differences are noisy all the same: such variants have several times
+//! the walks, and so has a *baseline*, the scene itself at the same nodes, that their records are compared with.
 
 use std::sync::Arc;
 
@@ -15,6 +17,10 @@ use crate::scene::{Channel, Scene};
 const SIGMA_T_RATIO: f64 = 2.0;
 /// Most anisotropies.
 const MOST_G: usize = 3;
+/// Walks of the baseline and of the variants compared with it, over those of the grid's own points.
+const WALKS_FACTOR: u32 = 3;
+/// Most that is accepted.
+const MOST_WALKS_FACTOR: u32 = 100;
 
 /// A scene in which one quantity has another value.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,6 +40,9 @@ pub struct Responses {
     scenes: Vec<Arc<Scene>>,
     sigma_t: Vec<usize>,
     g: Vec<usize>,
+    walks_factor: u32,
+    /// By variant.
+    by_baseline: Vec<bool>,
 }
 
 impl Responses {
@@ -50,11 +59,18 @@ impl Responses {
                 variants.push(Variant { prior: index, step, channels });
             }
         }
-        if variants.is_empty() { Ok(None) } else { Self::new(scene, axes, variants).map(Some) }
+        if variants.is_empty() {
+            return Ok(None);
+        }
+        Self::new(scene, axes, variants, WALKS_FACTOR).map(Some)
     }
 
-    /// From variants: every step of every prior of the scene, in their order.
-    pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>) -> Result<Self> {
+    /// From variants: every step of every prior of the scene, in their order. Without a baseline for a factor of 1.
+    pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>, walks_factor: u32) -> Result<Self> {
+        if !(1..=MOST_WALKS_FACTOR).contains(&walks_factor) {
+            let allowed = format!("allowed are 1 to {MOST_WALKS_FACTOR}");
+            return Err(Invalid::new("response_walks_factor", walks_factor, allowed));
+        }
         let steps = |(i, prior): (usize, &crate::scene::Prior)| -> Vec<(usize, f64)> {
             prior.steps(scene).into_iter().map(|step| (i, step)).collect()
         };
@@ -85,7 +101,10 @@ impl Responses {
             scene.varied(prior, variant.step, variant.channels.clone()).map(Arc::new).map_err(at)
         };
         let scenes = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
+        let redraws = |variant: &Variant| scene.priors()[variant.prior].kind().redraws_walks();
         Ok(Self {
+            by_baseline: variants.iter().map(|variant| walks_factor > 1 && redraws(variant)).collect(),
+            walks_factor,
             variants,
             scenes,
             sigma_t: spread_extinctions(&axes.sigma_t_per_mm),
@@ -100,6 +119,27 @@ impl Responses {
     /// The scene of a variant.
     pub fn scene(&self, variant: usize) -> &Arc<Scene> {
         &self.scenes[variant]
+    }
+
+    /// Walks of the baseline and of the variants compared with it, over those of the grid's own points; 1 without a
+    /// baseline.
+    pub fn walks_factor(&self) -> u32 {
+        self.walks_factor
+    }
+
+    /// Whether a variant is compared with the baseline: if not, it is with the records of the axes.
+    pub fn is_by_baseline(&self, variant: usize) -> bool {
+        self.by_baseline[variant]
+    }
+
+    /// The variants, then the baseline if there is one.
+    pub(super) fn traced(&self) -> impl ExactSizeIterator<Item = Option<usize>> {
+        let count = self.variants.len();
+        (0..count + usize::from(self.has_baseline())).map(move |i| (i < count).then_some(i))
+    }
+
+    pub(super) fn has_baseline(&self) -> bool {
+        self.by_baseline.contains(&true)
     }
 
     /// Indices into the grid's extinctions.
@@ -162,31 +202,58 @@ mod tests {
         assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
         assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
         assert_eq!(responses.variants().len(), 14);
-        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 14 * 6 * 3 * 2));
+        // The variants and the baseline.
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 15 * 6 * 3 * 2));
         assert_eq!(spread(&[1.0], 3), [0]);
         assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
     }
 
-    /// A job of a variant has the point and the seed of the grid's own job, and another scene.
+    /// A job of a variant has the point and the seed of the grid's own job, and another scene. If it is compared with the
+    /// baseline, both have three times the walks.
     #[test]
     fn jobs_of_variants_follow_the_nominal_ones() {
         let grid = lab();
+        let responses = grid.responses().unwrap();
         let mut seen = std::collections::BTreeSet::new();
         for job in grid.nominal_jobs()..grid.job_count() {
             let place = grid.response_of(job).unwrap();
             let nominal = JobSpec::of(&grid, place.nominal_job);
             let spec = JobSpec::of(&grid, job);
-            assert_eq!(
-                (spec.point(), spec.walks(), spec.seed()),
-                (nominal.point(), nominal.walks(), nominal.seed())
-            );
-            assert_eq!(spec.scene(), &**grid.responses().unwrap().scene(place.variant));
+            assert_eq!((spec.point(), spec.seed()), (nominal.point(), nominal.seed()));
+            let more = place.variant.is_none_or(|variant| responses.is_by_baseline(variant));
+            assert_eq!(spec.walks().get(), nominal.walks().get() * if more { 3 } else { 1 });
+            assert_eq!(spec.scene(), place.variant.map_or(grid.scene(), |v| &**responses.scene(v)));
             assert_ne!(spec.identity(), nominal.identity());
             assert_eq!(grid.response_job(place.variant, place.nominal_job), Some(job));
             assert!(seen.insert((place.variant, place.nominal_job)), "each once");
         }
+        // Roughnesses and indices, and the baseline.
+        let more = (0..14).filter(|v| responses.is_by_baseline(*v)).count();
+        assert_eq!((more, seen.len()), (10, 15 * 36));
         assert_eq!(grid.response_of(5), None);
-        assert_eq!(grid.response_job(0, grid.job_at(&grid.point(3)).unwrap()), grid.response_job(0, 3));
+        assert_eq!(
+            grid.response_job(Some(0), grid.job_at(&grid.point(3)).unwrap()),
+            grid.response_job(Some(0), 3)
+        );
+    }
+
+    /// Responses with the walks of the grid's own points have no baseline.
+    #[test]
+    fn factor_of_one_needs_no_baseline() {
+        let grid = lab();
+        let with_factor = |factor| {
+            let variants = grid.responses().unwrap().variants().to_vec();
+            Responses::new(grid.scene(), grid.axes(), variants, factor)
+        };
+        let plain = Grid { responses: None, ..grid.clone() };
+        let single = plain.with_responses(with_factor(1).unwrap()).unwrap();
+        assert_eq!(single.job_count(), 836 + 14 * 36);
+        assert!((836..single.job_count()).all(|job| single.walks_of(job).get() == 1000));
+        assert_eq!(single.response_job(None, 0), None);
+        for bad in [0, 101] {
+            let error = with_factor(bad).unwrap_err().to_string();
+            assert!(error.ends_with("is not valid: allowed are 1 to 100"), "{error}");
+        }
     }
 
     /// Variants of another prior are refused, with what is needed.
@@ -195,7 +262,7 @@ mod tests {
         let grid = lab();
         let mut variants = grid.responses().unwrap().variants().to_vec();
         variants[0].step *= 2.0;
-        let error = Responses::new(grid.scene(), grid.axes(), variants).unwrap_err();
+        let error = Responses::new(grid.scene(), grid.axes(), variants, 3).unwrap_err();
         assert_eq!(error.field(), "responses");
         // The index of the sample would be 0.995.
         let axes = Axes { sample_ior: vec![1.02], ..grid.axes().clone() };

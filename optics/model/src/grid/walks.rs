@@ -40,6 +40,12 @@ impl Walks {
         self.0
     }
 
+    /// This many times the walks, or the most that are allowed.
+    #[must_use]
+    pub(super) fn times(self, factor: u32) -> Self {
+        Self(self.0.saturating_mul(u64::from(factor)).min(MAX_WALKS))
+    }
+
     pub fn batches(self) -> u64 {
         self.0 / BATCH_WALKS
     }

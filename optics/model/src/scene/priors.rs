@@ -40,6 +40,12 @@ impl PriorKind {
         }
     }
 
+    /// Whether a walk takes another way where the quantity has another value. What only shifts walks or changes the light
+    /// on them leaves them as they are, and differences have little noise.
+    pub fn redraws_walks(self) -> bool {
+        matches!(self, Self::Roughness | Self::Index)
+    }
+
     /// Of its values, for people; empty for pure numbers.
     pub fn unit(self) -> &'static str {
         match self {
@@ -130,16 +136,25 @@ impl Prior {
         const LEAST: f64 = 0.25;
         let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
         match self.kind {
-            PriorKind::Roughness | PriorKind::Thickness if value == 0.0 => vec![sd, 2.5 * sd],
+            PriorKind::Thickness if value == 0.0 => vec![sd, 2.5 * sd],
             PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
                 // Profiles follow a thickness over a longer way than a roughness.
                 let most =
-                    if self.kind == PriorKind::Roughness { (2.5 * sd).min(1.0 - value) } else { 4.0 * sd };
-                vec![-sd.min((1.0 - LEAST) * value), most]
+                    if self.kind == PriorKind::Roughness { (2.0 * sd).min(1.0 - value) } else { 4.0 * sd };
+                vec![-(2.0 * sd).min((1.0 - LEAST) * value), most]
             }
             PriorKind::Index => vec![-2.5 * sd, 2.5 * sd],
             PriorKind::RingAngle if scene.light().outer_deg() + 2.0 * sd > 90.0 => vec![-2.0 * sd],
             _ => vec![2.0 * sd],
+        }
+    }
+
+    /// b such that profiles change with u (1 + b u), u being the difference from the scene's value in standard deviations.
+    /// A face's slopes have a variance proportional to α², so b is σ/2α for roughnesses and 0 for all else.
+    pub fn bend(&self, scene: &Scene) -> f64 {
+        match (self.kind, scene.value_of(self)) {
+            (PriorKind::Roughness, Some(value)) => 0.5 * self.std_error / value,
+            _ => 0.0,
         }
     }
 
@@ -231,6 +246,11 @@ impl Scene {
             let allowed = format!("layers that share a {} must have the same value", prior.kind.name());
             return Err(Invalid::new("layers", names.join(", "), allowed));
         }
+        if prior.kind == PriorKind::Roughness && values[0] == Some(0.0) {
+            let given = format!("{} for {}", prior.std_error, self.name_of(prior));
+            let allowed = "a face of roughness 0 is exactly smooth: give it a roughness, such as 0.01";
+            return Err(Invalid::new("std_error", given, allowed));
+        }
         for step in prior.steps(self) {
             self.varied(prior, step, self.channels.clone()).map_err(|e| {
                 let (name, at) = (self.name_of(prior), e.field());
@@ -301,6 +321,20 @@ mod tests {
         assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
         let (low, high) = gel.range(&scene);
         assert!(low == -0.015 && (high - 0.088).abs() < 1e-12, "{low} {high}");
+        // Two standard deviations down where there is room for them.
+        assert_eq!(steps(PriorKind::Roughness, &[4], 0.05), [-0.1, 0.1]);
+        assert_eq!(steps(PriorKind::Roughness, &[2], 0.03), [-0.037_500_000_000_000_006, 0.06]);
+    }
+
+    /// Differences of a roughness are followed by those of its square.
+    #[test]
+    fn roughness_bends_with_its_square() {
+        let scene = Scene::paper();
+        let coat = prior(PriorKind::Roughness, &[4], 0.05);
+        let square = |u: f64| ((0.15 + 0.05 * u).powi(2) - 0.15_f64.powi(2)) / (2.0 * 0.15 * 0.05);
+        let bent = |u: f64| u * (1.0 + coat.bend(&scene) * u);
+        assert!([-2.0, 0.7, 2.5].iter().all(|u| (square(*u) - bent(*u)).abs() < 1e-12));
+        assert_eq!(prior(PriorKind::Index, &[4], 0.05).bend(&scene), 0.0);
     }
 
     /// A varied scene differs in the quantity alone, in all layers that share it.
@@ -326,6 +360,7 @@ mod tests {
             (prior(PriorKind::Thickness, &[2], 0.1), "priors[0].layers = the thickness of the sample"),
             (prior(PriorKind::Roughness, &[1, 3], 0.1), "priors[0].layers = gel, gel"),
             (prior(PriorKind::Roughness, &[9], 0.1), "priors[0].layers = 9"),
+            (prior(PriorKind::Roughness, &[0], 0.02), "priors[0].std_error = 0.02 for glass slip roughness"),
             (prior(PriorKind::RingAngle, &[1], 0.1), "priors[0].layers = 1 layers for a ring angle"),
             (prior(PriorKind::Index, &[0], 3.0), "priors[0].std_error = 3"),
             (prior(PriorKind::RingAngle, &[], 60.0), "priors[0].std_error = 60"),

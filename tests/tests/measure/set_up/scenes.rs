@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use farm_tests::statistics::Normal;
 use optics_model::scene::{Channel, RingLight, Scene, Scope};
-use optics_tracer::base_as_seen;
+use optics_tracer::SeenBase;
 
 use super::session::SLABS_MM;
 
@@ -124,7 +124,7 @@ impl ChangedSetUp {
         if let Some(ring) = self.ring {
             scene = scene.with_light(ring);
         }
-        let channels = self.channels.get_or_init(|| base_as_seen(&lab, &scene).unwrap());
+        let channels = self.channels.get_or_init(|| SeenBase::of(&lab).through(&scene).unwrap());
         scene.with_channels(channels.clone()).unwrap()
     }
 }

@@ -37,8 +37,8 @@ pub(super) fn dictionary(uncertain: bool) -> &'static FitDictionary {
             thickness_mm: SLABS_MM.to_vec(),
             sample_ior: vec![IOR],
         };
-        let base = |varied: &_| optics_tracer::base_as_seen(&scene, varied);
-        let responses = Responses::of(&scene, &axes, base).unwrap();
+        let base = optics_tracer::SeenBase::of(&scene);
+        let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap();
         let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
         let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
         let mut builder = DictionaryBuilder::new(grid.clone());

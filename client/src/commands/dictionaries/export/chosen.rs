@@ -79,8 +79,9 @@ impl ChosenAxes {
         }
         let albedos = grid.albedo().len();
         let of_variant = |variant: usize, record: usize| {
-            let job =
-                grid.response_job(variant, record / albedos).expect("nodes of the responses are chosen");
+            let job = grid
+                .response_job(Some(variant), record / albedos)
+                .expect("nodes of the responses are chosen");
             (grid.first_record(job) + record % albedos) as u32
         };
         let of_variant = &of_variant;

@@ -25,6 +25,6 @@ impl VariedQuantity {
     /// Of a record of the responses; None for those of the axes.
     pub(super) fn of_record(grid: &Grid, record: usize) -> Option<Self> {
         let place = grid.response_of(record / grid.albedo().len())?;
-        Self::of(grid, place.variant)
+        Self::of(grid, place.variant?)
     }
 }

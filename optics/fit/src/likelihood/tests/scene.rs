@@ -31,8 +31,9 @@ fn dictionary(uncertain: bool) -> FitDictionary {
     let of = grid.clone();
     let record = move |index: usize| {
         let (point, medium) = of.parameters(index);
-        let quantities = of.response_of(index / of.albedo().len()).map_or([0.0; 2], |place| {
-            let variant = &of.responses().unwrap().variants()[place.variant];
+        let variant = of.response_of(index / of.albedo().len()).and_then(|place| place.variant);
+        let quantities = variant.map_or([0.0; 2], |variant| {
+            let variant = &of.responses().unwrap().variants()[variant];
             let mut quantities = [0.0; 2];
             quantities[variant.prior] = variant.step / of.scene().priors()[variant.prior].std_error();
             quantities

@@ -1,10 +1,11 @@
-//! The noise of the responses in a prediction, from the scatter of traced differences about polynomials in ln σ_t.
+//! The noise of the responses in a prediction, from the scatter of traced responses about polynomials in ln σ_t.
 //!
-//! At every node of ln(1 − g) the differences of a variant are followed by a polynomial of ln σ_t. Contrasts of the nodes
-//! that it leaves, each of unit length, have the noise of one difference. A polynomial that does not follow the response
-//! makes them larger: the noise is then overestimated.
+//! At every node of ln(1 − g) the response of a quantity is followed by a polynomial of ln σ_t. Contrasts of the nodes that
+//! it leaves, each of unit length, have the noise of one response. A polynomial that does not follow the response makes
+//! them larger: the noise is then overestimated.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
+use crate::dictionary::responses::Curve;
 use crate::surrogate::interpolation;
 use crate::surrogate::local_axis::{Direction, Weights, orthonormal};
 use crate::surrogate::noise::NoisePlace;
@@ -15,19 +16,10 @@ const DEGREE: usize = 3;
 /// What the responses' noise does to a prediction.
 #[derive(Debug)]
 pub(crate) struct ResponseNoise {
-    /// By prior of the scene.
-    each: Vec<Vec<Step>>,
+    /// By prior of the scene: its curve, and profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
+    each: Vec<(Curve, Vec<Vec<f64>>)>,
     /// The walks that the responses come from.
     pub place: NoisePlace,
-}
-
-/// One of the one or two traced values of a quantity.
-#[derive(Debug)]
-struct Step {
-    /// In standard deviations of the prior.
-    u: f64,
-    /// Profiles f_k: Σ f_k f_kᵀ is the covariance of the difference there.
-    factors: Vec<Vec<f64>>,
 }
 
 impl ResponseNoise {
@@ -35,21 +27,10 @@ impl ResponseNoise {
     /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error is no measure of what is not
     /// known of u: the noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
-        let steps = &self.each[prior];
-        let scaled = |(i, step): (usize, &Step)| {
-            let other = steps.iter().enumerate().find(|(k, _)| *k != i).map(|(_, step)| step.u);
-            // Weight of this difference in u (L + Q u), and its derivative.
-            let (weight, slope) = match other {
-                None => (u / step.u, 1.0 / step.u),
-                Some(v) => {
-                    let scale = step.u * (step.u - v);
-                    (u * (u - v) / scale, (2.0 * u - v) / scale)
-                }
-            };
-            let size = weight.hypot(slope);
-            step.factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect::<Vec<_>>()
-        };
-        steps.iter().enumerate().flat_map(scaled).collect()
+        let (curve, factors) = &self.each[prior];
+        let (height, slope) = curve.at(u);
+        let size = height.hypot(slope);
+        factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect()
     }
 }
 
@@ -66,26 +47,20 @@ impl Surrogate<'_> {
     /// The noise of the responses about a medium; None if the dictionary has none.
     pub(crate) fn response_noise(&self, thickness_mm: f64, x: Coordinates) -> Option<ResponseNoise> {
         let grid = self.grid();
-        let (scene, responses) = (grid.scene(), grid.responses()?);
+        let responses = grid.responses()?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let of_prior = |(index, prior): (usize, &optics_model::scene::Prior)| {
-            let variants = responses.variants().iter().enumerate().filter(|(_, v)| v.prior == index);
-            let step = |(v, variant): (usize, &optics_model::grid::Variant)| Step {
-                u: variant.step / prior.std_error(),
-                factors: self.scatter(v, &stencil),
-            };
-            variants.map(step).collect()
-        };
-        let each = scene.priors().iter().enumerate().map(of_prior).collect();
+        let records = self.dictionary.responses(self.channel);
+        let of_prior = |prior: usize| (records.curve(prior), self.scatter(prior, &stencil));
+        let each = (0..grid.scene().priors().len()).map(of_prior).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
         let depths = responses.sigma_t().iter().map(depth).collect();
         let directions = [Direction::of(&stencil.sigma_t), Direction::of(&stencil.g)];
         Some(ResponseNoise { each, place: self.noise_place(at[ALBEDO], depths, directions) })
     }
 
-    /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated difference.
-    fn scatter(&self, variant: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
+    /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated L.
+    fn scatter(&self, prior: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
         let nodes = self.grid().responses().expect("the grid has responses");
         let x: Vec<f64> = nodes.sigma_t().iter().map(|i| self.grid().sigma_t_per_mm()[*i].ln()).collect();
         let contrasts = contrasts(&x);
@@ -97,7 +72,7 @@ impl Surrogate<'_> {
             for contrast in &contrasts {
                 let mut factor = vec![0.0; self.pixels()];
                 for (sigma_t, weight) in nodes.sigma_t().iter().zip(contrast) {
-                    self.add_difference(variant, [*sigma_t, *g], stencil, size * weight, &mut factor);
+                    self.add_linear(prior, [*sigma_t, *g], stencil, size * weight, &mut factor);
                 }
                 factors.push(factor);
             }
@@ -105,10 +80,10 @@ impl Surrogate<'_> {
         factors
     }
 
-    /// Adds a multiple of a variant's difference at a node, at the albedo of a stencil.
-    fn add_difference(
+    /// Adds a multiple of a quantity's L at a node, at the albedo of a stencil.
+    fn add_linear(
         &self,
-        variant: usize,
+        prior: usize,
         [sigma_t, g]: [usize; 2],
         stencil: &Stencil,
         factor: f64,
@@ -118,7 +93,7 @@ impl Surrogate<'_> {
         for (j, weight) in stencil.albedo.values.iter().enumerate() {
             let record =
                 self.grid().record_at(self.ior, sigma_t, g, stencil.thickness, stencil.albedo.first + j);
-            let row = records.difference(variant, record).expect("responses are traced at their nodes");
+            let row = records.linear(prior, record).expect("responses are traced at their nodes");
             into.iter_mut().zip(row).for_each(|(v, d)| *v += factor * weight * f64::from(*d));
         }
     }
@@ -183,20 +158,18 @@ mod tests {
         }
     }
 
-    /// The weights of the differences are those of u (L + Q u), and their slopes add to them.
+    /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]
-    fn noise_follows_the_weights_of_the_differences() {
-        let step = |u: f64, value: f64| Step { u, factors: vec![vec![value]] };
-        let place = NoisePlace::default();
-        let noise =
-            ResponseNoise { each: vec![vec![step(-1.0, 2.0), step(2.5, 3.0)], vec![step(2.0, 5.0)]], place };
-        let close = |found: Vec<Vec<f64>>, expected: &[f64]| {
-            let off = found.iter().zip(expected).map(|(f, e)| (f[0] - e).abs()).fold(0.0, f64::max);
-            assert!(found.len() == expected.len() && off < 1e-12, "{found:?}");
-        };
-        // Weights 1 and 0, with the slopes −9/7 and −1/8.75.
-        close(noise.factors(0, -1.0), &[2.0 * 1.0_f64.hypot(9.0 / 7.0), 3.0 * 0.0_f64.hypot(-1.0 / 8.75)]);
-        close(noise.factors(1, 1.0), &[5.0 * 0.5_f64.hypot(0.5)]);
-        close(noise.factors(1, 0.0), &[2.5]);
+    fn noise_follows_height_and_slope_of_the_curve() {
+        let each = vec![
+            (Curve::default(), vec![vec![2.0]]),
+            (Curve { bend: 0.25, curvature: 0.1 }, vec![vec![5.0], vec![1.0]]),
+        ];
+        let noise = ResponseNoise { each, place: NoisePlace::default() };
+        assert_eq!(noise.factors(0, 0.0), [[2.0]]);
+        // w = 3 with the slope 2.
+        let size = 3.9_f64.hypot(1.6 * 2.0);
+        let found = noise.factors(1, 2.0);
+        assert!((found[0][0] - 5.0 * size).abs() < 1e-12 && (found[1][0] - size).abs() < 1e-12, "{found:?}");
     }
 }
