@@ -9,7 +9,7 @@ use super::bound::{bound, ideal_covariance};
 use super::camera::Camera;
 use super::quantity::Quantity;
 use super::system::{State, System};
-use super::term::{Own, OwnPrior, Term, White};
+use super::term::{Exposed, OwnErrors, Term, White};
 use super::unknowns::Unknown;
 use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
@@ -138,31 +138,19 @@ impl Plan<'_> {
         let sensor = self.surrogate.grid().scene().sensor();
         let x_mm = self.pixels.x_mm();
         let camera = Camera::new(&x_mm, self.pixels.pitch_mm(), sensor.width_mm(), sensor.pixels());
-        let priors = [
-            (Own::Origin, known.origin_mm),
-            (Own::Gain, known.gain),
-            (Own::Zero, known.zero),
-            (Own::Slope, known.slope),
-        ];
-        let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
-        Term {
-            blend: None,
+        let exposed = Exposed {
             thickness_mm,
             camera,
             values: vec![0.0; x_mm.len()],
             std_errors: vec![1.0; x_mm.len()],
-            origin_mm: 0.0,
-            priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
-            modes: Vec::new(),
-            rest_variances: Vec::new(),
-            alike: 1.0,
-            left_out: vec![false; x_mm.len()],
-            robust: false,
-            softness: 1.0,
-            near: None,
-            responses: self.surrogate.responses(thickness_mm, self.medium),
-            white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
             x_mm,
+            origin_mm: 0.0,
+        };
+        let Known { origin_mm, gain, zero, slope, .. } = *known;
+        Term {
+            white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
+            responses: self.surrogate.responses(thickness_mm, self.medium),
+            ..Term::new(exposed, &OwnErrors { origin_mm, gain, zero, slope })
         }
     }
 }

@@ -11,7 +11,7 @@ use super::form::Loose;
 use super::scatter::scatter_by_side;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System};
-use super::term::{Own, OwnPrior, Term, White};
+use super::term::{Exposed, OwnErrors, Term, White};
 use super::unknowns::{SceneUnknown, Unknown};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
@@ -110,31 +110,26 @@ impl<'a> ProfileData<'a> {
         let scaled = |v: &[f64]| -> Line { v[pixels.clone()].iter().map(|v| v * settings.mu).collect() };
         let x_mm = self.profile.x_mm()[pixels.clone()].to_vec();
         let camera = Camera::new(&x_mm, self.profile.pitch_mm(), sensor.width_mm(), sensor.pixels());
-        let priors = [
-            (Own::Origin, self.origin_std_error_mm),
-            (Own::Gain, settings.gain_std_error),
-            (Own::Zero, settings.offset_std_error * settings.mu),
-            (Own::Slope, settings.slope_std_error),
-        ];
-        let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
-        Term {
-            blend: None,
-            thickness_mm: self.profile.thickness_mm(),
+        let thickness_mm = self.profile.thickness_mm();
+        let exposed = Exposed {
+            thickness_mm,
             camera,
+            x_mm,
             values: scaled(self.profile.values()),
             std_errors: scaled(&self.std_errors),
             origin_mm: self.origin_mm,
-            priors: priors.into_iter().filter(|p| p.std_error > 0.0).collect(),
-            modes: Vec::new(),
-            rest_variances: Vec::new(),
-            alike: 1.0,
-            left_out: vec![false; x_mm.len()],
-            robust: false,
-            softness: 1.0,
-            near: surrogate.near(self.profile.thickness_mm(), medium),
-            white: White::of(surrogate, self.profile.thickness_mm(), medium, settings.mu.ln()),
-            responses: surrogate.responses(self.profile.thickness_mm(), medium),
-            x_mm,
+        };
+        let errors = OwnErrors {
+            origin_mm: self.origin_std_error_mm,
+            gain: settings.gain_std_error,
+            zero: settings.offset_std_error * settings.mu,
+            slope: settings.slope_std_error,
+        };
+        Term {
+            near: surrogate.near(thickness_mm, medium),
+            white: White::of(surrogate, thickness_mm, medium, settings.mu.ln()),
+            responses: surrogate.responses(thickness_mm, medium),
+            ..Term::new(exposed, &errors)
         }
     }
 }

@@ -196,7 +196,67 @@ impl Reduced {
     }
 }
 
+/// The pixels of a profile.
+#[derive(Debug)]
+pub(super) struct Exposed {
+    /// Nominal.
+    pub thickness_mm: f64,
+    pub camera: Camera,
+    pub x_mm: Line,
+    /// Values times the question's μ, and their standard errors.
+    pub values: Line,
+    pub std_errors: Line,
+    /// Stated place of the edge.
+    pub origin_mm: f64,
+}
+
+/// Standard errors of a profile's own unknowns; 0 for one that is exact.
+#[derive(Debug)]
+pub(super) struct OwnErrors {
+    pub origin_mm: f64,
+    pub gain: f64,
+    pub zero: f64,
+    pub slope: f64,
+}
+
+impl OwnErrors {
+    fn priors(&self) -> Vec<OwnPrior> {
+        let priors = [
+            (Own::Origin, self.origin_mm),
+            (Own::Gain, self.gain),
+            (Own::Zero, self.zero),
+            (Own::Slope, self.slope),
+        ];
+        let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
+        priors.into_iter().filter(|p| p.std_error > 0.0).collect()
+    }
+}
+
 impl Term {
+    /// Without noise of the records, responses and an error of the white reference; all pixels count as normal ones.
+    pub(super) fn new(profile: Exposed, errors: &OwnErrors) -> Self {
+        let Exposed { thickness_mm, camera, x_mm, values, std_errors, origin_mm } = profile;
+        Self {
+            blend: None,
+            thickness_mm,
+            camera,
+            left_out: vec![false; x_mm.len()],
+            x_mm,
+            values,
+            std_errors,
+            origin_mm,
+            priors: errors.priors(),
+            modes: Vec::new(),
+            rest_variances: Vec::new(),
+            alike: 1.0,
+            robust: false,
+            softness: 1.0,
+            near: None,
+            white: None,
+            responses: None,
+        }
+    }
+
     /// Counts the records' noise as that of `alike` profiles; its modes' coefficients become what they have to be.
     pub(super) fn count_alike(&mut self, own: &mut Line, alike: f64) {
         let factor = alike / self.alike;
