@@ -183,10 +183,9 @@ impl Found<'_, '_> {
         let reduced = (corner(s.0, a.1, g.0), corner(s.1, a.0, g.1));
         let absorption = (root(s.0, a.0), root(s.1, a.1));
         let all_limits = [s, a, g, reduced, absorption];
-        let mut which = 0;
-        Quantity::all(slots).map(|quantity| {
-            let index = which;
-            which += 1;
+        let quantities = Quantity::all(slots);
+        std::array::from_fn(|index| {
+            let quantity = quantities[index];
             let ends = if let Some(covariance) = covariance {
                 let (system, optimum) = (self.system, self.state);
                 Profile { system, optimum, normal, covariance, inflation }.ends(quantity, all_limits[index])
@@ -210,8 +209,7 @@ impl Found<'_, '_> {
     /// Whether σ_t and the albedo are determined with the anisotropy held where it is.
     fn resolved_at_g(&self, inflation: f64) -> bool {
         let slots = self.slots();
-        let mut system = self.system.ideal();
-        system.terms.clone_from(&self.system.terms);
+        let mut system = self.system.clone();
         system.unknowns[slots[LN_ONE_MINUS_G]].held = true;
         let linear = system.linear(&self.state.x, &self.state.own);
         let normal = system.normal(&self.state.x, &self.state.own, &linear);

@@ -92,17 +92,13 @@ impl System<'_> {
 
     /// The same with normal pixels and a dictionary without noise.
     pub(super) fn ideal(&self) -> Self {
-        let terms = self.terms.iter().cloned();
-        let without_noise =
-            |term: Term| Term { modes: Vec::new(), rest_variances: Vec::new(), robust: false, ..term };
-        Self {
-            terms: terms.map(without_noise).collect(),
-            surrogates: self.surrogates.clone(),
-            slots: self.slots.clone(),
-            unknowns: self.unknowns.clone(),
-            of_scene: self.of_scene.clone(),
-            coupling: self.coupling.clone(),
+        let mut ideal = self.clone();
+        for term in &mut ideal.terms {
+            term.modes.clear();
+            term.rest_variances.clear();
+            term.robust = false;
         }
+        ideal
     }
 
     /// Indices of the unknowns that can move.
