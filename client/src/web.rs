@@ -28,7 +28,7 @@ use crate::output::Output;
 use crate::slurm::shell_quoted;
 use behind::Url;
 use captures::Captures;
-use desk::TheDesk;
+use desk::DeskService;
 use farm::FarmAccess;
 use gate::PageGate;
 use server::Server;
@@ -66,8 +66,11 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     };
     let url = format!("{origin}{}", gate.entrance());
     let about = about(global, &*farm.connection().await?);
-    let server =
-        Server { gate: Arc::new(gate), farm: Arc::clone(&farm), desk: Arc::new(TheDesk { about, captures }) };
+    let server = Server {
+        gate: Arc::new(gate),
+        farm: Arc::clone(&farm),
+        desk: Arc::new(DeskService { about, captures }),
+    };
     output.print("web", &WebJson { url: url.clone() }, || {
         format!("the page is at {url}\nwhoever has this address may do what farmctl may; Ctrl-C ends it")
     })?;

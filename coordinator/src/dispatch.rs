@@ -33,7 +33,7 @@ pub use dispatcher::Dispatcher;
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
 pub use part::{JobRef, Purpose};
 pub use roster::Registration;
-pub use schedule::{Dictionary, PERIOD, Period, Plan, Reason, Wish};
+pub use schedule::{Dictionary, LeaseRequest, PERIOD, Period, Plan, Reason};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {

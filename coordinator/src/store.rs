@@ -39,7 +39,7 @@ use tokio::sync::{RwLock, mpsc};
 
 pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use events::StoredEvent;
-pub use ledger::{Exclusive, Held, Ledger, Shared};
+pub use ledger::{Exclusive, Ledger, LedgerGuard, Shared};
 use place::Place;
 pub use records::{Damaged, Found, JobRecords};
 pub use writer::Commit;

@@ -36,15 +36,15 @@ use crate::output::sentence;
 /// The measurement of the documentation, to try the page with.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
 
-/// What the page's questions are answered from.
+/// The service behind the page's forms.
 #[derive(Debug)]
-pub(super) struct TheDesk {
+pub(super) struct DeskService {
     pub about: AboutResponse,
     pub captures: Captures,
 }
 
 #[tonic::async_trait]
-impl Desk for TheDesk {
+impl Desk for DeskService {
     async fn about(&self, _: Request<AboutRequest>) -> Result<Response<AboutResponse>, Status> {
         Ok(Response::new(self.about.clone()))
     }

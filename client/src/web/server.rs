@@ -19,7 +19,7 @@ use tower::Layer as _;
 
 use super::api::desk_server::DeskServer;
 use super::assets::asset;
-use super::desk::TheDesk;
+use super::desk::DeskService;
 use super::farm::FarmAccess;
 use super::forward::Forward;
 use super::gate::{PageGate, RequestRefusal, token_of};
@@ -37,7 +37,7 @@ const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
 pub(super) struct Server {
     pub gate: Arc<PageGate>,
     pub farm: Arc<FarmAccess>,
-    pub desk: Arc<TheDesk>,
+    pub desk: Arc<DeskService>,
 }
 
 impl Server {
@@ -108,7 +108,7 @@ fn file(name: &str, request: &Request) -> Response {
 }
 
 async fn capture_file(
-    State(desk): State<Arc<TheDesk>>,
+    State(desk): State<Arc<DeskService>>,
     Path((number, name)): Path<(String, String)>,
 ) -> Response {
     let file = desk.captures.file(&number, &name).await;

@@ -16,11 +16,12 @@ const SHARES: usize = 4;
 pub(super) struct Budget {
     share: usize,
     all: usize,
-    held: Mutex<Held>,
+    held: Mutex<HeldBytes>,
 }
 
+/// Bytes held by all calls, and by the calls of each token.
 #[derive(Debug, Default)]
-struct Held {
+struct HeldBytes {
     all: usize,
     of: HashMap<String, usize>,
 }
@@ -31,7 +32,7 @@ impl Budget {
         Self { share, all: share.saturating_mul(SHARES), held: Mutex::default() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Held> {
+    fn lock(&self) -> MutexGuard<'_, HeldBytes> {
         self.held.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

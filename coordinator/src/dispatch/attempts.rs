@@ -9,7 +9,7 @@ use optics_model::{Digest, Walks};
 use super::admission::{Admission, Arrived};
 use super::part::{JobRef, Purpose};
 use super::roster::Process;
-use super::schedule::{Held, Strike};
+use super::schedule::{OpenLease, Strike};
 use super::verification::Context;
 use super::{DispatchError, Dispatcher};
 use crate::stored::{Origin, Outcome};
@@ -132,7 +132,7 @@ impl Dispatcher {
     }
 
     /// Counts a lease that came to nothing against its worker's machine and, unless it was a check, against its job.
-    pub(super) fn blame(&mut self, now: Duration, held: &Held, silent: Option<Process>, what: &str) {
+    pub(super) fn blame(&mut self, now: Duration, held: &OpenLease, silent: Option<Process>, what: &str) {
         let Ok(worker) = self.roster.get(&held.worker) else { return };
         let (machine, job) = (worker.origin, (held.key.dictionary, held.key.job));
         let reason = format!("attempt {}: {what}{}", held.key.attempt, worker.log_note());

@@ -11,7 +11,7 @@ use optics_model::{Digest, Walks};
 use super::outbox::{Count, Effect, EventKind, Outbox};
 use super::part::{JobRef, PartId, Purpose};
 use super::roster::{Registration, Roster};
-use super::schedule::{Dictionary, Reason, Schedule, Taker, Wish};
+use super::schedule::{Dictionary, LeaseRequest, Reason, Requester, Schedule};
 use super::verification::Verification;
 use super::{DispatchError, Grant, Settings, TokenSource};
 use crate::stored::{DesiredState, OpenCheck, Origin};
@@ -224,7 +224,7 @@ impl Dispatcher {
         &mut self,
         now: Duration,
         worker: &WorkerId,
-        wish: impl Into<Wish>,
+        request: impl Into<LeaseRequest>,
         tokens: &mut impl TokenSource,
     ) -> Result<Grant, DispatchError> {
         let machine = self.seen(now, worker)?;
@@ -237,10 +237,10 @@ impl Dispatcher {
         if roster.pause_left(now, machine).is_some() || trial && busy() {
             return Ok(Grant::default());
         }
-        let wish = if trial { Wish::from(wish.into().parts.min(1)) } else { wish.into() };
+        let request = if trial { LeaseRequest::from(request.into().parts.min(1)) } else { request.into() };
         let checks = self.verification.open_to(|other| roster.share_a_vote(machine, other));
-        let taker = Taker { worker, machine, roster };
-        let leases = schedule.grant(now, taker, wish, checks, tokens, &mut self.outbox);
+        let requester = Requester { worker, machine, roster };
+        let leases = schedule.grant(now, requester, request, checks, tokens, &mut self.outbox);
         Ok(Grant { leases, drain: false })
     }
 

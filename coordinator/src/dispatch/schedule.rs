@@ -34,13 +34,13 @@ use super::roster::Roster;
 use crate::stored::{DesiredState, Origin};
 pub use dictionary::Dictionary;
 pub use explain::Reason;
-pub use grant::{Taker, Wish};
+pub use grant::{LeaseRequest, Requester};
 #[cfg(test)]
 pub use job::Part;
 pub use job::{Job, Stage, Strike};
 #[cfg(test)]
 pub use late::STALL;
-pub use leases::{Held, Leases};
+pub use leases::{Leases, OpenLease};
 use pace::Pace;
 use pace_history::PaceHistory;
 pub use pace_history::{PERIOD, Period};
@@ -273,7 +273,7 @@ impl Schedule {
     }
 
     /// Ends one lease; its part waits again if no other lease holds it.
-    pub fn free(&mut self, token: Token, outbox: &mut Outbox) -> Option<Held> {
+    pub fn free(&mut self, token: Token, outbox: &mut Outbox) -> Option<OpenLease> {
         let held = self.leases.remove(token)?;
         if held.purpose == Purpose::Check {
             // Another worker may take it.
@@ -299,7 +299,7 @@ impl Schedule {
     }
 
     /// Ends the leases of a part that is computed no more, but for checks.
-    fn end_leases(&mut self, part: PartId) -> Vec<Held> {
+    fn end_leases(&mut self, part: PartId) -> Vec<OpenLease> {
         let ended = self.leases.remove_part(part);
         let (checks, ended): (Vec<_>, Vec<_>) = ended.into_iter().partition(|h| h.purpose == Purpose::Check);
         for check in checks {

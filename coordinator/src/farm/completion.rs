@@ -10,7 +10,7 @@ use optics_model::job::JobSpec;
 use super::records::UNSTEADY;
 use super::{Farm, Result};
 use crate::dispatch::{Admission, Arrived, EventKind, JobRef};
-use crate::store::{Held, StoreError};
+use crate::store::{LedgerGuard, StoreError};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// What is to be looked up in the store now that a result is stored.
@@ -134,7 +134,7 @@ impl Farm {
     }
 
     /// Takes up which blocks of a job the store holds.
-    async fn find_blocks_of(&self, _held: &Held<'_>, key: &LeaseKey) -> Result<(), StoreError> {
+    async fn find_blocks_of(&self, _held: &LedgerGuard<'_>, key: &LeaseKey) -> Result<(), StoreError> {
         let job = self.scheduler.query(|d, _| d.schedule().by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {
             let blocks = self.store.stored_blocks(&job).await?;

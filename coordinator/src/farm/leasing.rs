@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
-use crate::dispatch::{Admission, Dispatcher, Grant, Registration, Wish};
+use crate::dispatch::{Admission, Dispatcher, Grant, LeaseRequest, Registration};
 
 /// How a worker comes to its end.
 #[derive(Debug, Clone, Copy)]
@@ -73,17 +73,17 @@ impl Farm {
     pub(crate) async fn acquire(
         &self,
         worker: &WorkerId,
-        wish: impl Into<Wish>,
+        request: impl Into<LeaseRequest>,
         patience: Duration,
         stop: &CancellationToken,
     ) -> Result<Option<Grant>> {
-        let wish = wish.into();
+        let request = request.into();
         let patience = tokio::time::sleep(patience);
         tokio::pin!(patience);
         // Before the first look, so that no work comes between the two.
         let mut work = self.scheduler.work();
         loop {
-            let grant = self.acquire_now(worker, wish)?;
+            let grant = self.acquire_now(worker, request)?;
             if !grant.leases.is_empty() || grant.drain {
                 return Ok(Some(grant));
             }
@@ -95,8 +95,8 @@ impl Farm {
         }
     }
 
-    pub(super) fn acquire_now(&self, worker: &WorkerId, wish: impl Into<Wish>) -> Result<Grant> {
-        let acquire = self.scheduler.transition(|d, now| d.acquire(now, worker, wish, &mut Random));
+    pub(super) fn acquire_now(&self, worker: &WorkerId, request: impl Into<LeaseRequest>) -> Result<Grant> {
+        let acquire = self.scheduler.transition(|d, now| d.acquire(now, worker, request, &mut Random));
         Ok(acquire?)
     }
 

@@ -12,7 +12,7 @@ use super::{Farm, FarmError, Result, blocking, named};
 use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
-use crate::store::{Held, StoreError, StoredEvent};
+use crate::store::{LedgerGuard, StoreError, StoredEvent};
 use crate::stored::{DesiredState, StoredDictionary};
 
 /// Most jobs and waiting parts of all dictionaries together, and of those that one token has submitted. A million is
@@ -116,7 +116,11 @@ impl Farm {
     }
 
     /// Takes up blocks of divided jobs that the store holds.
-    pub(super) async fn find_blocks(&self, _held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
+    pub(super) async fn find_blocks(
+        &self,
+        _held: &LedgerGuard<'_>,
+        id: DictionaryId,
+    ) -> Result<(), StoreError> {
         let wanted = self
             .scheduler
             .query(|d, _| d.schedule().by_id(id).map_or_else(Vec::new, Dictionary::divided_jobs));

@@ -31,14 +31,20 @@ impl Farm {
                     let numbers = records.numbers().filter(|number| range.contains(number));
                     wanted.extend(numbers.map(|number| records.record(number)));
                 }
-                Err(Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
+                Err(Damaged { job, .. }) => return Err(self.confirm_damage(name, id, &grid, job).await),
             }
         }
         Ok(wanted)
     }
 
-    /// What to say of a job that was damaged when it was read: it is read again, and computed again if need be.
-    async fn doubted(&self, name: &DictionaryName, id: DictionaryId, grid: &Grid, job: u32) -> FarmError {
+    /// The error of a job that was damaged when it was read: it is read again, and computed again if it is damaged then too.
+    async fn confirm_damage(
+        &self,
+        name: &DictionaryName,
+        id: DictionaryId,
+        grid: &Grid,
+        job: u32,
+    ) -> FarmError {
         let name = name.clone();
         match self.forget_if_damaged(id, grid, job).await {
             Ok(Some(what)) => FarmError::Damaged { name, job, what },
@@ -92,7 +98,9 @@ impl Farm {
         }
         let channels = optics_fit::channels_called(&grid, channels.iter().map(String::as_str));
         let dictionary = match self.fits.get(&self.store, (name, id), &grid, &channels).await {
-            Err(FarmError::Damaged { job, .. }) => return Err(self.doubted(name, id, &grid, job).await),
+            Err(FarmError::Damaged { job, .. }) => {
+                return Err(self.confirm_damage(name, id, &grid, job).await);
+            }
             dictionary => dictionary?,
         };
         let (wanted, metrics) = (Wanted::default(), self.metrics().clone());

@@ -6,12 +6,12 @@ use optics_model::job::JobSpec;
 
 use super::Farm;
 use crate::dispatch::JobRef;
-use crate::store::{Held, StoreError};
+use crate::store::{LedgerGuard, StoreError};
 use crate::stored::Origin;
 
 impl Farm {
     /// Ends jobs of other dictionaries that the records of a job serve too.
-    pub(super) async fn serve_others(&self, held: &Held<'_>, served: Vec<JobRef>, by: Origin) {
+    pub(super) async fn serve_others(&self, held: &LedgerGuard<'_>, served: Vec<JobRef>, by: Origin) {
         for (id, job) in served {
             // Then it is computed by itself.
             if let Err(error) = self.take_over(held, id, &[job], Some(by)).await {
@@ -21,14 +21,18 @@ impl Farm {
     }
 
     /// Ends the open jobs of a dictionary whose records came for others.
-    pub(super) async fn take_over_done(&self, held: &Held<'_>, id: DictionaryId) -> Result<(), StoreError> {
+    pub(super) async fn take_over_done(
+        &self,
+        held: &LedgerGuard<'_>,
+        id: DictionaryId,
+    ) -> Result<(), StoreError> {
         let done = self.scheduler.query(|dispatcher, _| dispatcher.schedule().done_elsewhere(id));
         if done.is_empty() { Ok(()) } else { self.take_over(held, id, &done, None).await }
     }
 
     async fn take_over(
         &self,
-        held: &Held<'_>,
+        held: &LedgerGuard<'_>,
         id: DictionaryId,
         jobs: &[u32],
         by: Option<Origin>,

@@ -20,7 +20,7 @@ use super::Context;
 use super::status::{OrStatus, required};
 use super::text::{one_line, short_line};
 use crate::authorisation::machine;
-use crate::dispatch::{Grant, Registration, Wish};
+use crate::dispatch::{Grant, LeaseRequest, Registration};
 use crate::farm::{Farm, Header, Piece, Refusal, Versions, WorkerEnd};
 use crate::stored::{Machine, Outcome, OutcomeKind};
 
@@ -69,7 +69,7 @@ impl Leases for Context {
             return Err(to_status(&Invalid::new("max_leases", max, allowed)));
         }
         let patience = Duration::from_millis(request.wait_ms.min(RequestLimits::WAIT_MS));
-        let wish = Wish { parts: max as usize, whole_sets: request.whole_sets };
+        let wish = LeaseRequest { parts: max as usize, whole_sets: request.whole_sets };
         let grant = self.farm.acquire(&worker, wish, patience, &self.shutdown).await?;
         let Grant { leases, drain } = grant.unwrap_or_default();
         Ok(Response::new(AcquireResponse { leases: leases.into_iter().map(Into::into).collect(), drain }))

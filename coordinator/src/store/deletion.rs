@@ -5,9 +5,9 @@ use optics_model::Digest;
 use optics_model::job::JobSpec;
 
 use super::points::{self, delete_points};
-use super::{Exclusive, Held, Result, Store, aside, doing};
+use super::{Exclusive, LedgerGuard, Result, Store, aside, doing};
 
-impl Held<'_> {
+impl LedgerGuard<'_> {
     /// Deletes the blocks that came before the records of a divided job. No job has ended with them.
     pub async fn delete_blocks(&self, job: &JobSpec) -> Result<()> {
         delete_point(self.store, job.sums_identity()).await.map(drop)

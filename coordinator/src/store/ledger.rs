@@ -14,23 +14,23 @@ use super::Store;
 #[derive(Debug, Clone, Copy)]
 pub struct Ledger<'a>(&'a Store);
 
-/// The ledger held by anyone, for the operations that either guard allows.
+/// Access to the ledger while it is locked, for the operations that either guard allows.
 #[derive(Debug)]
-pub struct Held<'a> {
+pub struct LedgerGuard<'a> {
     pub(super) store: &'a Store,
 }
 
 /// Held together with others: results are stored, and the dispatcher takes note of them.
 #[derive(Debug)]
 pub struct Shared<'a> {
-    held: Held<'a>,
+    held: LedgerGuard<'a>,
     _guard: RwLockReadGuard<'a, ()>,
 }
 
 /// Held alone: records are deleted or set aside, or come back.
 #[derive(Debug)]
 pub struct Exclusive<'a> {
-    held: Held<'a>,
+    held: LedgerGuard<'a>,
     _guard: RwLockWriteGuard<'a, ()>,
 }
 
@@ -42,26 +42,26 @@ impl Store {
 
 impl<'a> Ledger<'a> {
     pub async fn shared(self) -> Shared<'a> {
-        Shared { held: Held { store: self.0 }, _guard: self.0.records.read().await }
+        Shared { held: LedgerGuard { store: self.0 }, _guard: self.0.records.read().await }
     }
 
     pub async fn exclusive(self) -> Exclusive<'a> {
-        Exclusive { held: Held { store: self.0 }, _guard: self.0.records.write().await }
+        Exclusive { held: LedgerGuard { store: self.0 }, _guard: self.0.records.write().await }
     }
 }
 
 impl<'a> Deref for Shared<'a> {
-    type Target = Held<'a>;
+    type Target = LedgerGuard<'a>;
 
-    fn deref(&self) -> &Held<'a> {
+    fn deref(&self) -> &LedgerGuard<'a> {
         &self.held
     }
 }
 
 impl<'a> Deref for Exclusive<'a> {
-    type Target = Held<'a>;
+    type Target = LedgerGuard<'a>;
 
-    fn deref(&self) -> &Held<'a> {
+    fn deref(&self) -> &LedgerGuard<'a> {
         &self.held
     }
 }

@@ -9,7 +9,7 @@ use optics_model::{Digest, Grid, PackedRecords};
 use sqlx::SqliteConnection;
 
 use super::records::JobRecords;
-use super::{Held, Result, Store, doing};
+use super::{LedgerGuard, Result, Store, doing};
 
 /// A job whose records are there, and the row of their point.
 struct Reusable {
@@ -21,7 +21,7 @@ struct Reusable {
 /// Albedos with the bytes of their records.
 type PointRecords = Vec<(f64, bytes::Bytes)>;
 
-impl Held<'_> {
+impl LedgerGuard<'_> {
     /// Ends those open jobs of a dictionary whose records are there already. `jobs` are their numbers and identities;
     /// `grids` those of all dictionaries. Returns the jobs with the digests of their records.
     pub async fn reuse(

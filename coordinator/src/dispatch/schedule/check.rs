@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::super::part::{PartId, Purpose};
 use super::super::roster::Roster;
 use super::job::{Job, Stage};
-use super::{Dictionary, Held, Schedule};
+use super::{Dictionary, OpenLease, Schedule};
 
 /// Dictionaries of more parts are not looked at, nor are the leases if there are more: a check after every transition
 /// must stay cheap when a test has a million jobs.
@@ -41,7 +41,7 @@ impl Schedule {
     }
 
     fn check_leases(&self, now: Duration, roster: &Roster) -> Result<(), String> {
-        let mut of_parts: BTreeMap<PartId, Vec<&Held>> = BTreeMap::new();
+        let mut of_parts: BTreeMap<PartId, Vec<&OpenLease>> = BTreeMap::new();
         let mut of_workers = BTreeMap::new();
         for held in self.leases.iter() {
             of_parts.entry(PartId::from(&held.key)).or_default().push(held);
@@ -50,7 +50,7 @@ impl Schedule {
             must!(held.deadline <= now + self.settings.lease, "{held:?} ends too late");
         }
         for (part, holders) in of_parts {
-            let (checks, computing): (Vec<&Held>, Vec<&Held>) =
+            let (checks, computing): (Vec<&OpenLease>, Vec<&OpenLease>) =
                 holders.iter().partition(|held| held.purpose == Purpose::Check);
             must!(checks.len() <= 1, "{part:?} has {} checks", checks.len());
             must!(computing.len() <= 2, "{part:?} has {} holders", computing.len());

@@ -10,7 +10,7 @@ use super::super::outbox::{Count, Outbox};
 use super::super::part::{PartId, Purpose};
 use super::super::roster::Roster;
 use super::super::{Settings, TokenSource};
-use super::{Dictionary, Held, Schedule, lease_token};
+use super::{Dictionary, OpenLease, Schedule, lease_token};
 use crate::stored::Origin;
 
 /// Most parts that come with another because they share its walks, and how much their records may take.
@@ -19,24 +19,24 @@ const MOST_BYTES: usize = 32 << 20;
 /// Leases of a grant from which on none come on top.
 const MOST_LEASES: usize = 256;
 
-/// What a worker asks for.
+/// The leases that a worker requests.
 #[derive(Debug, Clone, Copy)]
-pub struct Wish {
+pub struct LeaseRequest {
     pub parts: usize,
     /// It traces parts that share their walks together.
     pub whole_sets: bool,
 }
 
-impl From<usize> for Wish {
+impl From<usize> for LeaseRequest {
     /// Each part by itself.
     fn from(parts: usize) -> Self {
         Self { parts, whole_sets: false }
     }
 }
 
-/// A worker that asks for leases.
+/// The worker that requests leases.
 #[derive(Debug, Clone, Copy)]
-pub struct Taker<'a> {
+pub struct Requester<'a> {
     pub worker: &'a WorkerId,
     pub machine: Origin,
     /// All workers, since parts that this machine has failed at go to others first.
@@ -47,7 +47,7 @@ pub struct Taker<'a> {
 struct Round<'a> {
     schedule: &'a mut Schedule,
     now: Duration,
-    taker: Taker<'a>,
+    requester: Requester<'a>,
     tokens: &'a mut dyn TokenSource,
     outbox: &'a mut Outbox,
     leases: Vec<Lease>,
@@ -60,18 +60,18 @@ impl Schedule {
     pub fn grant(
         &mut self,
         now: Duration,
-        taker: Taker<'_>,
-        wish: Wish,
+        requester: Requester<'_>,
+        request: LeaseRequest,
         checks: impl Iterator<Item = PartId>,
         tokens: &mut dyn TokenSource,
         outbox: &mut Outbox,
     ) -> Vec<Lease> {
-        let checks: Vec<PartId> = checks.filter(|part| self.may_check(*part)).take(wish.parts).collect();
-        let mut round = Round { schedule: self, now, taker, tokens, outbox, leases: Vec::new() };
+        let checks: Vec<PartId> = checks.filter(|part| self.may_check(*part)).take(request.parts).collect();
+        let mut round = Round { schedule: self, now, requester, tokens, outbox, leases: Vec::new() };
         for part in checks {
             round.grant_besides(part, Purpose::Check);
         }
-        round.grant_waiting(wish);
+        round.grant_waiting(request);
         let leases = round.leases;
         self.pace.working(now, self.leases.len() > 0);
         outbox.changed |= !leases.is_empty();
@@ -136,24 +136,24 @@ impl Schedule {
         }
         dictionary.lease_began();
         let (key, worker) = (*key, worker.clone());
-        self.leases.insert(Held { key, worker, purpose: Purpose::Retry, since: now, deadline, running });
+        self.leases.insert(OpenLease { key, worker, purpose: Purpose::Retry, since: now, deadline, running });
         true
     }
 }
 
 impl Round<'_> {
     /// Grants parts that wait, and then copies of those that are late.
-    fn grant_waiting(&mut self, wish: Wish) {
+    fn grant_waiting(&mut self, request: LeaseRequest) {
         // Those that come with others do not count.
         let mut companions = 0;
         let order: Vec<DictionaryId> = self.schedule.order().map(|(_, id)| id).collect();
         for id in order {
             // Workers that outlived a restart may have the costliest of these in hand, and have not renewed them yet.
             let returning = self.now < self.schedule.settings.lease && self.schedule.taken_up.contains(&id);
-            while self.leases.len() - companions < wish.parts
-                && let Some(part) = self.schedule.next_part_for(self.now, self.taker, id, returning)
+            while self.leases.len() - companions < request.parts
+                && let Some(part) = self.schedule.next_part_for(self.now, self.requester, id, returning)
             {
-                let with_others = wish.whole_sets && self.leases.len() < MOST_LEASES;
+                let with_others = request.whole_sets && self.leases.len() < MOST_LEASES;
                 let others = if with_others { self.schedule.companions(part) } else { Vec::new() };
                 companions += others.len();
                 for part in std::iter::once(part).chain(others) {
@@ -161,8 +161,8 @@ impl Round<'_> {
                 }
             }
         }
-        while self.leases.len() - companions < wish.parts
-            && let Some(part) = self.schedule.next_late(self.taker.worker)
+        while self.leases.len() - companions < request.parts
+            && let Some(part) = self.schedule.next_late(self.requester.worker)
         {
             self.grant_besides(part, Purpose::Copy);
         }
@@ -188,12 +188,12 @@ impl Round<'_> {
     fn lease(&mut self, part: PartId, attempt: u32, purpose: Purpose) {
         let PartId { dictionary, job, part } = part;
         let Settings { secret, lease, .. } = &self.schedule.settings;
-        let Taker { worker, machine, roster } = self.taker;
+        let Requester { worker, machine, roster } = self.requester;
         let bare = LeaseKey { dictionary, job, attempt, token: Token(0), part };
         let nonce = self.tokens.token().0 as u64;
         let token = lease_token::issue(secret, &bare, nonce, roster.access_token(machine));
         let (key, worker, deadline) = (LeaseKey { token, ..bare }, worker.clone(), self.now + *lease);
-        let held = Held { key, worker, purpose, since: self.now, deadline, running: false };
+        let held = OpenLease { key, worker, purpose, since: self.now, deadline, running: false };
         self.schedule.leases.insert(held);
         self.leases.push(Lease { key, job: self.schedule.dictionaries[&dictionary].spec(job, part) });
         self.outbox.counts.push(Count::Granted(purpose));

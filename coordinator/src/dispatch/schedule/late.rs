@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::super::outbox::Outbox;
 use super::super::part::{PartId, Purpose};
-use super::{Held, Job, Schedule};
+use super::{Job, OpenLease, Schedule};
 
 /// A look that comes this much later than the last was itself held up: no worker is to blame for that.
 pub const STALL: Duration = Duration::from_secs(5);
@@ -23,8 +23,8 @@ impl Schedule {
     }
 
     /// Leases that their workers renew and never end. A copy may be under way, but that could be held for ever, too.
-    pub fn endless(&self, now: Duration) -> Vec<Held> {
-        let is_endless = |held: &&Held| {
+    pub fn endless(&self, now: Duration) -> Vec<OpenLease> {
+        let is_endless = |held: &&OpenLease| {
             let cost = self.job(PartId::from(&held.key)).map_or(0.0, Job::part_cost);
             self.pace.is_endless(cost, now.saturating_sub(held.since))
         };

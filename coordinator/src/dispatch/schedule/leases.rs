@@ -8,8 +8,9 @@ use farm_proto::lease::LeaseKey;
 
 use super::super::part::{JobRef, PartId, Purpose};
 
+/// A lease that has neither ended nor expired.
 #[derive(Debug, Clone)]
-pub struct Held {
+pub struct OpenLease {
     pub key: LeaseKey,
     pub worker: WorkerId,
     pub purpose: Purpose,
@@ -22,14 +23,14 @@ pub struct Held {
 /// All leases that are out, found by token, deadline, part and worker.
 #[derive(Debug, Default)]
 pub struct Leases {
-    all: BTreeMap<Token, Held>,
+    all: BTreeMap<Token, OpenLease>,
     deadlines: BTreeSet<(Duration, Token)>,
     of_parts: BTreeMap<PartId, Vec<Token>>,
     of_workers: BTreeMap<WorkerId, BTreeSet<Token>>,
 }
 
 impl Leases {
-    pub fn insert(&mut self, held: Held) {
+    pub fn insert(&mut self, held: OpenLease) {
         let token = held.key.token;
         self.deadlines.insert((held.deadline, token));
         self.of_parts.entry(PartId::from(&held.key)).or_default().push(token);
@@ -37,7 +38,7 @@ impl Leases {
         self.all.insert(token, held);
     }
 
-    pub fn remove(&mut self, token: Token) -> Option<Held> {
+    pub fn remove(&mut self, token: Token) -> Option<OpenLease> {
         let held = self.all.remove(&token)?;
         self.deadlines.remove(&(held.deadline, token));
         let part = PartId::from(&held.key);
@@ -62,31 +63,31 @@ impl Leases {
     }
 
     /// The lease of this key.
-    pub fn get(&self, key: &LeaseKey) -> Option<&Held> {
+    pub fn get(&self, key: &LeaseKey) -> Option<&OpenLease> {
         self.all.get(&key.token).filter(|held| held.key == *key)
     }
 
     /// The lease of this key, if this worker holds it.
-    pub fn held_by(&self, key: &LeaseKey, worker: &WorkerId) -> Option<&Held> {
+    pub fn held_by(&self, key: &LeaseKey, worker: &WorkerId) -> Option<&OpenLease> {
         self.get(key).filter(|held| held.worker == *worker)
     }
 
     /// Ends all leases of a part.
-    pub fn remove_part(&mut self, part: PartId) -> Vec<Held> {
+    pub fn remove_part(&mut self, part: PartId) -> Vec<OpenLease> {
         let tokens = self.of_parts.get(&part).cloned().unwrap_or_default();
         tokens.into_iter().filter_map(|token| self.remove(token)).collect()
     }
 
     /// Ends all leases of a dictionary.
     pub fn remove_dictionary(&mut self, dictionary: DictionaryId) {
-        let of_it = |held: &&Held| held.key.dictionary == dictionary;
+        let of_it = |held: &&OpenLease| held.key.dictionary == dictionary;
         let tokens: Vec<Token> = self.all.values().filter(of_it).map(|h| h.key.token).collect();
         for token in tokens {
             self.remove(token);
         }
     }
 
-    pub fn of_part(&self, part: PartId) -> impl Iterator<Item = &Held> {
+    pub fn of_part(&self, part: PartId) -> impl Iterator<Item = &OpenLease> {
         self.of_parts.get(&part).into_iter().flatten().filter_map(|token| self.all.get(token))
     }
 
@@ -131,7 +132,7 @@ impl Leases {
         self.all.len()
     }
 
-    pub fn iter(&self) -> impl Iterator<Item = &Held> {
+    pub fn iter(&self) -> impl Iterator<Item = &OpenLease> {
         self.all.values()
     }
 

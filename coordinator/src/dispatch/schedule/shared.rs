@@ -10,7 +10,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
 use super::super::part::{JobRef, PartId};
-use super::{Dictionary, Schedule, Taker};
+use super::{Dictionary, Requester, Schedule};
 use crate::stored::Vote;
 
 /// Whether all of `some` are there; both rise.
@@ -64,15 +64,15 @@ impl Schedule {
     pub(super) fn next_part_for(
         &mut self,
         now: Duration,
-        taker: Taker<'_>,
+        requester: Requester<'_>,
         id: DictionaryId,
         cheapest: bool,
     ) -> Option<PartId> {
         let mut kept = false;
         let next = self.next_part_that(id, cheapest, |part| {
             let others = self.job(part).is_some_and(|job| {
-                job.is_struck_by(taker.machine)
-                    && taker.roster.able(now).any(|other| !job.is_struck_by(other))
+                job.is_struck_by(requester.machine)
+                    && requester.roster.able(now).any(|other| !job.is_struck_by(other))
             });
             kept |= others;
             !others

@@ -8,7 +8,7 @@ use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{Bench, job_of, seconds, stored, worker};
-use crate::dispatch::{Dictionary, Wish};
+use crate::dispatch::{Dictionary, LeaseRequest};
 
 /// Optical thicknesses 2 (twice), 4 and 1; with the jobs' numbers: 2, 0 and 3, 1.
 fn bench(walks: u64) -> Bench {
@@ -30,8 +30,8 @@ fn bench(walks: u64) -> Bench {
 }
 
 fn sets(bench: &mut Bench, at: u64, name: &str, parts: usize) -> Vec<Lease> {
-    let wish = Wish { parts, whole_sets: true };
-    bench.farm.acquire(seconds(at), &worker(name), wish, &mut bench.chance).unwrap().leases
+    let request = LeaseRequest { parts, whole_sets: true };
+    bench.farm.acquire(seconds(at), &worker(name), request, &mut bench.chance).unwrap().leases
 }
 
 /// Jobs that share walks are leased together, on top of the requested number.
