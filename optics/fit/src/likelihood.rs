@@ -4,7 +4,7 @@
 //! exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain, zero
 //! and slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is alike in neighbouring
 //! pixels, is modes with a prior of their own (`records_noise`). The optimum is global over the dictionary (`start`).
-//! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile`).
+//! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile_likelihood`).
 
 mod answer;
 mod blend;
@@ -23,7 +23,7 @@ mod mixtures;
 mod nuisances;
 mod part;
 mod problem;
-mod profile;
+mod profile_likelihood;
 mod quantity;
 mod records_noise;
 mod residuals;

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::dictionary::FitDictionary;
 pub(crate) use measure::measure;
-use question::{Question, Term, questions};
+use question::{ComparedProfile, Question, questions};
 
 /// The best records of every channel of a measurement, jointly over its thicknesses.
 pub(crate) fn fit(
@@ -42,7 +42,7 @@ fn answer(question: &Question) -> ChannelFit {
 
 fn curves(question: &Question, candidates: &[Candidate]) -> Vec<FitCurves> {
     let sensor = question.dictionary.grid().scene().sensor();
-    let curves = |(i, term): (usize, &Term)| FitCurves {
+    let curves = |(i, term): (usize, &ComparedProfile)| FitCurves {
         thickness_mm: question.dictionary.grid().thickness_mm()[term.thickness],
         x_mm: term.view.pixels().map(|pixel| sensor.centre_mm(pixel)).collect(),
         measured: curve(term, term.values.clone()),
@@ -59,6 +59,6 @@ fn curves(question: &Question, candidates: &[Candidate]) -> Vec<FitCurves> {
     question.terms.iter().enumerate().map(curves).collect()
 }
 
-fn curve(term: &Term, values: Vec<f64>) -> Curve {
+fn curve(term: &ComparedProfile, values: Vec<f64>) -> Curve {
     Curve { gradient: term.view.slope().shown(&values), values }
 }

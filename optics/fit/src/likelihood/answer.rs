@@ -9,7 +9,7 @@ use optics_model::{Grid, Medium};
 use super::bound::{bound, ideal_covariance};
 use super::chi2::exceedance;
 use super::problem::ChannelData;
-use super::profile::{Profile, interval};
+use super::profile_likelihood::{ProfileLikelihood, interval};
 use super::quantity::Quantity;
 use super::residuals::{clustering, outliers, stretches};
 use super::system::{Normal, State, System};
@@ -188,11 +188,12 @@ impl Found<'_, '_> {
             let quantity = quantities[index];
             let ends = if let Some(covariance) = covariance {
                 let (system, optimum) = (self.system, self.state);
-                Profile { system, optimum, normal, covariance, inflation }.ends(quantity, all_limits[index])
+                ProfileLikelihood { system, optimum, normal, covariance, inflation }
+                    .ends(quantity, all_limits[index])
             } else {
                 // The information is singular: nothing is known.
                 let (low, high) = all_limits[index];
-                [low, high].map(|value| super::profile::End { value, open: true })
+                [low, high].map(|value| super::profile_likelihood::IntervalEnd { value, open: true })
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
@@ -214,7 +215,7 @@ impl Found<'_, '_> {
         let linear = system.linear(&self.state.x, &self.state.own);
         let normal = system.normal(&self.state.x, &self.state.own, &linear);
         let Some(covariance) = system.covariance(&normal.information) else { return false };
-        let profile = Profile {
+        let profile = ProfileLikelihood {
             system: &system,
             optimum: self.state,
             normal: &normal,

@@ -28,7 +28,7 @@ pub(super) struct Blend {
 
 /// A profile's shared unknowns at some place of the system's, and their derivatives by those in `slots`.
 #[derive(Debug)]
-pub(super) struct Place {
+pub(super) struct BlendPoint {
     pub point: Line,
     pub slots: Vec<usize>,
     pub slopes: DMatrix<f64>,
@@ -74,7 +74,7 @@ impl Blend {
     }
 
     /// With the slots of the set-up: those from the factor on μ on.
-    pub(super) fn place(&self, slots: &[usize], x: &DVector<f64>) -> Place {
+    pub(super) fn place(&self, slots: &[usize], x: &DVector<f64>) -> BlendPoint {
         let blended = self.at(x);
         let parts = 3 * self.parts.len();
         let set_up = LN_SCALE..slots.len();
@@ -91,7 +91,7 @@ impl Blend {
             point[i] = x[slots[i]];
             slopes[(i, parts + k)] = 1.0;
         }
-        Place { point, slots: used, slopes }
+        BlendPoint { point, slots: used, slopes }
     }
 
     /// The same with other slots.

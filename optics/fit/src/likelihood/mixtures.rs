@@ -4,7 +4,7 @@
 //! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`blend`), with the set-up of every
 //! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that gives
 //! its dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
-//! likelihood (`profile`); where mixtures contradict one another by more than their noise, as they do if one was
+//! likelihood (`profile_likelihood`); where mixtures contradict one another by more than their noise, as they do if one was
 //! mixed wrongly, intervals are wider by their χ² a degree of freedom (a Birge ratio).
 
 mod answer;

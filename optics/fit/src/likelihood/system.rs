@@ -60,7 +60,7 @@ pub(super) struct State {
 
 /// A quantity held at a value by a stiff quadratic penalty.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Held {
+pub(super) struct HeldQuantity {
     pub quantity: Quantity,
     pub at: f64,
     pub stiffness: f64,
@@ -75,7 +75,7 @@ pub(super) struct Normal {
 }
 
 /// A state on the way down; the parabola there is taken if it is needed.
-struct Place {
+struct Evaluation {
     state: State,
     linear: Vec<Linear>,
     normal: OnceCell<Normal>,
@@ -240,11 +240,11 @@ impl System<'_> {
     }
 
     /// The minimum of −2 ln L below a state, with a quantity held, to within `tolerance`.
-    pub(super) fn descend(&self, from: State, held: Option<&Held>, tolerance: f64) -> State {
+    pub(super) fn descend(&self, from: State, held: Option<&HeldQuantity>, tolerance: f64) -> State {
         let spring =
             |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
-        let total = |place: &Place| place.state.cost + spring(&place.state.x);
-        let step = |from: &Place, damping: f64| {
+        let total = |place: &Evaluation| place.state.cost + spring(&place.state.x);
+        let step = |from: &Evaluation, damping: f64| {
             let state = &from.state;
             let damped = self.damped(from.normal(self), &state.x, damping);
             let step = self.step(&state.x, &damped, held)?;
@@ -252,21 +252,21 @@ impl System<'_> {
             let fall = self.advance(&mut there, &damped, &step);
             let known = |x: &DVector<f64>| self.prior_cost(x) + spring(x);
             let predicted = fall + known(&state.x) - known(&there.x);
-            Some(Step { to: self.place(there), predicted })
+            Some(Step { to: self.evaluate(there), predicted })
         };
-        let decrement = |place: &Place| {
+        let decrement = |place: &Evaluation| {
             let normal = place.normal(self);
             let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
             own + self.shared_decrement(&place.state.x, normal, held)
         };
         let descent = Descent { most_steps: MOST_STEPS, tolerance };
-        descent.run(self.place(from), total, decrement, step).state
+        descent.run(self.evaluate(from), total, decrement, step).state
     }
 
-    fn place(&self, mut state: State) -> Place {
+    fn evaluate(&self, mut state: State) -> Evaluation {
         let linear = self.linear(&state.x, &state.own);
         state.cost = self.cost(&state.x, &linear);
-        Place { state, linear, normal: OnceCell::new() }
+        Evaluation { state, linear, normal: OnceCell::new() }
     }
 
     /// Moves a state within its limits, each profile's own unknowns following, and returns the fall of the profiles'
@@ -319,13 +319,13 @@ impl System<'_> {
         })
     }
 
-    fn step(&self, x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> Option<DVector<f64>> {
+    fn step(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> Option<DVector<f64>> {
         let (information, downhill) = with_spring(x, normal, held);
         limited_step(&self.unknowns, x, &information, &downhill)
     }
 
     /// The fall of −2 ln L that an undamped step of the shared unknowns promises.
-    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> f64 {
+    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
         let (information, downhill) = with_spring(x, normal, held);
         let step = limited_step(&self.unknowns, x, &information, &downhill);
         step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
@@ -337,16 +337,20 @@ impl System<'_> {
     }
 }
 
-impl Place {
+impl Evaluation {
     fn normal(&self, system: &System) -> &Normal {
         self.normal.get_or_init(|| system.normal(&self.state.x, &self.state.own, &self.linear))
     }
 }
 
 /// Information and pull with those of the penalty on a quantity.
-fn with_spring(x: &DVector<f64>, normal: &Normal, held: Option<&Held>) -> (DMatrix<f64>, DVector<f64>) {
+fn with_spring(
+    x: &DVector<f64>,
+    normal: &Normal,
+    held: Option<&HeldQuantity>,
+) -> (DMatrix<f64>, DVector<f64>) {
     let (mut information, mut downhill) = (normal.information.clone(), normal.downhill.clone());
-    if let Some(Held { quantity, at, stiffness }) = held {
+    if let Some(HeldQuantity { quantity, at, stiffness }) = held {
         let gradient = quantity.gradient(x);
         downhill += &gradient * (*stiffness * (at - quantity.value(x)));
         information += &gradient * gradient.transpose() * *stiffness;

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::dictionary::FitDictionary;
 use crate::paper::layers::of_layers;
-use crate::paper::question::{Place, Question, questions};
+use crate::paper::question::{GridPlace, Question, questions};
 
 /// The error of Eq. 1 over every admissible medium, by channel.
 pub(crate) fn distance_map(
@@ -34,7 +34,7 @@ fn best_ior(question: &Question) -> usize {
 fn layer(question: &Question, ior: usize, g: usize) -> MapLayer {
     let admissible = &question.admissible;
     let albedos = admissible.albedo.len();
-    let place = |n: usize| Place {
+    let place = |n: usize| GridPlace {
         ior,
         sigma_t: admissible.sigma_t.start + n / albedos,
         g,

@@ -16,7 +16,7 @@ use crate::surrogate::resample::resample;
 
 /// One thickness of one channel: μ F_A and |∇ μ F_A| on the pixels that the measurement covers.
 #[derive(Debug)]
-pub(crate) struct Term {
+pub(crate) struct ComparedProfile {
     /// Index into the grid's thicknesses.
     pub thickness: usize,
     pub view: Arc<View>,
@@ -25,7 +25,7 @@ pub(crate) struct Term {
     description: OnceLock<PairDescription>,
 }
 
-impl Term {
+impl ComparedProfile {
     fn new(
         (dictionary, channel): (&FitDictionary, usize),
         profile: &MeasuredProfile,
@@ -67,7 +67,7 @@ impl Term {
 
 /// Indices of a medium into the axes of the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct GridPlace {
     pub ior: usize,
     pub sigma_t: usize,
     pub g: usize,
@@ -80,7 +80,7 @@ pub(crate) struct Question<'a> {
     pub name: &'a str,
     /// Index into the scene's channels.
     pub channel: usize,
-    pub terms: Vec<Term>,
+    pub terms: Vec<ComparedProfile>,
     pub options: FitOptions,
     pub admissible: Admissible,
 }
@@ -133,24 +133,24 @@ impl<'a> Question<'a> {
     ) -> Result<Self, Invalid> {
         let channel = find_channel(dictionary.grid(), name)?;
         let profiles = measurement.profiles().iter().filter(|p| p.channel() == name);
-        let term = |profile| Term::new((dictionary, channel), profile, options);
+        let term = |profile| ComparedProfile::new((dictionary, channel), profile, options);
         let terms = profiles.map(term).collect::<Result<_, _>>()?;
         Ok(Self { dictionary, name, channel, terms, options: *options, admissible })
     }
 
     /// Number of the medium over all axes, in the order of its records.
-    pub(crate) fn medium_number(&self, place: Place) -> usize {
+    pub(crate) fn medium_number(&self, place: GridPlace) -> usize {
         let grid = self.dictionary.grid();
         let row = (place.ior * grid.sigma_t_per_mm().len() + place.sigma_t) * grid.g().len() + place.g;
         row * grid.albedo().len() + place.albedo
     }
 
-    pub(crate) fn place(&self, medium: usize) -> Place {
+    pub(crate) fn place(&self, medium: usize) -> GridPlace {
         let grid = self.dictionary.grid();
         let (rest, albedo) = (medium / grid.albedo().len(), medium % grid.albedo().len());
         let (rest, g) = (rest / grid.g().len(), rest % grid.g().len());
         let (ior, sigma_t) = (rest / grid.sigma_t_per_mm().len(), rest % grid.sigma_t_per_mm().len());
-        Place { ior, sigma_t, g, albedo }
+        GridPlace { ior, sigma_t, g, albedo }
     }
 
     /// The admissible media of a range of anisotropies, as ranges of medium numbers, rising.
@@ -161,7 +161,7 @@ impl<'a> Question<'a> {
         for ior in 0..grid.sample_ior().len() {
             for sigma_t in sigma_t.clone() {
                 for g in g.clone() {
-                    let first = self.medium_number(Place { ior, sigma_t, g, albedo: albedo.start });
+                    let first = self.medium_number(GridPlace { ior, sigma_t, g, albedo: albedo.start });
                     let end = first + albedo.len();
                     match ranges.last_mut() {
                         Some(last) if last.end == first => last.end = end,
@@ -173,14 +173,14 @@ impl<'a> Question<'a> {
         ranges
     }
 
-    pub(crate) fn record(&self, term: &Term, place: Place) -> usize {
+    pub(crate) fn record(&self, term: &ComparedProfile, place: GridPlace) -> usize {
         self.dictionary.stop.check();
         let grid = self.dictionary.grid();
         grid.record_at(place.ior, place.sigma_t, place.g, term.thickness, place.albedo)
     }
 
     /// The two norms of Eq. 2: of the values' difference and of the gradients'.
-    fn norms(&self, term: &Term, place: Place) -> (f64, f64) {
+    fn norms(&self, term: &ComparedProfile, place: GridPlace) -> (f64, f64) {
         let (values, gradient) = term.view.profile(self.record(term, place));
         wide(
             #[inline(always)]
@@ -189,7 +189,7 @@ impl<'a> Question<'a> {
     }
 
     /// The sum of Eq. 1.
-    pub(crate) fn error(&self, place: Place) -> f64 {
+    pub(crate) fn error(&self, place: GridPlace) -> f64 {
         let lambda = self.options.settings().lambda;
         self.terms
             .iter()
@@ -200,7 +200,7 @@ impl<'a> Question<'a> {
             .sum()
     }
 
-    pub(crate) fn candidate(&self, place: Place) -> Candidate {
+    pub(crate) fn candidate(&self, place: GridPlace) -> Candidate {
         let grid = self.dictionary.grid();
         let thicknesses = self.terms.iter().map(|term| {
             let (value_rms, gradient_rms) = self.norms(term, place);

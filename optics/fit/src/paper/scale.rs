@@ -15,7 +15,7 @@ use crate::dictionary::FitDictionary;
 use crate::dictionary::sum::{mean_product, mean_square};
 use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
-use crate::paper::question::{Place, Question, Term, check_ranges, questions};
+use crate::paper::question::{ComparedProfile, GridPlace, Question, check_ranges, questions};
 
 /// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
 pub fn scale(
@@ -101,7 +101,7 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
                 for (n, question) in questions.iter().enumerate() {
                     errors.fill(0.0);
                     for scalable in &terms[n] {
-                        let record = question.record(scalable.term, Place { ior, sigma_t, g, albedo });
+                        let record = question.record(scalable.term, GridPlace { ior, sigma_t, g, albedo });
                         let place = seen.iter().position(|s| s.is(question, scalable.term, record));
                         let place = place.unwrap_or_else(|| {
                             seen.push(Seen::new(question, scalable.term, record));
@@ -131,12 +131,12 @@ struct Seen<'a> {
 }
 
 impl<'a> Seen<'a> {
-    fn new(question: &Question<'a>, term: &'a Term, record: usize) -> Self {
+    fn new(question: &Question<'a>, term: &'a ComparedProfile, record: usize) -> Self {
         let (values, gradient) = term.view.profile(record);
         Self { channel: question.channel, record, view: &term.view, values, gradient }
     }
 
-    fn is(&self, question: &Question, term: &Term, record: usize) -> bool {
+    fn is(&self, question: &Question, term: &ComparedProfile, record: usize) -> bool {
         self.channel == question.channel
             && self.record == record
             && std::ptr::eq(self.view, Arc::as_ptr(&term.view))
@@ -145,13 +145,13 @@ impl<'a> Seen<'a> {
 
 /// A measured profile and its gradient, with their mean squares.
 struct Scalable<'a> {
-    term: &'a Term,
+    term: &'a ComparedProfile,
     value_square: f64,
     gradient_square: f64,
 }
 
 impl<'a> Scalable<'a> {
-    fn new(term: &'a Term) -> Self {
+    fn new(term: &'a ComparedProfile) -> Self {
         Self { term, value_square: mean_square(&term.values), gradient_square: mean_square(&term.gradient) }
     }
 

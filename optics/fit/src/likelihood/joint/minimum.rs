@@ -6,7 +6,7 @@ use optics_model::fit::Interval;
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::descent::FINE;
 use crate::likelihood::problem::{Assembly, Sharing};
-use crate::likelihood::profile::{Profile, interval};
+use crate::likelihood::profile_likelihood::{ProfileLikelihood, interval};
 use crate::likelihood::quantity::Quantity;
 use crate::likelihood::system::{Normal, State, System};
 use crate::likelihood::unknowns::eliminate;
@@ -40,7 +40,7 @@ impl<'a> Joint<'a> {
         let Some(covariance) = &self.covariance else {
             return Interval { low: g(limits.1), high: g(limits.0), open_low: true, open_high: true };
         };
-        let profile = Profile {
+        let profile = ProfileLikelihood {
             system: &self.assembly.system,
             optimum: &self.state,
             normal: &self.normal,

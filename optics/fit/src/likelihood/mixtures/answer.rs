@@ -14,7 +14,7 @@ use crate::dictionary::sum::dot;
 use crate::likelihood::answer::is_resolved;
 use crate::likelihood::blend::{Ink, Part, ink_medium, unlimited};
 use crate::likelihood::chi2::exceedance;
-use crate::likelihood::profile::{End, Profile, interval};
+use crate::likelihood::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
 use crate::likelihood::quantity::Quantity;
 use crate::likelihood::system::Normal;
 use crate::likelihood::term::Linear;
@@ -127,7 +127,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         let covariance =
             covariance.unwrap_or_else(|| DMatrix::from_element(used.len(), used.len(), f64::INFINITY));
         let inflation = self.disagreement(channel);
-        let profile = Profile {
+        let profile = ProfileLikelihood {
             system: &system,
             optimum: &optimum,
             normal: &normal,
@@ -265,12 +265,12 @@ struct InkIntervals {
 }
 
 impl InkIntervals {
-    fn of(profile: &Profile, ink: Ink, common_g: Option<Interval>) -> Self {
+    fn of(profile: &ProfileLikelihood, ink: Ink, common_g: Option<Interval>) -> Self {
         let [s, a, g_] = ink.map(|slot| profile.system.unknowns[slot].limits);
         let limits =
             [(s.0 + a.0 * a.0, s.1 + a.1 * a.1), (0.0, 1.0), g_, (s.0 * g_.0.exp(), s.1 * g_.1.exp()), a];
         let quantities = Quantity::of_ink(ink);
-        let ends = |i: usize| -> [End; 2] { profile.ends(quantities[i], limits[i]) };
+        let ends = |i: usize| -> [IntervalEnd; 2] { profile.ends(quantities[i], limits[i]) };
         let positive = |v: f64| v.max(0.0);
         Self {
             sigma_t_per_mm: from_nothing(interval(ends(0), positive, false)),

@@ -5,7 +5,7 @@ use optics_model::fit::{Interval, Z};
 
 use super::Line;
 use super::quantity::Quantity;
-use super::system::{Held, Normal, State, System};
+use super::system::{HeldQuantity, Normal, State, System};
 use super::unknowns::{Unknown, free, inverse_over};
 
 /// Cost by which descents may miss their minimum.
@@ -25,14 +25,14 @@ const GOOD: (f64, f64) = (0.1, 0.3);
 
 /// One end of an interval; open if a limit comes first.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct End {
+pub(super) struct IntervalEnd {
     pub value: f64,
     pub open: bool,
 }
 
 /// A minimum, and how far things may rise from it.
 #[derive(Debug)]
-pub(super) struct Profile<'a> {
+pub(super) struct ProfileLikelihood<'a> {
     pub system: &'a System<'a>,
     pub optimum: &'a State,
     /// At the optimum.
@@ -42,38 +42,38 @@ pub(super) struct Profile<'a> {
     pub inflation: f64,
 }
 
-impl Profile<'_> {
+impl ProfileLikelihood<'_> {
     /// Both ends for a quantity, within limits.
-    pub(super) fn ends(&self, quantity: Quantity, limits: (f64, f64)) -> [End; 2] {
+    pub(super) fn ends(&self, quantity: Quantity, limits: (f64, f64)) -> [IntervalEnd; 2] {
         let gradient = quantity.gradient(&self.optimum.x);
         let variance = gradient.dot(&(self.covariance * &gradient));
         if variance <= 0.0 {
             // It is held.
             let value = quantity.value(&self.optimum.x);
-            return [End { value, open: false }; 2];
+            return [IntervalEnd { value, open: false }; 2];
         }
         let deviation = variance.sqrt();
         [self.end(quantity, deviation, -1.0, limits.0), self.end(quantity, deviation, 1.0, limits.1)]
     }
 
-    fn end(&self, quantity: Quantity, deviation: f64, side: f64, limit: f64) -> End {
+    fn end(&self, quantity: Quantity, deviation: f64, side: f64, limit: f64) -> IntervalEnd {
         let from = quantity.value(&self.optimum.x);
         let furthest = (side * (limit - from)).max(0.0);
-        let open = End { value: limit, open: true };
+        let open = IntervalEnd { value: limit, open: true };
         if furthest <= 0.0 || !deviation.is_finite() {
             return open;
         }
         let wanted = Z * self.inflation.sqrt();
         let stiffness = STIFF / (deviation * deviation);
         let found = self.by_parabolas(quantity, wanted, side, furthest);
-        let confirm = |(state, at)| self.confirmed(state, &Held { quantity, at, stiffness }, wanted);
+        let confirm = |(state, at)| self.confirmed(state, &HeldQuantity { quantity, at, stiffness }, wanted);
         if let Some(end) = found.and_then(confirm) {
             return end;
         }
         let mut warm: Option<State> = None;
         let root_rise = |distance: f64, warm: &mut Option<State>| {
             let at = from + side * distance;
-            let held = Held { quantity, at, stiffness };
+            let held = HeldQuantity { quantity, at, stiffness };
             let from = self.along(warm.as_ref().unwrap_or(self.optimum), quantity, at);
             let found = self.system.descend(from, Some(&held), TOLERANCE);
             let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
@@ -84,7 +84,7 @@ impl Profile<'_> {
             Some(distance) => {
                 // Where another quantity cannot follow any further, the dictionary ends the interval, not the data.
                 let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
-                End { value: from + side * distance, open }
+                IntervalEnd { value: from + side * distance, open }
             }
             None => open,
         }
@@ -136,11 +136,11 @@ impl Profile<'_> {
 
     /// An end that a parabola has led to, if a descent with the quantity held there finds the wanted rise as well: at limits
     /// of other unknowns parabolas may lead astray.
-    fn confirmed(&self, state: State, held: &Held, wanted: f64) -> Option<End> {
+    fn confirmed(&self, state: State, held: &HeldQuantity, wanted: f64) -> Option<IntervalEnd> {
         let found = self.system.descend(state, Some(held), TOLERANCE);
         let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
         let open = || self.system.at_end(&found, held.quantity);
-        ((rise / wanted - 1.0).abs() < CLOSE).then(|| End { value: held.at, open: open() })
+        ((rise / wanted - 1.0).abs() < CLOSE).then(|| IntervalEnd { value: held.at, open: open() })
     }
 
     /// A state, moved as it would follow the quantity if all were linear.
@@ -245,7 +245,7 @@ pub(super) fn reach(
 }
 
 /// The interval of a parameter from the ends of its coordinate.
-pub(super) fn interval([low, high]: [End; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
+pub(super) fn interval([low, high]: [IntervalEnd; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
     let (low, high) = if falls { (high, low) } else { (low, high) };
     Interval { low: forward(low.value), high: forward(high.value), open_low: low.open, open_high: high.open }
 }
