@@ -12,7 +12,7 @@ pub(crate) struct Throttle {
 
 #[derive(Debug, Default)]
 struct State {
-    told_at: Option<Duration>,
+    last_report: Option<Duration>,
     untold: u64,
 }
 
@@ -25,10 +25,10 @@ impl Throttle {
     pub(crate) fn count(&self, now: Duration) -> Option<u64> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.untold += 1;
-        if state.told_at.is_some_and(|told_at| now.saturating_sub(told_at) < self.every) {
+        if state.last_report.is_some_and(|last_report| now.saturating_sub(last_report) < self.every) {
             return None;
         }
-        state.told_at = Some(now);
+        state.last_report = Some(now);
         Some(std::mem::take(&mut state.untold))
     }
 }

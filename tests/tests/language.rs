@@ -40,11 +40,11 @@ const WORDS: [&[&str]; 12] = [
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
     ("client", 108),
-    ("coordinator", 120),
+    ("coordinator", 115),
     ("deploy", 0),
     ("docs", 1),
     ("examples", 0),
-    ("optics", 78),
+    ("optics", 76),
     ("proto", 9),
     ("python", 7),
     ("tests", 4),

@@ -95,7 +95,7 @@ impl White {
         let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
         let darker = values(&surrogate.under_darker_white()?);
         let pairs = values(surrogate).into_iter().zip(darker);
-        let slope = pairs.map(|(as_told, darker)| (as_told - darker) / -DARKER_WHITE.ln()).collect();
+        let slope = pairs.map(|(stated, darker)| (stated - darker) / -DARKER_WHITE.ln()).collect();
         Some(Self { slope, ln_mu })
     }
 
