@@ -63,6 +63,7 @@ def test_responses_have_their_variant_and_rows(tmp_path: pathlib.Path) -> None:
     assert of_variant["step"].tolist() == responses["step"].values.tolist()
     assert set(responses["unit"].values) == {"", "mm", "°"}
     thicker = responses.isel(variant=(responses["quantity"] == "gel thickness").values)
+    assert responses["quantity"].values.tolist()[-1] == "baseline"
     change = abs(thicker["value"] - records["value"].sel(sigma_t_per_mm=[4, 8])).mean([*keys])
     assert 0 < change[0] < change[1] < 0.1, "steps of −0.015 and 0.08 mm"
 

@@ -200,7 +200,9 @@ class Dictionary:
         """The profiles of varied scenes, in which one uncertain quantity has another value.
 
         The variables are those of `to_xarray`, over variant and the axes, at the nodes where they were traced. The
-        coordinates `quantity`, `step` and `unit` name what is larger in a variant, and by how much.
+        coordinates `quantity`, `step` and `unit` name what is larger in a variant, and by how much. The last one is the
+        baseline, the scene itself with the walks of the variants of roughnesses and indices: what a step does to a
+        profile is the difference from it.
 
         Raises:
             FarmError: if the scene is exact, or records are missing.

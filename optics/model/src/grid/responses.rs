@@ -133,12 +133,12 @@ impl Responses {
     }
 
     /// The variants, then the baseline if there is one.
-    pub(super) fn traced(&self) -> impl ExactSizeIterator<Item = Option<usize>> {
+    pub fn traced(&self) -> impl ExactSizeIterator<Item = Option<usize>> {
         let count = self.variants.len();
         (0..count + usize::from(self.has_baseline())).map(move |i| (i < count).then_some(i))
     }
 
-    pub(super) fn has_baseline(&self) -> bool {
+    fn has_baseline(&self) -> bool {
         self.by_baseline.contains(&true)
     }
 

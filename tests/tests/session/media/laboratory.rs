@@ -6,7 +6,7 @@ use farm_tests::dng::dng;
 use farm_tests::photograph::{
     Board, Camera, Dust, Look, Random, Session, SessionValues, Slab, What, session_file, traced,
 };
-use optics_model::scene::Channel;
+use optics_model::scene::{Channel, Scope};
 use optics_model::{Medium, Scene};
 use optics_tracer::BareBoard;
 
@@ -23,15 +23,16 @@ const FLICKER: f64 = 0.001;
 const MOUNTINGS: u64 = 3;
 
 /// Defects that can be left out, to see their effect.
-pub(super) const DEFECTS: [&str; 9] =
-    ["white", "thickness", "square", "noise", "flicker", "drift", "light", "glare", "dust"];
+pub(super) const DEFECTS: [&str; 10] =
+    ["set-up", "white", "thickness", "square", "noise", "flicker", "drift", "light", "glare", "dust"];
 
 /// One session: three media, one for each channel, in two thicknesses.
 #[derive(Debug)]
 pub(super) struct Laboratory {
     pub media: [Medium; 3],
     thickness_mm: [f64; 2],
-    scene: Scene,
+    /// Of each slab.
+    set_ups: [Scene; 2],
     board: Board,
     camera: Camera,
     /// Relative error of the white reference.
@@ -57,12 +58,12 @@ impl Laboratory {
         let thickness_mm = STATED_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
         let square_mm = STATED_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
         let white = has("white") * WHITE * random.normal();
-        let scene = scene(&mut random);
+        let set_ups = set_ups(&scene(&mut random), &mut Random::new(830_000 + number), has("set-up"));
         Self {
             media,
             thickness_mm,
-            board: board(&scene, square_mm),
-            scene,
+            board: board(&set_ups[0], square_mm),
+            set_ups,
             camera: camera(&mut random, has("light"), has("glare"), has("noise")),
             white,
             flicker: has("flicker") * FLICKER,
@@ -81,7 +82,7 @@ impl Laboratory {
     pub(super) fn photograph(&self, folder: &Path, walks: u64) {
         let slab = |i: usize| Slab {
             board: self.board.clone(),
-            edge: traced(&self.scene, self.media, self.thickness_mm[i], walks, self.seed + i as u64),
+            edge: traced(&self.set_ups[i], self.media, self.thickness_mm[i], walks, self.seed + i as u64),
             rim_mm: [-13.0, 13.0, -9.0, 9.0],
             bubble: None,
         };
@@ -121,7 +122,28 @@ impl Laboratory {
 /// Time of the last photograph.
 const LAST_S: f64 = 2400.0;
 
-/// The paper's scene with the reflectances of another print.
+/// The scene of each slab: what is uncertain is off by its standard error at random, within the range of the responses.
+fn set_ups(scene: &Scene, random: &mut Random, size: f64) -> [Scene; 2] {
+    let exact = scene.clone().with_priors(Vec::new()).unwrap();
+    let mut set_ups = [exact.clone(), exact];
+    for prior in scene.priors() {
+        let (low, high) = prior.range(scene);
+        let mut draw = || loop {
+            let difference = size * prior.std_error() * random.normal();
+            if (low..=high).contains(&difference) {
+                return difference;
+            }
+        };
+        let first = draw();
+        let second = if prior.scope() == Scope::Slab { draw() } else { first };
+        for (set_up, difference) in set_ups.iter_mut().zip([first, second]) {
+            *set_up = set_up.clone().varied(prior, difference, scene.channels().to_vec()).unwrap();
+        }
+    }
+    set_ups
+}
+
+/// The scene `lab` with the reflectances of another print.
 fn scene(random: &mut Random) -> Scene {
     let channel = |name| Channel::new(name, random.between(0.93, 0.985), random.between(0.02, 0.03)).unwrap();
     Scene::lab().with_channels(["R", "G", "B"].map(channel).to_vec()).unwrap()

@@ -8,8 +8,8 @@ use crate::cli::ExportArgs;
 /// Places along each axis that the lists admit.
 #[derive(Debug)]
 pub(super) struct ChosenAxes {
-    /// All variants of the responses; none if records of the axes are meant.
-    variants: Vec<usize>,
+    /// All variants of the responses and their baseline; none if records of the axes are meant.
+    variants: Vec<Option<usize>>,
     iors: Vec<usize>,
     sigma_ts: Vec<usize>,
     gs: Vec<usize>,
@@ -25,7 +25,7 @@ impl ChosenAxes {
         if args.responses {
             let responses =
                 grid.responses().context("the dictionary has no responses: its scene is exact")?;
-            variants = (0..responses.variants().len()).collect();
+            variants = responses.traced().collect();
             (sigma_ts, gs) = (responses.sigma_t().to_vec(), responses.g().to_vec());
         }
         Ok(Self {
@@ -42,8 +42,8 @@ impl ChosenAxes {
         [&self.iors, &self.sigma_ts, &self.gs, &self.thicknesses, &self.albedos]
     }
 
-    /// Variants of the responses; none if records of the axes are meant.
-    pub(super) fn variants(&self) -> &[usize] {
+    /// Variants of the responses and their baseline; none if records of the axes are meant.
+    pub(super) fn variants(&self) -> &[Option<usize>] {
         &self.variants
     }
 
@@ -78,10 +78,9 @@ impl ChosenAxes {
             return nominal.into_iter().map(|record| record as u32).collect();
         }
         let albedos = grid.albedo().len();
-        let of_variant = |variant: usize, record: usize| {
-            let job = grid
-                .response_job(Some(variant), record / albedos)
-                .expect("nodes of the responses are chosen");
+        let of_variant = |variant: Option<usize>, record: usize| {
+            let job =
+                grid.response_job(variant, record / albedos).expect("nodes of the responses are chosen");
             (grid.first_record(job) + record % albedos) as u32
         };
         let of_variant = &of_variant;

@@ -15,8 +15,11 @@ pub(super) struct VariedQuantity {
 }
 
 impl VariedQuantity {
-    /// None without such a variant.
-    pub(super) fn of(grid: &Grid, variant: usize) -> Option<Self> {
+    /// Of a variant, or of the baseline; None without such a variant.
+    pub(super) fn of(grid: &Grid, variant: Option<usize>) -> Option<Self> {
+        let Some(variant) = variant else {
+            return Some(Self { quantity: "baseline".to_owned(), step: 0.0, unit: "" });
+        };
         let (scene, variant) = (grid.scene(), grid.responses()?.variants().get(variant)?);
         let prior = scene.priors().get(variant.prior)?;
         Some(Self { quantity: scene.name_of(prior), step: variant.step, unit: prior.kind().unit() })
@@ -25,6 +28,6 @@ impl VariedQuantity {
     /// Of a record of the responses; None for those of the axes.
     pub(super) fn of_record(grid: &Grid, record: usize) -> Option<Self> {
         let place = grid.response_of(record / grid.albedo().len())?;
-        Self::of(grid, place.variant?)
+        Self::of(grid, place.variant)
     }
 }
