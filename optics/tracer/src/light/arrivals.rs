@@ -48,8 +48,8 @@ const STEPS: [[f64; 2]; 3] = [
 ];
 /// Of streams from the ring, and from the sensor.
 const KEYS: [[u32; 2]; 2] = [[0x9d1f_3c55, 0x27d4_eb2f], [0x4b7a_91d3, 0x6c8e_52a7]];
-/// Stacks whose arrivals are remembered.
-const REMEMBERED: usize = 8;
+/// Stacks whose arrivals are remembered: more than the scene `lab` has with its variants.
+const REMEMBERED: usize = 32;
 
 /// Light of about one direction that has passed about the same length of the sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
