@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
 
 use super::answer::Found;
-use super::term::{Own, Reduced};
+use super::term::{Own, OwnPrior, Reduced};
 use super::unknowns::{SceneUnknown, submatrix};
 use super::{BLUR, LN_SCALE, LN_THICKNESS, blur};
 
@@ -35,79 +35,99 @@ impl Found<'_, '_> {
 
     /// In the order of the answer: common ones first, then by profile.
     pub(super) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
-        let settings = self.data.options.settings();
-        let mut all = Vec::new();
-        let mut add = |nuisance, profile_mm, value, variance: f64, prior_value: f64, prior_std_error: f64| {
-            let std_error = variance.max(0.0).sqrt();
-            all.push(NuisanceEstimate {
-                nuisance,
-                profile_mm,
-                value,
-                std_error,
-                prior: prior_value,
-                prior_std_error,
-            });
+        let of_profile = |i: usize| {
+            let own = self.own_estimates(i, covariance, &reduced[i]);
+            self.blur_estimate(i, covariance)
+                .into_iter()
+                .chain(self.thickness_estimate(i, covariance))
+                .chain(own)
         };
-        let slots = self.slots();
-        let free = |slot: usize| !self.system.unknowns[slot].held;
-        if free(slots[LN_SCALE]) {
-            let (x, slot) = (self.x(LN_SCALE), slots[LN_SCALE]);
-            let (prior_value, factor) = (1.0 / settings.mu, (-x).exp() / settings.mu);
-            let relative = settings.mu_std_error / settings.mu;
-            let prior_std_error = if relative > 0.0 { prior_value * relative } else { f64::INFINITY };
-            add(
-                Nuisance::Scale,
-                None,
-                factor,
-                covariance[(slot, slot)] * factor * factor,
-                prior_value,
-                prior_std_error,
-            );
-        }
-        for (i, (term, profile)) in self.system.terms.iter().zip(&self.data.profiles).enumerate() {
-            let (slots, at) = (&self.system.slots[i], Some(term.thickness_mm));
-            let (blur, thickness) = (slots[BLUR], slots[LN_THICKNESS]);
-            if free(blur) && (i == 0 || self.system.slots[0][BLUR] != blur) {
-                let profile_mm = at.filter(|_| i > 0);
-                let deviation = covariance[(blur, blur)].max(0.0).sqrt();
-                let (value, std_error) = variance_mm2((self.state.x[blur], deviation));
-                let (prior_value, prior_std_error) = variance_mm2(profile.blur);
-                add(
-                    Nuisance::BlurVariance,
-                    profile_mm,
-                    value,
-                    std_error.powi(2),
-                    prior_value,
-                    prior_std_error,
-                );
-            }
-            if free(thickness) {
-                let t = self.state.x[thickness].exp();
-                let variance = covariance[(thickness, thickness)] * t * t;
-                add(Nuisance::Thickness, at, t, variance, term.thickness_mm, profile.thickness_std_error_mm);
-            }
-            let shared = submatrix(covariance, slots);
-            let own = reduced[i].own_covariance(&shared);
-            for (k, prior) in term.priors.iter().enumerate() {
-                let (nuisance, prior_value) = match prior.own {
-                    Own::Origin => (Nuisance::Origin, term.origin_mm),
-                    Own::Gain => (Nuisance::Gain, 0.0),
-                    Own::Zero => (Nuisance::Zero, 0.0),
-                    Own::Slope => (Nuisance::Slope, 0.0),
-                };
-                let sd = prior.std_error;
-                add(
-                    nuisance,
-                    at,
-                    prior_value + sd * self.state.own[i][k],
-                    own[(k, k)] * sd * sd,
-                    prior_value,
-                    sd,
-                );
-            }
-        }
-        all
+        let profiles = (0..self.system.terms.len()).flat_map(of_profile);
+        self.scale_estimate(covariance).into_iter().chain(profiles).collect()
     }
+
+    fn is_free(&self, slot: usize) -> bool {
+        !self.system.unknowns[slot].held
+    }
+
+    fn scale_estimate(&self, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
+        let (settings, slot) = (self.data.options.settings(), self.slots()[LN_SCALE]);
+        let (prior, relative) = (1.0 / settings.mu, settings.mu_std_error / settings.mu);
+        let value = (-self.x(LN_SCALE)).exp() / settings.mu;
+        self.is_free(slot).then(|| NuisanceEstimate {
+            nuisance: Nuisance::Scale,
+            profile_mm: None,
+            value,
+            std_error: std_error(covariance, slot) * value,
+            prior,
+            prior_std_error: if relative > 0.0 { prior * relative } else { f64::INFINITY },
+        })
+    }
+
+    /// Once if all profiles share the blur.
+    fn blur_estimate(&self, profile: usize, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
+        let slot = self.system.slots[profile][BLUR];
+        if !self.is_free(slot) || (profile > 0 && self.system.slots[0][BLUR] == slot) {
+            return None;
+        }
+        let (value, std_error) = variance_mm2((self.state.x[slot], std_error(covariance, slot)));
+        let (prior, prior_std_error) = variance_mm2(self.data.profiles[profile].blur);
+        let profile_mm = (profile > 0).then_some(self.system.terms[profile].thickness_mm);
+        Some(NuisanceEstimate {
+            nuisance: Nuisance::BlurVariance,
+            profile_mm,
+            value,
+            std_error,
+            prior,
+            prior_std_error,
+        })
+    }
+
+    fn thickness_estimate(&self, profile: usize, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
+        let (slot, stated_mm) =
+            (self.system.slots[profile][LN_THICKNESS], self.system.terms[profile].thickness_mm);
+        let value = self.state.x[slot].exp();
+        self.is_free(slot).then(|| NuisanceEstimate {
+            nuisance: Nuisance::Thickness,
+            profile_mm: Some(stated_mm),
+            value,
+            std_error: std_error(covariance, slot) * value,
+            prior: stated_mm,
+            prior_std_error: self.data.profiles[profile].thickness_std_error_mm,
+        })
+    }
+
+    /// Origin, gain, zero and slope of a profile.
+    fn own_estimates(
+        &self,
+        profile: usize,
+        covariance: &DMatrix<f64>,
+        reduced: &Reduced,
+    ) -> Vec<NuisanceEstimate> {
+        let term = &self.system.terms[profile];
+        let own = reduced.own_covariance(&submatrix(covariance, &self.system.slots[profile]));
+        let estimate = |(k, of): (usize, &OwnPrior)| {
+            let (nuisance, prior) = match of.own {
+                Own::Origin => (Nuisance::Origin, term.origin_mm),
+                Own::Gain => (Nuisance::Gain, 0.0),
+                Own::Zero => (Nuisance::Zero, 0.0),
+                Own::Slope => (Nuisance::Slope, 0.0),
+            };
+            NuisanceEstimate {
+                nuisance,
+                profile_mm: Some(term.thickness_mm),
+                value: prior + of.std_error * self.state.own[profile][k],
+                std_error: std_error(&own, k) * of.std_error,
+                prior,
+                prior_std_error: of.std_error,
+            }
+        };
+        term.priors.iter().enumerate().map(estimate).collect()
+    }
+}
+
+fn std_error(covariance: &DMatrix<f64>, i: usize) -> f64 {
+    covariance[(i, i)].max(0.0).sqrt()
 }
 
 /// The blur's variance in mm² and its standard error, from those of its coordinate.
