@@ -23,14 +23,14 @@ use farm_proto::wire::leases_server::LeasesServer;
 use farm_proto::{RequestLimits, wire};
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
+use tonic::service::Routes;
 use tonic::transport::Server;
 
 use self::outgoing::{Outgoing, PATIENCE, Source, hand_on, outgoing};
 use crate::actor::Actor;
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
-use crate::connections;
-use crate::connections::{Connections, Incoming, UnauthenticatedLimits};
+use crate::connections::{self, Connections, Incoming, UnauthenticatedLimits};
 use crate::farm::Farm;
 use crate::gate::{Gate, Listener};
 use crate::metrics::Metrics;
@@ -96,16 +96,13 @@ pub(crate) async fn serve(
     shutdown: CancellationToken,
 ) -> Result<(), tonic::transport::Error> {
     let metrics = farm.metrics().clone();
-    let question_pixels = config.question_pixels;
-    let (limits, shutdown_of_calls) = (Limits::default(), shutdown.clone());
-    let limit = RequestLimits::MESSAGE_BYTES;
-    let question_limit = question_pixels.saturating_mul(RequestLimits::PIXEL_BYTES);
+    let question_limit = config.question_pixels.saturating_mul(RequestLimits::PIXEL_BYTES);
     let held = HELD_BYTES.max(question_limit.saturating_mul(4));
     let context = Context {
         farm,
-        shutdown: shutdown_of_calls,
-        limits,
-        question_pixels,
+        shutdown: shutdown.clone(),
+        limits: Limits::default(),
+        question_pixels: config.question_pixels,
         answer_bytes: held / 2,
         gate: gate.clone(),
     };
@@ -113,6 +110,34 @@ pub(crate) async fn serve(
     let connections =
         Incoming::new(listener, connections::Limits::new(config.max_connections, unauthenticated));
     tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
+    let mut server = Server::builder()
+        .http2_keepalive_interval(Some(PING))
+        .http2_keepalive_timeout(Some(PONG))
+        .max_concurrent_streams(STREAMS)
+        .max_frame_size(FRAME_BYTES)
+        .layer(AuthorisationLayer::new(gate.clone(), held, move |method, code, took| {
+            metrics.rpc(method, code, took);
+        }));
+    if let Some(tls) = gate.tls() {
+        server = server.tls_config(tls)?;
+    }
+    let server = server
+        .add_routes(services(context, question_limit).await)
+        .serve_with_incoming_shutdown(connections, shutdown.clone().cancelled_owned());
+    tokio::select! {
+        served = server => served,
+        () = async {
+            shutdown.cancelled().await;
+            tokio::time::sleep(GRACE).await;
+        } => {
+            tracing::warn!("clients did not let go in time: their connections are cut");
+            Ok(())
+        }
+    }
+}
+
+/// The services of `farm.v1`, with health and reflection.
+async fn services(context: Context, question_limit: usize) -> Routes {
     let (health, health_service) = tonic_health::server::health_reporter();
     health.set_serving::<DictionariesServer<Context>>().await;
     health.set_serving::<LeasesServer<Context>>().await;
@@ -127,19 +152,8 @@ pub(crate) async fn serve(
     // Older tools ask by the older name.
     let reflection = descriptors().build_v1().expect("the descriptors were made by the compiler");
     let older_reflection = descriptors().build_v1alpha().expect("the descriptors were made by the compiler");
-    let mut server = Server::builder()
-        .http2_keepalive_interval(Some(PING))
-        .http2_keepalive_timeout(Some(PONG))
-        .max_concurrent_streams(STREAMS)
-        .max_frame_size(FRAME_BYTES)
-        .layer(AuthorisationLayer::new(gate.clone(), held, move |method, code, took| {
-            metrics.rpc(method, code, took);
-        }));
-    if let Some(tls) = gate.tls() {
-        server = server.tls_config(tls)?;
-    }
-    let server = server
-        .add_service(health_service)
+    let limit = RequestLimits::MESSAGE_BYTES;
+    Routes::new(health_service)
         .add_service(reflection)
         .add_service(older_reflection)
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
@@ -147,17 +161,6 @@ pub(crate) async fn serve(
         .add_service(FitsServer::new(context.clone()).max_decoding_message_size(question_limit))
         .add_service(AdminServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FarmServer::new(context).max_decoding_message_size(limit))
-        .serve_with_incoming_shutdown(connections, shutdown.clone().cancelled_owned());
-    tokio::select! {
-        served = server => served,
-        () = async {
-            shutdown.cancelled().await;
-            tokio::time::sleep(GRACE).await;
-        } => {
-            tracing::warn!("clients did not let go in time: their connections are cut");
-            Ok(())
-        }
-    }
 }
 
 /// Carries the number of connections refused over to the figures.
