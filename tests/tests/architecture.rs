@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use farm_tests::modules::Modules;
-use farm_tests::reference::{files_below, root};
+use farm_tests::reference::{files_below, own_files, root};
 
 /// The sources of a module or a crate: its folder, and the file beside it of the same name.
 fn sources(folder: &str) -> Vec<(PathBuf, String)> {
@@ -210,6 +210,16 @@ fn modules_of_a_folder_have_no_circle() {
         }
     }
     assert!(circles.is_empty(), "circular dependencies between modules: {circles:#?}");
+}
+
+/// A module with submodules is `x.rs` next to `x/`.
+#[test]
+fn no_module_is_a_mod_rs() {
+    let in_source = |path: &PathBuf| path.iter().any(|part| part == "src");
+    let old: Vec<PathBuf> = own_files("rs").into_iter().map(|(path, _)| path).collect();
+    assert!(old.iter().filter(|path| in_source(path)).count() > 300, "sources are found");
+    let old: Vec<_> = old.into_iter().filter(in_source).filter(|path| path.ends_with("mod.rs")).collect();
+    assert!(old.is_empty(), "x/mod.rs is to be x.rs: {old:?}");
 }
 
 /// The search finds circles through submodules.

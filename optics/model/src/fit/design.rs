@@ -168,22 +168,22 @@ impl HalfWidths {
         absorption_per_mm: f64::INFINITY,
     };
 
-    /// Of σ_t, as a share of it.
+    /// Half-width of σ_t relative to σ_t.
     pub fn of_sigma_t(&self, medium: &Medium) -> f64 {
         self.sigma_t_per_mm / medium.sigma_t_per_mm()
     }
 
-    /// Of 1 − α, as a share of it; infinite where nothing absorbs.
+    /// Half-width of 1 − α relative to it; infinite where nothing absorbs.
     pub fn of_co_albedo(&self, medium: &Medium) -> f64 {
         share(self.albedo, 1.0 - medium.albedo())
     }
 
-    /// Of σ_s (1 − g), as a share of it.
+    /// Half-width of σ_s (1 − g) relative to it.
     pub fn of_reduced_scattering(&self, medium: &Medium) -> f64 {
         share(self.reduced_scattering_per_mm, medium.reduced_scattering_per_mm())
     }
 
-    /// Of σ_a, as a share of it.
+    /// Half-width of σ_a relative to σ_a.
     pub fn of_absorption(&self, medium: &Medium) -> f64 {
         share(self.absorption_per_mm, medium.absorption_per_mm())
     }

@@ -47,7 +47,7 @@ pub struct WalkGate {
     from_sample: bool,
     /// Whether walks come down to the gate.
     down: bool,
-    /// Of the incident side and of the other.
+    /// Indices of the incident side and of the other.
     indices: [RelativeIndex; 2],
     pub reflected: Route,
     pub transmitted: Route,

@@ -15,7 +15,7 @@ const COARSE: f64 = 0.04;
 pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
     let (values, stated) = (profile.values(), median(profile.std_errors()?.to_vec()));
     let (coarse, fine) = (scatter(values, 2), scatter(values, 4));
-    // Of what is smooth, higher differences are smaller: then it is no noise that they show. Nor is rounding.
+    // Higher differences of smooth values are smaller: they show no noise then. Nor is rounding noise.
     if stated == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
         return None;
     }

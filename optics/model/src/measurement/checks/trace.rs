@@ -22,14 +22,14 @@ pub(super) struct Trace {
 }
 
 impl Trace {
-    /// Of a profile, from its edge by the set-up.
+    /// The trace of a profile, from its edge by the set-up.
     pub fn of(profile: &MeasuredProfile) -> Self {
         let origin = profile.setup().origin_mm.unwrap_or(0.0);
         let x: Vec<f64> = profile.x_mm().iter().map(|x| x - origin).collect();
         Self { origin, ..Self::new(&x, profile.values(), profile.std_errors()) }
     }
 
-    /// Of at least eight pixels, x rising.
+    /// The trace of at least eight pixels, x rising.
     pub fn new(x: &[f64], values: &[f64], std_errors: Option<&[f64]>) -> Self {
         let group = x.len().div_ceil(MOST_PIXELS);
         let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
