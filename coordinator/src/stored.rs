@@ -158,7 +158,7 @@ pub struct Completion {
 #[derive(Debug)]
 pub enum JobResult {
     Records(PackedRecords),
-    /// Of the block that the job names.
+    /// Sums of the block that the job names.
     Sums(Bytes),
 }
 

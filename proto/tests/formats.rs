@@ -232,7 +232,7 @@ fn older_worker_protocol_is_recognised() {
 
 #[test]
 fn lease_is_understood() {
-    // Of the physics version of the program that wrote the message.
+    // It has the physics version of the program that wrote the message.
     let identity = messages::<wire::AcquireResponse>(NEWEST, "acquire_response")[0].leases[0]
         .job
         .as_ref()

@@ -173,6 +173,19 @@ fn comment_lines_have_at_most_125_columns() {
     assert!(wide.is_empty(), "comments with more than {WIDEST_COMMENT} columns:\n{}", wide.join("\n"));
 }
 
+/// A doc comment names its subject: it does not begin with "Of".
+#[test]
+fn doc_comments_name_their_subject() {
+    let headless = |(path, text): (PathBuf, String)| {
+        let lines = (1..).zip(text.lines()).filter(|(_, line)| line.trim_start().starts_with("/// Of "));
+        lines
+            .map(|(number, line): (usize, _)| format!("{}:{number}: {line}", path.display()))
+            .collect::<Vec<_>>()
+    };
+    let found: Vec<String> = own_files("rs").into_iter().flat_map(headless).collect();
+    assert!(found.is_empty(), "doc comments without a subject:\n{}", found.join("\n"));
+}
+
 #[test]
 fn foreign_words_stay_within_their_budgets() {
     let mut found: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -212,11 +225,10 @@ fn few_type_names_are_defined_twice() {
     let list: String =
         twice.iter().map(|(name, places)| format!("{name}: {}\n", places.join(", "))).collect();
     println!("{} names of types are defined more than once:\n{list}", twice.len());
-    assert!(
-        twice.len() <= DUPLICATE_TYPES,
-        "{} names of types are defined more than once, {DUPLICATE_TYPES} are allowed; choose a name that says of what \
-         it is:\n{list}",
-        twice.len()
+    assert_eq!(
+        twice.len(),
+        DUPLICATE_TYPES,
+        "names of types are defined more than once; choose names that say of what they are, or lower the number:\n{list}",
     );
 }
 

@@ -23,7 +23,7 @@ const RADIUS: f64 = 3.4;
 /// By the number of photographs; used again if there are more.
 const COLORS: [Color; 5] = [Color::BLUE, Color::ORANGE, Color::GREEN, Color::VERMILLION, Color::PURPLE];
 
-/// Of a quantity, as a share of it.
+/// Half-width of a quantity relative to its value.
 type QuantityShare = fn(&HalfWidths, &Medium) -> f64;
 
 const QUANTITIES: [(&str, QuantityShare); 4] = [

@@ -181,7 +181,7 @@ impl<'a> OverviewLayout<'a> {
     }
 }
 
-/// Of `n` cells with the gaps between them.
+/// Length of `n` cells with the gaps between them.
 fn span(n: usize, cell: f64, gap: f64) -> f64 {
     n as f64 * (cell + gap) - gap
 }

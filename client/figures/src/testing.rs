@@ -97,7 +97,7 @@ pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
     }
 }
 
-/// Of 716 pixels, where the data determine μ, blur and one origin, and a gain keeps its prior.
+/// The likelihood of a fit to 716 pixels, where the data determine μ, blur and one origin, and a gain keeps its prior.
 pub fn likelihood(chi2: f64, probability: f64) -> Likelihood {
     let estimate = |nuisance, profile_mm, value, std_error, (prior, prior_std_error)| NuisanceEstimate {
         nuisance,

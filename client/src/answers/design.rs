@@ -97,7 +97,7 @@ fn best_for(set: &SlabSet) -> String {
     }
 }
 
-/// Of a quantity, as a share of it.
+/// Half-width of a quantity relative to its value.
 type RelativeShare = fn(&HalfWidths, &Medium) -> f64;
 
 /// The improvement that takes most from a half-width.

@@ -19,7 +19,7 @@ use crate::stored::Machine;
 pub struct Caller {
     name: String,
     role: Role,
-    /// Of the token.
+    /// Hash of the token.
     hash: blake3::Hash,
 }
 

@@ -35,9 +35,9 @@ pub struct Arrived<'a> {
     /// The worker's machine, also if the worker is not registered any more.
     pub by: Origin,
     pub key: &'a LeaseKey,
-    /// Of its whole job.
+    /// Walks of its whole job.
     pub walks: Walks,
-    /// Of what has come: records, or the sums of a block.
+    /// Digest of the records, or of the sums of a block.
     pub digest: Digest,
 }
 

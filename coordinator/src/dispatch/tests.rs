@@ -234,7 +234,7 @@ fn draining_worker_gets_no_leases() {
 #[test]
 fn priorities_and_desires_order_the_leases() {
     let mut bench = Bench::new(&[]);
-    // Of other walks.
+    // A dictionary with other walks.
     let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 2, false).unwrap();
     let second = StoredDictionary {
         id: DictionaryId(2),

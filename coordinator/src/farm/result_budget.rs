@@ -114,7 +114,7 @@ pub(super) struct Reservation {
     overdraft: Option<OwnedSemaphorePermit>,
 }
 
-/// Of a machine's share, of its token's, and of all.
+/// Permits from a machine's share, from its token's, and from the whole budget.
 type Permits = [OwnedSemaphorePermit; 3];
 
 impl Reservation {

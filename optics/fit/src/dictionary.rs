@@ -116,7 +116,7 @@ impl FitChannel {
 pub struct FitDictionary {
     grid: Arc<Grid>,
     channels: Vec<Option<FitChannel>>,
-    /// Of the question that is asked.
+    /// Stops the question that is asked.
     pub(crate) stop: Stop,
 }
 

@@ -132,7 +132,7 @@ pub fn minus_ln_at_most(x: f32) -> f32 {
 /// with c → 1 − c and z → −z.
 #[derive(Debug, Clone, Copy)]
 struct SurfaceRay {
-    /// Of flight; z > 0 leads out of the surface.
+    /// Direction of flight; z > 0 leads out of the surface.
     direction: Vec3,
     c: f32,
     /// Whether it is on the side from which it came.

@@ -81,7 +81,7 @@ pub struct NodePowers {
     nodes: Vec<f64>,
 }
 
-/// Of some albedos, for every node at which they count.
+/// Powers of some albedos, for every node at which they count.
 #[derive(Debug)]
 struct PowerBlock {
     powers: Vec<[f32; LANES]>,
@@ -204,7 +204,7 @@ mod tests {
         }
     }
 
-    /// Of the greatest value that n α^n takes for any α, and of the power itself where it counts.
+    /// Sums keep the greatest value that n α^n takes for any α, and the power itself where it counts.
     #[test]
     fn power_sums_are_preserved() {
         let mut worst = 0.0_f64;

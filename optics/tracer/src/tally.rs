@@ -40,7 +40,7 @@ pub struct Tally<'a> {
     mm_px: f32,
     edge_px: f32,
     powers: &'a NodePowers,
-    /// Of all vertices.
+    /// Hits of all vertices.
     hits: &'a [Offset],
     nodes: usize,
     base: Vec<Base>,
@@ -48,7 +48,7 @@ pub struct Tally<'a> {
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
     steps: Vec<f32>,
-    /// Of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of
+    /// Sums of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of
     /// them are dark, whatever the channel.
     dark: Vec<f32>,
     /// Positions of a walk's steps in pixels from the left end.

@@ -39,7 +39,7 @@ impl Vertex {
         }
     }
 
-    /// Of all hits, those that led to the vertex.
+    /// Those of all hits that led to the vertex.
     pub fn hits<'h>(&self, hits: &'h [Offset]) -> &'h [Offset] {
         &hits[self.first_hit as usize..][..self.hits as usize]
     }

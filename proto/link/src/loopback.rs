@@ -132,7 +132,7 @@ mod tests {
         owners(table, "127.0.0.1:49152".parse().unwrap(), there.parse().unwrap()).collect()
     }
 
-    /// Of port 7700: who listens at the address or at all, and who has accepted this very connection.
+    /// The sockets of port 7700: those that listen, and the one that has accepted this very connection.
     #[test]
     #[cfg(target_endian = "little")]
     fn owners_of_the_other_end_are_found() {

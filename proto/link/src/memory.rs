@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(usable_of(&files("9223372036854771712\n")), Some(24 * GIB));
     }
 
-    /// Of nested control groups of version 2, the smallest limit holds.
+    /// The smallest limit of nested control groups of version 2 holds.
     #[test]
     fn smallest_cgroup_v2_limit_holds() {
         let files = |inner, outer| {

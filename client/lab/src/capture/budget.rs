@@ -9,14 +9,14 @@ use super::stage::{Captured, CapturedSample};
 /// profile is vague, so squares are averaged over all profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SessionErrors {
-    /// Of each profile's own gain: light, mounting, linearity.
+    /// Standard error of each profile's own gain: light, mounting, linearity.
     pub gain_std_error: f64,
-    /// Of each profile's zero: black level, stray light.
+    /// Standard error of each profile's zero: black level, stray light.
     pub offset_std_error: f64,
     /// Per 10 mm.
     pub slope_std_error: f64,
     pub origin_std_error_mm: f64,
-    /// Of the gain that all profiles share: the white reference.
+    /// Standard error of the gain that all profiles share: the white reference.
     pub mu_std_error: f64,
 }
 

@@ -11,7 +11,7 @@ const WIDTH: usize = 360;
 pub struct Thumbnail {
     pub width: usize,
     pub height: usize,
-    /// Of the photograph.
+    /// Width and height of the photograph.
     pub full: [usize; 2],
     values: Vec<[f32; 3]>,
 }

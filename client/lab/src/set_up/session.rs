@@ -47,7 +47,7 @@ macro_rules! session {
         /// The contents of a session file, or what the command line has in their place.
         #[derive(Debug, Clone, Default, PartialEq)]
         pub struct Session {
-            /// Of the gain that all profiles share: that of the white reference.
+            /// Standard error of the gain that all profiles share: that of the white reference.
             pub mu_std_error: Option<f64>,
             $(pub $name: Option<ByChannel>,)+
         }

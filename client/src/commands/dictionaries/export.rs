@@ -193,7 +193,7 @@ fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> 
 #[derive(Debug, Serialize)]
 struct RecordJson<'a> {
     record: usize,
-    /// Of a record of the responses.
+    /// What is varied in a record of the responses.
     #[serde(flatten)]
     variant: Option<VariedQuantity>,
     sigma_t_per_mm: f64,

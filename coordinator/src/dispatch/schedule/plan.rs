@@ -23,7 +23,7 @@ impl Plan {
         self.jobs.len() + self.pending.len()
     }
 
-    /// Of a grid that is too large only the jobs are held, and none of their parts.
+    /// Plans a grid. If it is too large, its jobs are held and none of their parts.
     pub fn new(grid: &Grid) -> Self {
         let too_large = grid.check_parts().err();
         let mut jobs: Vec<Job> = (0..grid.job_count())

@@ -12,7 +12,7 @@ use super::{Bench, arrive, job_of, seconds, stored};
 use crate::dispatch::part::PartId;
 use crate::dispatch::{Admission, Dictionary};
 
-/// Of one job in three blocks.
+/// A farm with one job in three blocks.
 pub(super) fn divided(check_share: f64) -> Bench {
     let mut divided = stored();
     let axes = Axes {

@@ -78,7 +78,7 @@ fn machine_on_trial_gets_no_set() {
     assert_eq!(sets(&mut bench, 14, "a", 1).len(), 1);
 }
 
-/// Of divided jobs the same block goes together.
+/// Divided jobs of a set are leased with the same block.
 #[test]
 fn set_blocks_are_leased_one_by_one() {
     let mut bench = bench(2_000_000);

@@ -45,7 +45,7 @@ fn places(leases: &[Lease]) -> Vec<(DictionaryId, u32)> {
     leases.iter().map(|lease| (lease.key.dictionary, lease.key.job)).collect()
 }
 
-/// Of two dictionaries with the same walks one computes them, and its records serve both.
+/// One of two dictionaries with the same walks computes them, and its records serve both.
 #[test]
 fn shared_walks_are_computed_once() {
     let mut bench = overlapping(vec![0.9]);

@@ -94,7 +94,7 @@ impl VariedRecords {
         let straight = Curve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
         let &[(_, near), (_, far)] = steps else { return straight };
         let at = [near, far].map(|u| straight.bent(u));
-        // Of both differences over w: sums of squares and products.
+        // Sums of squares and of products of both differences over w.
         let (mut squares, mut product) = ([0.0; 2], 0.0);
         let mut add = |differences: &[Vec<f64>], of_scene: &[f32]| {
             for (p, value) in of_scene.iter().enumerate() {

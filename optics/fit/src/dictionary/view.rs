@@ -79,8 +79,8 @@ pub(crate) struct View {
     key: ViewKey,
     slope: Slope,
     values: Described,
-    /// Of a small dictionary, by blocks of records: `[record][pixel of the view]`. A block is taken when one of its records
-    /// is first looked at.
+    /// Gradients of a small dictionary, by blocks of records: `[record][pixel of the view]`. A block is taken when one of
+    /// its records is first compared.
     gradients: Vec<OnceLock<Vec<f32>>>,
     gradients_described: OnceLock<Described>,
 }
@@ -89,7 +89,7 @@ pub(crate) struct View {
 #[derive(Debug)]
 struct Described {
     basis: Basis,
-    /// Of all media, by thickness.
+    /// Sketches of all media, by thickness.
     sketches: Vec<Sketch>,
 }
 

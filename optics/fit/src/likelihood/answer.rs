@@ -173,7 +173,7 @@ impl Found<'_, '_> {
         Goodness { chi2, degrees_of_freedom, probability, inflation }
     }
 
-    /// Of σ_t, α, g, σ_s(1 − g) and σ_a.
+    /// Intervals of σ_t, α, g, σ_s(1 − g) and σ_a.
     fn intervals(&self, normal: &Normal, covariance: Option<&DMatrix<f64>>, inflation: f64) -> [Interval; 5] {
         let slots = self.slots();
         let limits = [0, 1, 2].map(|i| self.system.unknowns[slots[i]].limits);

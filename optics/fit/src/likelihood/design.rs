@@ -24,7 +24,7 @@ const UNDETERMINED: f64 = 1.0;
 /// How well all but the medium is known: standard errors.
 #[derive(Debug, Clone)]
 pub(crate) struct Known {
-    /// Of a pixel, as a share of its value, and what is added to it in quadrature.
+    /// Noise of a pixel relative to its value, and what is added to it in quadrature.
     pub noise: f64,
     pub noise_floor: f64,
     pub thickness_mm: f64,
@@ -35,9 +35,9 @@ pub(crate) struct Known {
     pub gain: f64,
     pub zero: f64,
     pub slope: f64,
-    /// Of the logarithm of the common factor; none if nothing is known of it.
+    /// Standard error of the logarithm of the common factor; none if nothing is known of it.
     pub scale: Option<f64>,
-    /// Of the scene's uncertain quantities, in units of their priors'.
+    /// Standard errors of the scene's uncertain quantities, in units of their priors'.
     pub scene: Line,
 }
 

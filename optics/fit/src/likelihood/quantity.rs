@@ -60,7 +60,7 @@ impl Quantity {
         gradient
     }
 
-    /// Of a channel's medium.
+    /// The quantities of a channel's medium.
     pub(super) fn all(slots: &[usize]) -> [Self; 5] {
         let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
         [

@@ -21,7 +21,7 @@ pub(super) struct Modes {
 }
 
 impl Modes {
-    /// Of the covariance Σ f fᵀ on the pixels of a camera, relative to pixels of these standard errors: a Cholesky
+    /// Decomposes the covariance Σ f fᵀ on the pixels of a camera, relative to pixels of these standard errors: a Cholesky
     /// decomposition that takes the pixel with the largest variance first, and stops when little is left.
     ///
     /// The covariance is estimated from a number of profiles n, and its inverse is then too large by (n − 1)/(n − p − 2) on

@@ -128,7 +128,7 @@ impl System<'_> {
         let (mean, sd) = unknown.prior.filter(|_| !unknown.held)?;
         let off = (x - mean) / sd;
         let weight = self.prior_weight(slot, off);
-        // Of the quadratic and linear parts: the same where the weight is 1.
+        // Cost of the quadratic and linear parts: they agree where the weight is 1.
         Some(weight * (2.0 - weight) * off * off)
     }
 

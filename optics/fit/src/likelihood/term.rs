@@ -85,7 +85,7 @@ pub(super) struct White {
 }
 
 impl White {
-    /// Of a slab, from records of the same walks with both ρ; none if the scene has none.
+    /// The response of a slab, from records of the same walks with both ρ; none if the scene has none.
     pub(super) fn of(
         surrogate: &Surrogate,
         thickness_mm: f64,
@@ -134,7 +134,7 @@ pub(super) struct Reduced {
     /// Own by shared.
     mixed: DMatrix<f64>,
     own: Cholesky<f64, Dyn>,
-    /// Of all unknowns, the shared ones first.
+    /// Quadratic in all unknowns, the shared ones first.
     all: Quadratic,
 }
 

@@ -11,7 +11,7 @@ const SCATTERED_ON: f64 = 0.9;
 pub(crate) struct NoiseFactors {
     /// Profiles f_k: Σ f_k f_kᵀ is the covariance.
     pub factors: Vec<Vec<f64>>,
-    /// Of how many independent profiles it was estimated.
+    /// Number of independent profiles from which it was estimated.
     pub degrees: f64,
 }
 
@@ -109,7 +109,7 @@ impl Surrogate<'_> {
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
         let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
         let (mut factors, mut total) = (Vec::new(), 0.0);
-        // Of the weights: sum of squares; of the rests: sum of variances.
+        // Sum of squares of the weights, sum of variances of the rests.
         let (mut squared, mut free) = (0.0, 0.0);
         for (n, image) in images.iter().enumerate() {
             let (i, k) = (n / ng, n % ng);

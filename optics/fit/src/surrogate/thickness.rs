@@ -71,7 +71,7 @@ pub(crate) struct NearThickness {
 struct NearDifference {
     values: Vec<f64>,
     base_mm: f64,
-    /// Of the weight of the difference, by 1/t.
+    /// Derivative of the difference's weight by 1/t.
     per_inverse: f64,
 }
 

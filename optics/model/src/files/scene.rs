@@ -26,7 +26,7 @@ pub struct SceneFile {
 #[serde(deny_unknown_fields)]
 pub struct LightTable {
     pub ring_deg: [f64; 2],
-    /// Of the mean of both angles.
+    /// Standard error of the mean of both angles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub std_error_deg: Option<f64>,
 }
@@ -38,7 +38,7 @@ pub struct SensorTable {
     pub pixels: u32,
     #[serde(default)]
     pub polar_deg: f64,
-    /// Of `polar_deg`.
+    /// Standard error of `polar_deg`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub std_error_deg: Option<f64>,
 }
@@ -58,7 +58,7 @@ pub struct LayerTable {
     /// The sample takes index and thickness from the grid.
     #[serde(default)]
     pub sample: bool,
-    /// Of the sample a table without a value: `{ std_error = 0.01 }`.
+    /// Refractive index. The sample's is a table without a value: `{ std_error = 0.01 }`.
     pub ior: Option<LayerNumber>,
     pub thickness_mm: Option<LayerNumber>,
     /// GGX α of the upper face, or the name of the layer that has the same: the sample's, for its lower face.

@@ -46,7 +46,7 @@ impl PriorKind {
         matches!(self, Self::Roughness | Self::Index)
     }
 
-    /// Of its values, for people; empty for pure numbers.
+    /// Unit of its values, for people; empty for pure numbers.
     pub fn unit(self) -> &'static str {
         match self {
             Self::Roughness | Self::Index => "",

@@ -46,7 +46,7 @@ const STEPS: [[f64; 2]; 3] = [
     [0.725_733_412_969_759_7, 0.652_183_025_943_971_5],
     [0.586_086_697_577_969_3, 0.526_688_986_700_735_7],
 ];
-/// Of streams from the ring, and from the sensor.
+/// Keys of the streams from the ring, and from the sensor.
 const KEYS: [[u32; 2]; 2] = [[0x9d1f_3c55, 0x27d4_eb2f], [0x4b7a_91d3, 0x6c8e_52a7]];
 /// Stacks whose arrivals are remembered: more than the scene `lab` has with its variants.
 const REMEMBERED: usize = 32;
@@ -76,7 +76,7 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
-    /// Of a stack; those of the last few stacks are remembered.
+    /// The arrivals of a stack; those of the last few stacks are remembered.
     pub fn of(stack: &Stack) -> Arc<Self> {
         static KNOWN: Mutex<VecDeque<(Vec<u64>, Arc<Arrivals>)>> = Mutex::new(VecDeque::new());
         let key = key_of(stack);

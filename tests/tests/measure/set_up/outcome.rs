@@ -89,7 +89,7 @@ impl SetUpOutcome {
         self.found[quantity] / self.truth[quantity] - 1.0
     }
 
-    /// Of the interval, over the truth.
+    /// Width of the interval over the truth.
     pub(super) fn width(&self, quantity: usize) -> f64 {
         (self.intervals[quantity].high - self.intervals[quantity].low) / self.truth[quantity]
     }

@@ -30,7 +30,7 @@ pub(super) struct ChangedSetUp {
     differences: Vec<[Vec<f64>; 2]>,
     /// Instead of the scene's.
     ring: Option<RingLight>,
-    /// Of the base: coat and lamps are the session's, so they are the same for all slabs.
+    /// Channels of the base: coat and lamps are the session's, so they are the same for all slabs.
     channels: OnceLock<Vec<Channel>>,
 }
 

@@ -31,7 +31,7 @@ pub(super) const DEFECTS: [&str; 10] =
 pub(super) struct Laboratory {
     pub media: [Medium; 3],
     thickness_mm: [f64; 2],
-    /// Of each slab.
+    /// The scene of each slab.
     set_ups: [Scene; 2],
     board: Board,
     camera: Camera,

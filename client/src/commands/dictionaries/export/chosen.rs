@@ -97,7 +97,7 @@ pub(super) fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>> {
     Ok(ChosenAxes::new(grid, args)?.records(grid))
 }
 
-/// Of these places of an axis those with the wanted values; all if no value is wanted.
+/// Those of these places of an axis that have the wanted values; all if no value is wanted.
 fn places(field: &str, axis: &[f64], among: Vec<usize>, wanted: &[f64]) -> Result<Vec<usize>, Invalid> {
     if wanted.is_empty() {
         return Ok(among);

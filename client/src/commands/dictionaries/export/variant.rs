@@ -15,7 +15,7 @@ pub(super) struct VariedQuantity {
 }
 
 impl VariedQuantity {
-    /// Of a variant, or of the baseline; None without such a variant.
+    /// The quantity of a variant, or of the baseline; None without such a variant.
     pub(super) fn of(grid: &Grid, variant: Option<usize>) -> Option<Self> {
         let Some(variant) = variant else {
             return Some(Self { quantity: "baseline".to_owned(), step: 0.0, unit: "" });
@@ -25,7 +25,7 @@ impl VariedQuantity {
         Some(Self { quantity: scene.name_of(prior), step: variant.step, unit: prior.kind().unit() })
     }
 
-    /// Of a record of the responses; None for those of the axes.
+    /// The quantity of a record of the responses; None for those of the axes.
     pub(super) fn of_record(grid: &Grid, record: usize) -> Option<Self> {
         let place = grid.response_of(record / grid.albedo().len())?;
         Self::of(grid, place.variant)

@@ -102,7 +102,7 @@ fn map(grid: &Grid, found: &[(usize, f64)]) -> DistanceMap {
 }
 
 impl Noise {
-    /// Of the noise of each record, with its number.
+    /// Summarises the noise of each record, given with its number.
     pub(super) fn of(grid: &Grid, found: &[(usize, f64)]) -> Self {
         let albedos = grid.albedo();
         let by_albedo = |(i, albedo): (usize, &f64)| {

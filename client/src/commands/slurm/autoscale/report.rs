@@ -34,7 +34,7 @@ struct StepJson {
     unix_ms: u64,
     step: Step,
     message: String,
-    /// Of the array that was submitted.
+    /// Number of the array that was submitted.
     job_id: Option<u64>,
     workers_wanted: u32,
     workers_running: usize,

@@ -87,7 +87,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         let one = |(i, ink): (usize, &Ink)| {
             let found = &intervals[i];
             let x = &self.solved.state.x;
-            // Of an absorber it is 1 − α that must be known, as of others α.
+            // For an absorber 1 − α must be known, for others α.
             let a = found.albedo;
             let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
             let resolved =
@@ -114,7 +114,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         self.slabs.iter().zip(self.request.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
     }
 
-    /// Of the inks of a channel, whose profiles are a system of their own: the others speak of what is shared only.
+    /// Intervals of the inks of a channel, whose profiles are a system of their own: others bear on shared unknowns only.
     fn intervals(&self, channel: usize, inks: &[Ink], common_g: Option<Interval>) -> Vec<InkIntervals> {
         let Solved { system: whole, state, .. } = self.solved;
         let of_channel = self.members().filter(|(slab, _)| slab.data.channel == channel);
@@ -176,7 +176,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         ratio(pulls, freedom).max(ratio(chi2, pixels - 2.0 * inks as f64))
     }
 
-    /// Of the pixels that belong, with the deviations of the profiles' own set-ups; and the number of pixels.
+    /// χ² of the pixels that belong, with the deviations of the profiles' own set-ups; and the number of pixels.
     fn chi2(&self, members: std::ops::Range<usize>) -> (f64, f64) {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for i in members {

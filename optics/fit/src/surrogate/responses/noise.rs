@@ -160,7 +160,7 @@ mod tests {
 
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]
-    fn noise_follows_height_and_slope_of_the_curve() {
+    fn noise_follows_height_and_slope() {
         let each = vec![
             (Curve::default(), vec![vec![2.0]]),
             (Curve { bend: 0.25, curvature: 0.1 }, vec![vec![5.0], vec![1.0]]),

@@ -52,7 +52,7 @@ fn medium(sigma_t: f64) -> Coordinates {
     coordinates(&Medium::new(sigma_t, 0.92, 0.33).unwrap())
 }
 
-/// Of low, middle and high optical thickness: where the dictionary lacks the thick slab, nothing, or the thin one.
+/// Media of low, middle and high optical thickness: where the dictionary lacks the thick slab, nothing, or the thin one.
 const SIGMA_T_PER_MM: [f64; 3] = [1.3, 4.1, 17.0];
 
 /// A thickness of the dictionary needs no interpolation: values and slopes are those of its records.
