@@ -40,7 +40,7 @@ pub(crate) struct Connection {
     host: Host,
 }
 
-/// Whose process the farm lives in.
+/// The process that the farm runs in.
 #[derive(Debug)]
 enum Host {
     Server,

@@ -1,7 +1,7 @@
 //! `farmctl web`: a page in the browser, for the farm that `farmctl` would talk to.
 //!
 //! One small server shows the page's files, hands its calls on to the farm (`forward`, `farm`), answers what concerns
-//! people's files itself (`desk`), and lets in who has the token (`gate`). The page's source is in `web/`.
+//! people's files itself (`desk`), and admits requests with the token (`gate`). The page's source is in `web/`.
 
 mod assets;
 mod behind;

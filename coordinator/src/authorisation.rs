@@ -1,4 +1,4 @@
-//! What every call passes on its way in and out: a request id, the question who may do it, and an observer.
+//! What every call passes on its way in and out: a request id, authorisation, and an observer.
 //!
 //! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
 //! without a word: what is not known to be for others is for admins.

@@ -1,4 +1,4 @@
-//! Who is let in.
+//! Admission of connections and calls: tokens, certificates, peers on this machine.
 
 use std::io;
 use std::net::SocketAddr;
@@ -8,7 +8,7 @@ use farm_link::{CoordinatorAccess, LocalSocket, Role, Tokens};
 use tokio::net::TcpListener;
 use tonic::transport::ServerTlsConfig;
 
-/// Who is let in.
+/// The coordinator's rules of admission.
 #[derive(Debug, Clone)]
 pub enum Gate {
     /// Whoever reaches the port may do everything.

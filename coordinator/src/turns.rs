@@ -1,4 +1,4 @@
-//! Whose fit gets the next core: callers take turns, however many fits of each wait.
+//! Cores for fits: callers take turns, however many fits of each wait.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -1,7 +1,7 @@
-//! Letting in one more, and shutting one out, of a set that exists.
+//! Adds a holder to a set of access files that exists, or revokes the access of one.
 //!
-//! The authority's key is gone, so one more has the certificates of its role's first file, if there are any: what they say
-//! is that their holder belongs to the farm. What it may do, and who it is, its token says.
+//! The authority's key is gone, so a new holder gets the certificates of its role's first file, if there are any: they
+//! certify that their holder belongs to the farm. Its token has its name and permissions.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Read as _, Write as _};

@@ -35,7 +35,7 @@ pub struct AccessAddArgs {
     /// worker, client or admin.
     #[arg(value_parser = role)]
     pub role: Role,
-    /// Who it is: the name in logs and events, of the file, and of the owner of dictionaries.
+    /// Name of the holder: in logs and events, of the file, and of the owner of dictionaries.
     pub name: String,
     #[command(flatten)]
     pub set: AccessFolderArgs,

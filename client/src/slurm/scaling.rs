@@ -11,7 +11,7 @@ use std::time::Duration;
 const PAUSE: (Duration, Duration) = (Duration::from_mins(1), Duration::from_mins(30));
 /// So many times in a row, without a worker that has ever reached the coordinator, and nothing but a person can help.
 const HOPELESS: u32 = 5;
-/// Who waits in vain in so many looks in a row is taken out of the queue: gaps between dictionaries are short.
+/// Jobs that waited in vain for this many polls in a row are cancelled: gaps between dictionaries are short.
 const SURPLUS_LOOKS: u32 = 2;
 /// Most tasks of an array: Slurm's default.
 const MOST_TASKS: u32 = 1000;

@@ -1,4 +1,4 @@
-//! Who may use the page: those who have its token, from the page itself.
+//! Access to the page: requests from the page itself that carry its token.
 //!
 //! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. So the
 //! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that

@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes that must come in a second beyond that.
 const SLOWEST: usize = 64 << 10;
 
-/// Whose token is to be looked at while a call is under way.
+/// The callers whose tokens are checked while a call is under way.
 pub(super) type LetIn = Option<(Gate, Caller)>;
 
 struct CallersBody {

@@ -14,7 +14,7 @@ use crate::connections::{Peer, network};
 use crate::gate::Gate;
 use crate::stored::Machine;
 
-/// Who makes a call, by its token.
+/// The caller, by its token.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Caller {
     name: String,
@@ -43,7 +43,7 @@ impl Caller {
     }
 }
 
-/// Who asks, by what has let the call in and where it came from.
+/// Name of the caller, from its token and its address.
 pub(crate) fn actor(extensions: &Extensions) -> Actor {
     let token = extensions.get::<Caller>().map(|caller| (caller.role, caller.name.clone()));
     let address = remote(extensions).map(|address| address.ip().to_canonical().to_string());
@@ -84,7 +84,7 @@ pub(super) enum Admitted {
     Open { known: bool },
 }
 
-/// Who the caller is, or why the call is refused.
+/// The caller, or why the call is refused.
 pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, Status> {
     let path = request.uri().path();
     match gate {

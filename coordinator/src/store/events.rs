@@ -14,7 +14,7 @@ pub struct StoredEvent {
     pub job: Option<i64>,
     pub worker: String,
     pub message: String,
-    /// Who brought it about, and from where; empty if the farm did.
+    /// Name and address of the caller that caused it; empty if the farm did.
     pub actor: String,
 }
 

@@ -90,7 +90,7 @@ impl CoordinatorAccess {
         }
     }
 
-    /// Whom it lets in now.
+    /// The tokens that it accepts now.
     pub fn tokens(&self) -> Arc<Tokens> {
         self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
     }

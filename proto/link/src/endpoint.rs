@@ -37,7 +37,7 @@ fn header(token: &str) -> Option<HeaderValue> {
     Some(header)
 }
 
-/// Who can listen to a connection to a URL.
+/// Protection of a connection to a URL against listeners.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct UrlSecurity {
     pub(crate) encrypted: bool,

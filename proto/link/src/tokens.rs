@@ -12,7 +12,7 @@ const MOST_TOKENS: usize = 1000;
 /// Names stand in every line of the log.
 const LONGEST_NAME: usize = 64;
 
-/// Whom a coordinator lets in.
+/// The tokens that a coordinator accepts.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tokens(Vec<AcceptedToken>);
 

@@ -1,4 +1,4 @@
-//! The store of the model: what has ended, which blocks are there, who computed what, who is fenced off.
+//! The store of the model: jobs that have ended, blocks, the origin of each result, and fenced-off machines.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -21,7 +21,7 @@ pub struct DoneJob {
     pub walks: Walks,
     pub records: Digest,
     pub by: BTreeSet<Origin>,
-    /// Who has found the same.
+    /// Workers that have found the same.
     pub confirmed: BTreeSet<Origin>,
 }
 

@@ -1,4 +1,4 @@
-//! Who is to blame for what comes to nothing.
+//! Failed attempts count against the right machine.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::{DictionaryState, MachineFacts};

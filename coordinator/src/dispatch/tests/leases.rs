@@ -1,4 +1,4 @@
-//! Who holds a part, and for how long.
+//! Leases of parts: their holders and their ends.
 
 use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::LeaseKey;

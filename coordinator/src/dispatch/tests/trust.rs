@@ -1,4 +1,4 @@
-//! Checks, disputes, and who is fenced off.
+//! Checks, disputes, and fenced-off machines.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};

@@ -26,7 +26,7 @@ async fn count(store: &Store, table: &str) -> i64 {
     sqlx::query_scalar(sqlx::AssertSqlSafe(query)).fetch_one(&store.read).await.unwrap()
 }
 
-/// Who stands for each job that is done.
+/// The machine that vouches for each finished job.
 async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>, Vec<Origin>)> {
     let ended = store.ended_jobs(d.id, &d.grid).await.unwrap().into_iter();
     ended

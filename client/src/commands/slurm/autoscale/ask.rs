@@ -20,9 +20,9 @@ pub(super) async fn newest_events(connection: &Connection) -> Result<String> {
 /// The demand of the farm and its workers.
 pub(super) struct FarmState {
     pub(super) demand: Demand,
-    /// Who is there.
+    /// Workers that are connected.
     pub(super) registered: Vec<TaskId>,
-    /// Who has joined, and may have left again.
+    /// Workers that have joined, and may have left again.
     pub(super) joined: Vec<TaskId>,
     /// Where the events begin that are still to come.
     pub(super) events: String,

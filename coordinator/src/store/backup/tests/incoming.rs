@@ -1,4 +1,4 @@
-//! Backups that come in from elsewhere, and who may read them.
+//! Backups that come in from elsewhere, and their permissions.
 
 use std::os::unix::fs::PermissionsExt;
 
