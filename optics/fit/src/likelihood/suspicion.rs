@@ -138,3 +138,22 @@ fn linear(v: f64) -> (f64, f64) {
     let root = (v + 0.055) / 1.055;
     if v <= 0.040_45 { (v / 12.92, 1.0 / 12.92) } else { (root.powf(2.4), 2.4 / 1.055 * root.powf(1.4)) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// sRGB by the standard: half of the code is 21.4 % of the light, and the slopes of both branches meet within 3 %.
+    #[test]
+    fn srgb_is_decoded_by_the_standard() {
+        assert!((linear(0.5).0 - 0.214_041).abs() < 1e-6, "{:?}", linear(0.5));
+        assert!((linear(1.0).0 - 1.0).abs() < 1e-12);
+        assert!((linear(0.04).0 - 0.04 / 12.92).abs() < 1e-12);
+        for v in [0.02, 0.3, 0.9] {
+            let difference = (linear(v + 1e-6).0 - linear(v - 1e-6).0) / 2e-6;
+            assert!((linear(v).1 - difference).abs() < 1e-6, "{v}: {:?} {difference}", linear(v));
+        }
+        let [below, above] = [0.040_449, 0.040_451].map(linear);
+        assert!((below.0 - above.0).abs() < 1e-6 && (below.1 / above.1 - 1.0).abs() < 0.03);
+    }
+}
