@@ -15,7 +15,7 @@ const MOST_WORDS: usize = 7;
 const WIDEST_COMMENT: usize = 125;
 
 /// Names of types that are still defined more than once, without the conventional ones.
-const DUPLICATE_TYPES: usize = 45;
+const DUPLICATE_TYPES: usize = 29;
 
 /// Names that several crates may define, since they are used with their crate's.
 const CONVENTIONAL: [&str; 4] = ["Args", "Config", "Error", "Result"];
@@ -39,7 +39,7 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 108),
+    ("client", 107),
     ("coordinator", 115),
     ("deploy", 0),
     ("docs", 1),

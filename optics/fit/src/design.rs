@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::find_channel;
 use crate::dictionary::axes::held;
-use crate::likelihood::{Known, Plan};
+use crate::likelihood::{DesignPlan, KnownErrors};
 use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
 use crate::surrogate::{G, Surrogate, coordinates};
 
@@ -153,10 +153,10 @@ impl Planner<'_> {
     }
 
     /// Noise is that of the mean of the photographs; what is wrong with a set-up is the same in all of them.
-    fn known(&self, shots: u32) -> Known {
+    fn known(&self, shots: u32) -> KnownErrors {
         let (settings, set_up) = (self.settings, self.settings.set_up.settings());
         let photographs = f64::from(shots).sqrt();
-        Known {
+        KnownErrors {
             noise: settings.noise / photographs,
             // The model is that of measured values times μ.
             noise_floor: settings.noise_floor * set_up.mu / photographs,
@@ -172,16 +172,16 @@ impl Planner<'_> {
         }
     }
 
-    fn half_widths(&self, slabs_mm: &[f64], known: &Known, hold_g: bool) -> HalfWidths {
+    fn half_widths(&self, slabs_mm: &[f64], known: &KnownErrors, hold_g: bool) -> HalfWidths {
         let mut held = held(self.surrogate.grid(), &FitOptions::default()).map(|h| h.is_some());
         held[G] |= hold_g;
         let medium = coordinates(&self.settings.medium);
-        let plan = Plan { surrogate: self.surrogate, medium, held, pixels: self.pixels };
+        let plan = DesignPlan { surrogate: self.surrogate, medium, held, pixels: self.pixels };
         plan.half_widths(slabs_mm, known)
     }
 
     /// None if the thing is known exactly already.
-    fn improvement(&self, slabs_mm: &[f64], known: &Known, better: Better) -> Option<Improvement> {
+    fn improvement(&self, slabs_mm: &[f64], known: &KnownErrors, better: Better) -> Option<Improvement> {
         let scene = self.surrogate.grid().scene();
         let prior = scene.priors().get(better.prior).filter(|_| better.limitation == Limitation::Scene);
         let std_error =
@@ -219,7 +219,7 @@ impl Planner<'_> {
 }
 
 /// The same with one standard error multiplied by a factor. A factor of 0 makes known what was not known at all.
-fn times(known: &Known, better: Better, factor: f64) -> Known {
+fn times(known: &KnownErrors, better: Better, factor: f64) -> KnownErrors {
     let mut known = known.clone();
     match better.limitation {
         Limitation::Noise => {

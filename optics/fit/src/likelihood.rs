@@ -46,7 +46,7 @@ use crate::dictionary::FitDictionary;
 use answer::Found;
 use problem::ChannelData;
 
-pub(super) use design::{Known, Plan};
+pub(super) use design::{DesignPlan, KnownErrors};
 pub(super) use joint::measure;
 pub(super) use map::distance_map;
 pub(super) use mixtures::unmix;

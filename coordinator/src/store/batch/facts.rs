@@ -33,7 +33,7 @@ const ENDED: i64 = 2;
 const POINT: i64 = 3;
 
 /// One fact; what its columns are depends on the kind.
-struct Row {
+struct FactRow {
     kind: i64,
     id: i64,
     job: i64,
@@ -41,7 +41,7 @@ struct Row {
     walks: Option<i64>,
 }
 
-from_row!(Row { kind, id, job, digest, walks });
+from_row!(FactRow { kind, id, job, digest, walks });
 
 impl Facts {
     pub(super) async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
@@ -70,8 +70,8 @@ impl Facts {
         Ok(facts)
     }
 
-    fn note(&mut self, row: Row) -> Result<()> {
-        let Row { kind, id, job, digest, walks } = row;
+    fn note(&mut self, row: FactRow) -> Result<()> {
+        let FactRow { kind, id, job, digest, walks } = row;
         match kind {
             DICTIONARY => drop(self.dictionaries.insert(DictionaryId(id))),
             FENCED => drop(self.fenced.insert(Origin(id))),

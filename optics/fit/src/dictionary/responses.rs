@@ -28,12 +28,12 @@ pub(crate) fn bytes_of(grid: &Grid) -> usize {
 /// For a roughness α, w goes with α² as the variance of a face's slopes does; for all else b = 0. q follows from the traced
 /// differences; it is 0 for one.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct Curve {
+pub(crate) struct ResponseCurve {
     pub bend: f64,
     pub curvature: f64,
 }
 
-impl Curve {
+impl ResponseCurve {
     /// h and its derivative.
     pub(crate) fn at(self, u: f64) -> (f64, f64) {
         let w = self.bent(u);
@@ -90,8 +90,8 @@ impl VariedRecords {
     }
 
     /// The curve that relates the differences of all records at two steps best, in per cent of the profiles.
-    fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> Curve {
-        let straight = Curve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
+    fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> ResponseCurve {
+        let straight = ResponseCurve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
         let &[(_, near), (_, far)] = steps else { return straight };
         let at = [near, far].map(|u| straight.bent(u));
         // Sums of squares and of products of both differences over w.
@@ -106,7 +106,7 @@ impl VariedRecords {
             }
         };
         self.each_row(steps, records, &mut add);
-        Curve { curvature: curvature(at, squares, product), ..straight }
+        ResponseCurve { curvature: curvature(at, squares, product), ..straight }
     }
 
     /// Calls a function with the differences at these variants and the scene's own values, for every record.
@@ -166,13 +166,13 @@ fn curvature(at: [f64; 2], squares: [f64; 2], product: f64) -> f64 {
 pub(crate) struct ResponseRecords {
     grid: Arc<Grid>,
     /// By prior of the scene.
-    curves: Vec<Curve>,
+    curves: Vec<ResponseCurve>,
     /// `[prior][record of a node][pixel]`.
     linear: Vec<f32>,
 }
 
 impl ResponseRecords {
-    pub(crate) fn curve(&self, prior: usize) -> Curve {
+    pub(crate) fn curve(&self, prior: usize) -> ResponseCurve {
         self.curves[prior]
     }
 
@@ -208,7 +208,7 @@ mod tests {
     /// The slope of a curve is its derivative.
     #[test]
     fn curve_has_the_slope_of_its_heights() {
-        let curve = Curve { bend: 0.3, curvature: -0.1 };
+        let curve = ResponseCurve { bend: 0.3, curvature: -0.1 };
         for u in [-1.2, 0.0, 0.4, 2.0] {
             let [low, high] = [u - 1e-6, u + 1e-6].map(|u| curve.at(u).0);
             assert!((curve.at(u).1 - (high - low) / 2e-6).abs() < 1e-8);

@@ -13,7 +13,7 @@ pub(super) type Ink = [usize; 3];
 
 /// One ink of a mixture.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Part {
+pub(super) struct InkPart {
     pub fraction: f64,
     pub ink: Ink,
 }
@@ -21,7 +21,7 @@ pub(super) struct Part {
 /// What a profile's medium is made of.
 #[derive(Debug, Clone)]
 pub(super) struct Blend {
-    pub parts: Vec<Part>,
+    pub parts: Vec<InkPart>,
     /// What the dictionary predicts, in its coordinates. Beyond it a profile stays as it is at the end.
     pub limits: [(f64, f64); 3],
 }
@@ -50,7 +50,7 @@ impl Blend {
     /// With σ_s = Σ f σ_s,i, σ_a = Σ f σ_a,i and r = Σ f σ_s,i (1 − g_i): ln σ_t, √(σ_a/σ_t), ln(r/σ_s).
     pub(super) fn at(&self, x: &DVector<f64>) -> Blended {
         let (mut scattering, mut absorption, mut reduced) = (0.0, 0.0, 0.0);
-        for Part { fraction, ink: [s, a, g] } in &self.parts {
+        for InkPart { fraction, ink: [s, a, g] } in &self.parts {
             scattering += fraction * x[*s];
             absorption += fraction * x[*a] * x[*a];
             reduced += fraction * x[*s] * x[*g].exp();
@@ -64,7 +64,7 @@ impl Blend {
                 (scattering * da - absorption * ds) / (2.0 * root * sigma_t * sigma_t);
             slopes[(LN_ONE_MINUS_G, k)] = dr / reduced - ds / scattering;
         };
-        for (k, Part { fraction, ink: [s, a, g] }) in self.parts.iter().enumerate() {
+        for (k, InkPart { fraction, ink: [s, a, g] }) in self.parts.iter().enumerate() {
             let factor = x[*g].exp();
             column(3 * k, [*fraction, 0.0, fraction * factor]);
             column(3 * k + 1, [0.0, 2.0 * fraction * x[*a], 0.0]);
@@ -96,18 +96,18 @@ impl Blend {
 
     /// The same with other slots.
     pub(super) fn renumbered(&self, slot: impl Fn(&usize) -> usize) -> Self {
-        let part = |part: &Part| Part { ink: part.ink.each_ref().map(&slot), ..*part };
+        let part = |part: &InkPart| InkPart { ink: part.ink.each_ref().map(&slot), ..*part };
         Self { parts: self.parts.iter().map(part).collect(), limits: self.limits }
     }
 }
 
 /// An ink's own medium in the coordinates of the dictionary.
 pub(super) fn ink_medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
-    unlimited(vec![Part { fraction: 1.0, ink }]).at(x).medium
+    unlimited(vec![InkPart { fraction: 1.0, ink }]).at(x).medium
 }
 
 /// A mixture that need not be one that the dictionary predicts.
-pub(super) fn unlimited(parts: Vec<Part>) -> Blend {
+pub(super) fn unlimited(parts: Vec<InkPart>) -> Blend {
     Blend { parts, limits: [(f64::NEG_INFINITY, f64::INFINITY); 3] }
 }
 
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn mixture_adds_scattering_and_absorption() {
         let x = unknowns();
-        let part = |fraction: f64, first: usize| Part { fraction, ink: [first, first + 1, first + 2] };
+        let part = |fraction: f64, first: usize| InkPart { fraction, ink: [first, first + 1, first + 2] };
         let blend = unlimited(vec![part(0.75, 0), part(0.25, 3)]);
         let [ln_sigma_t, root, ln_one_minus_g] = blend.at(&x).medium;
         let (s, a) = (0.75 * x[0] + 0.25 * x[3], 0.75 * x[1] * x[1] + 0.25 * x[4] * x[4]);

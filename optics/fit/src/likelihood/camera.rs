@@ -34,7 +34,7 @@ pub(super) struct Camera {
 
 /// A profile on the measured pixels, with derivatives.
 #[derive(Debug)]
-pub(super) struct Exposure {
+pub(super) struct ExposedProfile {
     pub values: Line,
     /// By the quantities that the caller had derivatives of.
     pub slopes: Vec<Line>,
@@ -54,7 +54,13 @@ impl Camera {
     }
 
     /// What is seen of a profile on the dictionary's pixels, and of its derivatives.
-    pub(super) fn expose(&self, values: &[f64], slopes: &[Line], origin_mm: f64, blur_mm2: f64) -> Exposure {
+    pub(super) fn expose(
+        &self,
+        values: &[f64],
+        slopes: &[Line],
+        origin_mm: f64,
+        blur_mm2: f64,
+    ) -> ExposedProfile {
         let kernel = BlurKernel::new(blur_mm2 / self.pitch_mm.powi(2));
         let places = self.places(origin_mm);
         let seen = |padded: &[f64]| average(&places, &integral(padded));
@@ -66,7 +72,7 @@ impl Camera {
         }
         let by_origin = self.by_origin(&places, &integral(&blurred));
         let slopes = slopes.iter().map(|s| seen(&kernel.blur(&pad(s)))).collect();
-        Exposure { values: seen(&blurred), slopes, by_blur, by_origin }
+        ExposedProfile { values: seen(&blurred), slopes, by_blur, by_origin }
     }
 
     /// The values of profiles alone, without a blur.
@@ -116,14 +122,14 @@ struct Edge {
 
 /// The profile, carried on in a straight line at both ends.
 fn pad(values: &[f64]) -> Line {
-    let (left, right) = (Tail::of(values.iter()), Tail::of(values.iter().rev()));
+    let (left, right) = (LevelTail::of(values.iter()), LevelTail::of(values.iter().rev()));
     let before = (1..=PADDING).rev().map(|k| left.beyond(k));
     let after = (1..=PADDING).map(|k| right.beyond(k));
     before.chain(values.iter().copied()).chain(after).collect()
 }
 
 /// A straight line through the pixels of an end, by least squares.
-struct Tail {
+struct LevelTail {
     mean: f64,
     /// Per pixel inwards.
     slope: f64,
@@ -131,7 +137,7 @@ struct Tail {
     middle: f64,
 }
 
-impl Tail {
+impl LevelTail {
     /// From the end inwards.
     fn of<'a>(values: impl ExactSizeIterator<Item = &'a f64> + Clone) -> Self {
         let count = TAIL.min(values.len());

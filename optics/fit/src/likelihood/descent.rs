@@ -17,7 +17,7 @@ const DECAY: f64 = 1.0 / 3.0;
 const KINK: f64 = 0.01;
 
 /// A place with the fall of the cost that the quadratic model predicts for the step to it.
-pub(super) struct Step<P> {
+pub(super) struct DescentStep<P> {
     pub to: P,
     pub predicted: f64,
 }
@@ -36,14 +36,14 @@ impl Descent {
         mut here: P,
         cost: impl Fn(&P) -> f64,
         decrement: impl Fn(&P) -> f64,
-        step: impl Fn(&P, f64) -> Option<Step<P>>,
+        step: impl Fn(&P, f64) -> Option<DescentStep<P>>,
     ) -> P {
         let (mut damping, mut growth) = (FIRST_DAMPING, GROWTH);
         for _ in 0..self.most_steps {
             if decrement(&here) < self.tolerance {
                 break;
             }
-            let Some(Step { to, predicted }) = step(&here, damping) else { break };
+            let Some(DescentStep { to, predicted }) = step(&here, damping) else { break };
             let fall = cost(&here) - cost(&to);
             if fall > 0.0 {
                 here = to;
@@ -93,7 +93,7 @@ mod tests {
         let decrement = |at: &[f64; 2]| predicted(*at, damped(*at, 0.0));
         let step = |at: &[f64; 2], damping: f64| {
             let step = damped(*at, damping);
-            Some(Step { to: [at[0] + step[0], at[1] + step[1]], predicted: predicted(*at, step) })
+            Some(DescentStep { to: [at[0] + step[0], at[1] + step[1]], predicted: predicted(*at, step) })
         };
         for start in [[-1.2, 1.0], [-3.0, 4.0], [0.0, 8.0]] {
             let end = Descent { most_steps: 60, tolerance: FINE }.run(start, cost, decrement, step);

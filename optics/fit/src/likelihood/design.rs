@@ -23,7 +23,7 @@ const UNDETERMINED: f64 = 1.0;
 
 /// How well all but the medium is known: standard errors.
 #[derive(Debug, Clone)]
-pub(crate) struct Known {
+pub(crate) struct KnownErrors {
     /// Noise of a pixel relative to its value, and what is added to it in quadrature.
     pub noise: f64,
     pub noise_floor: f64,
@@ -43,7 +43,7 @@ pub(crate) struct Known {
 
 /// A medium, and pixels that look at slabs of it.
 #[derive(Debug)]
-pub(crate) struct Plan<'a> {
+pub(crate) struct DesignPlan<'a> {
     pub surrogate: &'a Surrogate<'a>,
     pub medium: Coordinates,
     /// Coordinates that are known.
@@ -51,9 +51,9 @@ pub(crate) struct Plan<'a> {
     pub pixels: PixelRow,
 }
 
-impl Plan<'_> {
+impl DesignPlan<'_> {
     /// How well slabs of these thicknesses determine the medium.
-    pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &Known) -> HalfWidths {
+    pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &KnownErrors) -> HalfWidths {
         let (system, state) = self.system(slabs_mm, known);
         let slots = &system.slots[0];
         let covariance = ideal_covariance(&system, &state).filter(|c| c.iter().all(|v| v.is_finite()));
@@ -85,7 +85,7 @@ impl Plan<'_> {
     }
 
     /// Every slab is a profile of its own, also if another one is as thick.
-    fn system(&self, slabs_mm: &[f64], known: &Known) -> (System<'_>, State) {
+    fn system(&self, slabs_mm: &[f64], known: &KnownErrors) -> (System<'_>, State) {
         let mut unknowns = Vec::new();
         let mut x = Vec::new();
         let mut add = |prior: Option<(f64, f64)>, held: bool, value: f64| {
@@ -134,7 +134,7 @@ impl Plan<'_> {
     }
 
     /// A profile whose values and noise are still to come.
-    fn term(&self, thickness_mm: f64, known: &Known) -> Term {
+    fn term(&self, thickness_mm: f64, known: &KnownErrors) -> Term {
         let sensor = self.surrogate.grid().scene().sensor();
         let x_mm = self.pixels.x_mm();
         let camera = Camera::new(&x_mm, self.pixels.pitch_mm(), sensor.width_mm(), sensor.pixels());
@@ -146,7 +146,7 @@ impl Plan<'_> {
             x_mm,
             origin_mm: 0.0,
         };
-        let Known { origin_mm, gain, zero, slope, .. } = *known;
+        let KnownErrors { origin_mm, gain, zero, slope, .. } = *known;
         Term {
             white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
             responses: self.surrogate.responses(thickness_mm, self.medium),

@@ -19,7 +19,7 @@ use nalgebra::DVector;
 use optics_model::fit::{ChannelFit, FitOptions, MeasurePlan, Measured, Mixtures, Unmixed};
 use optics_model::{Invalid, Measurement};
 
-use super::blend::{Blend, Ink, Part};
+use super::blend::{Blend, Ink, InkPart};
 use super::descent::{COARSE, FINE};
 use super::joint::{all_channels, scales};
 use super::problem::{Assembly, ChannelData, Sharing, assemble};
@@ -31,7 +31,7 @@ use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::surrogate::{Surrogate, albedo, coordinates, sigma_t};
-use answer::{Request, Solution};
+use answer::{MixtureRequest, Solution};
 use limits::{outside, predicted};
 use start::{Equation, rank, solve};
 
@@ -94,7 +94,7 @@ pub(crate) fn unmix(
     check_rank(&slabs, &inks)?;
     let unmixing = Unmixing { inks: &inks, slabs, assembly: &assembly, common_g: sharing.g };
     let (solved, slabs) = unmixing.solve(&state)?;
-    let request = Request { dictionary, options, plan, mixtures, fits: &fits };
+    let request = MixtureRequest { dictionary, options, plan, mixtures, fits: &fits };
     Ok(Solution::new(request, &slabs, &solved)?.answer())
 }
 
@@ -238,8 +238,8 @@ impl<'a> Unmixing<'a, '_> {
             let of_channel =
                 &inks.iter().find(|(c, _)| *c == slab.data.channel).expect("every channel has inks").1;
             let parts = slab.fractions.iter().zip(of_channel).filter(|(f, _)| **f > 0.0);
-            let parts: Vec<Part> =
-                parts.map(|(fraction, ink)| Part { fraction: *fraction, ink: *ink }).collect();
+            let parts: Vec<InkPart> =
+                parts.map(|(fraction, ink)| InkPart { fraction: *fraction, ink: *ink }).collect();
             for i in slab.terms.clone() {
                 let term = whole.terms[i].clone();
                 let limits = predicted(whole.surrogates[i], term.thickness_mm);

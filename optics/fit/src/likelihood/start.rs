@@ -11,7 +11,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
 
 use super::Line;
-use super::descent::{Descent, Step};
+use super::descent::{Descent, DescentStep};
 use super::form::{Loose, QuadraticForm, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
@@ -314,7 +314,7 @@ impl Scan<'_> {
         let start = self.parabola(surrogate, x, scale);
         let step = |from: &Parabola, damping: f64| {
             let to = self.step(from, held, damping)?;
-            Some(Step { predicted: from.fall(to), to: self.parabola(surrogate, to, scale) })
+            Some(DescentStep { predicted: from.fall(to), to: self.parabola(surrogate, to, scale) })
         };
         let decrement = |from: &Parabola| self.step(from, held, 0.0).map_or(0.0, |to| from.fall(to));
         let found = DESCENT.run(start, |p| p.cost, decrement, step);

@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::descent::{Descent, Step};
+use super::descent::{Descent, DescentStep};
 use super::quantity::Quantity;
 use super::term::{Linear, Reduced, Term};
 use super::unknowns::{SceneUnknown, Unknown, clamped, free, inverse_over_free, limited_step};
@@ -250,7 +250,7 @@ impl System<'_> {
             let fall = self.advance(&mut there, &damped, &step);
             let known = |x: &DVector<f64>| self.prior_cost(x) + spring(x);
             let predicted = fall + known(&state.x) - known(&there.x);
-            Some(Step { to: self.evaluate(there), predicted })
+            Some(DescentStep { to: self.evaluate(there), predicted })
         };
         let decrement = |place: &Evaluation| {
             let normal = place.normal(self);

@@ -34,7 +34,7 @@ pub(crate) fn best(question: &Question, top: usize) -> Vec<Candidate> {
 /// The best media among those of a range of the grid's anisotropies.
 pub(crate) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> Vec<Candidate> {
     let mut media: Vec<(f32, u32)> = bounds(question, g);
-    let mut kept = Kept { top: top.min(media.len()), compared: Vec::new() };
+    let mut kept = KeptMedia { top: top.min(media.len()), compared: Vec::new() };
     let compare = |medium: u32| {
         let medium = medium as usize;
         Compared { error: question.error(question.place(medium)), medium }
@@ -59,12 +59,12 @@ pub(crate) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> 
 }
 
 /// The best media so far, in order.
-struct Kept {
+struct KeptMedia {
     top: usize,
     compared: Vec<Compared>,
 }
 
-impl Kept {
+impl KeptMedia {
     fn offer(&mut self, new: Compared) {
         let place = self.compared.partition_point(|c| c.precedes(&new));
         if place < self.top {

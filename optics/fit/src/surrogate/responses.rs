@@ -7,14 +7,14 @@
 use noise::Stencil;
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
-use crate::dictionary::responses::Curve;
+use crate::dictionary::responses::ResponseCurve;
 
 pub(crate) mod noise;
 
 /// The response of a quantity about one medium: h(u) L.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalResponse {
-    curve: Curve,
+    curve: ResponseCurve,
     /// L, then its derivatives by the medium's coordinates.
     linear: [Vec<f64>; 4],
 }

@@ -2,8 +2,8 @@
 //!
 //! Media between the grid points are traced with the board's true ρ and the slabs' true thicknesses. The simulated
 //! photographs have flicker, drift, blur, vignetting, glare and dust; the white reference, squares and thicknesses are off
-//! by their stated errors, and so are the uncertain quantities of the scene `lab`. With `FARM_TEST_EFFORT=10` there are seven sessions of three media with the paper's
-//! whole grid. Then these may be set:
+//! by their stated errors, and so are the uncertain quantities of the scene `lab`. With `FARM_TEST_EFFORT=10` there are
+//! seven sessions of three media with the paper's whole grid. Then these may be set:
 //!
 //! | variable | meaning |
 //! |---|---|

@@ -12,7 +12,7 @@ use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::dot;
 use crate::likelihood::answer::is_resolved;
-use crate::likelihood::blend::{Ink, Part, ink_medium, unlimited};
+use crate::likelihood::blend::{Ink, InkPart, ink_medium, unlimited};
 use crate::likelihood::chi2::exceedance;
 use crate::likelihood::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
 use crate::likelihood::quantity::Quantity;
@@ -27,7 +27,7 @@ const UNLIKELY: f64 = 0.01;
 
 /// What was asked, and what each slab's material by itself was found to be.
 #[derive(Clone, Copy)]
-pub(super) struct Request<'b> {
+pub(super) struct MixtureRequest<'b> {
     pub dictionary: &'b FitDictionary,
     pub options: &'b FitOptions,
     pub plan: &'b MeasurePlan,
@@ -38,7 +38,7 @@ pub(super) struct Request<'b> {
 
 /// Inks at the least −2 ln L.
 pub(super) struct Solution<'a, 'b> {
-    request: Request<'b>,
+    request: MixtureRequest<'b>,
     slabs: &'b [Slab<'a>],
     solved: &'b Solved<'a>,
     linear: Vec<Linear>,
@@ -48,7 +48,7 @@ pub(super) struct Solution<'a, 'b> {
 
 impl<'a, 'b> Solution<'a, 'b> {
     pub(super) fn new(
-        request: Request<'b>,
+        request: MixtureRequest<'b>,
         slabs: &'b [Slab<'a>],
         solved: &'b Solved<'a>,
     ) -> Result<Self, Invalid> {
@@ -202,7 +202,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         let inks = of_channel.map_or(&[][..], |(_, inks)| inks);
         let names = self.request.mixtures.inks();
         let parts = || slab.fractions.iter().enumerate().filter(|(_, f)| **f > 0.0);
-        let blend = unlimited(parts().map(|(i, f)| Part { fraction: *f, ink: inks[i] }).collect());
+        let blend = unlimited(parts().map(|(i, f)| InkPart { fraction: *f, ink: inks[i] }).collect());
         MixtureFit {
             material: slab.material.clone(),
             channel: slab.data.name.to_owned(),

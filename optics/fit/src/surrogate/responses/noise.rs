@@ -5,7 +5,7 @@
 //! them larger: the noise is then overestimated.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
-use crate::dictionary::responses::Curve;
+use crate::dictionary::responses::ResponseCurve;
 use crate::surrogate::interpolation;
 use crate::surrogate::local_axis::{Direction, Weights, orthonormal};
 use crate::surrogate::noise::NoisePlace;
@@ -17,7 +17,7 @@ const DEGREE: usize = 3;
 #[derive(Debug)]
 pub(crate) struct ResponseNoise {
     /// By prior of the scene: its curve, and profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
-    each: Vec<(Curve, Vec<Vec<f64>>)>,
+    each: Vec<(ResponseCurve, Vec<Vec<f64>>)>,
     /// The walks that the responses come from.
     pub place: NoisePlace,
 }
@@ -162,8 +162,8 @@ mod tests {
     #[test]
     fn noise_follows_height_and_slope() {
         let each = vec![
-            (Curve::default(), vec![vec![2.0]]),
-            (Curve { bend: 0.25, curvature: 0.1 }, vec![vec![5.0], vec![1.0]]),
+            (ResponseCurve::default(), vec![vec![2.0]]),
+            (ResponseCurve { bend: 0.25, curvature: 0.1 }, vec![vec![5.0], vec![1.0]]),
         ];
         let noise = ResponseNoise { each, place: NoisePlace::default() };
         assert_eq!(noise.factors(0, 0.0), [[2.0]]);

@@ -33,12 +33,12 @@ pub(super) struct Stretch {
     ratio: f64,
     /// Pixels that are needed beyond each end.
     margin: usize,
-    edges: Vec<Edge>,
+    edges: Vec<CellEdge>,
 }
 
 /// An edge of a pixel, brought to the profile before it was scaled.
 #[derive(Debug)]
-struct Edge {
+struct CellEdge {
     /// Pixels from x = 0.
     position: f64,
     place: Place,
@@ -48,7 +48,7 @@ impl Stretch {
     pub(super) fn new(pixels: usize, ratio: f64) -> Self {
         let half = 0.5 * pixels as f64;
         let margin = (half * (1.0 / ratio - 1.0)).max(0.0).ceil() as usize;
-        let edge = |i: usize| Edge::new((i as f64 - half) / ratio, pixels, margin);
+        let edge = |i: usize| CellEdge::new((i as f64 - half) / ratio, pixels, margin);
         Self { pixels, ratio, margin, edges: (0..=pixels).map(edge).collect() }
     }
 
@@ -67,9 +67,9 @@ impl Stretch {
     }
 
     /// Means over the pixels from what the integral is up to their edges.
-    fn means(&self, integral: impl Fn(&Edge) -> f64) -> Vec<f64> {
+    fn means(&self, integral: impl Fn(&CellEdge) -> f64) -> Vec<f64> {
         let mut before = integral(&self.edges[0]);
-        let mean = |edge: &Edge| {
+        let mean = |edge: &CellEdge| {
             let up_to = integral(edge);
             let mean = self.ratio * (up_to - before);
             before = up_to;
@@ -114,7 +114,7 @@ impl Stretch {
     }
 }
 
-impl Edge {
+impl CellEdge {
     /// `position` is in pixels from x = 0, of a profile with `margin` pixels beyond each end.
     fn new(position: f64, pixels: usize, margin: usize) -> Self {
         let cells = pixels + 2 * margin;
