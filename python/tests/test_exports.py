@@ -52,7 +52,7 @@ def test_responses_have_their_variant_and_rows(tmp_path: pathlib.Path) -> None:
         dictionary = farm.submit(grid, "derivatives", progress=False)
         responses, records = dictionary.responses(), dictionary.to_xarray()
         ran = export(farm, "--responses")
-    rows = pd.read_csv(io.StringIO(ran.stdout))
+    rows = pd.read_csv(io.StringIO(ran.stdout), float_precision="round_trip")
     keys = ["sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"]
     assert responses["value"].dims == ("variant", *keys)
     assert responses["sigma_t_per_mm"].values.tolist() == [4, 8], "nodes of the responses"
