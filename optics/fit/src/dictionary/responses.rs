@@ -4,6 +4,7 @@
 //! A quantity that is off by u standard deviations of its prior changes a profile by h(u) L. The profile L depends on the
 //! medium; the curve h does not: it is estimated from all records at once, so that it has no noise to speak of.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use optics_model::Grid;
@@ -89,7 +90,8 @@ impl VariedRecords {
         ResponseRecords { grid, curves, linear }
     }
 
-    /// The curve that relates the differences of all records at two steps best, in per cent of the profiles.
+    /// The curve that relates the differences of all records at two steps best, relative to the profiles. Dark pixels have
+    /// no relative difference.
     fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> ResponseCurve {
         let straight = ResponseCurve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
         let &[(_, near), (_, far)] = steps else { return straight };
@@ -97,9 +99,8 @@ impl VariedRecords {
         // Sums of squares and of products of both differences over w.
         let (mut squares, mut product) = ([0.0; 2], 0.0);
         let mut add = |differences: &[Vec<f64>], of_scene: &[f32]| {
-            for (p, value) in of_scene.iter().enumerate() {
-                let value = f64::from(*value).max(f64::MIN_POSITIVE);
-                let [a, b] = std::array::from_fn(|i| differences[i][p] / (value * at[i]));
+            for (p, value) in of_scene.iter().enumerate().filter(|(_, value)| **value > 0.0) {
+                let [a, b] = std::array::from_fn(|i| differences[i][p] / (f64::from(*value) * at[i]));
                 let none = NO_EFFECT * NO_EFFECT;
                 (squares[0], squares[1]) = (squares[0] + a * a + none, squares[1] + b * b + none);
                 product += a * b + none;
@@ -127,14 +128,16 @@ impl VariedRecords {
         let at_nodes = (0..grid.nominal_jobs()).filter(|job| grid.response_job(Some(first), *job).is_some());
         for (nominal, albedo) in at_nodes.flat_map(|job| (0..albedos).map(move |albedo| (job, albedo))) {
             let baseline = responses.is_by_baseline(first).then(|| grid.response_job(None, nominal));
-            let of_axes = records.values(grid.first_record(nominal) + albedo, 0..pixels);
-            let of_scene = baseline.flatten().map_or(&*of_axes, |job| row(job, albedo));
+            let of_scene = match baseline.flatten() {
+                Some(job) => Cow::Borrowed(row(job, albedo)),
+                None => records.values(grid.first_record(nominal) + albedo, 0..pixels),
+            };
             let difference = |(variant, _): &(usize, f64)| {
                 let job = grid.response_job(Some(*variant), nominal).expect("variants have the same nodes");
-                let values = row(job, albedo).iter().zip(of_scene);
+                let values = row(job, albedo).iter().zip(&*of_scene);
                 values.map(|(v, s)| f64::from(*v) - f64::from(*s)).collect()
             };
-            each(&steps.iter().map(difference).collect::<Vec<_>>(), of_scene);
+            each(&steps.iter().map(difference).collect::<Vec<_>>(), &of_scene);
         }
     }
 
