@@ -161,6 +161,11 @@ pub enum Warning {
         if *count == 1 { "a speck or scratch".to_owned() } else { format!("{count} specks or scratches") }
     )]
     Masked { label: String, count: usize, share: f64, area_mm2: f64, x_mm: f64 },
+    #[error(
+        "the board's dark side is darker in {colour} than a black base under the scene's coat: ρ = {rho:.4}; the coat \
+         mirrors less of the lamps than the scene's, and its roughness is estimated in the fit"
+    )]
+    DarkerThanBlack { colour: Colour, rho: f64 },
     #[error("left out: {why}")]
     LeftOut { why: Box<Refusal> },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]

@@ -8,6 +8,7 @@ use optics_model::scene::DARKER_WHITE;
 
 use crate::board::Board;
 use crate::estimate::Estimate;
+use crate::frame::Colour;
 
 /// Appearance of an even base of any reflectance ρ in the scene: s + a ρ/(1 − b ρ).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -37,26 +38,45 @@ impl Appearance {
 
 impl Board {
     /// ρ of both sides. `gain_std_error` is the relative error of the white reference, common to both.
-    pub fn rho(&self, shown: &[Appearance; 3], gain_std_error: f64) -> Result<[BoardRho; 3], Invalid> {
-        let of = |c: usize| {
+    pub fn rho(&self, shown: Appearance, gain_std_error: f64) -> [BoardRho; 3] {
+        [0, 1, 2].map(|c| {
             let sides = [self.light[c], self.dark[c]];
             let with = |e: Estimate| Estimate::new(e.value, e.std_error.hypot(gain_std_error * e.value));
-            let [light, dark] = sides.map(|seen| shown[c].rho(with(seen)));
+            let [light, dark] = sides.map(|seen| shown.rho(with(seen)));
             let darker = |seen: Estimate| Estimate::new(DARKER_WHITE * seen.value, seen.std_error);
-            BoardRho { light, dark, under_darker_white: sides.map(|seen| shown[c].rho(darker(seen)).value) }
-        };
-        let found = [of(0), of(1), of(2)];
-        for (c, rho) in found.iter().enumerate() {
-            for (side, estimate) in [("light", rho.light), ("dark", rho.dark)] {
-                let within = -3.0 * estimate.std_error..=1.0 + 3.0 * estimate.std_error;
-                if !within.contains(&estimate.value) {
-                    let field = format!("rho.{side}[{}]", crate::Colour::ALL[c].letter());
-                    let allowed = "from 0 to 1; the scene or the white reference does not fit this board";
-                    return Err(Invalid::new(field, format!("{:.4}", estimate.value), allowed));
-                }
+            BoardRho { light, dark, under_darker_white: sides.map(|seen| shown.rho(darker(seen)).value) }
+        })
+    }
+}
+
+impl BoardRho {
+    fn sides(&self) -> [(&'static str, Estimate); 2] {
+        [("light", self.light), ("dark", self.dark)]
+    }
+
+    /// Both sides lie within 0 to 1, up to three standard errors of the photographs.
+    pub fn is_plausible(&self) -> bool {
+        self.sides().iter().all(|(_, rho)| rho.is_within(0.0))
+    }
+
+    /// Refuses a side that lies outside 0 to 1 by more than three standard errors, of which those of light and dark in
+    /// `of_scene` stem from what is uncertain in the scene.
+    pub fn check(&self, colour: Colour, of_scene: [f64; 2]) -> Result<(), Invalid> {
+        for ((side, rho), of_scene) in self.sides().into_iter().zip(of_scene) {
+            if !rho.is_within(of_scene) {
+                let field = format!("rho.{side}[{}]", colour.letter());
+                let allowed = "from 0 to 1; the scene or the white reference does not fit this board";
+                return Err(Invalid::new(field, format!("{:.4}", rho.value), allowed));
             }
         }
-        Ok(found)
+        Ok(())
+    }
+}
+
+impl Estimate {
+    fn is_within(&self, other_std_error: f64) -> bool {
+        let reach = 3.0 * self.std_error.hypot(other_std_error);
+        (-reach..=1.0 + reach).contains(&self.value)
     }
 }
 
@@ -76,5 +96,19 @@ mod tests {
         // With a reference that reflects 1 % less, the board is 1 % darker than assumed.
         let darker = shown.rho(Estimate::new(DARKER_WHITE * apparent(0.985), 1e-3)).value;
         assert!((apparent(darker) / apparent(0.985) - DARKER_WHITE).abs() < 1e-12, "{darker}");
+    }
+
+    /// What is uncertain in the scene widens the range of ρ; without it, a dark side of −0.002 ± 0.0001 is refused.
+    #[test]
+    fn scene_errors_widen_the_range_of_rho() {
+        let light = Estimate::new(0.97, 1e-3);
+        let rho =
+            |dark: f64| BoardRho { light, dark: Estimate::new(dark, 1e-4), under_darker_white: [0.0; 2] };
+        assert!(rho(-0.0002).is_plausible());
+        assert!(!rho(-0.002).is_plausible());
+        rho(-0.002).check(Colour::Blue, [0.0, 0.01]).unwrap();
+        rho(-0.031).check(Colour::Blue, [0.0, 0.01]).unwrap_err();
+        let refused = rho(-0.002).check(Colour::Blue, [0.01, 0.0]).unwrap_err();
+        assert!(refused.to_string().starts_with("rho.dark[B] = -0.0020 "), "{refused}");
     }
 }

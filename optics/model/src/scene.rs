@@ -81,7 +81,12 @@ fn check_roughness(value: f64) -> Result<f64> {
 /// ρ. A scene describes this by a second channel whose ρ is that of a reference with this share of the reflectance.
 pub const DARKER_WHITE: f64 = 0.99;
 
-/// One colour channel: reflectances of the Lambertian base for x ≥ 0 (light) and x < 0 (dark).
+/// Least ρ of the dark side. A board that mirrors less of the lamps than the scene's coat does appears darker than a
+/// black base would under that coat, and ρ < 0 describes it: the radiance factor s + a ρ/(1 − b ρ) stays positive.
+pub const LEAST_RHO_DARK: f64 = -0.1;
+
+/// One colour channel: reflectances of the Lambertian base for x ≥ 0 (light, 0 to 1) and x < 0 (dark,
+/// [`LEAST_RHO_DARK`] to 1).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channel {
     name: String,
@@ -99,11 +104,11 @@ impl Channel {
                 "1 to 32 bytes, no comma, quote or line end",
             ));
         }
-        let reflectance = |field, v| check(field, v, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1");
+        let within = |least: f64| move |rho: f64| (least..=1.0).contains(&rho);
         Ok(Self {
             name,
-            rho_light: reflectance("rho_light", rho_light)?,
-            rho_dark: reflectance("rho_dark", rho_dark)?,
+            rho_light: check("rho_light", rho_light, within(0.0), "allowed are 0 to 1")?,
+            rho_dark: check("rho_dark", rho_dark, within(LEAST_RHO_DARK), "allowed are -0.1 to 1")?,
         })
     }
 
@@ -358,6 +363,14 @@ mod tests {
     fn channels_with_the_same_name_are_refused() {
         let twice = vec![Channel::new("R", 0.9, 0.1).unwrap(), Channel::new("R", 0.8, 0.1).unwrap()];
         assert_eq!(Scene::paper().with_channels(twice).unwrap_err().field(), "channels[1].name");
+    }
+
+    #[test]
+    fn only_the_dark_side_may_be_below_black() {
+        assert_eq!(Channel::new("R", 0.9, -0.1).unwrap().rho_dark(), -0.1);
+        let message = |light, dark| Channel::new("R", light, dark).unwrap_err().to_string();
+        assert_eq!(message(0.9, -0.11), "rho_dark = -0.11 is not valid: allowed are -0.1 to 1");
+        assert_eq!(message(-0.01, 0.0), "rho_light = -0.01 is not valid: allowed are 0 to 1");
     }
 
     #[test]

@@ -16,7 +16,7 @@
 use std::cell::OnceCell;
 
 use glam::Vec3;
-use optics_model::scene::{Channel, LayerMedium, sin2};
+use optics_model::scene::{Channel, LEAST_RHO_DARK, LayerMedium, sin2};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
 
@@ -91,7 +91,7 @@ impl<'a> SeenBase<'a> {
     }
 
     /// The channels of a varied scene: its base has the reflectances with which it looks as that of the scene does.
-    /// Reflectances that would leave 0 to 1 end there.
+    /// Reflectances that would leave a channel's range end there.
     pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
         let scene = self.scene;
         if Coat::of(scene)? == Coat::of(varied)?
@@ -102,9 +102,26 @@ impl<'a> SeenBase<'a> {
         let other = BareBoard::of(varied)?;
         let known = self.board.get().copied().map_or_else(|| BareBoard::of(scene), Ok)?;
         self.board.get_or_init(|| known);
-        let rho = |rho: f64| other.reflectance(known.apparent(rho)).clamp(0.0, 1.0);
-        let channel = |c: &Channel| Channel::new(c.name(), rho(c.rho_light()), rho(c.rho_dark()));
+        let rho = |rho: f64, least: f64| other.reflectance(known.apparent(rho)).clamp(least, 1.0);
+        let channel =
+            |c: &Channel| Channel::new(c.name(), rho(c.rho_light(), 0.0), rho(c.rho_dark(), LEAST_RHO_DARK));
         scene.channels().iter().map(channel).collect()
+    }
+
+    /// Standard errors of ρ (light, dark) of each channel that the priors of the scene leave: the root of the sum of
+    /// squares of what a change by one standard deviation of each does.
+    pub fn std_errors(&self) -> Result<Vec<[f64; 2]>, Invalid> {
+        let channels = self.scene.channels();
+        let mut squares = vec![[0.0; 2]; channels.len()];
+        for prior in self.scene.priors() {
+            let varied = |sd: f64| self.scene.varied(prior, sd * prior.std_error(), channels.to_vec());
+            let changed = self.through(&varied(1.0).or_else(|_| varied(-1.0))?)?;
+            for (square, (changed, known)) in squares.iter_mut().zip(changed.iter().zip(channels)) {
+                square[0] += (changed.rho_light() - known.rho_light()).powi(2);
+                square[1] += (changed.rho_dark() - known.rho_dark()).powi(2);
+            }
+        }
+        Ok(squares.into_iter().map(|sides| sides.map(f64::sqrt)).collect())
     }
 }
 
@@ -330,6 +347,24 @@ mod tests {
         let board = BareBoard::of(&Scene::paper()).unwrap();
         assert!((board.apparent(0.985) - 0.8386).abs() < 1e-4, "{}", board.apparent(0.985));
         assert!((board.apparent(0.024) - 0.02144).abs() < 2e-5, "{}", board.apparent(0.024));
+    }
+
+    /// A dark base under a rougher coat has ρ < 0, with which it appears as it did.
+    #[test]
+    fn dark_board_keeps_its_appearance() {
+        let channel = Channel::new("K", 0.95, 0.005).unwrap();
+        let lab = Scene::lab().with_channels(vec![channel]).unwrap();
+        let coat = lab.priors()[1].clone();
+        let varied = lab.varied(&coat, coat.std_error(), lab.channels().to_vec()).unwrap();
+        let base = SeenBase::of(&lab);
+        let [found] = base.through(&varied).unwrap().try_into().unwrap();
+        assert!((-0.010..-0.008).contains(&found.rho_dark()), "{found:?}");
+        let appears = BareBoard::of(&varied).unwrap().apparent(found.rho_dark());
+        let appeared = BareBoard::of(&lab).unwrap().apparent(0.005);
+        assert!((appears - appeared).abs() < 1e-9, "{appears} {appeared}");
+        // Coat and ring are uncertain; the roughness of the coat is most of it.
+        let [[_, dark]] = base.std_errors().unwrap().try_into().unwrap();
+        assert!((0.0139..0.02).contains(&dark), "{dark}");
     }
 
     /// Light that is followed until it leaves is not lost.

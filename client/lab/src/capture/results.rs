@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::budget::{SessionErrors, sum, thickness_std_error_mm};
 use super::report::{self, CaptureReport};
-use super::stage::{Captured, CapturedSample};
+use super::stage::{Captured, CapturedSample, board_channels, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
 use crate::whole_file::{folder_of, sync_folder};
 
@@ -134,17 +134,16 @@ fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
 
 /// The session's scene with the board that was found, and as it would be under a darker white reference.
 fn scene(captured: &Captured) -> Result<String> {
-    let found = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
-        Channel::new(colour.letter(), rounded(rho.light.value), rounded(rho.dark.value))
-    });
     let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+        let found = [rho.light.value, rho.dark.value];
         // Where ρ is put at an end, its change is kept.
-        let [light, dark] = [(rho.light, 0), (rho.dark, 1)].map(|(found, side)| {
-            rounded(found.value.clamp(0.0, 1.0) - (found.value - rho.under_darker_white[side]))
-        });
-        Channel::new(Channel::darker_white(colour.letter()), light, dark)
+        let change = [0, 1].map(|side| rho.under_darker_white[side] - found[side]);
+        let within = within_range(found);
+        let [light, dark] = within_range([within[0] + change[0], within[1] + change[1]]);
+        Channel::new(Channel::darker_white(colour.letter()), rounded(light), rounded(dark))
     });
-    let channels = found.chain(darker).collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
+    let found = board_channels(&captured.rho).context("reflectances of the board")?;
+    let channels = found.into_iter().map(Ok).chain(darker).collect::<Result<Vec<_>, _>>()?;
     let scene = captured.session.scene.clone().with_channels(channels)?;
     Ok(format!(
         "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows. The channels called\n\
@@ -152,11 +151,6 @@ fn scene(captured: &Captured) -> Result<String> {
          # what an error of the reference does.\n\n{}",
         toml::to_string(&SceneFile::from(&scene))?.trim_end()
     ))
-}
-
-/// What is beyond 0 and 1 by less than its error, as the stage has seen to, is at the end of what can be.
-fn rounded(rho: f64) -> f64 {
-    (1e6 * rho.clamp(0.0, 1.0)).round() / 1e6
 }
 
 /// The paper's axes with this session's thicknesses.

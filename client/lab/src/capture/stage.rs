@@ -4,10 +4,12 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use optics_capture::{
-    Appearance, BareShots, Board, BoardRho, Calibration, Darks, Flats, Mountings, Patches, Photo,
-    SampleProfile,
+    Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Flats, Mountings, Patches, Photo,
+    SampleProfile, Warning,
 };
-use optics_tracer::BareBoard;
+use optics_model::scene::{Channel, LEAST_RHO_DARK};
+use optics_model::{Invalid, Scene};
+use optics_tracer::{BareBoard, SeenBase};
 
 use super::session_file::{CaptureSession, Sample};
 use super::shots::{Input, Shots, turned};
@@ -72,11 +74,8 @@ struct SessionRun<'a> {
 impl SessionRun<'_> {
     fn stages(&mut self, session: &mut CaptureSession) -> Result<Stages> {
         let calibration = self.calibrate(session)?;
-        let board = self.board(session, &calibration)?;
-        // The same light and the same coat for all channels.
-        let seen = BareBoard::of(&session.scene).context("the session's scene")?;
-        let shown = Appearance { s: seen.specular, a: seen.gain, b: seen.returned };
-        let rho = board.rho(&[shown; 3], calibration.reference_std_error)?;
+        let mut board = self.board(session, &calibration)?;
+        let rho = board_rho(&session.scene, &mut board, calibration.reference_std_error)?;
         let slabs = std::mem::take(&mut session.samples);
         let samples =
             slabs.into_iter().map(|slab| self.sample(slab, &calibration, &board)).collect::<Result<_>>()?;
@@ -134,4 +133,42 @@ impl SessionRun<'_> {
         let strip = strip.context("a sample has shots")?;
         Ok(CapturedSample { about: slab, profile: mountings.finish()?, strip })
     }
+}
+
+/// ρ of the board, seen through the scene. A dark side below 0 is kept where the priors of the scene explain it.
+fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[BoardRho; 3]> {
+    // The same light and the same coat for all channels.
+    let seen = BareBoard::of(scene).context("the session's scene")?;
+    let shown = Appearance { s: seen.specular, a: seen.gain, b: seen.returned };
+    let rho = board.rho(shown, gain_std_error);
+    if rho.iter().all(BoardRho::is_plausible) {
+        return Ok(rho);
+    }
+    let found = scene.clone().with_channels(board_channels(&rho)?)?;
+    let of_scene = SeenBase::of(&found).std_errors()?;
+    for ((colour, rho), of_scene) in Colour::ALL.into_iter().zip(&rho).zip(of_scene) {
+        rho.check(colour, of_scene)?;
+        if rho.dark.value < -3.0 * rho.dark.std_error {
+            board.warnings.push(Warning::DarkerThanBlack { colour, rho: rho.dark.value });
+        }
+    }
+    Ok(rho)
+}
+
+/// Channels with this board. ρ outside a channel's range ends there.
+pub(super) fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
+    let channel = |(colour, rho): (Colour, &BoardRho)| {
+        let [light, dark] = within_range([rho.light.value, rho.dark.value]);
+        Channel::new(colour.letter(), rounded(light), rounded(dark))
+    };
+    Colour::ALL.into_iter().zip(rho).map(channel).collect()
+}
+
+/// ρ of the light and the dark side within the ranges of a channel.
+pub(super) fn within_range([light, dark]: [f64; 2]) -> [f64; 2] {
+    [light.clamp(0.0, 1.0), dark.clamp(LEAST_RHO_DARK, 1.0)]
+}
+
+pub(super) fn rounded(rho: f64) -> f64 {
+    (1e6 * rho).round() / 1e6
 }
