@@ -6,8 +6,8 @@
 //! a fit of these photographs does no better, and one by the likelihood hardly worse.
 
 use optics_model::fit::{
-    Design, DesignQuestion, DesignSettings, FitOptions, HalfWidths, Improvement, Limitation, PixelRow,
-    SlabSet,
+    Design, DesignQuestion, DesignSettings, FitOptions, FitSettings, HalfWidths, Improvement, Limitation,
+    PixelRow, SlabSet,
 };
 use optics_model::{Grid, Invalid, Medium};
 use rayon::prelude::*;
@@ -154,20 +154,14 @@ impl Planner<'_> {
 
     /// Noise is that of the mean of the photographs; what is wrong with a set-up is the same in all of them.
     fn known(&self, shots: u32) -> KnownErrors {
-        let (settings, set_up) = (self.settings, self.settings.set_up.settings());
+        let (settings, set_up) = (self.settings, *self.settings.set_up.settings());
         let photographs = f64::from(shots).sqrt();
         KnownErrors {
             noise: settings.noise / photographs,
             // The model is that of measured values times μ.
             noise_floor: settings.noise_floor * set_up.mu / photographs,
-            thickness_mm: set_up.thickness_std_error_mm,
-            origin_mm: set_up.origin_std_error_mm,
-            blur_mm: set_up.blur_mm,
-            blur_std_error_mm: set_up.blur_std_error_mm,
-            gain: set_up.gain_std_error,
-            zero: set_up.offset_std_error * set_up.mu,
-            slope: set_up.slope_std_error,
-            scale: (!settings.mu_free).then(|| set_up.mu_std_error / set_up.mu),
+            set_up,
+            mu_free: settings.mu_free,
             scene: vec![1.0; self.surrogate.grid().scene().priors().len()],
         }
     }
@@ -202,20 +196,26 @@ impl Planner<'_> {
     }
 
     fn std_error(&self, limitation: Limitation) -> Option<f64> {
-        let set_up = self.settings.set_up.settings();
-        Some(match limitation {
-            Limitation::Noise => self.settings.noise,
-            Limitation::Thickness => set_up.thickness_std_error_mm,
-            Limitation::Origin => set_up.origin_std_error_mm,
-            Limitation::Blur => set_up.blur_std_error_mm,
-            Limitation::Gain => set_up.gain_std_error,
-            Limitation::Zero => set_up.offset_std_error,
-            Limitation::Slope => set_up.slope_std_error,
-            Limitation::Scale if self.settings.mu_free => return None,
-            Limitation::Scale => set_up.mu_std_error,
-            Limitation::Scene => return None,
-        })
+        match limitation {
+            Limitation::Noise => Some(self.settings.noise),
+            Limitation::Scale if self.settings.mu_free => None,
+            _ => std_error(&mut self.settings.set_up.settings().clone(), limitation).copied(),
+        }
     }
+}
+
+/// The standard error of the set-up that is a limitation.
+fn std_error(set_up: &mut FitSettings, limitation: Limitation) -> Option<&mut f64> {
+    Some(match limitation {
+        Limitation::Thickness => &mut set_up.thickness_std_error_mm,
+        Limitation::Origin => &mut set_up.origin_std_error_mm,
+        Limitation::Blur => &mut set_up.blur_std_error_mm,
+        Limitation::Gain => &mut set_up.gain_std_error,
+        Limitation::Zero => &mut set_up.offset_std_error,
+        Limitation::Slope => &mut set_up.slope_std_error,
+        Limitation::Scale => &mut set_up.mu_std_error,
+        Limitation::Noise | Limitation::Scene => return None,
+    })
 }
 
 /// The same with one standard error multiplied by a factor. A factor of 0 makes known what was not known at all.
@@ -226,14 +226,9 @@ fn times(known: &KnownErrors, better: Better, factor: f64) -> KnownErrors {
             known.noise *= factor;
             known.noise_floor *= factor;
         }
-        Limitation::Thickness => known.thickness_mm *= factor,
-        Limitation::Origin => known.origin_mm *= factor,
-        Limitation::Blur => known.blur_std_error_mm *= factor,
-        Limitation::Gain => known.gain *= factor,
-        Limitation::Zero => known.zero *= factor,
-        Limitation::Slope => known.slope *= factor,
-        Limitation::Scale => known.scale = Some(known.scale.unwrap_or(1.0) * factor),
         Limitation::Scene => known.scene[better.prior] *= factor,
+        Limitation::Scale if factor == 0.0 => (known.mu_free, known.set_up.mu_std_error) = (false, 0.0),
+        of_set_up => std_error(&mut known.set_up, of_set_up).into_iter().for_each(|error| *error *= factor),
     }
     known
 }

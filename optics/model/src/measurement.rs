@@ -45,6 +45,11 @@ macro_rules! profile_setup {
 with_quantities!(profiles profile_setup);
 
 impl ProfileSetup {
+    /// None if it is that of the options.
+    pub fn value_of(&self, quantity: &Quantity) -> Option<f64> {
+        self.values().find(|(own, _)| own.name == quantity.name).and_then(|(_, value)| value)
+    }
+
     fn check(self) -> Result<Self> {
         for (quantity, value) in self.values() {
             value.map(|value| quantity.check(value)).transpose()?;

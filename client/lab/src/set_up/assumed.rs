@@ -17,11 +17,8 @@ pub struct Assumed {
 impl Assumed {
     pub(super) fn of(values: &Session, setups: &[ProfileSetup]) -> Self {
         let lacking = |quantity: &Quantity| {
-            let value_of =
-                |setup: &ProfileSetup| setup.values().find(|(q, _)| *q == quantity).map(|(_, v)| v);
-            // Profiles have it, too, and at least one has no value.
-            setups.iter().any(|setup| value_of(setup) == Some(None))
-                || !Quantity::OF_PROFILES.contains(quantity)
+            !Quantity::OF_PROFILES.contains(quantity)
+                || setups.iter().any(|setup| setup.value_of(quantity).is_none())
         };
         let without = values.values().filter(|(_, given)| given.and_then(ByChannel::common).is_none());
         let labelled = without.map(|(quantity, _)| quantity).filter(|quantity| !quantity.label.is_empty());

@@ -3,6 +3,8 @@
 //! A blur that is narrow against a profile's features changes it as σ² does, one that is wide against a pixel changes a bend
 //! of it as σ does. In u both are close to linear.
 
+use optics_model::fit::FitSettings;
+
 /// u₀ in mm: about where a blur grows wider than the pixels of photographs.
 const LEAST_MM: f64 = 0.01;
 
@@ -22,9 +24,9 @@ pub(super) fn slope(u: f64) -> f64 {
 }
 
 /// Mean and standard deviation of u for a σ with a standard error.
-pub(super) fn prior(blur_mm: f64, std_error_mm: f64) -> (f64, f64) {
-    let mean = coordinate(blur_mm * blur_mm);
-    (mean, coordinate((blur_mm + std_error_mm).powi(2)) - mean)
+pub(super) fn prior(set_up: &FitSettings) -> (f64, f64) {
+    let mean = coordinate(set_up.blur_mm * set_up.blur_mm);
+    (mean, coordinate((set_up.blur_mm + set_up.blur_std_error_mm).powi(2)) - mean)
 }
 
 #[cfg(test)]
@@ -46,6 +48,9 @@ mod tests {
     /// One standard error of the blur is one standard error of the coordinate.
     #[test]
     fn blur_error_maps_to_one_coordinate_unit() {
+        let prior = |blur_mm, blur_std_error_mm| {
+            super::prior(&FitSettings { blur_mm, blur_std_error_mm, ..FitSettings::default() })
+        };
         let (mean, deviation) = prior(0.025, 0.001);
         assert!((variance_mm2(mean + deviation).sqrt() - 0.026).abs() < 1e-12);
         let (mean, deviation) = prior(0.0, 0.03);

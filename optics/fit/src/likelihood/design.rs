@@ -2,15 +2,14 @@
 //! the values.
 
 use nalgebra::DVector;
-use optics_model::fit::{HalfWidths, PixelRow};
+use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
 use optics_model::scene::Scope;
 
 use super::bound::{bound, ideal_covariance};
-use super::camera::Camera;
 use super::quantity::Quantity;
 use super::system::{State, System};
-use super::term::{Exposed, OwnErrors, Term, White};
-use super::unknowns::Unknown;
+use super::term::{Exposed, Term};
+use super::unknowns::{Unknowns, thickness_prior};
 use super::{Line, blur};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 
@@ -20,6 +19,8 @@ const UNKNOWN: f64 = 10.0;
 /// Standard deviation of a coordinate from which on it counts as undetermined: a factor of e on σ_t, the whole range of
 /// √(1 − α).
 const UNDETERMINED: f64 = 1.0;
+/// Unknowns have no limits.
+const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
 /// How well all but the medium is known: standard errors.
 #[derive(Debug, Clone)]
@@ -27,16 +28,9 @@ pub(crate) struct KnownErrors {
     /// Noise of a pixel relative to its value, and what is added to it in quadrature.
     pub noise: f64,
     pub noise_floor: f64,
-    pub thickness_mm: f64,
-    pub origin_mm: f64,
-    /// The blur is this large, and known to this accuracy.
-    pub blur_mm: f64,
-    pub blur_std_error_mm: f64,
-    pub gain: f64,
-    pub zero: f64,
-    pub slope: f64,
-    /// Standard error of the logarithm of the common factor; none if nothing is known of it.
-    pub scale: Option<f64>,
+    pub set_up: FitSettings,
+    /// Nothing is known of the common factor, whatever its standard error.
+    pub mu_free: bool,
     /// Standard errors of the scene's uncertain quantities, in units of their priors'.
     pub scene: Line,
 }
@@ -86,42 +80,34 @@ impl DesignPlan<'_> {
 
     /// Every slab is a profile of its own, also if another one is as thick.
     fn system(&self, slabs_mm: &[f64], known: &KnownErrors) -> (System<'_>, State) {
-        let mut unknowns = Vec::new();
-        let mut x = Vec::new();
-        let mut add = |prior: Option<(f64, f64)>, held: bool, value: f64| {
-            unknowns.push(Unknown { prior, limits: (f64::NEG_INFINITY, f64::INFINITY), held });
-            x.push(value);
-            x.len() - 1
-        };
-        let known_to = |value: f64, deviation: f64| (Some((value, deviation)), deviation == 0.0, value);
-        let [s, a, g] = [0, 1, 2].map(|i| add(Some((self.medium[i], UNKNOWN)), self.held[i], self.medium[i]));
-        let (prior, held, value) = known_to(0.0, known.scale.unwrap_or(UNKNOWN));
-        let scale = add(prior, held, value);
-        let (value, deviation) = blur::prior(known.blur_mm, known.blur_std_error_mm);
-        let (prior, held, value) = known_to(value, deviation);
-        let blur = add(prior, held, value);
+        let mut unknowns = Unknowns::default();
+        let [s, a, g] = [0, 1, 2]
+            .map(|i| unknowns.add(Some((self.medium[i], UNKNOWN)), ANYWHERE, self.held[i], self.medium[i]));
+        let set_up = &known.set_up;
+        let scale = if known.mu_free { UNKNOWN } else { set_up.mu_std_error / set_up.mu };
+        let scale = unknowns.known((0.0, scale), ANYWHERE);
+        let blur = unknowns.known(blur::prior(set_up), ANYWHERE);
         let grid = self.surrogate.grid();
         let priors = if grid.responses().is_some() { grid.scene().priors() } else { &[] };
-        let mut add_known = |value: f64, deviation: f64| {
-            let (prior, held, value) = known_to(value, deviation);
-            add(prior, held, value)
-        };
         // The material is one.
         let shared: Vec<Option<usize>> = priors
             .iter()
             .zip(&known.scene)
-            .map(|(prior, sd)| (prior.scope() != Scope::Slab).then(|| add_known(0.0, *sd)))
+            .map(|(prior, sd)| (prior.scope() != Scope::Slab).then(|| unknowns.known((0.0, *sd), ANYWHERE)))
             .collect();
         let slots = slabs_mm.iter().map(|slab| {
-            let thickness = add_known(slab.ln(), known.thickness_mm / slab);
-            let own = |(slot, sd): (&Option<usize>, &f64)| slot.unwrap_or_else(|| add_known(0.0, *sd));
+            let thickness = unknowns.known(thickness_prior(*slab, set_up), ANYWHERE);
+            let own = |(slot, sd): (&Option<usize>, &f64)| {
+                slot.unwrap_or_else(|| unknowns.known((0.0, *sd), ANYWHERE))
+            };
             let scene: Vec<usize> = shared.iter().zip(&known.scene).map(own).collect();
             [vec![s, a, g, scale, blur, thickness], scene].concat()
         });
         let slots: Vec<_> = slots.collect();
-        let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, known)).collect();
+        let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, set_up)).collect();
         let own: Vec<Line> = terms.iter().map(|t| vec![0.0; t.own_count()]).collect();
         let surrogates = vec![self.surrogate; terms.len()];
+        let Unknowns { all: unknowns, x } = unknowns;
         let mut system = System { terms, surrogates, slots, unknowns, of_scene: Vec::new(), coupling: None };
         let state = State { x: DVector::from_vec(x), own, cost: 0.0 };
         let models = system.linear(&state.x, &state.own).into_iter().map(|linear| linear.model);
@@ -134,23 +120,16 @@ impl DesignPlan<'_> {
     }
 
     /// A profile whose values and noise are still to come.
-    fn term(&self, thickness_mm: f64, known: &KnownErrors) -> Term {
-        let sensor = self.surrogate.grid().scene().sensor();
+    fn term(&self, thickness_mm: f64, set_up: &FitSettings) -> Term {
         let x_mm = self.pixels.x_mm();
-        let camera = Camera::new(&x_mm, self.pixels.pitch_mm(), sensor.width_mm(), sensor.pixels());
         let exposed = Exposed {
             thickness_mm,
-            camera,
+            pitch_mm: self.pixels.pitch_mm(),
             values: vec![0.0; x_mm.len()],
             std_errors: vec![1.0; x_mm.len()],
             x_mm,
             origin_mm: 0.0,
         };
-        let KnownErrors { origin_mm, gain, zero, slope, .. } = *known;
-        Term {
-            white: White::of(self.surrogate, thickness_mm, self.medium, 0.0),
-            responses: self.surrogate.responses(thickness_mm, self.medium),
-            ..Term::new(exposed, &OwnErrors { origin_mm, gain, zero, slope })
-        }
+        Term::new(exposed, set_up, self.surrogate, self.medium, 0.0)
     }
 }

@@ -2,22 +2,13 @@
 //! profile itself.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
+use optics_model::fit::FitSettings;
 
-use super::Line;
+use super::{Line, blur};
 use crate::dictionary::sum::dot;
 
 /// Standard deviations from its neighbours from which on a pixel is not looked at here.
 const SPECK: f64 = 6.0;
-
-/// What is not known exactly, as standard deviations.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Loose {
-    pub gain: f64,
-    pub zero: f64,
-    pub slope: f64,
-    pub origin_mm: f64,
-    pub blur_mm2: f64,
-}
 
 /// A quadratic form over pixels, with some columns integrated out.
 pub(super) struct QuadraticForm<'a> {
@@ -64,12 +55,13 @@ pub(super) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mea
     Some(smooth)
 }
 
-/// What loose things do to the profile, per standard deviation.
+/// What loose things do to the profile, per standard deviation; `gain` is that of its gain.
 pub(super) fn loose_columns(
     smooth: &[f64],
     sensor: optics_model::scene::Sensor,
     first: usize,
-    loose: &Loose,
+    set_up: &FitSettings,
+    gain: f64,
     ratio: f64,
 ) -> Vec<Line> {
     let last = smooth.len() - 1;
@@ -82,12 +74,15 @@ pub(super) fn loose_columns(
     let bend = slope(&by_x);
     let scaled = |f: &[f64], by: f64| f.iter().map(|v| v * by).collect::<Line>();
     let tilted = smooth.iter().enumerate();
+    let (mean, deviation) = blur::prior(set_up);
     vec![
-        scaled(smooth, loose.gain),
-        vec![loose.zero; smooth.len()],
-        tilted.map(|(i, v)| v * loose.slope * sensor.centre_mm(first + i) * ratio / 10.0).collect(),
-        scaled(&by_x, loose.origin_mm),
-        scaled(&bend, 0.5 * loose.blur_mm2),
+        scaled(smooth, gain),
+        vec![set_up.offset_std_error * set_up.mu; smooth.len()],
+        tilted
+            .map(|(i, v)| v * set_up.slope_std_error * sensor.centre_mm(first + i) * ratio / 10.0)
+            .collect(),
+        scaled(&by_x, set_up.origin_std_error_mm),
+        scaled(&bend, 0.5 * blur::variance_mm2(mean + deviation)),
     ]
 }
 

@@ -71,7 +71,7 @@ impl Found<'_, '_> {
             return None;
         }
         let (value, std_error) = variance_mm2((self.state.x[slot], std_error(covariance, slot)));
-        let (prior, prior_std_error) = variance_mm2(self.data.profiles[profile].blur);
+        let (prior, prior_std_error) = variance_mm2(blur::prior(&self.data.profiles[profile].set_up));
         let profile_mm = (profile > 0).then_some(self.system.terms[profile].thickness_mm);
         Some(NuisanceEstimate {
             nuisance: Nuisance::BlurVariance,
@@ -93,7 +93,7 @@ impl Found<'_, '_> {
             value,
             std_error: std_error(covariance, slot) * value,
             prior: stated_mm,
-            prior_std_error: self.data.profiles[profile].thickness_std_error_mm,
+            prior_std_error: self.data.profiles[profile].set_up.thickness_std_error_mm,
         })
     }
 

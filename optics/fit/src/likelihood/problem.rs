@@ -1,18 +1,16 @@
 //! A measurement made ready for the likelihood: pixels, priors, and which profiles share what.
 
 use nalgebra::DVector;
-use optics_model::fit::{FitOptions, Outside};
+use optics_model::fit::{FitOptions, FitSettings, Outside};
 use optics_model::measurement::MIN_PIXELS;
 use optics_model::scene::{Prior, Scope};
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
-use super::camera::Camera;
-use super::form::Loose;
 use super::scatter::scatter_by_side;
 use super::start::{Compressed, Region, Scan, Source};
 use super::system::{State, System};
-use super::term::{Exposed, OwnErrors, Term, White};
-use super::unknowns::{SceneUnknown, Unknown};
+use super::term::{Exposed, Term};
+use super::unknowns::{SceneUnknown, Unknowns, thickness_prior};
 use super::{Line, blur};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
@@ -46,11 +44,9 @@ pub(super) struct ProfileData<'a> {
     pixels: std::ops::Range<usize>,
     /// As measured.
     std_errors: Line,
-    pub thickness_std_error_mm: f64,
     origin_mm: f64,
-    origin_std_error_mm: f64,
-    /// Mean and standard deviation of the blur's coordinate.
-    pub blur: (f64, f64),
+    /// The options with the profile's own values.
+    pub set_up: FitSettings,
 }
 
 /// What several channels share in addition to the factor on μ.
@@ -71,8 +67,7 @@ pub(super) struct Assembly<'a> {
 
 impl<'a> ProfileData<'a> {
     fn new(grid: &Grid, profile: &'a MeasuredProfile, options: &FitOptions) -> Result<Self, Invalid> {
-        let (setup, settings) = (profile.setup(), options.settings());
-        let origin_mm = setup.origin_mm.unwrap_or(0.0);
+        let origin_mm = profile.setup().origin_mm.unwrap_or(0.0);
         let half = 0.5 * grid.scene().sensor().width_mm() - RIM_MM + 0.5 * profile.pitch_mm();
         let x = profile.x_mm();
         let first = x.partition_point(|x| x - origin_mm < -half);
@@ -84,17 +79,8 @@ impl<'a> ProfileData<'a> {
             return Err(Invalid::new("x_mm", given, allowed));
         }
         let std_errors = std_errors(profile)?;
-        let blur_mm = setup.blur_mm.unwrap_or(settings.blur_mm);
-        let blur_error = setup.blur_std_error_mm.unwrap_or(settings.blur_std_error_mm);
-        Ok(Self {
-            profile,
-            pixels: first..end,
-            std_errors,
-            thickness_std_error_mm: setup.thickness_std_error_mm.unwrap_or(settings.thickness_std_error_mm),
-            origin_mm,
-            origin_std_error_mm: setup.origin_std_error_mm.unwrap_or(settings.origin_std_error_mm),
-            blur: blur::prior(blur_mm, blur_error),
-        })
+        let set_up = options.settings().of_profile(profile.setup());
+        Ok(Self { profile, pixels: first..end, std_errors, origin_mm, set_up })
     }
 
     /// Whether the profile is brighter or darker than records of these least and greatest means.
@@ -104,32 +90,21 @@ impl<'a> ProfileData<'a> {
         outside(mean, levels)
     }
 
-    fn term(&self, grid: &Grid, options: &FitOptions, surrogate: &Surrogate, medium: [f64; 3]) -> Term {
-        let (settings, sensor) = (options.settings(), grid.scene().sensor());
-        let pixels = self.pixels.clone();
-        let scaled = |v: &[f64]| -> Line { v[pixels.clone()].iter().map(|v| v * settings.mu).collect() };
-        let x_mm = self.profile.x_mm()[pixels.clone()].to_vec();
-        let camera = Camera::new(&x_mm, self.profile.pitch_mm(), sensor.width_mm(), sensor.pixels());
+    fn term(&self, surrogate: &Surrogate, medium: [f64; 3]) -> Term {
+        let (pixels, mu) = (self.pixels.clone(), self.set_up.mu);
+        let scaled = |v: &[f64]| -> Line { v[pixels.clone()].iter().map(|v| v * mu).collect() };
         let thickness_mm = self.profile.thickness_mm();
         let exposed = Exposed {
             thickness_mm,
-            camera,
-            x_mm,
+            pitch_mm: self.profile.pitch_mm(),
+            x_mm: self.profile.x_mm()[pixels.clone()].to_vec(),
             values: scaled(self.profile.values()),
             std_errors: scaled(&self.std_errors),
             origin_mm: self.origin_mm,
         };
-        let errors = OwnErrors {
-            origin_mm: self.origin_std_error_mm,
-            gain: settings.gain_std_error,
-            zero: settings.offset_std_error * settings.mu,
-            slope: settings.slope_std_error,
-        };
         Term {
             near: surrogate.near(thickness_mm, medium),
-            white: White::of(surrogate, thickness_mm, medium, settings.mu.ln()),
-            responses: surrogate.responses(thickness_mm, medium),
-            ..Term::new(exposed, &errors)
+            ..Term::new(exposed, &self.set_up, surrogate, medium, mu.ln())
         }
     }
 }
@@ -167,23 +142,16 @@ impl<'a> ChannelData<'a> {
 
     /// Ready to be searched, with a standard deviation of the common factor in addition to the profiles' gains.
     pub(super) fn scan(&self, surrogates: &[Surrogate], scale_std_error: f64) -> Result<Scan<'a>, Invalid> {
-        let settings = self.options.settings();
         let view = self.dictionary.whole_view(self.channel);
         let compressed = |data: &ProfileData| {
-            let loose = Loose {
-                gain: settings.gain_std_error.hypot(scale_std_error),
-                zero: settings.offset_std_error * settings.mu,
-                slope: settings.slope_std_error,
-                origin_mm: data.origin_std_error_mm,
-                blur_mm2: blur::variance_mm2(data.blur.0 + data.blur.1),
-            };
             let source = Source {
                 profile: data.profile,
                 origin_mm: data.origin_mm,
-                mu: settings.mu,
+                set_up: &data.set_up,
+                scale_std_error,
                 std_errors: &data.std_errors,
             };
-            let found = Compressed::new(self.dictionary, &view, &source, &loose);
+            let found = Compressed::new(self.dictionary, &view, &source);
             found.ok_or_else(|| {
                 let allowed = "it must cover some of the dictionary's pixels, and not be the same everywhere";
                 Invalid::new("x_mm", format!("{} at {} mm", self.name, data.profile.thickness_mm()), allowed)
@@ -215,49 +183,48 @@ fn std_errors(profile: &MeasuredProfile) -> Result<Line, Invalid> {
     Ok(scatter.into_iter().map(|e| e.max(floor)).collect())
 }
 
-/// The unknowns of a system under construction.
+/// A quantity of the set-up: one unknown for all profiles in which it is the same.
+#[derive(Debug, PartialEq)]
+enum SetUpKey<'a> {
+    /// The blur of a channel is the same in all photographs with the same prior.
+    Blur(&'a str, (f64, f64)),
+    /// A material has one slab of each thickness, whatever the channel.
+    Thickness(usize, f64),
+}
+
+/// The unknowns of a system under construction, and what they are.
 #[derive(Debug, Default)]
-struct Unknowns {
-    all: Vec<Unknown>,
-    x: Vec<f64>,
-    blurs: Vec<(String, (f64, f64), usize)>,
-    thicknesses: Vec<(usize, f64, usize)>,
+struct Builder<'a> {
+    unknowns: Unknowns,
+    of_set_up: Vec<(SetUpKey<'a>, usize)>,
     of_scene: Vec<SceneUnknown>,
 }
 
-impl Unknowns {
-    fn add(&mut self, prior: Option<(f64, f64)>, limits: (f64, f64), held: bool, x: f64) -> usize {
-        self.all.push(Unknown { prior, limits, held });
-        self.x.push(x.clamp(limits.0, limits.1));
-        self.all.len() - 1
+impl<'a> Builder<'a> {
+    fn blur(&mut self, channel: &'a str, data: &ProfileData) -> usize {
+        let prior = blur::prior(&data.set_up);
+        let limits = (blur::coordinate(0.0), prior.0 + 20.0 * prior.1);
+        self.of_set_up(SetUpKey::Blur(channel, prior), prior, limits)
     }
 
-    /// The blur of a channel is the same in all photographs with the same prior.
-    fn blur(&mut self, channel: &str, prior: (f64, f64)) -> usize {
-        if let Some((.., i)) = self.blurs.iter().find(|(name, t, _)| name == channel && *t == prior) {
-            return *i;
-        }
-        let i =
-            self.add(Some(prior), (blur::coordinate(0.0), prior.0 + 20.0 * prior.1), prior.1 == 0.0, prior.0);
-        self.blurs.push((channel.to_owned(), prior, i));
-        i
-    }
-
-    /// A material has one slab of each thickness, whatever the channel.
     fn thickness(&mut self, material: usize, data: &ProfileData) -> usize {
         let nominal = data.profile.thickness_mm();
-        if let Some((.., i)) = self.thicknesses.iter().find(|(m, t, _)| *m == material && *t == nominal) {
-            return *i;
+        let prior = thickness_prior(nominal, &data.set_up);
+        self.of_set_up(SetUpKey::Thickness(material, nominal), prior, (prior.0 - NEAR, prior.0 + NEAR))
+    }
+
+    fn of_set_up(&mut self, key: SetUpKey<'a>, prior: (f64, f64), limits: (f64, f64)) -> usize {
+        if let Some((_, slot)) = self.of_set_up.iter().find(|(known, _)| *known == key) {
+            return *slot;
         }
-        let (middle, deviation) = (nominal.ln(), data.thickness_std_error_mm / nominal);
-        let i = self.add(Some((middle, deviation)), (middle - NEAR, middle + NEAR), deviation == 0.0, middle);
-        self.thicknesses.push((material, nominal, i));
-        i
+        let slot = self.unknowns.known(prior, limits);
+        self.of_set_up.push((key, slot));
+        slot
     }
 }
 
 /// Unknowns for the uncertain quantities of a grid's scene, in their order, of a slab; none without responses.
-fn scene_slots(unknowns: &mut Unknowns, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
+fn scene_slots(builder: &mut Builder, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
     if grid.responses().is_none() {
         return Vec::new();
     }
@@ -268,14 +235,14 @@ fn scene_slots(unknowns: &mut Unknowns, grid: &Grid, material: usize, thickness_
             Scope::Slab => (Some(material), Some(thickness_mm)),
         };
         let known =
-            unknowns.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm) == (index, material, slab_mm));
+            builder.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm) == (index, material, slab_mm));
         if let Some(known) = known {
             return known.slot;
         }
         let (low, high) = prior.range(grid.scene());
         let limits = (low / prior.std_error(), high / prior.std_error());
-        let slot = unknowns.add(Some((0.0, 1.0)), limits, false, 0.0);
-        unknowns.of_scene.push(SceneUnknown { prior: index, material, slab_mm, slot });
+        let slot = builder.unknowns.known((0.0, 1.0), limits);
+        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, slot });
         slot
     };
     grid.scene().priors().iter().enumerate().map(slot).collect()
@@ -289,19 +256,19 @@ pub(super) fn assemble<'a>(
     scale: f64,
     sharing: Sharing,
 ) -> (Assembly<'a>, State) {
-    let mut unknowns = Unknowns::default();
+    let mut builder = Builder::default();
     let settings = channels[0].options.settings();
     let deviation = settings.mu_std_error / settings.mu;
     let scale_slot = match sharing.scale {
-        Some(limits) => unknowns.add(None, limits, limits.0 == limits.1, scale),
-        None => unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
+        Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
+        None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
     };
     let mut common_g = None;
     let (mut terms, mut slots, mut used, mut ranges) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
         let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
-        let mut of_medium = |i: usize| unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
+        let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
         let (s, a) = (of_medium(0), of_medium(1));
         let g = match common_g {
             Some(g) => g,
@@ -310,12 +277,12 @@ pub(super) fn assemble<'a>(
         common_g = sharing.g.then_some(g);
         let first = terms.len();
         for profile in &data.profiles {
-            let blur = unknowns.blur(data.name, profile.blur);
-            let thickness = unknowns.thickness(data.material, profile);
+            let blur = builder.blur(data.name, profile);
+            let thickness = builder.thickness(data.material, profile);
             let grid = data.dictionary.grid();
-            let scene = scene_slots(&mut unknowns, grid, data.material, profile.profile.thickness_mm());
+            let scene = scene_slots(&mut builder, grid, data.material, profile.profile.thickness_mm());
             slots.push([vec![s, a, g, scale_slot, blur, thickness], scene].concat());
-            terms.push(profile.term(data.dictionary.grid(), &data.options, surrogate, *medium));
+            terms.push(profile.term(surrogate, *medium));
             used.push(*surrogate);
         }
         ranges.push(first..terms.len());
@@ -325,10 +292,10 @@ pub(super) fn assemble<'a>(
         terms,
         surrogates: used,
         slots,
-        unknowns: unknowns.all,
-        of_scene: unknowns.of_scene,
+        unknowns: builder.unknowns.all,
+        of_scene: builder.of_scene,
         coupling: None,
     };
-    let state = State { x: DVector::from_vec(unknowns.x), own, cost: f64::INFINITY };
+    let state = State { x: DVector::from_vec(builder.unknowns.x), own, cost: f64::INFINITY };
     (Assembly { system, terms: ranges }, state)
 }

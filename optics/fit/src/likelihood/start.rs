@@ -9,10 +9,11 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
+use optics_model::fit::FitSettings;
 
 use super::Line;
 use super::descent::{Descent, DescentStep};
-use super::form::{Loose, QuadraticForm, loose_columns, smoothed, without_specks};
+use super::form::{QuadraticForm, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
@@ -35,7 +36,9 @@ const DESCENT: Descent = Descent { most_steps: 12, tolerance: 0.01 };
 pub(super) struct Source<'a> {
     pub profile: &'a MeasuredProfile,
     pub origin_mm: f64,
-    pub mu: f64,
+    pub set_up: &'a FitSettings,
+    /// Standard error of a factor on μ, in addition to the profile's gain.
+    pub scale_std_error: f64,
     pub std_errors: &'a [f64],
 }
 
@@ -64,13 +67,9 @@ pub(super) struct Start {
 
 impl Compressed {
     /// None if the profile covers nothing, or its basis is singular.
-    pub(super) fn new(
-        dictionary: &FitDictionary,
-        view: &View,
-        source: &Source,
-        loose: &Loose,
-    ) -> Option<Self> {
-        let Source { profile, origin_mm, mu, std_errors } = *source;
+    pub(super) fn new(dictionary: &FitDictionary, view: &View, source: &Source) -> Option<Self> {
+        let Source { profile, origin_mm, set_up, scale_std_error, std_errors } = *source;
+        let mu = set_up.mu;
         let axis = dictionary.grid().thickness_mm();
         let off = |t: &f64| (profile.thickness_mm() / t).ln().abs();
         let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
@@ -97,7 +96,8 @@ impl Compressed {
         let directions: Vec<Line> = basis.directions().iter().map(|d| part(d)).collect();
         let mean = part(basis.mean());
         let smooth = smoothed(&values, &weights, &directions, &mean)?;
-        let columns = loose_columns(&smooth, sensor, pixels.start, loose, ratio);
+        let gain = set_up.gain_std_error.hypot(scale_std_error);
+        let columns = loose_columns(&smooth, sensor, pixels.start, set_up, gain, ratio);
         let form = QuadraticForm::new(&weights, &columns)?;
         let k = DMatrix::from_fn(directions.len(), directions.len(), |i, j| {
             form.of(&directions[i], &directions[j])

@@ -13,6 +13,7 @@
 //! others.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use optics_model::fit::FitSettings;
 use optics_model::scene::DARKER_WHITE;
 
 use super::blend::Blend;
@@ -86,12 +87,7 @@ pub(super) struct White {
 
 impl White {
     /// The response of a slab, from records of the same walks with both ρ; none if the scene has none.
-    pub(super) fn of(
-        surrogate: &Surrogate,
-        thickness_mm: f64,
-        medium: Coordinates,
-        ln_mu: f64,
-    ) -> Option<Self> {
+    fn of(surrogate: &Surrogate, thickness_mm: f64, medium: Coordinates, ln_mu: f64) -> Option<Self> {
         let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
         let darker = values(&surrogate.under_darker_white()?);
         let pairs = values(surrogate).into_iter().zip(darker);
@@ -201,7 +197,7 @@ impl Reduced {
 pub(super) struct Exposed {
     /// Nominal.
     pub thickness_mm: f64,
-    pub camera: Camera,
+    pub pitch_mm: f64,
     pub x_mm: Line,
     /// Values times the question's μ, and their standard errors.
     pub values: Line,
@@ -210,32 +206,31 @@ pub(super) struct Exposed {
     pub origin_mm: f64,
 }
 
-/// Standard errors of a profile's own unknowns; 0 for one that is exact.
-#[derive(Debug)]
-pub(super) struct OwnErrors {
-    pub origin_mm: f64,
-    pub gain: f64,
-    pub zero: f64,
-    pub slope: f64,
-}
-
-impl OwnErrors {
-    fn priors(&self) -> Vec<OwnPrior> {
-        let priors = [
-            (Own::Origin, self.origin_mm),
-            (Own::Gain, self.gain),
-            (Own::Zero, self.zero),
-            (Own::Slope, self.slope),
-        ];
-        let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
-        priors.into_iter().filter(|p| p.std_error > 0.0).collect()
-    }
+/// Of a profile's own unknowns, without those that are exact.
+fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
+    let priors = [
+        (Own::Origin, set_up.origin_std_error_mm),
+        (Own::Gain, set_up.gain_std_error),
+        (Own::Zero, set_up.offset_std_error * set_up.mu),
+        (Own::Slope, set_up.slope_std_error),
+    ];
+    let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
+    priors.into_iter().filter(|p| p.std_error > 0.0).collect()
 }
 
 impl Term {
-    /// Without noise of the records, responses and an error of the white reference; all pixels count as normal ones.
-    pub(super) fn new(profile: Exposed, errors: &OwnErrors) -> Self {
-        let Exposed { thickness_mm, camera, x_mm, values, std_errors, origin_mm } = profile;
+    /// Without noise of the records; all pixels count as normal ones. Responses are those at a medium. Factors are counted
+    /// from that of logarithm `ln_mu`.
+    pub(super) fn new(
+        profile: Exposed,
+        set_up: &FitSettings,
+        surrogate: &Surrogate,
+        medium: Coordinates,
+        ln_mu: f64,
+    ) -> Self {
+        let Exposed { thickness_mm, pitch_mm, x_mm, values, std_errors, origin_mm } = profile;
+        let sensor = surrogate.grid().scene().sensor();
+        let camera = Camera::new(&x_mm, pitch_mm, sensor.width_mm(), sensor.pixels());
         Self {
             blend: None,
             thickness_mm,
@@ -245,15 +240,15 @@ impl Term {
             values,
             std_errors,
             origin_mm,
-            priors: errors.priors(),
+            priors: own_priors(set_up),
             modes: Vec::new(),
             rest_variances: Vec::new(),
             alike: 1.0,
             robust: false,
             softness: 1.0,
             near: None,
-            white: None,
-            responses: None,
+            white: White::of(surrogate, thickness_mm, medium, ln_mu),
+            responses: surrogate.responses(thickness_mm, medium),
         }
     }
 

@@ -1,6 +1,7 @@
 //! Unknowns with their priors and limits, and the linear algebra of a quadratic form in them.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
+use optics_model::fit::FitSettings;
 
 /// Ridge, added to the information of every unknown when a step is taken: undetermined unknowns must not make it singular.
 const RIDGE: f64 = 1e-6;
@@ -13,6 +14,31 @@ pub(super) struct Unknown {
     pub limits: (f64, f64),
     /// It cannot move: it was given, or the dictionary has one value only.
     pub held: bool,
+}
+
+/// The unknowns of a system under construction, and where they begin.
+#[derive(Debug, Default)]
+pub(super) struct Unknowns {
+    pub all: Vec<Unknown>,
+    pub x: Vec<f64>,
+}
+
+impl Unknowns {
+    pub(super) fn add(&mut self, prior: Option<(f64, f64)>, limits: (f64, f64), held: bool, x: f64) -> usize {
+        self.all.push(Unknown { prior, limits, held });
+        self.x.push(x.clamp(limits.0, limits.1));
+        self.all.len() - 1
+    }
+
+    /// One that begins at the mean of its prior, and is held there if it is exact.
+    pub(super) fn known(&mut self, prior: (f64, f64), limits: (f64, f64)) -> usize {
+        self.add(Some(prior), limits, prior.1 == 0.0, prior.0)
+    }
+}
+
+/// Mean and standard deviation of the logarithm of a slab's thickness.
+pub(super) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, f64) {
+    (thickness_mm.ln(), set_up.thickness_std_error_mm / thickness_mm)
 }
 
 /// An uncertain quantity of the scene among the unknowns.

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::invalid::{Invalid, Result, check};
 use crate::limits::FitLimits;
+use crate::measurement::ProfileSetup;
 use crate::medium::{check_albedo, check_g, check_sigma_t};
 use crate::quantities::Quantity;
 use crate::with_quantities;
@@ -154,6 +155,17 @@ with_quantities!(options settings);
 /// Checked settings of Eqs. 1 and 2.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FitOptions(FitSettings);
+
+impl FitSettings {
+    /// The same with the values that a profile has of its own.
+    #[must_use]
+    pub fn of_profile(mut self, profile: &ProfileSetup) -> Self {
+        for (quantity, value) in self.set_up_mut() {
+            *value = profile.value_of(quantity).unwrap_or(*value);
+        }
+        self
+    }
+}
 
 impl FitOptions {
     /// The objective that is set, or the likelihood.
