@@ -71,10 +71,10 @@ impl TryFrom<SceneFile> for Scene {
 
     fn try_from(file: SceneFile) -> Result<Self> {
         let paper = Scene::paper();
-        let (ring_error, sensor_error) = (
-            file.light.as_ref().and_then(|t| t.std_error_deg),
-            file.sensor.as_ref().and_then(|t| t.std_error_deg),
-        );
+        let angles = [
+            (PriorKind::RingAngle, file.light.as_ref().and_then(|t| t.std_error_deg)),
+            (PriorKind::SensorAngle, file.sensor.as_ref().and_then(|t| t.std_error_deg)),
+        ];
         let light = match file.light {
             Some(t) => ring_light(t.ring_deg)?,
             None => paper.light(),
@@ -96,10 +96,6 @@ impl TryFrom<SceneFile> for Scene {
             let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
             e.renamed(field)
         })?;
-        let angles = [
-            (PriorKind::RingAngle, "light.std_error_deg", ring_error),
-            (PriorKind::SensorAngle, "sensor.std_error_deg", sensor_error),
-        ];
         let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, angles)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
             // Priors have no place of their own in a file.
@@ -108,6 +104,17 @@ impl TryFrom<SceneFile> for Scene {
             let field = key.unwrap_or_else(|| e.field().to_owned());
             e.renamed(field)
         })
+    }
+}
+
+impl LayerTable {
+    fn number(&self, kind: PriorKind) -> Option<&LayerNumber> {
+        match kind {
+            PriorKind::Roughness => Some(&self.roughness),
+            PriorKind::Thickness => self.thickness_mm.as_ref(),
+            PriorKind::Index => self.ior.as_ref(),
+            PriorKind::RingAngle | PriorKind::SensorAngle => None,
+        }
     }
 }
 
@@ -150,7 +157,8 @@ fn layer(table: &LayerTable) -> Result<Layer> {
 
 impl From<&Scene> for SceneFile {
     fn from(scene: &Scene) -> Self {
-        let number = |kind: PriorKind, layer: usize, value: Option<f64>| {
+        let number = |kind: PriorKind, layer: usize| {
+            let value = scene.number(kind, Some(layer));
             let prior = scene.priors().iter().find(|p| p.kind() == kind && p.layers().contains(&layer));
             let name = |layer: usize| scene.layers()[layer].name();
             match prior {
@@ -166,18 +174,12 @@ impl From<&Scene> for SceneFile {
                 None => value.map(LayerNumber::Exact),
             }
         };
-        let layers = scene.layers().iter().enumerate().map(|(i, l)| {
-            let (ior, thickness_mm) = match l.medium() {
-                LayerMedium::Clear { ior, thickness_mm } => (Some(ior), Some(thickness_mm)),
-                LayerMedium::Sample => (None, None),
-            };
-            LayerTable {
-                name: l.name().to_owned(),
-                sample: ior.is_none(),
-                ior: number(PriorKind::Index, i, ior),
-                thickness_mm: number(PriorKind::Thickness, i, thickness_mm),
-                roughness: number(PriorKind::Roughness, i, Some(l.roughness())).unwrap_or_default(),
-            }
+        let layers = scene.layers().iter().enumerate().map(|(i, l)| LayerTable {
+            name: l.name().to_owned(),
+            sample: l.medium() == LayerMedium::Sample,
+            ior: number(PriorKind::Index, i),
+            thickness_mm: number(PriorKind::Thickness, i),
+            roughness: number(PriorKind::Roughness, i).unwrap_or_default(),
         });
         let channels = scene.channels().iter().map(|c| ChannelTable {
             name: c.name().to_owned(),

@@ -1,6 +1,6 @@
 //! In which quantities two scenes differ. Each value is a text with its prior.
 
-use super::{Channel, Layer, LayerMedium, Prior, PriorKind, Scene, Scope};
+use super::{Channel, Layer, Prior, PriorKind, Scene, Scope};
 
 /// A quantity that has another value or another prior in another scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,11 +36,12 @@ impl Scene {
             ("layers".to_owned(), layers),
             ("light scattered repeatedly by rough surfaces".to_owned(), kept.to_owned()),
             ("ring".to_owned(), self.with_prior(PriorKind::RingAngle, None, &ring)),
-            (
-                "sensor angle".to_owned(),
-                self.with_prior(PriorKind::SensorAngle, None, &self.sensor.polar_deg().to_string()),
-            ),
         ];
+        for kind in PriorKind::ALL.into_iter().filter(|kind| *kind != PriorKind::RingAngle) {
+            if let Some(value) = self.number(kind, None) {
+                all.push((kind.name().to_owned(), self.with_prior(kind, None, &value.to_string())));
+            }
+        }
         all.extend(self.numbers_of_layers());
         all.push(("channels".to_owned(), channels));
         for channel in &self.channels {
@@ -54,17 +55,12 @@ impl Scene {
     fn numbers_of_layers(&self) -> Vec<(String, String)> {
         let mut all: Vec<(String, Vec<String>)> = Vec::new();
         for (i, layer) in self.layers.iter().enumerate() {
-            let (ior, thickness) = match layer.medium() {
-                LayerMedium::Clear { ior, thickness_mm } => (ior.to_string(), Some(thickness_mm.to_string())),
-                LayerMedium::Sample => ("the grid's".to_owned(), None),
-            };
-            let numbers = [
-                (PriorKind::Index, Some(ior)),
-                (PriorKind::Thickness, thickness),
-                (PriorKind::Roughness, Some(layer.roughness().to_string())),
-            ];
-            for (kind, number) in numbers {
-                let Some(number) = number else { continue };
+            for kind in PriorKind::OF_LAYERS.into_iter().rev() {
+                let number = match self.number(kind, Some(i)) {
+                    Some(number) => number.to_string(),
+                    None if kind == PriorKind::Index => "the grid's".to_owned(),
+                    None => continue,
+                };
                 let (name, text) =
                     (format!("{} {}", layer.name(), kind.name()), self.with_prior(kind, Some(i), &number));
                 match all.iter_mut().find(|(known, _)| *known == name) {

@@ -29,30 +29,39 @@ impl PriorKind {
     pub const ALL: [Self; 5] =
         [Self::Roughness, Self::Index, Self::Thickness, Self::RingAngle, Self::SensorAngle];
 
+    /// Numbers of layers, not of light or sensor, in the order of their priors in a scene file.
+    pub(crate) const OF_LAYERS: [Self; 3] = [Self::Roughness, Self::Thickness, Self::Index];
+
+    /// Name, unit, and key in a scene file.
+    const fn row(self) -> [&'static str; 3] {
+        match self {
+            Self::Roughness => ["roughness", "", "roughness"],
+            Self::Index => ["index", "", "ior"],
+            Self::Thickness => ["thickness", "mm", "thickness_mm"],
+            Self::RingAngle => ["ring angle", "°", "light.std_error_deg"],
+            Self::SensorAngle => ["sensor angle", "°", "sensor.std_error_deg"],
+        }
+    }
+
     /// As in names of quantities and in messages.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Roughness => "roughness",
-            Self::Index => "index",
-            Self::Thickness => "thickness",
-            Self::RingAngle => "ring angle",
-            Self::SensorAngle => "sensor angle",
-        }
+        self.row()[0]
+    }
+
+    /// Unit of its values, for people; empty for pure numbers.
+    pub fn unit(self) -> &'static str {
+        self.row()[1]
+    }
+
+    /// Of its number in the table of a layer, or of its standard error in a scene file.
+    pub(crate) fn key(self) -> &'static str {
+        self.row()[2]
     }
 
     /// Whether a walk takes another way where the quantity has another value. What only shifts walks or changes the light
     /// on them leaves them as they are, and differences have little noise.
     pub fn redraws_walks(self) -> bool {
         matches!(self, Self::Roughness | Self::Index)
-    }
-
-    /// Unit of its values, for people; empty for pure numbers.
-    pub fn unit(self) -> &'static str {
-        match self {
-            Self::Roughness | Self::Index => "",
-            Self::Thickness => "mm",
-            Self::RingAngle | Self::SensorAngle => "°",
-        }
     }
 }
 
@@ -209,26 +218,24 @@ impl Scene {
 
     /// The scene's value of a quantity; None for the index of the sample, which is the grid's.
     pub fn value_of(&self, prior: &Prior) -> Option<f64> {
-        match prior.kind {
-            PriorKind::RingAngle => Some(0.5 * (self.light.inner_deg() + self.light.outer_deg())),
-            PriorKind::SensorAngle => Some(self.sensor.polar_deg()),
-            kind => self.number(kind, *prior.layers.first()?),
-        }
+        self.number(prior.kind, prior.layers.first().copied())
     }
 
-    /// A number of a layer; None where the grid has it.
-    fn number(&self, kind: PriorKind, layer: usize) -> Option<f64> {
-        match (kind, self.layers.get(layer)?.medium()) {
-            (PriorKind::Roughness, _) => Some(self.layers[layer].roughness()),
-            (PriorKind::Index, LayerMedium::Clear { ior, .. }) => Some(ior),
-            (PriorKind::Thickness, LayerMedium::Clear { thickness_mm, .. }) => Some(thickness_mm),
+    /// A number of light or sensor, or of a layer; None where the grid has it.
+    pub(crate) fn number(&self, kind: PriorKind, layer: Option<usize>) -> Option<f64> {
+        let layer = layer.and_then(|i| self.layers.get(i));
+        match (kind, layer.map(Layer::medium)) {
+            (PriorKind::RingAngle, _) => Some(0.5 * (self.light.inner_deg() + self.light.outer_deg())),
+            (PriorKind::SensorAngle, _) => Some(self.sensor.polar_deg()),
+            (PriorKind::Roughness, _) => layer.map(Layer::roughness),
+            (PriorKind::Index, Some(LayerMedium::Clear { ior, .. })) => Some(ior),
+            (PriorKind::Thickness, Some(LayerMedium::Clear { thickness_mm, .. })) => Some(thickness_mm),
             _ => None,
         }
     }
 
     fn check_prior(&self, prior: &Prior) -> Result<()> {
-        let of_layers = !matches!(prior.kind, PriorKind::RingAngle | PriorKind::SensorAngle);
-        if of_layers == prior.layers.is_empty() {
+        if PriorKind::OF_LAYERS.contains(&prior.kind) == prior.layers.is_empty() {
             let given = format!("{} layers for a {}", prior.layers.len(), prior.kind.name());
             return Err(Invalid::new("layers", given, "angles have none, other quantities at least one"));
         }
@@ -240,7 +247,7 @@ impl Scene {
             let allowed = "that of the sample is thickness_std_error_mm of a measurement";
             return Err(Invalid::new("layers", "the thickness of the sample", allowed));
         }
-        let values: Vec<_> = prior.layers.iter().map(|l| self.number(prior.kind, *l)).collect();
+        let values: Vec<_> = prior.layers.iter().map(|l| self.number(prior.kind, Some(*l))).collect();
         if values.iter().any(|v| *v != values[0]) {
             let names: Vec<&str> = prior.layers.iter().map(|l| self.layers[*l].name()).collect();
             let allowed = format!("layers that share a {} must have the same value", prior.kind.name());

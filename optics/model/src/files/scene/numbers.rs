@@ -102,17 +102,12 @@ pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
 pub(super) fn priors(
     scene: &Scene,
     tables: &[LayerTable],
-    angles: [(PriorKind, &str, Option<f64>); 2],
+    angles: [(PriorKind, Option<f64>); 2],
 ) -> Result<Vec<(String, Prior)>> {
     let mut found: Vec<(PriorKind, &UncertainNumber, Vec<usize>)> = Vec::new();
-    for kind in [PriorKind::Roughness, PriorKind::Thickness, PriorKind::Index] {
+    for kind in PriorKind::OF_LAYERS {
         for (i, table) in tables.iter().enumerate() {
-            let number = match kind {
-                PriorKind::Roughness => Some(&table.roughness),
-                PriorKind::Thickness => table.thickness_mm.as_ref(),
-                _ => table.ior.as_ref(),
-            };
-            let Some(LayerNumber::Uncertain(number)) = number else { continue };
+            let Some(LayerNumber::Uncertain(number)) = table.number(kind) else { continue };
             // The lower face of the sample is named after what lies below.
             let shares = |layer: &usize| tables[*layer].name == table.name || tables[*layer].sample;
             let group = found
@@ -126,12 +121,7 @@ pub(super) fn priors(
     }
     let mut priors = Vec::new();
     for (kind, number, layers) in found {
-        let key = match kind {
-            PriorKind::Index => "ior",
-            PriorKind::Thickness => "thickness_mm",
-            _ => kind.name(),
-        };
-        let place = format!("layer[{}].{key}", layers[0]);
+        let place = format!("layer[{}].{}", layers[0], kind.key());
         let scope = match &number.per {
             None => default_scope(scene, kind, &layers),
             Some(name) => Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| {
@@ -141,10 +131,10 @@ pub(super) fn priors(
         let prior = Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(&place))?;
         priors.push((format!("{place}.std_error"), prior));
     }
-    for (kind, field, std_error) in angles {
+    for (kind, std_error) in angles {
         if let Some(std_error) = std_error {
             let prior = Prior::new(kind, Vec::new(), std_error, Scope::Session);
-            priors.push((field.to_owned(), prior.map_err(|e| e.renamed(field))?));
+            priors.push((kind.key().to_owned(), prior.map_err(|e| e.renamed(kind.key()))?));
         }
     }
     Ok(priors)
