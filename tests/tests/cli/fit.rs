@@ -4,6 +4,7 @@ use std::path::Path;
 
 use farm_tests::cli::{HEAD, fails, farm, json, keys, rows, write};
 use farm_tests::process::run;
+use optics_model::quantities::Quantity;
 use serde_json::{Value, json as value};
 
 /// All commands that fit take the set-up from the session and from options.
@@ -41,26 +42,20 @@ fn every_fit_answer_has_its_json_shape() {
     let options = [
         "albedo_range",
         "assumed",
-        "blur_mm",
-        "blur_std_error_mm",
         "dictionary",
         "g",
         "g_range",
-        "gain_std_error",
         "lambda",
         "level",
         "mu",
         "mu_std_error",
         "objective",
-        "offset_std_error",
-        "origin_std_error_mm",
         "sigma_t_range",
-        "slope_std_error",
-        "thickness_std_error_mm",
         "wavelet",
     ];
     let with = |more: &[&str]| {
-        let mut all: Vec<String> = options.iter().chain(more).map(|k| (*k).to_owned()).collect();
+        let set_up = Quantity::OF_OPTIONS.iter().map(|quantity| quantity.name);
+        let mut all: Vec<_> = options.iter().chain(more).copied().chain(set_up).map(str::to_owned).collect();
         all.sort();
         all
     };
