@@ -76,6 +76,19 @@ def generate(folder: pathlib.Path) -> None:
         file.unlink()
     made.rmdir()
     made.parent.rmdir()
+    (folder / "set_up.py").write_text(set_up(), encoding="utf-8")
+
+
+def set_up() -> str:
+    """A module with the options of the set-up, from the table of the programs. A quantity whose default is reported as
+    assumed has a label there."""
+    table = (CHECKOUT / "optics" / "model" / "src" / "quantities.rs").read_text(encoding="utf-8")
+    groups = re.findall(r"^ {12}(both|options) \{$(.*?)^ {12}\}$", table, re.MULTILINE | re.DOTALL)
+    row = re.compile(r'(\w+) \{\s+[^"{}]+"(\w*)",\s+"([^"]+)"\s+\}')
+    rows = [found for _, group in groups for found in row.findall(group)]
+    fields = "".join(f'    {name}: float\n    """{text}."""\n' for name, _, text in rows)
+    labelled = tuple(name for name, label, _ in rows if label)
+    return f"import typing\n\n\nclass SetUp(typing.TypedDict, total=False):\n{fields}\n\nLABELLED = {labelled}\n"
 
 
 def platform_tag(programs: list[pathlib.Path]) -> str:

@@ -42,8 +42,8 @@ class MeasuredProfile:
     """Linear radiance factors."""
     std_errors: Array | None = None
     set_up: Mapping[str, float] = field(default_factory=dict)
-    """Parameters of this profile: `thickness_std_error_mm`, `origin_mm`, `origin_std_error_mm`, `blur_mm`,
-    `blur_std_error_mm`. Missing ones are taken from the options of a fit."""
+    """Parameters of this profile, named as the optional columns of a measurement file. Missing ones are taken from the
+    options of a fit."""
 
     def __init__(
         self,

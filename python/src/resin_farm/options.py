@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, TypeAlias, TypedDict
+from typing import Any, Literal, TypeAlias
 
 from resin_farm._wire import fits_pb2, model_pb2
+from resin_farm._wire.set_up import LABELLED, SetUp
 from resin_farm.measurement import Measurement
 
 Range: TypeAlias = float | tuple[float | None, float | None]
 """A value, which holds a parameter, or (lowest, highest), None where it is free."""
 
 
-class FitOptions(TypedDict, total=False):
-    """Options of a fit. One that is left out has the default of `farmctl fit`."""
+class FitOptions(SetUp, total=False):
+    """Options of a fit, those of the set-up included. One that is left out has the default of `farmctl fit`."""
 
     sigma_t_per_mm: Range
     albedo: Range
@@ -31,13 +32,6 @@ class FitOptions(TypedDict, total=False):
     """How many records to return for each channel."""
     curves: bool
     """Return the compared profiles, to plot them."""
-    gain_std_error: float
-    offset_std_error: float
-    slope_std_error: float
-    thickness_std_error_mm: float
-    origin_std_error_mm: float
-    blur_mm: float
-    blur_std_error_mm: float
 
 
 _OBJECTIVES = {"paper": fits_pb2.OBJECTIVE_PAPER, "likelihood": fits_pb2.OBJECTIVE_LIKELIHOOD}
@@ -70,11 +64,6 @@ def wire(given: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
 
 
 _OF_PROFILES = {f.name for f in model_pb2.MeasuredProfile.DESCRIPTOR.fields}
-# The standard errors of the set-up in the order of farmctl: those that a profile may have of its own come first.
-_SET_UP = sorted(
-    (f.name for f in fits_pb2.FitOptions.DESCRIPTOR.fields if "std_error" in f.name and f.name != "mu_std_error"),
-    key=lambda name: name not in _OF_PROFILES,
-)
 
 
 def assumed(given: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple[str, ...]:
@@ -85,7 +74,7 @@ def assumed(given: Mapping[str, Any], materials: Iterable[Measurement]) -> tuple
         of_profiles = name in _OF_PROFILES and all(name in profile.set_up for profile in profiles)
         return name not in given and not of_profiles
 
-    return tuple(name for name in _SET_UP if is_assumed(name))
+    return tuple(name for name in LABELLED if is_assumed(name))
 
 
 def _bounds(given: Range) -> fits_pb2.Bounds:
