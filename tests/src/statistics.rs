@@ -83,6 +83,16 @@ impl Share {
         let share = held.iter().filter(|held| **held).count() as f64 / n;
         (n > 0.0).then(|| Self { share, std_error: (share * (1.0 - share) / n).sqrt() })
     }
+
+    /// Trials of groups that share their errors, as intervals of one session do: the standard error is that of the ratio
+    /// of two sums over independent groups. None without trials.
+    pub fn of_groups(groups: &[Vec<bool>]) -> Option<Self> {
+        let held = |group: &[bool]| group.iter().filter(|held| **held).count() as f64;
+        let n = groups.iter().map(Vec::len).sum::<usize>() as f64;
+        let share = groups.iter().map(|group| held(group)).sum::<f64>() / n;
+        let off = |group: &Vec<bool>| (held(group) - share * group.len() as f64).powi(2);
+        (n > 0.0).then(|| Self { share, std_error: groups.iter().map(off).sum::<f64>().sqrt() / n })
+    }
 }
 
 /// In per cent.

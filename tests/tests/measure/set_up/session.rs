@@ -5,10 +5,11 @@ use std::sync::OnceLock;
 use farm_tests::statistics::Normal;
 use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
 use optics_model::fit::{FitOptions, FitSettings, MuRange};
-use optics_model::grid::{Axes, Responses};
+use optics_model::grid::{Axes, NoiseLevel, Responses};
 use optics_model::job::JobSpec;
 use optics_model::scene::Scene;
 use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
+use optics_tracer::SeenBase;
 use rayon::prelude::*;
 
 use super::outcome::SetUpOutcome;
@@ -25,21 +26,26 @@ const LEVEL: f64 = 0.0008;
 /// Refractive index of the samples in the scene.
 const IOR: f64 = 1.53;
 
+/// Nodes of a dictionary's axes.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Nodes {
+    Few,
+    Paper,
+}
+
 /// Dictionary of the scene with its responses, or as if it was exact.
-pub(super) fn dictionary(uncertain: bool) -> &'static FitDictionary {
-    static BOTH: [OnceLock<FitDictionary>; 2] = [OnceLock::new(), OnceLock::new()];
-    BOTH[usize::from(uncertain)].get_or_init(|| {
+pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionary {
+    static ALL: [OnceLock<FitDictionary>; 4] = [const { OnceLock::new() }; 4];
+    ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
         let scene = if uncertain { lab() } else { lab().with_priors(Vec::new()).unwrap() };
-        let axes = Axes {
-            sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
-            albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
-            g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
-            thickness_mm: SLABS_MM.to_vec(),
-            sample_ior: vec![IOR],
+        let grid = match nodes {
+            Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
+            Nodes::Paper => {
+                Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false)
+            }
         };
-        let base = optics_tracer::SeenBase::of(&scene);
-        let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap();
-        let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
+        let (grid, base) = (grid.unwrap(), SeenBase::of(&scene));
+        let responses = Responses::of(&scene, grid.axes(), |varied| base.through(varied)).unwrap();
         let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
         let mut builder = DictionaryBuilder::new(grid.clone());
         for job in 0..grid.job_count() {
@@ -47,6 +53,16 @@ pub(super) fn dictionary(uncertain: bool) -> &'static FitDictionary {
         }
         builder.build()
     })
+}
+
+fn few_nodes() -> Axes {
+    Axes {
+        sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+        albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
+        g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
+        thickness_mm: SLABS_MM.to_vec(),
+        sample_ior: vec![IOR],
+    }
 }
 
 /// The values of a profile in a scene.

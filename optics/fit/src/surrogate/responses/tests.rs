@@ -106,12 +106,12 @@ fn media(count: u32) -> Vec<Medium> {
 }
 
 /// Differences of a quantity at which responses are compared, in standard deviations: one up and down within the range,
-/// and half way to the farthest step.
+/// and three quarters of the way to the farthest step.
 fn places(prior: &Prior, scene: &Scene) -> Vec<f64> {
     let (low, high) = prior.range(scene);
     let sd = prior.std_error();
     let far = prior.steps(scene).iter().fold(0.0, |far: f64, step| far.max(step.abs())) / sd;
-    vec![1.0, (-1.0_f64).max(low / sd), (0.5 * far).min(high / sd)]
+    vec![1.0, (-1.0_f64).max(low / sd), (0.75 * far).min(high / sd)]
 }
 
 /// What is compared for one quantity and place, over media and slabs.
