@@ -1,11 +1,84 @@
-//! The verbs, one module each, in folders by subject.
+//! The verbs of `farmctl`, by subject: each has one module with its arguments, examples and work.
 
-pub(crate) mod completions;
-pub(crate) mod dictionaries;
-pub(crate) mod farm;
-pub(crate) mod fits;
-pub(crate) mod manual;
-pub(crate) mod measurements;
-pub(crate) mod slurm;
+mod completions;
+mod dictionaries;
+mod farm;
+mod fits;
+mod manual;
+mod measurements;
+mod slurm;
 #[cfg(test)]
 mod tests;
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+use crate::cli::Global;
+use crate::output::Output;
+use crate::web;
+pub(crate) use dictionaries::DictionaryDeleted;
+
+/// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
+/// measured profiles to them.
+///
+/// Without --server or --access everything runs in this process, with its data in ./farm-data.
+#[derive(Debug, Parser)]
+#[command(name = "farmctl", version, after_help = EXAMPLES)]
+pub struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  farmctl capture session.toml --measure       from photographs to media
+  farmctl submit                               compute the paper's dictionary here
+  farmctl measure examples/white.csv --mu 1    measure a material with it
+  farmctl fit examples/white.csv --g 0.4       see the best fits one by one
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
+
+Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted; for a dictionary: 3 some jobs
+failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out, 7 machines
+disagree about some jobs, 8 deleted while it was waited for.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    #[command(flatten)]
+    Measurements(measurements::MeasurementCommand),
+    #[command(flatten)]
+    Fits(fits::FitCommand),
+    #[command(flatten)]
+    Dictionaries(dictionaries::DictionaryCommand),
+    /// Open a page in the browser: measure, look at dictionaries, run the farm, judge captures.
+    Web(web::WebArgs),
+    #[command(flatten)]
+    Farm(farm::FarmCommand),
+    /// Run workers on a Slurm cluster.
+    #[command(subcommand)]
+    Slurm(slurm::SlurmCommand),
+    /// Print completions for a shell.
+    Completions(completions::CompletionsArgs),
+    /// Write the manual pages of farmctl, farm-coordinator and farm-worker.
+    Manual(manual::ManualArgs),
+}
+
+impl Cli {
+    pub(crate) async fn run(self, output: &Output) -> Result<ExitCode> {
+        let global = &self.global;
+        match self.command {
+            Command::Measurements(command) => return command.run(global, output).await,
+            Command::Fits(command) => return command.run(global, output).await,
+            Command::Dictionaries(command) => return command.run(global, output).await,
+            Command::Web(args) => web::run(global, args, output).await?,
+            Command::Farm(command) => return command.run(global, output).await,
+            Command::Slurm(command) => slurm::run(global, command, output).await?,
+            Command::Completions(args) => completions::run(&args)?,
+            Command::Manual(args) => manual::run(&args)?,
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+}

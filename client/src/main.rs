@@ -4,11 +4,11 @@
 
 use std::process::ExitCode;
 
-use farm_link::logs::LogFormat;
-use farm_link::{arguments, logs};
+use farm_link::arguments;
+use farm_link::logs::{self, LogFormat};
 
 fn main() -> ExitCode {
-    let cli: farmctl::cli::Cli = arguments::parse();
+    let cli: farmctl::Cli = arguments::parse();
     if let Err(error) = logs::init(LogFormat::Text, "error") {
         logs::to_stderr(format_args!("farmctl: {error}"));
         return ExitCode::FAILURE;

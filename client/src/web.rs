@@ -15,13 +15,16 @@ mod listen;
 mod server;
 
 use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
+use clap::Args;
+use farm_link::arguments::listen_address;
 use serde::Serialize;
 use tokio::net::TcpListener;
 
-use crate::cli::{Global, WebArgs};
+use crate::cli::Global;
 use crate::connection::Connection;
 use crate::interrupt::interrupted;
 use crate::output::Output;
@@ -32,6 +35,27 @@ use desk::DeskService;
 use farm::FarmAccess;
 use gate::PageGate;
 use server::Server;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl web                                  the farm of this folder
+  farmctl web --access client.toml             a server's farm
+  farmctl web session1 session2                with these captures
+  farmctl web --listen 0.0.0.0:7780 --behind https://farm.example.org/resins/ --no-browser")]
+pub(crate) struct WebArgs {
+    /// Folders that `farmctl capture` wrote, to be looked at in the page [default: those in this folder].
+    captures: Vec<PathBuf>,
+    /// Address to serve on [default: 127.0.0.1:7780, or any free port]. Anything but loopback needs --behind.
+    #[arg(long, value_name = "ADDRESS", value_parser = listen_address)]
+    listen: Option<SocketAddr>,
+    /// URL at which a proxy with TLS shows the page to others.
+    #[arg(long, value_name = "https://HOST/PATH/")]
+    behind: Option<String>,
+    /// Print the address only.
+    #[arg(long)]
+    no_browser: bool,
+}
 
 /// Generated from `proto/desk/v1/desk.proto`.
 #[expect(clippy::pedantic, clippy::allow_attributes, clippy::large_enum_variant, reason = "generated code")]

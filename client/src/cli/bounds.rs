@@ -6,7 +6,7 @@ use optics_model::fit::Bounds;
 
 /// One value or a range, as given.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BoundsArg {
+pub(crate) struct BoundsArg {
     min: Option<f64>,
     max: Option<f64>,
 }
@@ -35,7 +35,7 @@ impl FromStr for BoundsArg {
 
 impl BoundsArg {
     /// The checked bounds; free if nothing was given.
-    pub fn check(arg: Option<Self>, field: &str) -> optics_model::Result<Bounds> {
+    pub(crate) fn check(arg: Option<Self>, field: &str) -> optics_model::Result<Bounds> {
         arg.map_or(Ok(Bounds::FREE), |b| Bounds::new(field, b.min, b.max))
     }
 }

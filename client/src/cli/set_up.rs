@@ -3,22 +3,21 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-
 use farm_lab::set_up::{ByChannel, Session, SetUp};
 use optics_model::quantities::Unit;
 use optics_model::with_quantities;
 
 /// Heading of the help.
-pub(super) const SET_UP: &str = "What is known of the set-up";
+pub(crate) const SET_UP: &str = "What is known of the set-up";
 
 macro_rules! arguments {
     ($($name:ident { $unit:ident, $default:literal, $range:tt, $form:ident, $label:literal, $help:literal })+) => {
         /// The set-up, as far as it is not that of single profiles.
         #[derive(Debug, Default, Args)]
-        pub struct SetUpArgs {
+        pub(crate) struct SetUpArgs {
             /// Take the values below from a session file (JSON) where they are not given here.
             #[arg(long, value_name = "FILE", help_heading = SET_UP)]
-            pub session: Option<PathBuf>,
+            pub(crate) session: Option<PathBuf>,
             $(
                 #[arg(
                     long,
@@ -27,7 +26,7 @@ macro_rules! arguments {
                     help_heading = SET_UP,
                     help = concat!($help, " [default: ", $default, "]"),
                 )]
-                pub $name: Option<f64>,
+                pub(crate) $name: Option<f64>,
             )+
         }
 

@@ -1,7 +1,7 @@
 //! Whole numbers on the command line: `1000000`, `1_000_000`, `1e6`.
 
 /// Reads a whole number as people write large ones.
-pub(super) fn whole_number(text: &str) -> Result<u64, String> {
+pub(crate) fn whole_number(text: &str) -> Result<u64, String> {
     let plain = text.trim().replace('_', "");
     let number = plain.parse().ok().or_else(|| plain.parse().ok().and_then(optics_model::whole));
     number.ok_or_else(|| "a whole number is needed, as in 1000000, 1_000_000 or 1e6".to_owned())

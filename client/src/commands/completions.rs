@@ -1,9 +1,18 @@
 use std::io::Write as _;
 
 use anyhow::Result;
-use clap::CommandFactory;
+use clap::{Args, CommandFactory};
+use clap_complete::Shell;
 
-use crate::cli::{Cli, CompletionsArgs};
+use super::Cli;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl completions bash > ~/.local/share/bash-completion/completions/farmctl")]
+pub(crate) struct CompletionsArgs {
+    shell: Shell,
+}
 
 pub(crate) fn run(args: &CompletionsArgs) -> Result<()> {
     // clap's generator panics where the output is full or closed.

@@ -1,13 +1,22 @@
 //! `farmctl manual`: man pages of all three programs.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use clap::{Command, CommandFactory};
+use clap::{Args, Command, CommandFactory};
 use clap_mangen::Man;
 
-use crate::cli::{Cli, ManualArgs};
+use super::Cli;
 use crate::output::write_whole;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl manual ~/.local/share/man/man1    then: man farmctl-measure")]
+pub(crate) struct ManualArgs {
+    /// Folder for the pages, which is made if it is not there.
+    folder: PathBuf,
+}
 
 pub(crate) fn run(args: &ManualArgs) -> Result<()> {
     let folder = &args.folder;

@@ -1,5 +1,7 @@
 //! What programs read: the JSON of `farmctl/1`, byte by byte.
 
+mod examples;
+
 use farm_figures::testing::{interval, likelihood, scene_estimates};
 use farm_lab::measurement_file::Note;
 use farm_lab::set_up::{Assumed, SetUp};
@@ -24,10 +26,10 @@ use serde::Serialize;
 
 use super::dictionaries::{list, show};
 use super::farm::{status, workers};
-use super::fits::{design, fit, map, measure, profile, scale, similar};
+use super::fits::similar::{self, SimilarArgs};
+use super::fits::{design, fit, map, measure, profile, scale};
 use super::measurements::simulate;
 use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
-use crate::cli::SimilarArgs;
 use crate::output::envelope;
 
 /// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only

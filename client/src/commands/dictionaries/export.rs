@@ -4,9 +4,10 @@ mod npz;
 mod variant;
 
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use clap::Args;
 use farm_lab::measurement_file::MeasurementWriter;
 use farm_lab::whole_file::{DraftFile, open_node};
 use farm_link::logs::to_stderr;
@@ -16,13 +17,54 @@ use farm_proto::wire::GetRequest;
 use optics_model::{Estimate, Grid, Record};
 use serde::Serialize;
 
-use crate::cli::{ExportArgs, Global};
+use crate::cli::Global;
 use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, envelope};
 use chosen::ChosenAxes;
 use variant::VariedQuantity;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl export paper -o paper.csv
+  farmctl export paper --sigma-t 6,9 --g 0.4 > part.csv
+  farmctl export paper --npz paper.npz            arrays for NumPy
+  farmctl export paper --json > paper.jsonl       one record per line")]
+pub(crate) struct ExportArgs {
+    /// Name of the dictionary.
+    name: String,
+    /// File to write [default: standard output]. It appears under this name once it is complete.
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Write arrays for NumPy instead of rows: values and standard errors over all axes, the axes, and about.json with
+    /// the answer of `show --json`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["output", "measurement", "json"])]
+    npz: Option<PathBuf>,
+    /// Write the profiles of the responses, not those of the axes: traced in scenes in which one uncertain quantity has
+    /// another value, each row with the quantity, the step from the scene's value and its unit.
+    #[arg(long, conflicts_with = "measurement")]
+    responses: bool,
+    /// Write the profiles of one medium as a measurement of the material NAME, which `farmctl measure` reads.
+    #[arg(long, value_name = "NAME")]
+    measurement: Option<String>,
+    /// Only these extinction coefficients, such as 6,9.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    sigma_t: Vec<f64>,
+    /// Only these albedos.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    albedo: Vec<f64>,
+    /// Only these anisotropies.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', allow_negative_numbers = true)]
+    g: Vec<f64>,
+    /// Only these thicknesses.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    thickness: Vec<f64>,
+    /// Only these refractive indices of the sample.
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    sample_ior: Vec<f64>,
+}
 
 pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name.as_str())?;

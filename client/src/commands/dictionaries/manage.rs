@@ -1,6 +1,7 @@
 //! Pause, resume, cancel, retry, priority, delete.
 
 use anyhow::{Result, ensure};
+use clap::Args;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::{
@@ -9,10 +10,47 @@ use farm_proto::wire::{
 use serde::Serialize;
 
 use super::watch::line;
-use crate::cli::{CancelArgs, DeleteArgs, Global, PriorityArgs};
+use crate::cli::Global;
 use crate::connection::questions::patient;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl cancel fine --reason superseded         `farmctl resume fine` carries on")]
+pub(crate) struct CancelArgs {
+    /// Name of the dictionary.
+    name: String,
+    /// Reason; it is kept with the dictionary and shown with it.
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    reason: String,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl priority fine 10                        before everything of priority 0
+  farmctl priority fine -10                       when nothing else is left to do")]
+pub(crate) struct PriorityArgs {
+    /// Name of the dictionary.
+    name: String,
+    /// From -1000 to 1000; higher goes first, 0 is the default.
+    #[arg(allow_negative_numbers = true)]
+    priority: i32,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl delete fine --yes")]
+pub(crate) struct DeleteArgs {
+    /// Name of the dictionary.
+    name: String,
+    /// Confirm; nothing is deleted without this.
+    #[arg(long)]
+    yes: bool,
+}
 
 pub(crate) async fn pause(global: &Global, name: &str, output: &Output) -> Result<()> {
     change(global, name, "pause", output, async |connection, name| {

@@ -1,9 +1,10 @@
 mod noise;
 mod overview;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use clap::Args;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::{GetRequest, ListFailedRequest};
@@ -11,12 +12,28 @@ use optics_model::grid::{Axes, Effort};
 use optics_model::{Grid, SceneFile, Walks};
 use serde::Serialize;
 
-use crate::cli::{Global, ShowArgs};
+use crate::cli::Global;
 use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figure_files;
 use crate::output::{DictionaryJson, Output, grouped, state};
 use noise::Noise;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl show paper
+  farmctl show paper --plot overview.png")]
+pub(crate) struct ShowArgs {
+    /// Name of the dictionary.
+    name: String,
+    /// Draw profiles from all over the dictionary, or with --noise how noisy each record is: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Read all records and print their noise: median, worst, and by albedo.
+    #[arg(long)]
+    noise: bool,
+}
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;

@@ -1,22 +1,53 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
+use clap::Args;
 use farm_lab::grid_file::{named_grid, read_grid};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
 use optics_model::Grid;
+use optics_model::grid::NoiseLevel;
 
 use super::following::{self, follow};
 use super::list;
 use super::watch::line;
-use crate::cli::{Global, SubmitArgs};
+use crate::cli::Global;
 use crate::connection::questions::patient;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, duration, grouped, is_closed_pipe};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl submit                                  compute the paper's dictionary in ./farm-data
+  farmctl submit lab                              one for measurements of your own
+  farmctl submit grid.toml --name fine            compute a grid of your own
+  farmctl submit grid.toml --server http://farm:7700 --wait")]
+pub(crate) struct SubmitArgs {
+    /// Grid file in TOML, or "lab" for the paper's axes in the scene of a laboratory [default: the paper's grid].
+    grid: Option<PathBuf>,
+    /// Name of the dictionary [default: the file's name, "lab" or "paper"].
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise,
+    /// and ten times the work; instead of the grid file's setting.
+    #[arg(long, value_name = "LEVEL", value_parser = level)]
+    quality: Option<NoiseLevel>,
+    /// Wait until the dictionary is finished; without a server, submit always waits.
+    #[arg(long)]
+    wait: bool,
+    /// Priority from -1000 to 1000; higher goes first.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
+    priority: i32,
+}
+
+fn level(name: &str) -> Result<NoiseLevel, String> {
+    NoiseLevel::from_name(name).map_err(|invalid| invalid.allowed().to_owned())
+}
 
 pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> Result<ExitCode> {
     let (grid, default_name) = match &args.grid {

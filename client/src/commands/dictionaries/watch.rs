@@ -4,16 +4,31 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use clap::Args;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use serde::Serialize;
 
 use super::following::{Fixed, FollowEnd, follow, follow_jobs, get};
-use crate::cli::{Global, WaitArgs};
+use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::interrupt::Interrupted;
 use crate::output::{DictionaryJson, Output, grouped, state};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl wait paper fine
+  farmctl wait paper --timeout 3600")]
+pub(crate) struct WaitArgs {
+    /// Names of the dictionaries.
+    #[arg(required = true)]
+    names: Vec<String>,
+    /// Give up after this many seconds, with exit code 6.
+    #[arg(long, value_name = "SECONDS")]
+    timeout: Option<u64>,
+}
 
 pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
     let name = DictionaryName::new(name)?;

@@ -1,11 +1,88 @@
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
+use clap::{Args, Subcommand};
+use farm_link::Role;
 use serde::Serialize;
 
 use crate::access_files::{self, members};
-use crate::cli::{AccessAddArgs, AccessCommand, AccessCreateArgs, AccessRevokeArgs};
 use crate::output::{Output, now_unix_s, utc};
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum AccessCommand {
+    /// Create access files for the coordinator and for each role: worker, client and admin.
+    Create(AccessCreateArgs),
+    /// Add a member with a token and an access file of its own; a running coordinator accepts it within a second.
+    #[command(after_help = "\
+Examples:
+  farmctl access add worker node7          writes access/node7.toml, for that machine
+  farmctl access add client alice --folder /etc/farm")]
+    Add(AccessAddArgs),
+    /// Revoke a member's access by name; a running coordinator follows within a second.
+    #[command(after_help = "\
+Examples:
+  farmctl access revoke alice
+  farmctl access revoke node7 --folder /etc/farm")]
+    Revoke(AccessRevokeArgs),
+    /// List the names that are let in, with their roles.
+    #[command(after_help = "\
+Example:
+  farmctl access list --folder /etc/farm")]
+    List(AccessFolderArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct AccessFolderArgs {
+    /// Folder with the access files.
+    #[arg(long, value_name = "DIR", default_value = "access")]
+    folder: PathBuf,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct AccessAddArgs {
+    /// worker, client or admin.
+    #[arg(value_parser = role)]
+    role: Role,
+    /// Name of the holder: in logs and events, of the file, and of the owner of dictionaries.
+    name: String,
+    #[command(flatten)]
+    set: AccessFolderArgs,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct AccessRevokeArgs {
+    /// As `farmctl access list` shows it.
+    name: String,
+    #[command(flatten)]
+    set: AccessFolderArgs,
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    Role::ALL
+        .into_iter()
+        .find(|r| r.as_str() == text)
+        .ok_or_else(|| "worker, client or admin is needed".to_owned())
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl access create access --host farm.example.org
+  farmctl access create access --host farm.example.org --host 10.0.0.5 --mutual")]
+pub(crate) struct AccessCreateArgs {
+    /// Folder to create; it must not exist yet.
+    folder: PathBuf,
+    /// Host name or address at which others reach the coordinator; may be given several times, and the first goes into
+    /// the roles' access files.
+    #[arg(long, value_name = "NAME", required = true)]
+    host: Vec<String>,
+    /// Port of the coordinator.
+    #[arg(long, value_name = "N", default_value_t = 7700)]
+    port: u16,
+    /// Also give each role a certificate of its own, and require one of every client (mutual TLS).
+    #[arg(long)]
+    mutual: bool,
+}
 
 #[derive(Debug, Serialize)]
 struct AccessJson {

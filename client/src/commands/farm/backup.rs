@@ -1,17 +1,36 @@
 //! Backup and restore of the whole database.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
+use clap::Args;
 use farm_coordinator::store::{DataDir, backup, newest_schema};
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{BackupHeader, BackupRequest};
 use serde::Serialize;
 
-use crate::cli::{BackupArgs, Global, RestoreArgs};
+use crate::cli::Global;
 use crate::connection::questions::patient;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{Output, grouped};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl backup /backups/farm-2026-11-21.db")]
+pub(crate) struct BackupArgs {
+    /// File to write; it must not exist yet. Its checksum is written to FILE.b3.
+    file: PathBuf,
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl restore /backups/farm-2026-11-21.db --data restored-data")]
+pub(crate) struct RestoreArgs {
+    /// Backup to restore; it becomes the database of the folder given by --data.
+    file: PathBuf,
+}
 
 #[derive(Debug, Serialize)]
 struct BackupJson {

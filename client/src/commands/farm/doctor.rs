@@ -3,6 +3,7 @@
 use std::process::ExitCode;
 
 use anyhow::Result;
+use clap::Args;
 use farm_proto::status::WorkerState;
 use farm_proto::wire::{InspectRequest, InspectResponse, StatusRequest, StatusResponse, UnreadableJobs};
 use farm_worker::Speed;
@@ -10,11 +11,22 @@ use optics_model::PHYSICS_VERSION;
 use serde::Serialize;
 
 use super::workers;
-use crate::cli::{DoctorArgs, Global};
+use crate::cli::Global;
 use crate::connection::questions::patient;
 use crate::connection::{Purpose, kernel_name, with_farm};
 use crate::exit;
 use crate::output::{Output, grouped};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl doctor
+  farmctl doctor --repair                         also recompute damaged records")]
+pub(crate) struct DoctorArgs {
+    /// Recompute damaged jobs.
+    #[arg(long)]
+    repair: bool,
+}
 
 #[derive(Debug, Serialize)]
 struct DoctorJson {

@@ -1,14 +1,32 @@
 use std::time::Duration;
 
 use anyhow::Result;
+use clap::Args;
 use farm_link::logs::to_stderr;
 use farm_proto::wire::{Event, ListEventsRequest};
 use serde::Serialize;
 
-use crate::cli::{EventsArgs, Global};
+use crate::cli::Global;
 use crate::connection::outage::Outage;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{Output, envelope, print_line, utc};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl events -n 20
+  farmctl events --dictionary paper --follow")]
+pub(crate) struct EventsArgs {
+    /// Show only the events of this dictionary.
+    #[arg(long, value_name = "NAME")]
+    dictionary: Option<String>,
+    /// Number of events to show, counted from the newest.
+    #[arg(long, short = 'n', value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    number: u32,
+    /// Keep running, and show events as they happen.
+    #[arg(long, short)]
+    follow: bool,
+}
 
 /// Pause before another look for new events.
 const LOOK: Duration = Duration::from_secs(1);

@@ -3,14 +3,26 @@
 use std::time::Duration;
 
 use anyhow::{Result, bail};
+use clap::Args;
 use farm_proto::wire::StatusRequest;
 use serde::Serialize;
 use tokio::sync::oneshot;
 
-use crate::cli::{Global, ServeArgs};
+use crate::cli::Global;
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::interrupted;
 use crate::output::Output;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl serve                    the farm of ./farm-data
+  farmctl serve --data lab         that of another folder")]
+pub(crate) struct ServeArgs {
+    /// Stop when standard input ends, and so with the program that started this one.
+    #[arg(long)]
+    until_input_ends: bool,
+}
 
 /// Pause before another look whether a farm is still there.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);

@@ -1,11 +1,52 @@
 use anyhow::Result;
+use clap::{Args, Subcommand};
 use farm_proto::status::{MachineFacts, WorkerStatus};
 use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest, ReadmitWorkerRequest};
 use serde::Serialize;
 
-use crate::cli::{Global, WorkersArgs, WorkersCommand};
+use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::output::{Output, WorkerJson, table};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl workers
+  farmctl workers drain node7:4711                let this one finish its jobs and leave")]
+pub(crate) struct WorkersArgs {
+    #[command(subcommand)]
+    command: Option<WorkersCommand>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum WorkersCommand {
+    /// List the workers; the same as no subcommand.
+    List,
+    /// Let a worker finish its jobs and leave.
+    Drain(DrainArgs),
+    /// Readmit a machine that was fenced off, once the cause of its wrong results is found.
+    #[command(after_help = "\
+Examples:
+  farmctl workers readmit node7:4711
+  farmctl workers readmit worker@10.0.0.7")]
+    Readmit(ReadmitArgs),
+}
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  farmctl workers drain node7:4711")]
+pub(crate) struct DrainArgs {
+    /// Id or label of the worker, as `farmctl workers` shows them.
+    worker: String,
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct ReadmitArgs {
+    /// What its worker was called, as `farmctl events` shows it, or TOKEN@ADDRESS: the name of its token and where it came
+    /// from.
+    worker: String,
+}
 
 #[derive(Debug, Serialize)]
 pub(crate) struct WorkersJson {

@@ -1,18 +1,66 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use clap::Args;
 use farm_lab::measurement_file::MeasurementFile;
+use farm_lab::set_up::SetUp;
 use farm_proto::wire::FitRequest;
 use optics_model::Measurement;
-use optics_model::fit::{FitOptions, MaterialFit};
+use optics_model::fit::{FitOptions, FitSettings, MaterialFit};
 use serde::Serialize;
 
 use super::chosen_dictionary;
 use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
-use crate::cli::{FitArgs, Global};
+use crate::cli::set_up::SET_UP;
+use crate::cli::{Global, OptionArgs};
 use crate::connection::Connection;
 use crate::figure_files;
 use crate::output::Output;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl fit examples/white.csv
+  farmctl fit examples/white.csv --g 0.4 --top 3 --plot fit.svg
+  farmctl fit wax.csv --dictionary fine --sigma-t 4..8
+  farmctl fit wax.csv --session session.json --thickness-std-error-mm 0.002 --bound")]
+pub(crate) struct FitArgs {
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error and the set-up.
+    measurement: PathBuf,
+    #[command(flatten)]
+    options: OptionArgs,
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
+    mu: f64,
+    /// Standard error of that factor, which goes into the error bars.
+    #[arg(long, value_name = "ERROR", default_value_t = 0.0, allow_negative_numbers = true, help_heading = SET_UP)]
+    mu_std_error: f64,
+    /// Number of best records to show per channel.
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    top: u32,
+    /// Report only records of the dictionary: no optimum between them, no error bars.
+    #[arg(long)]
+    no_refine: bool,
+    /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
+    #[arg(long, conflicts_with = "no_refine")]
+    bound: bool,
+    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
+
+impl FitArgs {
+    fn options(&self, set_up: &SetUp) -> optics_model::Result<FitOptions> {
+        FitOptions::new(FitSettings {
+            mu: self.mu,
+            mu_std_error: self.mu_std_error,
+            top: self.top,
+            refine: !self.no_refine,
+            curves: self.plot.is_some(),
+            ..self.options.settings(set_up)?
+        })
+    }
+}
 
 pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read(None)?;

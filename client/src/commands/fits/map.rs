@@ -1,4 +1,7 @@
+use std::path::PathBuf;
+
 use anyhow::{Context, Result, bail};
+use clap::Args;
 use farm_figures::numbers::{albedo, significant};
 use farm_lab::measurement_file::{MeasurementFile, normal};
 use farm_proto::wire::MapRequest;
@@ -8,10 +11,35 @@ use serde::Serialize;
 
 use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, UsedOptions};
-use crate::cli::{Global, MapArgs};
+use crate::cli::set_up::SET_UP;
+use crate::cli::{Global, OptionArgs};
 use crate::connection::Connection;
 use crate::figure_files;
 use crate::output::{Output, table};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl map examples/white.csv --plot map.png
+  farmctl map examples/white.csv --channel R --g 0.4")]
+pub(crate) struct MapArgs {
+    /// CSV with columns material, channel, thickness_mm, x_mm, value and, if known, std_error and the set-up.
+    measurement: PathBuf,
+    #[command(flatten)]
+    options: OptionArgs,
+    /// Factor on the measured values, μ.
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true, help_heading = SET_UP)]
+    mu: f64,
+    /// Only this material [default: all].
+    #[arg(long, value_name = "NAME")]
+    material: Option<String>,
+    /// Only this channel [default: all].
+    #[arg(long, value_name = "NAME")]
+    channel: Option<String>,
+    /// Draw the maps, one picture per material and channel: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read(None)?;

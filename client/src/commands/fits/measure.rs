@@ -1,8 +1,12 @@
 //! `farmctl measure`: media of all materials of one set-up, from a measurement file or from the folder of a session.
 
+#[cfg(test)]
+mod tests;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
+use clap::Args;
 use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
 use farm_lab::session_folder::SessionFolder;
@@ -22,12 +26,87 @@ use crate::answers::{
     FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
     media_files,
 };
-use crate::cli::{Global, MeasureArgs};
+use crate::cli::set_up::SET_UP;
+use crate::cli::{Global, MuArgs, OptionArgs};
 use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, warning, wrapped, write_whole};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl measure materials.csv                        with the dictionary `lab`, computed if it is lacking
+  farmctl measure examples/white.csv --dictionary paper
+  farmctl measure white                                what `farmctl capture` wrote there
+  farmctl measure materials.csv -o media --plot media.svg
+  farmctl measure chart.csv --mixtures chart.toml      strong absorbers by dilution
+  farmctl measure materials.csv --objective paper      as the paper did")]
+pub(crate) struct MeasureArgs {
+    /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
+    /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it is not there.
+    /// Without --dictionary, a farm on this machine that has none computes the paper's first, and goes on with one that
+    /// was interrupted.
+    measurements: PathBuf,
+    #[command(flatten)]
+    options: OptionArgs,
+    /// Take this scale factor instead of searching for it.
+    #[arg(
+        long,
+        value_name = "MU",
+        allow_negative_numbers = true,
+        conflicts_with_all = ["mu_min", "mu_max", "mu_step"],
+        help_heading = SET_UP
+    )]
+    mu: Option<f64>,
+    /// Standard error of that factor.
+    #[arg(
+        long,
+        value_name = "ERROR",
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        requires = "mu",
+        help_heading = SET_UP
+    )]
+    mu_std_error: f64,
+    #[command(flatten)]
+    search: MuArgs,
+    /// TOML file with the mixtures and their volume fractions: strong absorbers are then determined
+    /// from how they darken other materials.
+    #[arg(long, value_name = "FILE")]
+    mixtures: Option<PathBuf>,
+    /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
+    #[arg(long, conflicts_with = "g")]
+    free_g: bool,
+    /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
+    #[arg(long)]
+    bound: bool,
+    /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
+    #[arg(long, short, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
+
+impl MeasureArgs {
+    /// All arguments but the measurements at their defaults.
+    pub(crate) fn new(measurements: PathBuf) -> Self {
+        Self {
+            measurements,
+            options: OptionArgs::default(),
+            mu: None,
+            mu_std_error: 0.0,
+            search: MuArgs::default(),
+            mixtures: None,
+            free_g: false,
+            bound: false,
+            output: None,
+            plot: None,
+        }
+    }
+}
 
 /// The inputs of a measurement, checked.
 #[derive(Debug)]
@@ -293,49 +372,5 @@ pub(crate) fn data<'a>(
         materials: &found.materials,
         notes,
         unmixed: found.unmixed.as_ref(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use clap::Parser as _;
-
-    use super::*;
-    use crate::cli::{Cli, Command};
-
-    /// `capture --measure` measures as `farmctl measure DIR` does.
-    #[test]
-    fn folder_has_the_command_line_defaults() {
-        let folder = tempfile::tempdir().unwrap();
-        let session = r#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004}"#;
-        for (name, text) in
-            [("measurements.csv", ""), ("session.json", session), ("grid.toml", "g = [0.5]\n")]
-        {
-            std::fs::write(folder.path().join(name), text).unwrap();
-        }
-        let path = folder.path().to_str().unwrap();
-        let cli = Cli::try_parse_from(["farmctl", "measure", path]).unwrap();
-        let Command::Measure(args) = cli.command else { panic!("not the verb") };
-        let [parsed, direct] =
-            [Inputs::of(args), Inputs::of(MeasureArgs::new(folder.path().to_owned()))].map(Result::unwrap);
-        assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
-        assert_eq!(direct.options.settings().mu_std_error, 0.01);
-    }
-
-    /// The paper's objective is refused where media or intervals are wanted.
-    #[test]
-    fn paper_objective_gives_no_media() {
-        let inputs = |more: &[&str]| {
-            let cli = Cli::try_parse_from(
-                [&["farmctl", "measure", "a.csv", "--objective", "paper"][..], more].concat(),
-            );
-            let Command::Measure(args) = cli.unwrap().command else { panic!("not the verb") };
-            Inputs::of(args).map(|_| ()).map_err(|e| e.to_string())
-        };
-        assert_eq!(inputs(&[]), Ok(()));
-        for (more, named) in [(&["-o", "media"][..], "--output"), (&["--bound"], "--bound")] {
-            let error = inputs(more).unwrap_err();
-            assert!(error.contains("--objective paper") && error.ends_with(named), "{error}");
-        }
     }
 }

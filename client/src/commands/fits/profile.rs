@@ -1,6 +1,8 @@
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use anyhow::Result;
+use clap::Args;
 use farm_figures::profile_figure;
 use farm_proto::wire::ProfileRequest;
 use optics_model::Medium;
@@ -8,9 +10,41 @@ use optics_model::fit::{PredictedProfiles, ProfileQuestion};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::cli::{Global, ProfileArgs};
+use crate::cli::Global;
 use crate::figure_files;
 use crate::output::Output;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.5
+  farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.7 --channel R,G,B --plot profile.svg")]
+pub(crate) struct ProfileArgs {
+    /// Dictionary to ask [default: the only one, or paper].
+    #[arg(long, value_name = "NAME")]
+    dictionary: Option<String>,
+    /// Extinction coefficient, per mm.
+    #[arg(long, value_name = "PER_MM", allow_negative_numbers = true)]
+    sigma_t: f64,
+    /// Single-scattering albedo.
+    #[arg(long, allow_negative_numbers = true)]
+    albedo: f64,
+    /// Anisotropy.
+    #[arg(long, allow_negative_numbers = true)]
+    g: f64,
+    /// Thickness in mm: near one of the dictionary's, or between two.
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    thickness: f64,
+    /// Refractive index of the sample [default: the dictionary's first].
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    sample_ior: Option<f64>,
+    /// Channels of the camera, as in R or R,G,B [default: the dictionary's first].
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    channel: Vec<String>,
+    /// Draw the profiles and their gradients: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
 
 pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> Result<()> {
     let medium = Medium::new(args.sigma_t, args.albedo, args.g)?;

@@ -1,4 +1,7 @@
+use std::path::PathBuf;
+
 use anyhow::{Context, Result};
+use clap::Args;
 use farm_figures::scale_figure;
 use farm_lab::measurement_file::MeasurementFile;
 use farm_proto::wire::ScaleRequest;
@@ -7,9 +10,26 @@ use serde::Serialize;
 
 use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_text, scale_text};
-use crate::cli::{Global, ScaleArgs};
+use crate::cli::{Global, MuArgs, OptionArgs};
 use crate::figure_files::{self, drawn};
 use crate::output::Output;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl scale materials.csv
+  farmctl scale materials.csv --g 0.4 --plot scale.svg")]
+pub(crate) struct ScaleArgs {
+    /// CSV with the profiles of all materials of one set-up.
+    measurements: PathBuf,
+    #[command(flatten)]
+    options: OptionArgs,
+    #[command(flatten)]
+    mu: MuArgs,
+    /// Draw the error over the scale factor and over g: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+}
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
     let set_up = args.options.set_up.read(None)?;

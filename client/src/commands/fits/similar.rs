@@ -1,10 +1,36 @@
 use anyhow::Result;
+use clap::Args;
 use farm_figures::numbers::{albedo, significant};
 use optics_model::Medium;
 use serde::Serialize;
 
-use crate::cli::SimilarArgs;
 use crate::output::{Output, table};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4
+  farmctl similar --sigma-t 6 --albedo 0.9991 --g 0.4 --to 0,0.8")]
+pub(crate) struct SimilarArgs {
+    /// Extinction coefficient, per mm.
+    #[arg(long, value_name = "PER_MM", allow_negative_numbers = true)]
+    pub(crate) sigma_t: f64,
+    /// Single-scattering albedo.
+    #[arg(long, allow_negative_numbers = true)]
+    pub(crate) albedo: f64,
+    /// Anisotropy.
+    #[arg(long, allow_negative_numbers = true)]
+    pub(crate) g: f64,
+    /// Anisotropies of the similar media, as in 0,0.4,0.8.
+    #[arg(
+        long,
+        value_name = "LIST",
+        value_delimiter = ',',
+        allow_negative_numbers = true,
+        default_value = "0,0.1,0.2,0.3,0.4,0.45,0.5,0.55,0.6,0.7,0.8"
+    )]
+    pub(crate) to: Vec<f64>,
+}
 
 /// Needs no farm: the formulas are those of the service's `Similar`.
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {

@@ -5,16 +5,50 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
+use clap::Args;
 use farm_lab::capture::{self, Captured, FILES, SessionErrors};
 use farm_lab::measurement_file::Note;
 use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
 
-use crate::cli::{CaptureArgs, Global, MeasureArgs};
-use crate::commands::fits::measure;
+use crate::cli::Global;
+use crate::commands::fits::measure::{self, MeasureArgs};
 use crate::output::{Output, table, warning, wrapped, write_whole};
 use crate::progress::has_bars;
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl capture examples/session/session.toml -o white    profiles, set-up and a report
+  farmctl measure white                                     media from them
+  farmctl capture session.toml --measure                    both
+  farmctl capture --check IMG_0815.dng                      is this photograph usable?
+  farmctl capture --board board.pdf                         a board to print")]
+pub(crate) struct CaptureArgs {
+    /// Session file in TOML: the photographs, and the known values of patches, board and slabs.
+    #[arg(required_unless_present_any = ["check", "board"], conflicts_with_all = ["check", "board"])]
+    session: Option<PathBuf>,
+    /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the
+    /// session file's name without its ending].
+    #[arg(long, short, value_name = "DIR", requires = "session")]
+    output: Option<PathBuf>,
+    /// Go on to measure the media, as `farmctl measure DIR` does.
+    #[arg(long, requires = "session")]
+    measure: bool,
+    /// Check whether single photographs are usable; the exit code is 1 if one is not.
+    #[arg(long, value_name = "SHOT", num_args = 1.., conflicts_with = "board")]
+    check: Vec<PathBuf>,
+    /// Colours of 2 × 2 pixels, row by row, for --check of mosaics whose files do not contain them.
+    #[arg(long, value_name = "RGGB", requires = "check")]
+    pattern: Option<String>,
+    /// Dark shots for --check, of photographs whose files do not contain the black level (TIFF, PNG, PGM).
+    #[arg(long, value_name = "SHOT", num_args = 1.., requires = "check")]
+    darks: Vec<PathBuf>,
+    /// Write a board to print: FILE.svg or FILE.pdf.
+    #[arg(long, value_name = "FILE")]
+    board: Option<PathBuf>,
+}
 
 pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> Result<ExitCode> {
     if let Some(path) = &args.board {

@@ -1,13 +1,25 @@
 //! `farmctl check`: what a measurement file holds, as it is read, and what may be wrong with it.
 
+use std::path::PathBuf;
+
 use anyhow::Result;
+use clap::Args;
 use farm_lab::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use optics_model::measurement::ProfileSetup;
 use optics_model::{MeasuredProfile, Measurement};
 use serde::{Serialize, Serializer};
 
-use crate::cli::CheckArgs;
 use crate::output::{Output, table};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl check examples/white.csv
+  farmctl check wax.csv --json")]
+pub(crate) struct CheckArgs {
+    /// CSV with measured profiles.
+    measurements: PathBuf,
+}
 
 pub(crate) fn run(args: &CheckArgs, output: &Output) -> Result<()> {
     let mut file = read_measurements(&args.measurements)?;

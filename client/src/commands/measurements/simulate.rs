@@ -2,23 +2,94 @@ mod camera;
 mod changes;
 
 use std::io::Write;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
-use optics_model::job::JobSpec;
-use optics_model::scene::{Channel, Scene, Sensor};
-use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
-
-use serde::Serialize;
-
-use camera::{NOISE, SimulatedCamera};
+use clap::Args;
 use farm_lab::grid_file::read_scene;
 use farm_lab::measurement_file::{MeasurementWriter, check_name};
 use farm_lab::whole_file::open_node;
+use optics_model::job::JobSpec;
+use optics_model::scene::{Channel, Scene, Sensor};
+use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
+use serde::Serialize;
 
-use crate::cli::SimulateArgs;
+use crate::cli::whole_number;
 use crate::figure_files;
 use crate::output::{Output, envelope, write_whole};
+use camera::{NOISE, SimulatedCamera};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 --walks 1e6 --plot changes.svg
+  farmctl simulate --sigma-t 4,6,8 --albedo 0.9,0.99 --g 0.4 --thickness 0.5,1 -o profiles.csv
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5,1 --measurement white -o white.csv")]
+pub(crate) struct SimulateArgs {
+    /// Extinction coefficients of the sample, per mm, as in 6 or 4,6,8.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    sigma_t: Vec<f64>,
+    /// Single-scattering albedos.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    albedo: Vec<f64>,
+    /// Anisotropies of the Henyey–Greenstein phase function.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    g: Vec<f64>,
+    /// Thicknesses of the sample in mm.
+    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    thickness: Vec<f64>,
+    /// File to write [default: standard output]. It appears under this name once it is complete.
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Write a measurement of the material NAME, which `farmctl measure` reads.
+    #[arg(long, value_name = "NAME")]
+    measurement: Option<String>,
+    /// Noise of a camera in a measurement: standard deviation as a share of each pixel's value, up to 0.5 [default: 0.005].
+    /// With 0 the profiles are written as simulated; their errors are then alike in neighbouring pixels.
+    #[arg(long, value_name = "SHARE", requires = "measurement", allow_negative_numbers = true)]
+    noise: Option<f64>,
+    /// "lab", "paper", "smooth" or a scene file in TOML.
+    #[arg(long, value_name = "SCENE", default_value = "lab")]
+    scene: String,
+    /// Refractive index of the sample.
+    #[arg(long, value_name = "N", default_value_t = 1.53, allow_negative_numbers = true)]
+    sample_ior: f64,
+    /// Reflectance of the light side of the base; replaces the scene's channels by one, "mono".
+    #[arg(long, value_name = "RHO", requires = "rho_dark", allow_negative_numbers = true)]
+    rho_light: Option<f64>,
+    /// Reflectance of the dark side of the base.
+    #[arg(long, value_name = "RHO", requires = "rho_light", allow_negative_numbers = true)]
+    rho_dark: Option<f64>,
+    /// Width of the profile in mm [default: the scene's].
+    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    width: Option<f64>,
+    /// Number of pixels [default: the scene's].
+    #[arg(long, value_name = "N")]
+    pixels: Option<u32>,
+    /// Random walks: a multiple of 500, at least 1000 [default: 50000, of a measurement 500000].
+    #[arg(long, value_name = "N", value_parser = whole_number)]
+    walks: Option<u64>,
+    /// Seed of the random numbers.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Threads to use; the result is the same for any number [default: all cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    threads: Option<u16>,
+    /// Also draw what a small change of σ_t, 1 − albedo and 1 − g does: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
+    /// Relative size of these changes, above 0 and below 1.
+    #[arg(
+        long,
+        value_name = "SHARE",
+        default_value_t = 0.2,
+        requires = "plot",
+        allow_negative_numbers = true
+    )]
+    change: f64,
+}
 
 /// Most profiles of one command: more are the work of a farm.
 const MOST_PROFILES: usize = 1000;

@@ -11,8 +11,8 @@ use tokio::time::{Instant, sleep};
 
 use self::ask::{FarmState, ask, newest_events};
 use self::report::{FarmSnapshot, Reporter, Step};
-use super::{JOB_NAME, submission, warn_of_loopback};
-use crate::cli::{Global, SlurmAutoscaleArgs};
+use super::{JOB_NAME, SlurmAutoscaleArgs, submission, warn_of_loopback};
+use crate::cli::Global;
 use crate::connection::{Purpose, with_farm};
 use crate::interrupt::interrupted;
 use crate::output::{Output, counted, sentence};

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use optics_model::{Grid, Invalid};
 
-use crate::cli::ExportArgs;
+use super::ExportArgs;
 
 /// Places along each axis that the lists admit.
 #[derive(Debug)]

@@ -9,7 +9,7 @@ use farm_lab::photograph::Orientation;
 use optics_capture::{Darks, Photo, ShotCheck, check_shot};
 use serde_json::{Value, json};
 
-use crate::cli::CaptureArgs;
+use super::CaptureArgs;
 use crate::output::{Output, warning};
 
 /// A photograph that is usable.

@@ -1,0 +1,127 @@
+//! Options of fits, which several verbs have.
+
+use clap::{Args, ValueEnum};
+use farm_lab::set_up::SetUp;
+use optics_model::fit::{FitSettings, MuRange, Objective, Wavelet};
+
+use super::bounds::BoundsArg;
+use super::set_up::SetUpArgs;
+
+/// What all questions to a dictionary have in common.
+#[derive(Debug, Args)]
+pub(crate) struct OptionArgs {
+    /// Dictionary to search [default: the only one, or paper].
+    #[arg(long, value_name = "NAME")]
+    pub(crate) dictionary: Option<String>,
+    /// Only this anisotropy, or a range such as 0.2..0.6 [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
+    pub(crate) g: Option<BoundsArg>,
+    /// Only this extinction coefficient in 1/mm, or a range such as 4..8 [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
+    pub(crate) sigma_t: Option<BoundsArg>,
+    /// Only this albedo, or a range such as 0.9.. [default: any].
+    #[arg(long, value_name = "RANGE", allow_hyphen_values = true, help_heading = MEDIUM)]
+    pub(crate) albedo: Option<BoundsArg>,
+    /// Objective to minimise [default: likelihood].
+    #[arg(long, value_enum, help_heading = OBJECTIVE)]
+    pub(crate) objective: Option<ObjectiveArg>,
+    /// Weight of the profiles' gradients in the paper's distance.
+    #[arg(long, default_value_t = 20.0, allow_negative_numbers = true, help_heading = OBJECTIVE)]
+    pub(crate) lambda: f64,
+    /// Wavelet used to take the gradients.
+    #[arg(long, value_enum, default_value_t = WaveletArg::Spline, help_heading = OBJECTIVE)]
+    pub(crate) wavelet: WaveletArg,
+    /// Level of the wavelet: gradients are smoothed over about 2^LEVEL pixels.
+    #[arg(long, default_value_t = 4, help_heading = OBJECTIVE)]
+    pub(crate) level: u32,
+    #[command(flatten)]
+    pub(crate) set_up: SetUpArgs,
+}
+
+/// Headings of the help.
+const MEDIUM: &str = "What is known of the medium";
+const OBJECTIVE: &str = "Objective of the fit";
+const SEARCH: &str = "Search of the scale factor";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ObjectiveArg {
+    /// Least distance after Eq. 1 of the paper, as if the set-up were perfect but for the scale factor.
+    Paper,
+    /// Maximum likelihood, with the errors of the set-up estimated as nuisances.
+    Likelihood,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum WaveletArg {
+    /// The quadratic spline.
+    Spline,
+    /// The Haar wavelet.
+    Haar,
+}
+
+impl Default for OptionArgs {
+    fn default() -> Self {
+        let FitSettings { lambda, level, .. } = FitSettings::default();
+        Self {
+            dictionary: None,
+            g: None,
+            sigma_t: None,
+            albedo: None,
+            objective: None,
+            lambda,
+            wavelet: WaveletArg::Spline,
+            level,
+            set_up: SetUpArgs::default(),
+        }
+    }
+}
+
+impl OptionArgs {
+    /// `set_up` combines its arguments with the session file.
+    pub(crate) fn settings(&self, set_up: &SetUp) -> optics_model::Result<FitSettings> {
+        let settings = FitSettings {
+            lambda: self.lambda,
+            wavelet: match self.wavelet {
+                WaveletArg::Spline => Wavelet::QuadraticSpline,
+                WaveletArg::Haar => Wavelet::Haar,
+            },
+            level: self.level,
+            objective: self.objective.map(|objective| match objective {
+                ObjectiveArg::Paper => Objective::Paper,
+                ObjectiveArg::Likelihood => Objective::Likelihood,
+            }),
+            sigma_t_per_mm: BoundsArg::check(self.sigma_t, "sigma_t_per_mm")?,
+            albedo: BoundsArg::check(self.albedo, "albedo")?,
+            g: BoundsArg::check(self.g, "g")?,
+            ..FitSettings::default()
+        };
+        Ok(set_up.settings(settings))
+    }
+}
+
+/// Scale factors to search.
+#[derive(Debug, Args)]
+#[expect(clippy::struct_field_names, reason = "they are the options' names")]
+pub(crate) struct MuArgs {
+    /// Smallest scale factor to try.
+    #[arg(long, value_name = "MU", default_value_t = 0.8, allow_negative_numbers = true, help_heading = SEARCH)]
+    pub(crate) mu_min: f64,
+    /// Largest scale factor to try.
+    #[arg(long, value_name = "MU", default_value_t = 1.1, allow_negative_numbers = true, help_heading = SEARCH)]
+    pub(crate) mu_max: f64,
+    /// Step from one scale factor to the next.
+    #[arg(long, value_name = "STEP", default_value_t = 0.001, allow_negative_numbers = true, help_heading = SEARCH)]
+    pub(crate) mu_step: f64,
+}
+
+impl Default for MuArgs {
+    fn default() -> Self {
+        Self { mu_min: 0.8, mu_max: 1.1, mu_step: 0.001 }
+    }
+}
+
+impl MuArgs {
+    pub(crate) fn range(&self) -> optics_model::Result<MuRange> {
+        MuRange::new(self.mu_min, self.mu_max, self.mu_step)
+    }
+}
