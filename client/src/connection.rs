@@ -1,7 +1,6 @@
 //! A farm to talk to: a server's, or one that lives in this process.
 
 pub(crate) mod outage;
-pub(crate) mod questions;
 pub(crate) mod records;
 
 use std::io::ErrorKind;
@@ -13,16 +12,16 @@ use anyhow::{Context, Result, bail};
 use farm_coordinator::store::DataDir;
 use farm_coordinator::{Config, Coordinator, Error, Gate, StoreError};
 use farm_link::{ClientAccess, Link, Target, failure, refusal};
-use farm_proto::RequestLimits;
 use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
+use farm_proto::wire::fits_client::FitsClient;
+use farm_proto::{RequestLimits, check_pixels, to_status, wire};
 use optics_model::limits::FitLimits;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use crate::cli::Global;
-use crate::connection::questions::Questions;
 
 /// What a command wants of a farm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +70,13 @@ pub(crate) async fn with_farm<T>(
             result => return result,
         }
     }
+}
+
+/// A request whose answer may take as long as a large database takes to be read through, or a million pixels to be fitted.
+pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    request.set_timeout(Duration::from_hours(12));
+    request
 }
 
 /// The message when the transport fails.
@@ -269,8 +275,19 @@ impl Connection {
         DictionariesClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
     }
 
-    pub(crate) fn fits(&self) -> Questions {
-        Questions::new(self.link.clone(), self.question_pixels())
+    /// Answers are as long as the question makes them: with curves, ten times as long.
+    pub(crate) fn fits(&self) -> FitsClient<Link> {
+        FitsClient::new(self.link.clone()).max_decoding_message_size(usize::MAX)
+    }
+
+    /// For a question about measurements, which is refused here if a coordinator would refuse their number of pixels.
+    pub(crate) fn fits_of(
+        &self,
+        field: &str,
+        materials: &[wire::Measurement],
+    ) -> Result<FitsClient<Link>, tonic::Status> {
+        check_pixels(field, materials, self.question_pixels()).map_err(|invalid| to_status(&invalid))?;
+        Ok(self.fits())
     }
 
     /// Most pixels of one question. In this process memory alone sets a limit; a neighbour has its own.

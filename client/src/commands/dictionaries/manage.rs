@@ -11,8 +11,7 @@ use serde::Serialize;
 
 use super::watch::line;
 use crate::cli::Global;
-use crate::connection::questions::patient;
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::output::{DictionaryJson, Output, grouped};
 
 #[derive(Debug, Args)]

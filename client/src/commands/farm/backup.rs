@@ -10,8 +10,7 @@ use farm_proto::wire::{BackupHeader, BackupRequest};
 use serde::Serialize;
 
 use crate::cli::Global;
-use crate::connection::questions::patient;
-use crate::connection::{Connection, Purpose, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::output::{Output, grouped};
 
 #[derive(Debug, Args)]

@@ -12,8 +12,7 @@ use serde::Serialize;
 
 use super::workers;
 use crate::cli::Global;
-use crate::connection::questions::patient;
-use crate::connection::{Purpose, kernel_name, with_farm};
+use crate::connection::{Purpose, kernel_name, patient, with_farm};
 use crate::exit;
 use crate::output::{Output, grouped};
 

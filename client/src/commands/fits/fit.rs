@@ -13,7 +13,7 @@ use super::chosen_dictionary;
 use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{Global, OptionArgs};
-use crate::connection::Connection;
+use crate::connection::{Connection, patient};
 use crate::figure_files;
 use crate::output::Output;
 
@@ -106,8 +106,10 @@ async fn fit_all(
             measurement: Some(measurement.into()),
             options: Some(options.into()),
         };
-        let answer = connection.fits().fit(request).await;
-        let answer = answer.with_context(|| format!("material {}", measurement.material()))?.into_inner();
+        let material = || format!("material {}", measurement.material());
+        let client = connection.fits_of("measurement", request.measurement.as_slice());
+        let answer =
+            client.with_context(material)?.fit(patient(request)).await.with_context(material)?.into_inner();
         fits.push(answer.fit.context("the farm's answer holds no fit")?.try_into()?);
     }
     Ok(fits)

@@ -13,7 +13,7 @@ use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, UsedOptions};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{Global, OptionArgs};
-use crate::connection::Connection;
+use crate::connection::{Connection, patient};
 use crate::figure_files;
 use crate::output::{Output, table};
 
@@ -103,8 +103,10 @@ async fn map_all(
             measurement: Some(measurement.into()),
             options: Some(options.into()),
         };
-        let answer = connection.fits().map(request).await;
-        let answer = answer.with_context(|| format!("material {}", measurement.material()))?.into_inner();
+        let material = || format!("material {}", measurement.material());
+        let client = connection.fits_of("measurement", request.measurement.as_slice());
+        let answer =
+            client.with_context(material)?.map(patient(request)).await.with_context(material)?.into_inner();
         for map in answer.maps {
             let material = measurement.material().to_owned();
             maps.push(MaterialMap { material, map: DistanceMap::try_from(map)? });

@@ -29,7 +29,7 @@ use crate::answers::{
 use crate::cli::set_up::SET_UP;
 use crate::cli::{Global, MuArgs, OptionArgs};
 use crate::commands::dictionaries::submit;
-use crate::connection::{Purpose, with_farm};
+use crate::connection::{Purpose, patient, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, warning, wrapped, write_whole};
@@ -296,12 +296,12 @@ async fn ask_once(
             None => None,
         };
         let request = MeasureRequest { dictionary: dictionary.clone(), ..question.request.clone() };
-        let fits = connection.fits();
+        let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
             biased;
             // The computation has taken signals over, so that they end nothing by themselves any more.
             () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
-            found = fits.measure(request) => found?.into_inner(),
+            found = fits.measure(patient(request)) => found?.into_inner(),
         };
         Ok(Asked::Answered(Answer { dictionary, found: Box::new(found.try_into()?), note }))
     })

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_text, scale_text};
 use crate::cli::{Global, MuArgs, OptionArgs};
+use crate::connection::patient;
 use crate::figure_files::{self, drawn};
 use crate::output::Output;
 
@@ -48,7 +49,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
             options: Some((&options).into()),
             mu: Some(range.into()),
         };
-        Ok(connection.fits().scale(request).await?.into_inner())
+        let mut fits = connection.fits_of("materials", &request.materials)?;
+        Ok(fits.scale(patient(request)).await?.into_inner())
     })
     .await?;
     let scale = ScaleCurve::try_from(answer.scale.context("the farm's answer holds no curve")?)?;

@@ -13,14 +13,13 @@ fn parsed(words: &[&str]) -> MeasureArgs {
 fn folder_has_the_command_line_defaults() {
     let folder = tempfile::tempdir().unwrap();
     let session = r#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004}"#;
-    for (name, text) in
-        [("measurements.csv", ""), ("session.json", session), ("grid.toml", "g = [0.5]\n")]
-    {
+    for (name, text) in [("measurements.csv", ""), ("session.json", session), ("grid.toml", "g = [0.5]\n")] {
         std::fs::write(folder.path().join(name), text).unwrap();
     }
     let path = folder.path().to_str().unwrap();
     let [parsed, direct] =
-        [Inputs::of(parsed(&[path])), Inputs::of(MeasureArgs::new(folder.path().to_owned()))].map(Result::unwrap);
+        [Inputs::of(parsed(&[path])), Inputs::of(MeasureArgs::new(folder.path().to_owned()))]
+            .map(Result::unwrap);
     assert_eq!(format!("{parsed:?}"), format!("{direct:?}"));
     assert_eq!(direct.options.settings().mu_std_error, 0.01);
 }
