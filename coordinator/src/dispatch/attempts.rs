@@ -43,9 +43,7 @@ impl Dispatcher {
             Outcome::Finished { records } => self.finished(now, arrived, records),
             Outcome::Part => self.part_finished(now, arrived),
             Outcome::MoreWalks(walks) => self.prolong(now, arrived, walks),
-            Outcome::Before { records, new } => {
-                self.compare_with_stored(arrived, records, new);
-            }
+            Outcome::Before { records, new } => self.compare_with_stored(arrived, records, new),
             Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => {}
         }
     }
@@ -86,10 +84,10 @@ impl Dispatcher {
         self.roster.delivered(arrived.worker, arrived.by);
     }
 
-    /// Compares a result with the one that is stored; true if they are equal.
-    pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest, new: Digest) -> bool {
+    /// Compares a result with the one that is stored.
+    pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest, new: Digest) {
         let (schedule, roster, outbox) = (&mut self.schedule, &mut self.roster, &mut self.outbox);
-        self.verification.compare(arrived, stored, new, Context { schedule, roster, outbox })
+        self.verification.compare(arrived, stored, new, Context { schedule, roster, outbox });
     }
 
     /// Notes that the store has ended a job with records that came for another dictionary, or were set aside.

@@ -141,8 +141,8 @@ impl Bench {
     }
 
     /// Compares a result with what is stored.
-    fn compare(&mut self, name: &str, lease: &Lease, stored: Digest, new: Digest) -> bool {
-        arrive(name, lease, |arrived| self.farm.compare_with_stored(arrived, stored, new))
+    fn compare(&mut self, name: &str, lease: &Lease, stored: Digest, new: Digest) {
+        arrive(name, lease, |arrived| self.farm.compare_with_stored(arrived, stored, new));
     }
 
     /// Effects but for notes of how checks stand.

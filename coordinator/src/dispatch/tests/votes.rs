@@ -38,7 +38,7 @@ fn one_machine_has_one_vote() {
     }
     let check = bench.acquire(2, "b", 1).remove(0);
     assert_eq!(check.key.job, lease.key.job);
-    assert!(!bench.compare("b", &check, DIGEST, WRONG));
+    bench.compare("b", &check, DIGEST, WRONG);
     for name in ["d", "e", "f"] {
         assert!(!job_of(&bench.acquire(3, name, 9)).contains(&lease.key.job), "{name} would vote");
     }
@@ -180,10 +180,12 @@ fn blocks_are_checked_one_by_one() {
     let checks = bench.acquire(3, "b", 9);
     assert_eq!(checks.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1), Some(2)]);
     let Ok(Admission::Compare { stored, .. }) = bench.admit("b", &checks[0]) else { panic!("not compared") };
-    assert!(!bench.compare("b", &checks[0], stored, DIGEST));
+    assert_ne!(stored, DIGEST);
+    bench.compare("b", &checks[0], stored, DIGEST);
     assert_eq!(bench.status().jobs_disputed, 1);
     let Ok(Admission::Compare { stored, .. }) = bench.admit("b", &checks[1]) else { panic!("not compared") };
-    assert!(bench.compare("b", &checks[1], stored, DIGEST));
+    assert_eq!(stored, DIGEST);
+    bench.compare("b", &checks[1], stored, DIGEST);
     let third = bench.acquire(4, "c", 1).remove(0);
     assert_eq!(third.job.block(), Some(0));
     bench.compare("c", &third, WRONG, DIGEST);

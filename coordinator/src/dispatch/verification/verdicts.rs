@@ -11,26 +11,19 @@ use super::{Context, Verification};
 use crate::stored::{Origin, Vote};
 
 impl Verification {
-    /// Compares a result with the one that is stored; true if they are equal. It is a vote if its worker was given it to
-    /// check.
-    pub fn compare(
-        &mut self,
-        arrived: &Arrived,
-        stored: Digest,
-        new: Digest,
-        mut context: Context<'_>,
-    ) -> bool {
+    /// Compares a result with the one that is stored. It is a vote if its worker was given it to check.
+    pub fn compare(&mut self, arrived: &Arrived, stored: Digest, new: Digest, mut context: Context<'_>) {
         let part = arrived.part();
         let was_asked = context.schedule.end_check(arrived, context.outbox);
         if context.roster.is_fenced(arrived.by) {
-            return stored == new;
+            return;
         }
         let Some(StoredBy(first)) = self.producer(part, stored, context.schedule) else {
             // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
             if stored != new && context.schedule.job(part).is_some() {
                 self.suspects.insert(arrived.job());
             }
-            return stored == new;
+            return;
         };
         context.outbox.changed = true;
         if was_asked {
@@ -38,7 +31,6 @@ impl Verification {
         } else if stored != new {
             self.open_dispute(arrived, first, stored, &mut context);
         }
-        stored == new
     }
 
     /// The producer of the stored result of a part; None if this is not the stored result.
