@@ -3,17 +3,17 @@
 use optics_model::fit::Curve;
 
 use crate::drawing::canvas::Stroke;
-use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::sheet::{Sheet, SheetCell};
 
-const REFERENCE: Stroke = Stroke::solid(Color::BLUE, 1.5);
+const REFERENCE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
 const CHANGED: [Stroke; 4] = [
-    Stroke::dashed(Color::VERMILLION, 1.5, "6 3"),
-    Stroke::dashed(Color::ORANGE, 1.5, "3 2"),
-    Stroke::dashed(Color::GREEN, 1.5, "8 3"),
-    Stroke::dashed(Color::PURPLE, 1.5, "2 2"),
+    Stroke::dashed(Rgb::VERMILLION, 1.5, "6 3"),
+    Stroke::dashed(Rgb::ORANGE, 1.5, "3 2"),
+    Stroke::dashed(Rgb::GREEN, 1.5, "8 3"),
+    Stroke::dashed(Rgb::PURPLE, 1.5, "2 2"),
 ];
 
 /// Profiles about one medium, the panels in reading order: parameters beside each other, thicknesses below each other.

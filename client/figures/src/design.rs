@@ -6,12 +6,12 @@ use optics_model::fit::{Design, HalfWidths, SlabSet};
 
 use crate::drawing::axis::{Axis, AxisDirection, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::{AxesFrame, TICKS_BELOW};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::{Key, KeySample};
 use crate::drawing::number::number;
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, LABEL, SMALL, TICK, Text};
 use crate::numbers::slabs;
 
@@ -21,7 +21,7 @@ const ROW: f64 = 19.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const RADIUS: f64 = 3.4;
 /// By the number of photographs; used again if there are more.
-const COLORS: [Color; 5] = [Color::BLUE, Color::ORANGE, Color::GREEN, Color::VERMILLION, Color::PURPLE];
+const COLOURS: [Rgb; 5] = [Rgb::BLUE, Rgb::ORANGE, Rgb::GREEN, Rgb::VERMILLION, Rgb::PURPLE];
 
 /// Half-width of a quantity relative to its value.
 type QuantityShare = fn(&HalfWidths, &Medium) -> f64;
@@ -98,7 +98,7 @@ impl DesignRows {
     }
 
     fn draw_names(&self, canvas: &mut Canvas, right: f64, top: f64) {
-        let head = Text::new("slabs in mm", SMALL).anchor(Anchor::End).color(Color::FAINT_INK);
+        let head = Text::new("slabs in mm", SMALL).anchor(Anchor::End).colour(Rgb::FAINT_INK);
         canvas.text(at(right - 8.0, top - 0.5 * SMALL), &head);
         for (i, (name, best)) in self.slabs.iter().enumerate() {
             let middle = top + (i as f64 + 0.5) * ROW;
@@ -111,15 +111,15 @@ impl DesignRows {
         self.slabs.iter().position(|(other, _)| *other == name).unwrap_or(0)
     }
 
-    fn color(&self, set: &SlabSet) -> Color {
+    fn colour(&self, set: &SlabSet) -> Rgb {
         let place = self.shots.iter().position(|n| *n == set.shots).unwrap_or(0);
-        COLORS[place % COLORS.len()]
+        COLOURS[place % COLOURS.len()]
     }
 
     fn keys(&self, design: &Design, incomplete: bool) -> Vec<Key> {
         let patch = |(i, n): (usize, &u32)| {
             let words = if *n == 1 { "photograph" } else { "photographs" };
-            let sample = KeySample::Patch(COLORS[i % COLORS.len()]);
+            let sample = KeySample::Patch(COLOURS[i % COLOURS.len()]);
             Key { sample, label: format!("{n} {words} of each slab") }
         };
         let mut keys: Vec<Key> = self.shots.iter().enumerate().map(patch).collect();
@@ -140,7 +140,7 @@ impl DesignRows {
 struct Dot {
     row: usize,
     percent: f64,
-    color: Color,
+    colour: Rgb,
     filled: bool,
 }
 
@@ -159,7 +159,7 @@ impl DesignPanel {
             let dot = |widths: &HalfWidths, filled: bool| Dot {
                 row: rows.row(set),
                 percent: 100.0 * share(widths, &design.medium),
-                color: rows.color(set),
+                colour: rows.colour(set),
                 filled,
             };
             // What is held lies upon what is free.
@@ -175,21 +175,21 @@ impl DesignPanel {
 
     fn draw(&self, canvas: &mut Canvas, area: PlotArea) {
         let frame = AxesFrame { area, x: self.axis, y: Axis::exact(None) };
-        let pen = Stroke::solid(Color::AXIS, 0.8);
+        let pen = Stroke::solid(Rgb::AXIS, 0.8);
         let ticks = self.axis.ticks(area.width, AxisDirection::Across);
         for tick in ticks.iter().filter(|tick| tick.label.is_some()) {
             let x = frame.across(tick.value);
-            canvas.line(at(x, area.top), at(x, area.bottom()), Stroke::solid(Color::RULE, 0.7));
+            canvas.line(at(x, area.top), at(x, area.bottom()), Stroke::solid(Rgb::RULE, 0.7));
         }
         let rows = (area.height / ROW).round() as usize;
         for row in 0..rows {
             let y = area.top + (row as f64 + 0.5) * ROW;
-            canvas.line(at(area.left, y), at(area.right(), y), Stroke::solid(Color::RULE, 0.7));
+            canvas.line(at(area.left, y), at(area.right(), y), Stroke::solid(Rgb::RULE, 0.7));
         }
         for dot in &self.dots {
             let place = at(frame.across(dot.percent), area.top + (dot.row as f64 + 0.5) * ROW);
-            let fill = if dot.filled { dot.color } else { Color::WHITE };
-            canvas.circle(place, RADIUS, Some(fill), Stroke::solid(dot.color, 1.4));
+            let fill = if dot.filled { dot.colour } else { Rgb::WHITE };
+            canvas.circle(place, RADIUS, Some(fill), Stroke::solid(dot.colour, 1.4));
         }
         canvas.line(at(area.left, area.bottom()), at(area.right(), area.bottom()), pen);
         for tick in ticks {

@@ -2,12 +2,12 @@
 
 pub(crate) mod axis;
 pub(crate) mod canvas;
-pub(crate) mod color;
 pub(crate) mod curve;
 pub(crate) mod frame;
 pub(crate) mod head;
 pub(crate) mod legend;
 pub(crate) mod number;
 pub(crate) mod picture;
+pub(crate) mod rgb;
 pub(crate) mod sheet;
 pub(crate) mod text;

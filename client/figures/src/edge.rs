@@ -2,11 +2,11 @@
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::MARGIN;
 use crate::drawing::legend::{Key, LegendRow};
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, LABEL, Text};
 
 const WIDTH: f64 = 620.0;
@@ -14,7 +14,7 @@ const HEIGHT: f64 = 230.0;
 /// Half the width of a band, in standard errors.
 const WIDE: f64 = 2.0;
 /// Red, green and blue; channels beyond these begin again.
-const COLORS: [Color; 3] = [Color::VERMILLION, Color::GREEN, Color::BLUE];
+const COLOURS: [Rgb; 3] = [Rgb::VERMILLION, Rgb::GREEN, Rgb::BLUE];
 
 /// The profile of one channel; pixels without a value hold NaN.
 #[derive(Debug)]
@@ -27,7 +27,7 @@ pub struct EdgeCurve<'a> {
 
 /// Draws the curves over the same axes.
 pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
-    let pen = |i: usize| Stroke::solid(COLORS[i % COLORS.len()], 1.4);
+    let pen = |i: usize| Stroke::solid(COLOURS[i % COLOURS.len()], 1.4);
     let keys: Vec<Key> =
         curves.iter().enumerate().map(|(i, curve)| Key::line(pen(i), curve.channel)).collect();
     let legend = LegendRow::new(&keys, WIDTH - 2.0 * MARGIN);
@@ -46,7 +46,7 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     legend.draw(&mut canvas, frame.area.left, MARGIN);
     frame.rules(&mut canvas);
     for (i, curve) in curves.iter().enumerate() {
-        draw_band(&frame, &mut canvas, curve, COLORS[i % COLORS.len()]);
+        draw_band(&frame, &mut canvas, curve, COLOURS[i % COLOURS.len()]);
     }
     for (i, curve) in curves.iter().enumerate() {
         frame.curve(&mut canvas, curve.x_mm, curve.values, pen(i));
@@ -59,7 +59,7 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     canvas.finish()
 }
 
-fn draw_band(frame: &AxesFrame, canvas: &mut Canvas, curve: &EdgeCurve, color: Color) {
+fn draw_band(frame: &AxesFrame, canvas: &mut Canvas, curve: &EdgeCurve, colour: Rgb) {
     let points = curve.x_mm.iter().zip(curve.values).zip(curve.std_errors);
     let points = points.map(|((x, v), e)| (*x, *v, WIDE * e));
     let finite: Vec<_> = points.filter(|(_, v, half)| (v + half).is_finite()).collect();
@@ -67,7 +67,7 @@ fn draw_band(frame: &AxesFrame, canvas: &mut Canvas, curve: &EdgeCurve, color: C
     let below = finite.iter().rev().map(|(x, v, half)| frame.place(*x, v - half));
     let outline: Vec<_> = above.chain(below).collect();
     if !outline.is_empty() {
-        let tint = color.tint();
+        let tint = colour.tint();
         canvas.polygon(&outline, Some(tint), Stroke::solid(tint, 0.0));
     }
 }

@@ -4,17 +4,17 @@ use optics_model::Medium;
 use optics_model::fit::{ChannelFit, FitCurves, MaterialFit};
 
 use crate::drawing::canvas::Stroke;
-use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::sheet::{Sheet, SheetCell};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 
-const MEASURED: Stroke = Stroke::dots(Color::GREY, 2.0);
-const NEIGHBOUR: Stroke = Stroke::solid(Color::SKY_BLUE, 0.6);
-const GRID: Stroke = Stroke::solid(Color::BLUE, 1.3);
-const REFINED: Stroke = Stroke::dashed(Color::VERMILLION, 1.3, "5 3");
+const MEASURED: Stroke = Stroke::dots(Rgb::GREY, 2.0);
+const NEIGHBOUR: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.6);
+const GRID: Stroke = Stroke::solid(Rgb::BLUE, 1.3);
+const REFINED: Stroke = Stroke::dashed(Rgb::VERMILLION, 1.3, "5 3");
 
 /// Fits of one material: channels beside each other, thicknesses below each other.
 pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {

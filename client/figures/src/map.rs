@@ -73,7 +73,7 @@ mod tests {
     use super::super::checks::{assert_well_laid_out, texts};
     use super::plan::FINENESS;
     use super::*;
-    use crate::drawing::color::Color;
+    use crate::drawing::rgb::Rgb;
     use crate::testing;
 
     fn figure(gs: usize) -> DistanceMap {
@@ -166,20 +166,20 @@ mod tests {
         let plan = MapPlan::new(&figure).unwrap();
         let frame = plan.frame(0, 0.0);
         let pixels = images(&draw(&figure).unwrap()).remove(0);
-        let color = |sigma_t: f64, co_albedo: f64| {
+        let colour = |sigma_t: f64, co_albedo: f64| {
             let place = [frame.across(co_albedo) - frame.area.left, frame.up(sigma_t) - frame.area.top];
             let [x, y] = place.map(|length| (FINENESS * length) as u32);
             let pixel = pixels.pixel(x, y).unwrap();
-            Color(pixel.red(), pixel.green(), pixel.blue())
+            Rgb(pixel.red(), pixel.green(), pixel.blue())
         };
-        assert_eq!(color(4.0, 0.01), Color::viridis(0.0), "the smallest distance");
-        assert_eq!(color(30.0, 0.95), Color::viridis(1.0), "the largest distance");
+        assert_eq!(colour(4.0, 0.01), Rgb::viridis(0.0), "the smallest distance");
+        assert_eq!(colour(30.0, 0.95), Rgb::viridis(1.0), "the largest distance");
         // The edges beside the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
         for (sigma_t, co_albedo) in [(2.86, 0.01), (6.29, 0.01), (4.0, 0.0032), (4.0, 0.0314)] {
-            assert_eq!(color(sigma_t, co_albedo), color(4.0, 0.01));
+            assert_eq!(colour(sigma_t, co_albedo), colour(4.0, 0.01));
         }
         for (sigma_t, co_albedo) in [(2.80, 0.01), (6.37, 0.01), (4.0, 0.0031), (4.0, 0.0319)] {
-            assert_ne!(color(sigma_t, co_albedo), color(4.0, 0.01));
+            assert_ne!(colour(sigma_t, co_albedo), colour(4.0, 0.01));
         }
     }
 

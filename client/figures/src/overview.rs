@@ -4,12 +4,12 @@ use anyhow::ensure;
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::Key;
 use crate::drawing::number::number;
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, HEADING, LABEL, TICK, Text};
 
 /// Blocks stand beside each other as long as they are together no wider.
@@ -21,7 +21,7 @@ const HEADING_HEIGHT: f64 = 20.0;
 /// For the names of the columns and their values.
 const ABOVE: f64 = 2.0 * 15.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
-const EDGE: Stroke = Stroke::solid(Color::SKY_BLUE, 0.8);
+const EDGE: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.8);
 /// The brightest part of viridis is too pale for lines on white.
 const BRIGHTEST: f64 = 0.84;
 
@@ -43,7 +43,7 @@ pub fn overview_figure(figure: &OverviewFigure) -> anyhow::Result<Picture> {
     let plan = OverviewLayout::new(figure)?;
     let stroke = |i: usize| {
         let last = figure.g.len().saturating_sub(1).max(1);
-        Stroke::solid(Color::viridis(BRIGHTEST * i as f64 / last as f64), 1.1)
+        Stroke::solid(Rgb::viridis(BRIGHTEST * i as f64 / last as f64), 1.1)
     };
     let strokes: Vec<_> = (0..figure.g.len()).map(stroke).collect();
     let mut keys: Vec<_> = strokes

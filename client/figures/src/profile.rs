@@ -3,14 +3,14 @@
 use optics_model::fit::{Curve, PredictedChannel, PredictedProfiles};
 
 use crate::drawing::canvas::Stroke;
-use crate::drawing::color::Color;
 use crate::drawing::legend::Key;
 use crate::drawing::number::number;
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::sheet::{Sheet, SheetCell};
 
-const PROFILE: Stroke = Stroke::solid(Color::BLUE, 1.5);
-const BAND: Stroke = Stroke::dashed(Color::ORANGE, 1.0, "3 2");
+const PROFILE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
+const BAND: Stroke = Stroke::dashed(Rgb::ORANGE, 1.0, "3 2");
 
 /// Half-width of an interval of 95 %, in standard errors.
 const WIDE: f64 = 1.96;

@@ -5,12 +5,12 @@ use optics_model::fit::{Common, Objective, ScaleCurve};
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::{Key, KeySample, LegendColumn, Mark};
 use crate::drawing::number::{number, signed};
 use crate::drawing::picture::Picture;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, LABEL, Text};
 
 const HEIGHT: f64 = 250.0;
@@ -19,9 +19,9 @@ const G_WIDTH: f64 = 280.0;
 const NAME: f64 = 18.0;
 const BETWEEN: f64 = 26.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
-const LINE: Stroke = Stroke::solid(Color::BLUE, 1.5);
-const REFINED: Stroke = Stroke::dashed(Color::GREEN, 1.2, "5 3");
-const BAND: Color = Color(0xf8, 0xe2, 0xd2);
+const LINE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
+const REFINED: Stroke = Stroke::dashed(Rgb::GREEN, 1.2, "5 3");
+const BAND: Rgb = Rgb(0xf8, 0xe2, 0xd2);
 
 /// How well all materials together fit when measurements are scaled by μ, and with each g. These may be two quantities:
 /// the first is the paper's distance, the second the objective of the fit.
@@ -89,7 +89,7 @@ impl ScalePanel {
         frame.curve(canvas, &self.x, &self.y, LINE);
         if self.dots {
             for (&x, &y) in self.x.iter().zip(&self.y).filter(|(x, y)| x.is_finite() && y.is_finite()) {
-                canvas.circle(frame.place(x, y), 2.2, Some(LINE.color), Stroke::solid(LINE.color, 0.0));
+                canvas.circle(frame.place(x, y), 2.2, Some(LINE.colour), Stroke::solid(LINE.colour, 0.0));
             }
         }
         if let Some((best, _)) = self.best.filter(|(best, _)| (0.0..=1.0).contains(&frame.x.fraction(*best)))
@@ -97,7 +97,7 @@ impl ScalePanel {
             let x = frame.across(best);
             let bottom = area.bottom();
             let y = self.error_at(best).map_or(bottom, |error| frame.up(error));
-            canvas.line(at(x, y), at(x, bottom), Stroke::dashed(Color::VERMILLION, 0.9, "3 2"));
+            canvas.line(at(x, y), at(x, bottom), Stroke::dashed(Rgb::VERMILLION, 0.9, "3 2"));
             Mark::Dot.draw(canvas, at(x, y));
         }
         if let Some(refined) = self.refined.filter(|x| (0.0..=1.0).contains(&frame.x.fraction(*x))) {

@@ -1,6 +1,6 @@
 //! What the page asks of `farmctl web` itself: files read and written as the other verbs do.
 
-mod colors;
+mod colours;
 mod session;
 mod tables;
 
@@ -142,7 +142,7 @@ impl Desk for DeskService {
 
     async fn colors(&self, request: Request<ColorsRequest>) -> Result<Response<ColorsResponse>, Status> {
         let media = request.into_inner().media;
-        answer(move || Ok(ColorsResponse { radiance_factors: colors::radiance_factors(media)? })).await
+        answer(move || Ok(ColorsResponse { radiance_factors: colours::radiance_factors(media)? })).await
     }
 
     async fn list_captures(

@@ -93,10 +93,10 @@ pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
         Err(std::env::VarError::NotUnicode(_)) => return Err(LogError::NotText),
     };
     let filter = parse_filter(asked.as_deref(), default_filter)?;
-    let no_color = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let color = std::io::stderr().is_terminal() && !no_color;
+    let no_colour = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let colour = std::io::stderr().is_terminal() && !no_colour;
     match format {
-        LogFormat::Text => text(filter, color, standard_error).try_init(),
+        LogFormat::Text => text(filter, colour, standard_error).try_init(),
         LogFormat::Json => json(filter, standard_error).try_init(),
     }
     .map_err(|_| LogError::Twice)
@@ -115,13 +115,13 @@ fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<EnvFilter, 
         .map_err(|source| LogError::Filter { filter: filter.to_owned(), source })
 }
 
-fn text<W>(filter: EnvFilter, color: bool, writer: W) -> impl tracing::Subscriber + Send + Sync
+fn text<W>(filter: EnvFilter, colour: bool, writer: W) -> impl tracing::Subscriber + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_ansi(color)
+        .with_ansi(colour)
         .log_internal_errors(LOG_ERRORS_OF_LOGGING)
         .with_writer(writer)
         .finish()

@@ -6,8 +6,8 @@ use anyhow::Context as _;
 use base64::Engine as _;
 use resvg::tiny_skia::Pixmap;
 
-use super::color::Color;
 use super::picture::Picture;
+use super::rgb::Rgb;
 use super::text::{Anchor, Level, SCRIPT, Text, spans};
 
 /// A place on the canvas: pixels to the right and down.
@@ -46,7 +46,7 @@ impl PlotArea {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Stroke {
-    pub(crate) color: Color,
+    pub(crate) colour: Rgb,
     pub(crate) width: f64,
     pub(crate) style: Style,
 }
@@ -61,16 +61,16 @@ pub(crate) enum Style {
 }
 
 impl Stroke {
-    pub(crate) const fn solid(color: Color, width: f64) -> Self {
-        Self { color, width, style: Style::Solid }
+    pub(crate) const fn solid(colour: Rgb, width: f64) -> Self {
+        Self { colour, width, style: Style::Solid }
     }
 
-    pub(crate) const fn dashed(color: Color, width: f64, dashes: &'static str) -> Self {
-        Self { color, width, style: Style::Dashed(dashes) }
+    pub(crate) const fn dashed(colour: Rgb, width: f64, dashes: &'static str) -> Self {
+        Self { colour, width, style: Style::Dashed(dashes) }
     }
 
-    pub(crate) const fn dots(color: Color, width: f64) -> Self {
-        Self { color, width, style: Style::Dots }
+    pub(crate) const fn dots(colour: Rgb, width: f64) -> Self {
+        Self { colour, width, style: Style::Dots }
     }
 }
 
@@ -87,9 +87,9 @@ impl Canvas {
         Self { width: width.ceil(), height: height.ceil(), body: String::new() }
     }
 
-    pub(crate) fn fill(&mut self, area: PlotArea, color: Color) {
+    pub(crate) fn fill(&mut self, area: PlotArea, colour: Rgb) {
         let (x, y, w, h) = (short(area.left), short(area.top), short(area.width), short(area.height));
-        self.element(&format!(r#"<rect x="{x}" y="{y}" width="{w}" height="{h}" fill="{color}"/>"#));
+        self.element(&format!(r#"<rect x="{x}" y="{y}" width="{w}" height="{h}" fill="{colour}"/>"#));
     }
 
     pub(crate) fn line(&mut self, from: CanvasPoint, to: CanvasPoint, stroke: Stroke) {
@@ -101,13 +101,13 @@ impl Canvas {
         self.element(&format!(r#"<path d="{path}" fill="none" {}/>"#, pen(stroke)));
     }
 
-    pub(crate) fn polygon(&mut self, points: &[CanvasPoint], fill: Option<Color>, stroke: Stroke) {
-        let fill = fill.map_or_else(|| "none".to_owned(), |color| color.to_string());
+    pub(crate) fn polygon(&mut self, points: &[CanvasPoint], fill: Option<Rgb>, stroke: Stroke) {
+        let fill = fill.map_or_else(|| "none".to_owned(), |colour| colour.to_string());
         self.element(&format!(r#"<path d="{}Z" fill="{fill}" {}/>"#, path(points), pen(stroke)));
     }
 
-    pub(crate) fn circle(&mut self, center: CanvasPoint, radius: f64, fill: Option<Color>, stroke: Stroke) {
-        let fill = fill.map_or_else(|| "none".to_owned(), |color| color.to_string());
+    pub(crate) fn circle(&mut self, center: CanvasPoint, radius: f64, fill: Option<Rgb>, stroke: Stroke) {
+        let fill = fill.map_or_else(|| "none".to_owned(), |colour| colour.to_string());
         let (x, y, r) = (short(center.x), short(center.y), short(radius));
         self.element(&format!(r#"<circle cx="{x}" cy="{y}" r="{r}" fill="{fill}" {}/>"#, pen(stroke)));
     }
@@ -142,7 +142,7 @@ impl Canvas {
 <rect width="{w}" height="{h}" fill="{}"/>
 {}</svg>
 "#,
-            Color::WHITE,
+            Rgb::WHITE,
             self.body
         );
         Picture::new(svg, self.width, self.height)
@@ -155,9 +155,9 @@ impl Canvas {
             Anchor::End => r#" text-anchor="end""#,
         };
         let weight = if text.bold { r#" font-weight="bold""# } else { "" };
-        let (size, color, content) = (short(text.size), text.color, marked(text));
+        let (size, colour, content) = (short(text.size), text.colour, marked(text));
         self.element(&format!(
-            r#"<text {place} font-size="{size}" fill="{color}"{anchor}{weight}>{content}</text>"#
+            r#"<text {place} font-size="{size}" fill="{colour}"{anchor}{weight}>{content}</text>"#
         ));
     }
 
@@ -217,7 +217,7 @@ fn pen(stroke: Stroke) -> String {
     };
     format!(
         r#"stroke="{}" stroke-width="{}" stroke-linejoin="round"{style}"#,
-        stroke.color,
+        stroke.colour,
         short(stroke.width)
     )
 }

@@ -2,8 +2,8 @@
 
 use super::axis::{Axis, AxisDirection, Tick};
 use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, Style, at};
-use super::color::Color;
 use super::curve::pieces;
+use super::rgb::Rgb;
 use super::text::{Anchor, TICK, Text};
 
 const TICK_LENGTH: f64 = 3.5;
@@ -56,7 +56,7 @@ impl AxesFrame {
 
     /// Light rules at the labelled ticks, to be drawn below all else.
     pub(crate) fn rules(&self, canvas: &mut Canvas) {
-        let rule = Stroke::solid(Color::RULE, 0.7);
+        let rule = Stroke::solid(Rgb::RULE, 0.7);
         for tick in self.x_ticks().iter().filter(|tick| tick.label.is_some()) {
             let x = self.across(tick.value);
             canvas.line(at(x, self.area.top), at(x, self.area.bottom()), rule);
@@ -71,7 +71,7 @@ impl AxesFrame {
     pub(crate) fn axes(&self, canvas: &mut Canvas, labels: Labels) {
         let PlotArea { left, top, .. } = self.area;
         let (right, bottom) = (self.area.right(), self.area.bottom());
-        let pen = Stroke::solid(Color::AXIS, 0.8);
+        let pen = Stroke::solid(Rgb::AXIS, 0.8);
         canvas.polyline(&[at(left, top), at(left, bottom), at(right, bottom)], pen);
         for tick in self.x_ticks() {
             let x = self.across(tick.value);
@@ -95,7 +95,7 @@ impl AxesFrame {
     pub(crate) fn scale_on_the_right(&self, canvas: &mut Canvas) {
         let PlotArea { left, top, .. } = self.area;
         let (right, bottom) = (self.area.right(), self.area.bottom());
-        let pen = Stroke::solid(Color::AXIS, 0.8);
+        let pen = Stroke::solid(Rgb::AXIS, 0.8);
         canvas.polygon(&[at(left, top), at(right, top), at(right, bottom), at(left, bottom)], None, pen);
         for tick in self.y_ticks() {
             let y = self.up(tick.value);
@@ -110,7 +110,7 @@ impl AxesFrame {
     pub(crate) fn close(&self, canvas: &mut Canvas) {
         let (right, bottom) = (self.area.right(), self.area.bottom());
         let corners = [at(self.area.left, self.area.top), at(right, self.area.top), at(right, bottom)];
-        canvas.polyline(&corners, Stroke::solid(Color::AXIS, 0.8));
+        canvas.polyline(&corners, Stroke::solid(Rgb::AXIS, 0.8));
     }
 
     /// A curve or its points; a value alone between missing ones becomes a dot.
@@ -123,7 +123,12 @@ impl AxesFrame {
         for piece in pieces(points) {
             match piece[..] {
                 [point] => {
-                    canvas.circle(point, stroke.width, Some(stroke.color), Stroke::solid(stroke.color, 0.0));
+                    canvas.circle(
+                        point,
+                        stroke.width,
+                        Some(stroke.colour),
+                        Stroke::solid(stroke.colour, 0.0),
+                    );
                 }
                 _ => canvas.polyline(&piece, stroke),
             }

@@ -1,7 +1,7 @@
 //! Legends: samples of what is drawn, each with its words.
 
 use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, at};
-use super::color::Color;
+use super::rgb::Rgb;
 use super::text::{SMALL, Text};
 
 const SAMPLE: f64 = 22.0;
@@ -20,7 +20,7 @@ pub(crate) struct Key {
 pub(crate) enum KeySample {
     Line(Stroke),
     Mark(Mark),
-    Patch(Color),
+    Patch(Rgb),
     /// Words alone.
     None,
 }
@@ -50,8 +50,8 @@ impl Key {
     }
 
     fn text(&self) -> Text {
-        let color = if self.sample == KeySample::None { Color::FAINT_INK } else { Color::INK };
-        Text::new(self.label.as_str(), SMALL).color(color)
+        let colour = if self.sample == KeySample::None { Rgb::FAINT_INK } else { Rgb::INK };
+        Text::new(self.label.as_str(), SMALL).colour(colour)
     }
 
     fn indent(&self) -> f64 {
@@ -66,10 +66,10 @@ impl Key {
                 canvas.polyline(&points, stroke);
             }
             KeySample::Mark(mark) => mark.draw(canvas, at(left + SAMPLE / 2.0, middle)),
-            KeySample::Patch(color) => {
+            KeySample::Patch(colour) => {
                 canvas.fill(
                     PlotArea { left: left + 4.0, top: middle - 5.0, width: SAMPLE - 8.0, height: 10.0 },
-                    color,
+                    colour,
                 );
             }
             KeySample::None => {}
@@ -152,16 +152,16 @@ impl<'a> LegendRow<'a> {
 
 impl Mark {
     pub(crate) fn draw(self, canvas: &mut Canvas, place: CanvasPoint) {
-        let rim = Stroke::solid(Color::WHITE, self.width() + 2.4);
+        let rim = Stroke::solid(Rgb::WHITE, self.width() + 2.4);
         self.outline(canvas, place, rim);
-        self.outline(canvas, place, Stroke::solid(self.color(), self.width()));
+        self.outline(canvas, place, Stroke::solid(self.colour(), self.width()));
     }
 
-    fn color(self) -> Color {
+    fn colour(self) -> Rgb {
         match self {
-            Self::Cross | Self::Dot => Color::VERMILLION,
-            Self::Circle => Color::INK,
-            Self::Diamond | Self::Arrow(_) => Color::ORANGE,
+            Self::Cross | Self::Dot => Rgb::VERMILLION,
+            Self::Circle => Rgb::INK,
+            Self::Diamond | Self::Arrow(_) => Rgb::ORANGE,
         }
     }
 
@@ -170,7 +170,7 @@ impl Mark {
     }
 
     fn outline(self, canvas: &mut Canvas, CanvasPoint { x, y }: CanvasPoint, stroke: Stroke) {
-        let rim = if stroke.color == Color::WHITE { 1.2 } else { 0.0 };
+        let rim = if stroke.colour == Rgb::WHITE { 1.2 } else { 0.0 };
         match self {
             Self::Cross => {
                 let arm = 10.0 + rim;
@@ -178,7 +178,7 @@ impl Mark {
                 canvas.line(at(x, y - arm), at(x, y + arm), stroke);
             }
             Self::Circle => canvas.circle(at(x, y), 6.5, None, stroke),
-            Self::Dot => canvas.circle(at(x, y), 3.2, Some(stroke.color), stroke),
+            Self::Dot => canvas.circle(at(x, y), 3.2, Some(stroke.colour), stroke),
             Self::Diamond => {
                 let r = 4.6;
                 canvas.polygon(&[at(x - r, y), at(x, y - r), at(x + r, y), at(x, y + r)], None, stroke);
@@ -186,7 +186,7 @@ impl Mark {
             Self::Arrow(eighths) => {
                 let turn = f64::from(eighths) * std::f64::consts::FRAC_PI_4;
                 let tip = |angle: f64, r: f64| at(x + r * (turn + angle).cos(), y + r * (turn + angle).sin());
-                canvas.polygon(&[tip(0.0, 6.5), tip(2.4, 6.0), tip(-2.4, 6.0)], Some(stroke.color), stroke);
+                canvas.polygon(&[tip(0.0, 6.5), tip(2.4, 6.0), tip(-2.4, 6.0)], Some(stroke.colour), stroke);
             }
         }
     }

@@ -3,7 +3,7 @@
 use skrifa::instance::{LocationRef, Size};
 use skrifa::{FontRef, MetadataProvider};
 
-use super::color::Color;
+use super::rgb::Rgb;
 
 /// Sizes in CSS pixels.
 pub(crate) const TITLE: f64 = 15.0;
@@ -21,7 +21,7 @@ pub(crate) struct Text {
     pub(crate) content: String,
     pub(crate) size: f64,
     pub(crate) bold: bool,
-    pub(crate) color: Color,
+    pub(crate) colour: Rgb,
     pub(crate) anchor: Anchor,
 }
 
@@ -35,15 +35,15 @@ pub(crate) enum Anchor {
 
 impl Text {
     pub(crate) fn new(content: impl Into<String>, size: f64) -> Self {
-        Self { content: content.into(), size, bold: false, color: Color::INK, anchor: Anchor::Start }
+        Self { content: content.into(), size, bold: false, colour: Rgb::INK, anchor: Anchor::Start }
     }
 
     pub(crate) fn bold(self) -> Self {
         Self { bold: true, ..self }
     }
 
-    pub(crate) fn color(self, color: Color) -> Self {
-        Self { color, ..self }
+    pub(crate) fn colour(self, colour: Rgb) -> Self {
+        Self { colour, ..self }
     }
 
     pub(crate) fn anchor(self, anchor: Anchor) -> Self {

@@ -5,9 +5,9 @@ use optics_model::fit::{DistanceMap, MapLayer};
 
 use super::MapLabels;
 use crate::drawing::canvas::{Canvas, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::AxesFrame;
 use crate::drawing::legend::{Key, KeySample, Mark};
+use crate::drawing::rgb::Rgb;
 
 /// Marks for places outside stand this far from the border.
 const INSET: f64 = 9.0;
@@ -23,7 +23,7 @@ pub(super) fn keys(words: &MapLabels, map: &DistanceMap, frame: &AxesFrame) -> V
         keys.push(Key::mark(Mark::Arrow(0), "similarity theory, outside the grid"));
     }
     if map.layers.iter().flat_map(|layer| &layer.errors).flatten().any(|d| !d.is_finite()) {
-        keys.push(Key { sample: KeySample::Patch(Color::NO_DATA), label: "no record".into() });
+        keys.push(Key { sample: KeySample::Patch(Rgb::NO_DATA), label: "no record".into() });
     }
     if map.albedo.iter().any(|&albedo| albedo >= 1.0) {
         keys.push(Key::note("α = 1 has no place on the logarithmic axis"));

@@ -8,10 +8,10 @@ use super::nodes::Nodes;
 use super::overlay::marks;
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, at};
-use crate::drawing::color::Color;
 use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
 use crate::drawing::head::MARGIN;
 use crate::drawing::number::number;
+use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, HEADING, LABEL, Text};
 
 const MOST_COLUMNS: usize = 4;
@@ -35,7 +35,7 @@ pub(super) struct MapPlan {
     size: (f64, f64),
     co_albedo: Nodes,
     sigma_t: Nodes,
-    color: Axis,
+    colour: Axis,
     /// Tick labels beside the first column.
     beside: f64,
     pub(super) width: f64,
@@ -49,8 +49,8 @@ impl MapPlan {
         let size = [(400.0, 340.0), (300.0, 260.0), (250.0, 220.0), (210.0, 190.0)][across - 1];
         let co_albedo = Nodes::new(map.albedo.iter().map(|albedo| 1.0 - albedo)).context("albedos")?;
         let sigma_t = Nodes::new(map.sigma_t_per_mm.iter().copied()).context("extinctions")?;
-        let color = color_axis(map)?;
-        let mut plan = Self { panels, across, size, co_albedo, sigma_t, color, beside: 0.0, width: 0.0 };
+        let colour = colour_axis(map)?;
+        let mut plan = Self { panels, across, size, co_albedo, sigma_t, colour, beside: 0.0, width: 0.0 };
         plan.beside = ticks_beside(&plan.frame(0, 0.0).y_ticks()).ceil();
         let bar = plan.bar(0.0);
         plan.width = bar.area.right() + ticks_beside(&bar.y_ticks()) + NAME + MARGIN;
@@ -116,11 +116,11 @@ impl MapPlan {
         let part = |i: u32, n: u32| (f64::from(i) + 0.5) / f64::from(n);
         let columns: Vec<_> = (0..width).map(|x| self.co_albedo.index(part(x, width))).collect();
         let rows: Vec<_> = (0..height).map(|y| self.sigma_t.index(1.0 - part(y, height))).collect();
-        pixmap(width, height, |x, y| self.color_of(layer.errors[rows[y as usize]][columns[x as usize]]))
+        pixmap(width, height, |x, y| self.colour_of(layer.errors[rows[y as usize]][columns[x as usize]]))
     }
 
-    fn color_of(&self, distance: f64) -> Color {
-        if distance.is_finite() { Color::viridis(self.color.fraction(distance)) } else { Color::NO_DATA }
+    fn colour_of(&self, distance: f64) -> Rgb {
+        if distance.is_finite() { Rgb::viridis(self.colour.fraction(distance)) } else { Rgb::NO_DATA }
     }
 
     /// The colour bar as a frame of its own: its area, and the distance as the vertical axis.
@@ -128,14 +128,14 @@ impl MapPlan {
         let last = self.frame(self.across - 1, top).area;
         let panels = self.pitch() * self.rows() as f64 - BETWEEN - HEADING_HEIGHT;
         let area = PlotArea { left: last.right() + BAR_GAP, top: last.top, width: BAR_WIDTH, height: panels };
-        AxesFrame { area, x: Axis::exact(None), y: self.color }
+        AxesFrame { area, x: Axis::exact(None), y: self.colour }
     }
 
     pub(super) fn draw_bar(&self, canvas: &mut Canvas, value_name: &str, top: f64) -> anyhow::Result<()> {
         let bar = self.bar(top);
         let height = (FINENESS * bar.area.height) as u32;
-        let value = |y: u32| self.color.value(1.0 - (f64::from(y) + 0.5) / f64::from(height));
-        let pixels = pixmap(1, height, |_, y| self.color_of(value(y)))?;
+        let value = |y: u32| self.colour.value(1.0 - (f64::from(y) + 0.5) / f64::from(height));
+        let pixels = pixmap(1, height, |_, y| self.colour_of(value(y)))?;
         canvas.image(bar.area, &pixels)?;
         bar.scale_on_the_right(canvas);
         let name = Text::new(value_name, LABEL).anchor(Anchor::Middle);
@@ -144,7 +144,7 @@ impl MapPlan {
     }
 }
 
-fn color_axis(map: &DistanceMap) -> anyhow::Result<Axis> {
+fn colour_axis(map: &DistanceMap) -> anyhow::Result<Axis> {
     let distances = || map.layers.iter().flat_map(|layer| layer.errors.iter().flatten().copied());
     let (_, high) = extent(distances()).context("no distances to draw")?;
     let Some((low, _)) = extent(distances().filter(|&d| d > 0.0)) else {
@@ -154,12 +154,12 @@ fn color_axis(map: &DistanceMap) -> anyhow::Result<Axis> {
     Ok(Axis::logarithmic(low.max(high / MOST_CONTRAST), high))
 }
 
-fn pixmap(width: u32, height: u32, color: impl Fn(u32, u32) -> Color) -> anyhow::Result<Pixmap> {
+fn pixmap(width: u32, height: u32, colour: impl Fn(u32, u32) -> Rgb) -> anyhow::Result<Pixmap> {
     let mut pixels = Pixmap::new(width, height)
         .with_context(|| format!("{width} × {height} pixels of a map are none, or too many"))?;
     let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
     for ((x, y), pixel) in places.zip(pixels.pixels_mut()) {
-        let Color(r, g, b) = color(x, y);
+        let Rgb(r, g, b) = colour(x, y);
         *pixel =
             PremultipliedColorU8::from_rgba(r, g, b, u8::MAX).expect("an opaque colour is premultiplied");
     }

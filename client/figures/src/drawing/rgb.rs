@@ -4,9 +4,9 @@ use std::fmt;
 
 /// An sRGB colour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Color(pub(crate) u8, pub(crate) u8, pub(crate) u8);
+pub(crate) struct Rgb(pub(crate) u8, pub(crate) u8, pub(crate) u8);
 
-impl Color {
+impl Rgb {
     pub(crate) const INK: Self = Self(0x22, 0x22, 0x22);
     pub(crate) const FAINT_INK: Self = Self(0x66, 0x66, 0x66);
     pub(crate) const AXIS: Self = Self(0x55, 0x55, 0x55);
@@ -41,31 +41,31 @@ impl Color {
     }
 }
 
-impl fmt::Display for Color {
+impl fmt::Display for Rgb {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "#{:02x}{:02x}{:02x}", self.0, self.1, self.2)
     }
 }
 
 /// Entries 0, 16, 32, … 240 and 255 of matplotlib's table of 256 (Smith and van der Walt, CC0).
-const VIRIDIS: [Color; 17] = [
-    Color(68, 1, 84),
-    Color(72, 24, 106),
-    Color(71, 45, 123),
-    Color(66, 64, 134),
-    Color(59, 82, 139),
-    Color(51, 99, 141),
-    Color(44, 114, 142),
-    Color(38, 130, 142),
-    Color(33, 145, 140),
-    Color(31, 160, 136),
-    Color(40, 174, 128),
-    Color(64, 189, 114),
-    Color(96, 202, 96),
-    Color(132, 212, 75),
-    Color(176, 221, 47),
-    Color(218, 227, 25),
-    Color(253, 231, 37),
+const VIRIDIS: [Rgb; 17] = [
+    Rgb(68, 1, 84),
+    Rgb(72, 24, 106),
+    Rgb(71, 45, 123),
+    Rgb(66, 64, 134),
+    Rgb(59, 82, 139),
+    Rgb(51, 99, 141),
+    Rgb(44, 114, 142),
+    Rgb(38, 130, 142),
+    Rgb(33, 145, 140),
+    Rgb(31, 160, 136),
+    Rgb(40, 174, 128),
+    Rgb(64, 189, 114),
+    Rgb(96, 202, 96),
+    Rgb(132, 212, 75),
+    Rgb(176, 221, 47),
+    Rgb(218, 227, 25),
+    Rgb(253, 231, 37),
 ];
 
 #[cfg(test)]
@@ -79,14 +79,14 @@ mod tests {
         let published =
             [(68, 1, 84), (65, 68, 135), (42, 120, 142), (34, 168, 132), (122, 209, 81), (253, 231, 37)];
         for (i, (r, g, b)) in published.into_iter().enumerate() {
-            let Color(drawn_r, drawn_g, drawn_b) = Color::viridis(i as f64 / 5.0);
+            let Rgb(drawn_r, drawn_g, drawn_b) = Rgb::viridis(i as f64 / 5.0);
             let differences =
                 [(r, drawn_r), (g, drawn_g), (b, drawn_b)].map(|(a, b): (u8, u8)| a.abs_diff(b));
             assert!(differences.iter().all(|&difference| difference <= 2), "{i}: {differences:?}");
         }
-        assert_eq!((Color::viridis(-1.0), Color::viridis(2.0)), (Color(68, 1, 84), Color(253, 231, 37)));
+        assert_eq!((Rgb::viridis(-1.0), Rgb::viridis(2.0)), (Rgb(68, 1, 84), Rgb(253, 231, 37)));
         let luminance = |i: i32| {
-            let Color(r, g, b) = Color::viridis(f64::from(i) / 50.0);
+            let Rgb(r, g, b) = Rgb::viridis(f64::from(i) / 50.0);
             0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b)
         };
         assert!((0..50).all(|i| luminance(i) < luminance(i + 1)));
@@ -94,6 +94,6 @@ mod tests {
 
     #[test]
     fn colour_is_written_as_six_digits() {
-        assert_eq!(Color(0, 114, 178).to_string(), "#0072b2");
+        assert_eq!(Rgb(0, 114, 178).to_string(), "#0072b2");
     }
 }
