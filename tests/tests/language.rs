@@ -44,7 +44,7 @@ const WORD_BUDGETS: [(&str, usize); 12] = [
     ("deploy", 0),
     ("docs", 1),
     ("examples", 0),
-    ("optics", 76),
+    ("optics", 48),
     ("proto", 9),
     ("python", 7),
     ("tests", 4),

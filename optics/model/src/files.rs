@@ -72,32 +72,32 @@ impl<'de> Deserialize<'de> for SceneRef {
     }
 }
 
-/// A value given by a name or by a table. By hand, since serde's untagged enums do not tell which key of a table is
+/// A value given by a name or by a table. By hand, since serde's untagged enums do not name the key of a table that is
 /// wrong.
-fn name_or_table<'de, D: serde::Deserializer<'de>, Table: Deserialize<'de>, Told>(
+fn name_or_table<'de, D: serde::Deserializer<'de>, Table: Deserialize<'de>, Output>(
     deserializer: D,
     expected: &'static str,
-    named: fn(String) -> Told,
-    in_full: fn(Table) -> Told,
-) -> Result<Told, D::Error> {
-    struct NameOrTable<Table, Told> {
+    named: fn(String) -> Output,
+    in_full: fn(Table) -> Output,
+) -> Result<Output, D::Error> {
+    struct NameOrTable<Table, Output> {
         expected: &'static str,
-        named: fn(String) -> Told,
-        in_full: fn(Table) -> Told,
+        named: fn(String) -> Output,
+        in_full: fn(Table) -> Output,
     }
 
-    impl<'de, Table: Deserialize<'de>, Told> serde::de::Visitor<'de> for NameOrTable<Table, Told> {
-        type Value = Told;
+    impl<'de, Table: Deserialize<'de>, Output> serde::de::Visitor<'de> for NameOrTable<Table, Output> {
+        type Value = Output;
 
         fn expecting(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
             f.write_str(self.expected)
         }
 
-        fn visit_str<E>(self, name: &str) -> Result<Told, E> {
+        fn visit_str<E>(self, name: &str) -> Result<Output, E> {
             Ok((self.named)(name.to_owned()))
         }
 
-        fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Told, A::Error> {
+        fn visit_map<A: serde::de::MapAccess<'de>>(self, map: A) -> Result<Output, A::Error> {
             Table::deserialize(serde::de::value::MapAccessDeserializer::new(map)).map(self.in_full)
         }
     }

@@ -24,17 +24,17 @@ fn falling(trace: &Trace) -> Option<Seen> {
     if drop < SURE * trace.noise(n / 4) || drop < 0.05 * left {
         return None;
     }
-    let told = format!(
+    let finding = format!(
         "values fall from {left:.3} at x = {:.2} to {right:.3} at x = {:.2} mm",
         trace.x[0] + trace.origin,
         trace.x[n - 1] + trace.origin
     );
     if drop < 0.2 * left {
-        let text = format!("{told}: is the light uneven, or are dark and light side swapped?");
+        let text = format!("{finding}: is the light uneven, or are dark and light side swapped?");
         return Some(Seen::warning(Kind::Falling, text));
     }
     let text = format!(
-        "{told}: dark and light side are swapped; x must rise from the dark side to the light side, so change its sign"
+        "{finding}: dark and light side are swapped; x must rise from the dark side to the light side, so change its sign"
     );
     Some(Seen::refusal(Kind::Falling, text))
 }

@@ -73,7 +73,7 @@ pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
 
 /// How much of the edge is seen.
 struct EdgeContrast {
-    /// Light less dark level beside the edge.
+    /// Light less dark level next to the edge.
     rise: f64,
     /// The same far from it.
     ends: f64,
@@ -81,7 +81,7 @@ struct EdgeContrast {
 }
 
 impl EdgeContrast {
-    /// `reach` is how far both profiles go, `width` the width of the windows beside the edge.
+    /// `reach` is how far both profiles go, `width` the width of the windows next to the edge.
     fn of(trace: &Trace, reach: f64, width: f64) -> Option<Self> {
         let (edge, pixels) = (trace.edge(), trace.pixels(width, 3));
         if edge < pixels || edge + pixels > trace.len() {
@@ -101,7 +101,7 @@ impl EdgeContrast {
 /// A slab that shows more of the edge than a thinner one of the same medium.
 ///
 /// What is seen depends on σ_t t, α, g and x/t alone but for gel and glass: more thickness takes contrast and blurs.
-/// Over the media that were traced, 1 mm shows at most 0.90 of the rise that 0.5 mm shows beside the edge, and 0.95 of
+/// Over the media that were traced, 1 mm shows at most 0.90 of the rise that 0.5 mm shows next to the edge, and 0.95 of
 /// that far from it; swapped, twice the rise is common.
 fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
     let (a, b) = (Trace::of(thin), Trace::of(thick));
@@ -116,8 +116,8 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
         // A contrast of 0.02 may be that of uneven light.
         b.rise > (rise * a.rise).max(0.02) + noise && b.ends > (ends * a.ends).max(0.02)
     };
-    let told = format!(
-        "the slab of {} mm shows more of the edge than that of {} mm ({:.3} against {:.3} of rise beside it)",
+    let finding = format!(
+        "the slab of {} mm shows more of the edge than that of {} mm ({:.3} against {:.3} of rise next to it)",
         thick.thickness_mm(),
         thin.thickness_mm(),
         b.rise,
@@ -125,12 +125,13 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
     );
     if exceeds(1.3, 1.0) {
         let text = format!(
-            "{told}, which no medium does: their thicknesses are swapped, or one of the pictures is of another material"
+            "{finding}, which no medium does: their thicknesses are swapped, or one of the pictures is of another material"
         );
         return Some(Seen::refusal(Kind::ThicknessOrder, text));
     }
     exceeds(1.1, 1.0).then(|| {
-        let text = format!("{told}: are the thicknesses swapped, or the pictures of different brightness?");
+        let text =
+            format!("{finding}: are the thicknesses swapped, or the pictures of different brightness?");
         Seen::warning(Kind::ThicknessOrder, text)
     })
 }

@@ -8,7 +8,7 @@ use crate::measurement::MeasuredProfile;
 /// Values at equally spaced x with their noise.
 #[derive(Debug)]
 pub(super) struct Trace {
-    /// Beside `origin`.
+    /// Relative to `origin`.
     pub x: Vec<f64>,
     /// The edge's place by the set-up.
     pub origin: f64,
@@ -38,12 +38,12 @@ impl Trace {
         // Noise grows with light: the noisier half counts.
         let (dark, light) = values.split_at(values.len() / 2);
         let scatter = scatter(dark, 2).max(scatter(light, 2));
-        let told = std_errors.map_or(0.0, |e| median(e.to_vec()));
+        let stated = std_errors.map_or(0.0, |e| median(e.to_vec()));
         let pitch = (x[x.len() - 1] - x[0]) / (x.len() - 1) as f64;
         Self {
             pitch,
             scatter,
-            shared: (told * told - scatter * scatter).max(0.0).sqrt(),
+            shared: (stated * stated - scatter * scatter).max(0.0).sqrt(),
             x,
             origin: 0.0,
             values,
@@ -94,7 +94,7 @@ impl Trace {
         0.5 * (side(1.0) + side(-1.0))
     }
 
-    /// Light level less dark level at the given place, each the median of `width` pixels beside it.
+    /// Light level less dark level at the given place, each the median of `width` pixels next to it.
     pub fn rise(&self, place: usize, width: usize) -> f64 {
         self.level(place..place + width) - self.level(place - width..place)
     }
