@@ -60,7 +60,7 @@ def built_programs() -> list[pathlib.Path]:
 
 
 def generate(folder: pathlib.Path) -> None:
-    """Writes the modules of the messages, which lie in this package and not beside it."""
+    """Writes the modules of the messages, which lie in this package and not next to it."""
     from grpc_tools import protoc
 
     folder.mkdir(exist_ok=True)

@@ -116,7 +116,7 @@ async fn derivatives_of_every_schema_are_read() {
     }
 }
 
-/// From the sixth schema on there are records whose standard errors are bytes, beside the older ones.
+/// From the sixth schema on there are records whose standard errors are bytes, besides the older ones.
 #[tokio::test]
 async fn byte_errors_are_read_next_to_floats() {
     for schema in 6..=newest_schema() {

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use farm_tests::modules::Modules;
 use farm_tests::reference::{files_below, own_files, root};
 
-/// The sources of a module or a crate: its folder, and the file beside it of the same name.
+/// The sources of a module or a crate: its folder, and the file next to it of the same name.
 fn sources(folder: &str) -> Vec<(PathBuf, String)> {
     let mut all = files_below(&root().join(folder), "rs");
     let file = root().join(folder).with_extension("rs");

@@ -16,7 +16,7 @@ const CHANGED: [Stroke; 4] = [
     Stroke::dashed(Rgb::PURPLE, 1.5, "2 2"),
 ];
 
-/// Profiles about one medium, the panels in reading order: parameters beside each other, thicknesses below each other.
+/// Profiles about one medium, the panels in reading order: parameters in columns, thicknesses in rows.
 #[derive(Clone, Debug)]
 pub struct ChangesFigure {
     pub title: String,

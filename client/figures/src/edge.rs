@@ -2,7 +2,7 @@
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use crate::drawing::head::MARGIN;
 use crate::drawing::legend::{Key, LegendRow};
 use crate::drawing::picture::Picture;
@@ -40,7 +40,7 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
         _ => Axis::from_zero(values),
     };
     let mut frame = AxesFrame { area, x, y };
-    frame.area.left = MARGIN + 1.6 * LABEL + ticks_beside(&frame.y_ticks());
+    frame.area.left = MARGIN + 1.6 * LABEL + tick_width(&frame.y_ticks());
     frame.area.width = WIDTH - MARGIN - frame.area.left;
     let mut canvas = Canvas::new(WIDTH, frame.area.bottom() + TICKS_BELOW + 1.5 * LABEL + MARGIN);
     legend.draw(&mut canvas, frame.area.left, MARGIN);

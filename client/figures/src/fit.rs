@@ -16,7 +16,7 @@ const NEIGHBOUR: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.6);
 const GRID: Stroke = Stroke::solid(Rgb::BLUE, 1.3);
 const REFINED: Stroke = Stroke::dashed(Rgb::VERMILLION, 1.3, "5 3");
 
-/// Fits of one material: channels beside each other, thicknesses below each other.
+/// Fits of one material: channels in columns, thicknesses in rows.
 pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
     let curves = || fit.channels.iter().flat_map(|channel| &channel.curves);
     let mut legend = vec![Key::line(MEASURED, "measured"), Key::line(GRID, "best record of the dictionary")];

@@ -174,7 +174,7 @@ mod tests {
         };
         assert_eq!(colour(4.0, 0.01), Rgb::viridis(0.0), "the smallest distance");
         assert_eq!(colour(30.0, 0.95), Rgb::viridis(1.0), "the largest distance");
-        // The edges beside the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
+        // The edges next to the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
         for (sigma_t, co_albedo) in [(2.86, 0.01), (6.29, 0.01), (4.0, 0.0032), (4.0, 0.0314)] {
             assert_eq!(colour(sigma_t, co_albedo), colour(4.0, 0.01));
         }

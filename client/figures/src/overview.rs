@@ -4,7 +4,7 @@ use anyhow::ensure;
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::Key;
 use crate::drawing::number::number;
@@ -12,7 +12,7 @@ use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, HEADING, LABEL, TICK, Text};
 
-/// Blocks stand beside each other as long as they are together no wider.
+/// Blocks stand side by side as long as they are together no wider.
 const MOST_WIDTH: f64 = 1500.0;
 const BETWEEN_BLOCKS: f64 = 26.0;
 const GAP: (f64, f64) = (7.0, 10.0);
@@ -70,8 +70,8 @@ struct OverviewLayout<'a> {
     y: Axis,
     cell: (f64, f64),
     /// From a block's left to its first cell, and from its last cell to its right.
-    beside: (f64, f64),
-    /// Blocks beside each other.
+    sides: (f64, f64),
+    /// Blocks side by side.
     across: usize,
 }
 
@@ -93,10 +93,10 @@ impl<'a> OverviewLayout<'a> {
         let cell = (cell_width, (0.72 * cell_width).max(36.0).round());
         let x = Axis::exact(extent(figure.x_mm.iter().copied()));
         let y = Axis::from_zero(extent(figure.profiles.iter().flatten().copied()));
-        let mut plan = Self { figure, x, y, cell, beside: (0.0, 0.0), across: 1 };
+        let mut plan = Self { figure, x, y, cell, sides: (0.0, 0.0), across: 1 };
         let values = figure.albedo.iter().map(|albedo| albedo_label(*albedo).width());
-        plan.beside =
-            (NAME + ticks_beside(&plan.frame(0, 0, (0.0, 0.0)).y_ticks()), 6.0 + values.fold(0.0, f64::max));
+        plan.sides =
+            (NAME + tick_width(&plan.frame(0, 0, (0.0, 0.0)).y_ticks()), 6.0 + values.fold(0.0, f64::max));
         let fitting =
             ((MOST_WIDTH - 2.0 * MARGIN + BETWEEN_BLOCKS) / (plan.block_width() + BETWEEN_BLOCKS)) as usize;
         plan.across = fitting.clamp(1, figure.thickness_mm.len());
@@ -104,7 +104,7 @@ impl<'a> OverviewLayout<'a> {
     }
 
     fn block_width(&self) -> f64 {
-        self.beside.0 + span(self.figure.sigma_t_per_mm.len(), self.cell.0, GAP.0) + self.beside.1
+        self.sides.0 + span(self.figure.sigma_t_per_mm.len(), self.cell.0, GAP.0) + self.sides.1
     }
 
     fn block_height(&self) -> f64 {
@@ -133,7 +133,7 @@ impl<'a> OverviewLayout<'a> {
         let (columns, rows) = (figure.sigma_t_per_mm.len(), figure.albedo.len());
         let left = MARGIN + (block % self.across) as f64 * (self.block_width() + BETWEEN_BLOCKS);
         let top = top + (block / self.across) as f64 * (self.block_height() + BETWEEN_BLOCKS);
-        let origin = (left + self.beside.0, top + HEADING_HEIGHT + ABOVE);
+        let origin = (left + self.sides.0, top + HEADING_HEIGHT + ABOVE);
         let heading = Text::new(format!("t = {} mm", figure.thickness_mm[block]), HEADING).bold();
         canvas.text(at(origin.0, top + HEADING), &heading);
         for column in 0..columns {
@@ -167,7 +167,7 @@ impl<'a> OverviewLayout<'a> {
         let name = |text: &str| Text::new(text, LABEL).anchor(Anchor::Middle);
         canvas.text(at(middle, origin.1 - 20.0), &name("σ_t [1/mm]"));
         canvas.text(at(middle, bottom + TICKS_BELOW + 1.3 * LABEL), &name("x [mm]"));
-        canvas.text_upwards(at(origin.0 - self.beside.0 + LABEL, center), &name("radiance factor"));
+        canvas.text_upwards(at(origin.0 - self.sides.0 + LABEL, center), &name("radiance factor"));
         canvas.text(at(right + 6.0, origin.1 - 6.0), &Text::new("α", LABEL));
         for (column, sigma_t) in figure.sigma_t_per_mm.iter().enumerate() {
             let x = self.frame(column, 0, origin).area.center().x;

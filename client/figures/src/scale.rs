@@ -5,7 +5,7 @@ use optics_model::fit::{Common, Objective, ScaleCurve};
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
-use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use crate::drawing::head::{Head, MARGIN};
 use crate::drawing::legend::{Key, KeySample, LegendColumn, Mark};
 use crate::drawing::number::{number, signed};
@@ -33,7 +33,7 @@ pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -
     }
     let mut left = MARGIN;
     for panel in &mut panels {
-        left += NAME + ticks_beside(&panel.frame.y_ticks());
+        left += NAME + tick_width(&panel.frame.y_ticks());
         panel.frame.area.left = left;
         left += panel.frame.area.width + BETWEEN;
     }
@@ -109,7 +109,7 @@ impl ScalePanel {
         let name = Text::new(self.name, LABEL).anchor(Anchor::Middle);
         canvas.text(at(middle.x, area.bottom() + TICKS_BELOW + 1.3 * LABEL), &name);
         let name = Text::new(self.error, LABEL).anchor(Anchor::Middle);
-        canvas.text_upwards(at(area.left - ticks_beside(&frame.y_ticks()) - 6.0, middle.y), &name);
+        canvas.text_upwards(at(area.left - tick_width(&frame.y_ticks()) - 6.0, middle.y), &name);
     }
 
     /// The curve's height at a place, between the points on both sides.

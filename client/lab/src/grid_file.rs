@@ -14,7 +14,7 @@ use crate::measurement_file::plain;
 /// Largest grid or scene file that is read, in bytes.
 const LARGEST: u64 = 16 << 20;
 
-/// The grid that a TOML file describes. Scene files it names are looked for beside it.
+/// The grid that a TOML file describes. Scene files it names are looked for next to it.
 pub fn read_grid(path: &Path) -> Result<Grid> {
     let folder = path.parent().unwrap_or(Path::new("."));
     grid_of(&read_text(path, "grid file")?, path, |name| named_scene(name, folder))
@@ -61,7 +61,7 @@ pub fn read_scene(name: &str) -> Result<Scene> {
 }
 
 /// The same for a name in a file that is in `folder`.
-pub fn read_scene_beside(name: &str, folder: &Path) -> Result<Scene> {
+pub fn read_scene_in(name: &str, folder: &Path) -> Result<Scene> {
     named_scene(name, folder)
 }
 

@@ -42,10 +42,10 @@ pub(crate) struct SlurmWorkerArgs {
     /// Stop a worker that has had no work for this long.
     #[arg(long, value_name = "DURATION", default_value = "5m", value_parser = parse_time_limit)]
     idle_exit: Duration,
-    /// The workers' access file, on a filesystem that the nodes share [default: worker.toml beside --access].
+    /// The workers' access file, on a filesystem that the nodes share [default: worker.toml next to --access].
     #[arg(long, value_name = "FILE")]
     worker_access: Option<PathBuf>,
-    /// The worker's program, on a filesystem that the nodes share [default: farm-worker beside this program, or
+    /// The worker's program, on a filesystem that the nodes share [default: farm-worker next to this program, or
     /// on the nodes' PATH].
     #[arg(long, value_name = "PATH")]
     worker: Option<PathBuf>,
@@ -186,8 +186,8 @@ fn submission(
 
 fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<CoordinatorAddress> {
     // Clients' tokens open nothing for workers; `farmctl access create` writes the files side by side.
-    let beside = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));
-    let access = match worker_access.or(beside) {
+    let shared = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));
+    let access = match worker_access.or(shared) {
         Some(file) => Some(access_file(&file).context("the workers' access file (--worker-access)")?),
         None => None,
     };

@@ -12,8 +12,8 @@ use crate::connections::{Admission, Unread};
 
 /// Largest piece that is handed to the connection, which keeps it until the caller reads.
 const PIECE: usize = 64 << 10;
-/// Longest time until a message of an answer is read, beside that for its bytes. Streams give up earlier, and then have to
-/// be heard.
+/// Longest time until a message of an answer is read, apart from that for its bytes. Streams give up earlier, and then have
+/// to be heard.
 const PATIENCE: Duration = Duration::from_secs(150);
 /// Bytes that must be read in a second beyond that.
 const SLOWEST: usize = 64 << 10;

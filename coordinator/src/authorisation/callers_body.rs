@@ -15,7 +15,7 @@ use super::message::Message;
 use super::permission::{self, Caller};
 use crate::gate::Gate;
 
-/// Longest time until a message has come whole, beside that for its bytes.
+/// Longest time until a message has come whole, apart from that for its bytes.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Bytes that must come in a second beyond that.
 const SLOWEST: usize = 64 << 10;

@@ -1,4 +1,4 @@
-//! Backups on their way to a client: made beside the database, sent, and removed.
+//! Backups on their way to a client: made next to the database, sent, and removed.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;

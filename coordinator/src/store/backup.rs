@@ -1,6 +1,6 @@
 //! Online backup of a database, and restore: never half a file, never an unverified one.
 //!
-//! A backup is one SQLite file with a checksum beside it (`FILE.b3`, as `b3sum` writes and checks it). SQLite's own
+//! A backup is one SQLite file with a checksum next to it (`FILE.b3`, as `b3sum` writes and checks it). SQLite's own
 //! check sees broken pages and indexes, but not a changed bit within a profile: the checksum does.
 
 mod checksum;
@@ -45,7 +45,7 @@ pub enum BackupError {
     #[error("{file} is damaged: {}", first.join("; "))]
     Damaged { file: PathBuf, first: Vec<String> },
     #[error(
-        "{file} has a log beside it, {log}, with changes that are not in it yet: make a backup of the running farm, or \
+        "{file} has a log next to it, {log}, with changes that are not in it yet: make a backup of the running farm, or \
          start and stop the coordinator on it once"
     )]
     Unmerged { file: PathBuf, log: PathBuf },
@@ -119,7 +119,7 @@ async fn copy_database(pool: &SqlitePool, file: &Path) -> sqlx::Result<()> {
     copied.map(drop)
 }
 
-/// A backup that comes in piece by piece, in a draft beside the file that it will be.
+/// A backup that comes in piece by piece, in a draft next to the file that it will be.
 #[derive(Debug)]
 pub struct Incoming {
     draft: Draft,
@@ -144,7 +144,7 @@ impl Incoming {
     }
 }
 
-/// Gives a draft its name, and a checksum beside it, if it is a whole database, and the one that is expected.
+/// Gives a draft its name, and a checksum next to it, if it is a whole database, and the one that is expected.
 async fn publish_verified(
     draft: Draft,
     destination: &Path,

@@ -20,7 +20,7 @@ pub(crate) struct Axis {
     logarithmic: bool,
 }
 
-/// Which way the axis runs: labels beside each other need more room than labels above each other.
+/// Which way the axis runs: labels in a row need more room than labels in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AxisDirection {
     Across,

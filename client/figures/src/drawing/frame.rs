@@ -13,7 +13,7 @@ const GAP: f64 = 2.5;
 pub(crate) const TICKS_BELOW: f64 = TICK_LENGTH + GAP + TICK;
 
 /// From the widest tick label's start to the axis.
-pub(crate) fn ticks_beside(ticks: &[Tick]) -> f64 {
+pub(crate) fn tick_width(ticks: &[Tick]) -> f64 {
     let widths =
         ticks.iter().filter_map(|tick| tick.label.as_ref()).map(|label| Text::new(label, TICK).width());
     TICK_LENGTH + GAP + widths.fold(0.0, f64::max)

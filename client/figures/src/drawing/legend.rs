@@ -109,7 +109,7 @@ impl<'a> LegendColumn<'a> {
     }
 }
 
-/// Keys beside each other, in as many rows as they need.
+/// Keys side by side, in as many rows as they need.
 #[derive(Debug)]
 pub(crate) struct LegendRow<'a> {
     keys: &'a [Key],

@@ -5,13 +5,13 @@ use optics_model::fit::Curve;
 
 use super::axis::{Axis, extent};
 use super::canvas::{Canvas, PlotArea, Stroke, at};
-use super::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
+use super::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use super::head::{Head, MARGIN};
 use super::legend::{Key, LegendColumn};
 use super::picture::Picture;
 use super::text::{Anchor, HEADING, LABEL, Text};
 
-/// Columns beside each other before a new band begins.
+/// Columns side by side before a new band begins.
 const MOST_COLUMNS: usize = 8;
 
 const PROFILE_HEIGHT: f64 = 132.0;
@@ -77,8 +77,8 @@ struct SheetLayout<'a> {
     /// Columns of a band.
     across: usize,
     panel_width: f64,
-    /// For the tick labels beside each panel.
-    beside: f64,
+    /// For the tick labels next to each panel.
+    tick_width: f64,
     width: f64,
     alike: bool,
 }
@@ -128,13 +128,13 @@ impl<'a> SheetLayout<'a> {
             x,
             across,
             panel_width,
-            beside: 0.0,
+            tick_width: 0.0,
             width: 0.0,
             alike: sheet.alike,
         };
-        let beside =
-            plan.placed.iter().flat_map(|p| plan.frames(p, 0.0)).map(|frame| ticks_beside(&frame.y_ticks()));
-        plan.beside = beside.fold(0.0, f64::max);
+        let tick_widths =
+            plan.placed.iter().flat_map(|p| plan.frames(p, 0.0)).map(|frame| tick_width(&frame.y_ticks()));
+        plan.tick_width = tick_widths.fold(0.0, f64::max);
         plan.width = plan.left(across - 1) + panel_width + MARGIN;
         Ok(plan)
     }
@@ -155,8 +155,8 @@ impl<'a> SheetLayout<'a> {
 
     /// Left edge of a panel by its place in the band.
     fn left(&self, across: usize) -> f64 {
-        let before = if self.alike { 0.0 } else { self.beside };
-        MARGIN + NAMES + self.beside + across as f64 * (self.panel_width + before + BETWEEN_COLUMNS)
+        let before = if self.alike { 0.0 } else { self.tick_width };
+        MARGIN + NAMES + self.tick_width + across as f64 * (self.panel_width + before + BETWEEN_COLUMNS)
     }
 
     fn of_band(&self, band: usize) -> impl Iterator<Item = &Placed<'a>> {

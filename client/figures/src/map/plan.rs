@@ -8,7 +8,7 @@ use super::nodes::Nodes;
 use super::overlay::marks;
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, at};
-use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, ticks_beside};
+use crate::drawing::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use crate::drawing::head::MARGIN;
 use crate::drawing::number::number;
 use crate::drawing::rgb::Rgb;
@@ -36,8 +36,8 @@ pub(super) struct MapPlan {
     co_albedo: Nodes,
     sigma_t: Nodes,
     colour: Axis,
-    /// Tick labels beside the first column.
-    beside: f64,
+    /// Tick labels next to the first column.
+    tick_width: f64,
     pub(super) width: f64,
 }
 
@@ -50,10 +50,10 @@ impl MapPlan {
         let co_albedo = Nodes::new(map.albedo.iter().map(|albedo| 1.0 - albedo)).context("albedos")?;
         let sigma_t = Nodes::new(map.sigma_t_per_mm.iter().copied()).context("extinctions")?;
         let colour = colour_axis(map)?;
-        let mut plan = Self { panels, across, size, co_albedo, sigma_t, colour, beside: 0.0, width: 0.0 };
-        plan.beside = ticks_beside(&plan.frame(0, 0.0).y_ticks()).ceil();
+        let mut plan = Self { panels, across, size, co_albedo, sigma_t, colour, tick_width: 0.0, width: 0.0 };
+        plan.tick_width = tick_width(&plan.frame(0, 0.0).y_ticks()).ceil();
         let bar = plan.bar(0.0);
-        plan.width = bar.area.right() + ticks_beside(&bar.y_ticks()) + NAME + MARGIN;
+        plan.width = bar.area.right() + tick_width(&bar.y_ticks()) + NAME + MARGIN;
         Ok(plan)
     }
 
@@ -72,7 +72,7 @@ impl MapPlan {
 
     pub(super) fn frame(&self, i: usize, top: f64) -> AxesFrame {
         let (width, height) = self.size;
-        let left = MARGIN + NAME + self.beside + (i % self.across) as f64 * (width + BETWEEN);
+        let left = MARGIN + NAME + self.tick_width + (i % self.across) as f64 * (width + BETWEEN);
         let top = top + (i / self.across) as f64 * self.pitch() + HEADING_HEIGHT;
         AxesFrame {
             area: PlotArea { left, top, width, height },

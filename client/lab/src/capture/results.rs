@@ -39,9 +39,9 @@ pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
     ];
     check_folder(folder)?;
     let place = || format!("writing {}", folder.display());
-    let beside = folder_of(folder);
-    std::fs::create_dir_all(beside).with_context(place)?;
-    let draft = tempfile::Builder::new().prefix(".capture-").tempdir_in(beside).with_context(place)?;
+    let parent = folder_of(folder);
+    std::fs::create_dir_all(parent).with_context(place)?;
+    let draft = tempfile::Builder::new().prefix(".capture-").tempdir_in(parent).with_context(place)?;
     for (name, bytes) in FILES.iter().zip(contents) {
         let path = draft.path().join(name);
         std::fs::write(&path, bytes)

@@ -11,7 +11,7 @@ use optics_model::Invalid;
 use serde::Deserialize;
 
 use super::globs::files_of;
-use crate::grid_file::{from_toml, in_file, read_scene_beside, read_text};
+use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
 
 const WHAT: &str = "session file";
@@ -59,7 +59,7 @@ impl CaptureSession {
         let scene = match &file.scene {
             None => optics_model::Scene::lab(),
             Some(name) => {
-                read_scene_beside(name, folder).with_context(|| format!("{WHAT} {}", path.display()))?
+                read_scene_in(name, folder).with_context(|| format!("{WHAT} {}", path.display()))?
             }
         };
         let session = file.checked(folder, scene, text.clone());

@@ -1,4 +1,4 @@
-//! A strip across the edge as the camera saw it, for the eye: what Fig. 2 puts beside the simulation.
+//! A strip across the edge as the camera saw it, for the eye: what Fig. 2 shows next to the simulation.
 
 use optics_capture::{Board, Colour, EdgeProfile, Frame, Pattern};
 

@@ -201,11 +201,11 @@ fn measurement_mistakes_name_their_lines() {
     );
     let micrometres = change(|x, v| (1000.0 * x, v));
     assert!(micrometres.contains("this looks like µm"), "{micrometres}");
-    let beside = change(|x, v| (x + 5.0, v));
+    let shifted = change(|x, v| (x + 5.0, v));
     assert!(
-        beside
+        shifted
             .contains("its edge seems to be at x = 5.00 mm: x = 0 must be at the edge, so subtract 5.00 mm"),
-        "{beside}"
+        "{shifted}"
     );
     let swapped = change(|x, v| (x, 0.9 - v));
     assert!(

@@ -105,7 +105,8 @@ pub(crate) async fn restore(global: &Global, args: RestoreArgs, output: &Output)
             grouped(data.dictionaries)
         );
         if unchecked {
-            text += "\nthere was no checksum (.b3) beside the backup: `farmctl doctor` looks at every record";
+            text +=
+                "\nthere was no checksum (.b3) next to the backup: `farmctl doctor` looks at every record";
         }
         text
     })

@@ -94,7 +94,7 @@ pub(crate) struct SimulateArgs {
 /// Most profiles of one command: more are the work of a farm.
 const MOST_PROFILES: usize = 1000;
 /// Walks if none are given; of a measurement so many that the error of the simulation, which all pixels share, is small
-/// beside what a profile's gain is not known by.
+/// against what a profile's gain is not known by.
 const WALKS: u64 = 50_000;
 const MEASUREMENT_WALKS: u64 = 500_000;
 

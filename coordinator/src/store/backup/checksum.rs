@@ -1,4 +1,4 @@
-//! BLAKE3 of files, and the file beside a backup that holds it.
+//! BLAKE3 of files, and the file next to a backup that holds it.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -36,7 +36,7 @@ fn line(name: &str, digest: blake3::Hash) -> String {
     format!("{mark}{digest}  {escaped}\n")
 }
 
-/// Reads the checksum beside a file, if there is one. The name in it does not matter: both may have been renamed.
+/// Reads the checksum next to a file, if there is one. The name in it does not matter: both may have been renamed.
 pub(super) fn read(sidecar: &Path) -> Result<Option<blake3::Hash>> {
     let file = match File::open(sidecar) {
         Ok(file) => file,

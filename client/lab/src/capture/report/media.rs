@@ -34,7 +34,7 @@ impl Media {
     pub(super) fn section(&self, slabs: &[SlabSection]) -> String {
         let strips = self.simulated.iter().filter_map(|simulated| {
             let slab = slabs.iter().find(|slab| slab.label == simulated.label)?;
-            Some(simulated.beside(slab))
+            Some(simulated.next_to(slab))
         });
         let strips: String = strips.collect();
         let figures: String =
@@ -84,7 +84,7 @@ fn budget(budget: &ErrorBudget) -> String {
 }
 
 impl Simulated {
-    fn beside(&self, slab: &SlabSection) -> String {
+    fn next_to(&self, slab: &SlabSection) -> String {
         format!(
             "<figure><div>{}</div><img class=\"strip\" src=\"{}\" alt=\"strip across the edge, simulated\">\
              <figcaption>{}: photograph above, simulation below.</figcaption></figure>\n",

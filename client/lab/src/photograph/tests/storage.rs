@@ -1,4 +1,4 @@
-//! How samples are stored: what writers do beside the specification.
+//! How samples are stored: what writers do beyond the specification.
 
 use super::interrupted::{lossless, noise};
 use super::*;
