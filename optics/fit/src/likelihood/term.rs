@@ -206,7 +206,7 @@ pub(super) struct Exposed {
     pub origin_mm: f64,
 }
 
-/// Of a profile's own unknowns, without those that are exact.
+/// Priors of a profile's own unknowns, without those that are exact.
 fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
     let priors = [
         (Own::Origin, set_up.origin_std_error_mm),

@@ -53,7 +53,7 @@ impl PriorKind {
         self.row()[1]
     }
 
-    /// Of its number in the table of a layer, or of its standard error in a scene file.
+    /// Key of its number in the table of a layer, or of its standard error, in a scene file.
     pub(crate) fn key(self) -> &'static str {
         self.row()[2]
     }
