@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_dark_side_may_be_below_black() {
+    fn dark_side_alone_may_be_below_black() {
         assert_eq!(Channel::new("R", 0.9, -0.1).unwrap().rho_dark(), -0.1);
         let message = |light, dark| Channel::new("R", light, dark).unwrap_err().to_string();
         assert_eq!(message(0.9, -0.11), "rho_dark = -0.11 is not valid: allowed are -0.1 to 1");
