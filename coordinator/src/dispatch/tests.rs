@@ -7,6 +7,7 @@ mod shared;
 mod states;
 mod trust;
 mod votes;
+mod wake_ups;
 
 use std::sync::Arc;
 use std::time::Duration;

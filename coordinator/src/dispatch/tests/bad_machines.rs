@@ -3,8 +3,9 @@
 use farm_proto::ids::WorkerId;
 use farm_proto::status::WorkerState;
 
-use super::{Bench, about, job_of, on, seconds, worker};
-use crate::stored::Origin;
+use super::{Bench, DIGEST, about, job_of, on, seconds, worker};
+use crate::dispatch::DispatchError;
+use crate::stored::{KnownMachine, Origin};
 
 impl Bench {
     /// Fails at all that a worker is given at a moment; how many jobs.
@@ -119,4 +120,41 @@ fn endless_renewal_loses_the_lease() {
     bench.farm.register(seconds(day + 4), worker("b"), Origin(2), about("b")).unwrap();
     assert_eq!(bench.acquire(day + 4, "b", 1)[0].key.job, lease[0].key.job);
     assert!(bench.reasons(day + 4).contains(&"RETRYING"), "it counts as a failure");
+}
+
+/// A suspended machine that finds a stored result to be right is suspended no more.
+#[test]
+fn right_check_ends_a_suspension() {
+    let mut bench = Bench::with_checks(&[], 1.0);
+    bench.fail_all(0, "b");
+    let lease = bench.acquire(1, "a", 1).remove(0);
+    bench.finish(2, "a", &lease);
+    let check = bench.acquire(40, "b", 9);
+    assert_eq!(job_of(&check), [lease.key.job], "one at a time");
+    bench.compare("b", &check[0], DIGEST, DIGEST);
+    assert_eq!(bench.acquire(41, "b", 9).len(), 2);
+}
+
+/// A machine that was fenced off before a restart stays so until it is let in by name.
+#[test]
+fn fence_survives_a_restart() {
+    let mut bench = Bench::new(&[]);
+    let (machine, label, fenced) = (about("d").machine, "d".to_owned(), Some("wrong".to_owned()));
+    bench.farm.roster_mut().remember_machine(KnownMachine { origin: Origin(4), machine, label, fenced });
+    let refused = bench.farm.register(seconds(0), worker("d"), Origin(4), about("d")).unwrap_err();
+    assert_eq!(refused, DispatchError::Fenced("wrong".to_owned()));
+    let unknown = bench.farm.lift_fence("e").unwrap_err();
+    assert!(unknown.contains("there are @d (d)"), "{unknown}");
+    assert_eq!(bench.farm.lift_fence("d"), Ok(Origin(4)));
+    bench.farm.register(seconds(0), worker("d"), Origin(4), about("d")).unwrap();
+    assert_eq!(bench.farm.lift_fence("d").unwrap_err(), "no machine is fenced off");
+}
+
+/// A worker is found by the token that it was given, and by no other.
+#[test]
+fn worker_token_is_that_of_its_worker() {
+    let bench = Bench::new(&[]);
+    let roster = bench.farm.roster();
+    assert_eq!(roster.verify_worker(&roster.worker_token(&worker("a"))), Ok(worker("a")));
+    assert_eq!(roster.verify_worker("a.0"), Err(DispatchError::UnknownWorker(worker("a"))));
 }

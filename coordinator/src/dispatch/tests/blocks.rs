@@ -109,3 +109,33 @@ fn missing_shared_blocks_are_computed_again() {
     bench.farm.parts_stored((DictionaryId(1), 0), walks, &[2].into());
     assert_eq!(blocks(&bench.acquire(2, "b", 9)), [0, 1]);
 }
+
+/// Blocks that the store holds are news, if they are of the job's number of walks.
+#[test]
+fn stored_blocks_count_for_their_walks_only() {
+    let mut bench = divided(0.0);
+    let walks = bench.farm.schedule.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();
+    bench.farm.take_outbox();
+    bench.farm.parts_stored((DictionaryId(1), 0), Walks::new(3_500_000).unwrap(), &[0].into());
+    assert!(!bench.farm.take_outbox().changed);
+    bench.farm.parts_stored((DictionaryId(1), 0), walks, &[0].into());
+    assert!(bench.farm.take_outbox().changed);
+    let left: Vec<_> = bench.acquire(0, "a", 9).iter().map(|l| l.key.part).collect();
+    assert_eq!(left, [1, 2]);
+}
+
+/// A dictionary with more parts than are allowed keeps no account of them.
+#[test]
+fn too_large_dictionary_has_no_blocks() {
+    let mut large = stored();
+    let walks = Walks::new(1_000_000_000_000).unwrap();
+    let grid = Grid::new(Scene::paper(), super::axes(), walks, 1, false).unwrap();
+    assert!(grid.check_parts().is_err());
+    large.grid = Arc::new(grid);
+    let mut bench = Bench::new(&[]);
+    bench.farm.remove_dictionary(DictionaryId(1));
+    bench.farm.add_dictionary(Dictionary::new(large, &[]));
+    bench.farm.take_outbox();
+    bench.farm.parts_stored((DictionaryId(1), 0), walks, &[0].into());
+    assert!(!bench.farm.take_outbox().changed);
+}

@@ -149,3 +149,16 @@ fn lease_token_is_valid_for_one_part() {
     assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
     assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
 }
+
+/// After a restart a worker keeps a lease only of the job that it computes, and of a dictionary that is not paused.
+#[test]
+fn renewals_after_a_restart_are_checked() {
+    let lease = Bench::new(&[]).acquire(0, "a", 1).remove(0);
+    let mut after = Bench::new(&[]);
+    let other_grid = vec![(lease.key, true, DIGEST)];
+    assert_eq!(after.farm.renew(seconds(0), &worker("a"), other_grid).unwrap().0, [lease.key]);
+    after.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
+    assert!(!after.renew(0, "a", &lease, true), "nothing is computed for it now");
+    after.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
+    assert!(after.renew(0, "a", &lease, true));
+}

@@ -88,3 +88,14 @@ fn set_blocks_are_leased_one_by_one() {
     assert_eq!(of(sets(&mut bench, 0, "a", 1)), [(1, 1), (2, 1)]);
     assert_eq!(of(sets(&mut bench, 0, "a", 1)), [(0, 0)]);
 }
+
+/// Jobs that were handed back once are leased alone, since one of them may have been the reason.
+#[test]
+fn returned_jobs_are_leased_alone() {
+    let mut bench = bench(5000);
+    sets(&mut bench, 0, "b", 1);
+    let both = sets(&mut bench, 0, "a", 1);
+    bench.farm.hand_back(&[both[0].key, both[1].key]);
+    assert_eq!(job_of(&sets(&mut bench, 1, "c", 1)), [1]);
+    assert_eq!(job_of(&sets(&mut bench, 1, "c", 1)), [2]);
+}

@@ -163,3 +163,24 @@ fn requests_in_vain_keep_the_pace() {
     let [soon, later] = [3, 100].map(|at| bench.farm.status_of(super::seconds(at), second).eta_s);
     assert!(soon.is_some_and(|s| s > 0.0) && soon == later, "{soon:?} {later:?}");
 }
+
+/// The expected end of the second dictionary at two times, once three results have come.
+fn expected_ends(bench: &Bench, at: [u64; 2]) -> [f64; 2] {
+    let second = bench.farm.schedule.by_id(SECOND).unwrap();
+    at.map(|at| bench.farm.status_of(super::seconds(at), second).eta_s.expect("the pace is known"))
+}
+
+/// Time counts for the pace while leases are out, and not after the last result.
+#[test]
+fn pace_counts_time_with_leases_only() {
+    let mut bench = overlapping(vec![0.9]);
+    let leases = bench.acquire(0, "a", 9);
+    for (at, lease) in (1..).zip(&leases[..3]) {
+        bench.finish(at, "a", lease);
+    }
+    let [soon, later] = expected_ends(&bench, [3, 100]);
+    assert!(later > soon, "one is out: {soon} {later}");
+    bench.finish(4, "a", &leases[3]);
+    let [soon, later] = expected_ends(&bench, [4, 100]);
+    assert_eq!(soon, later, "none is out");
+}

@@ -112,9 +112,12 @@ fn confirmed_records_survive_a_fence() {
     let (mut bench, lease) = computed();
     let check = bench.acquire(2, "b", 1).remove(0);
     bench.compare("b", &check, DIGEST, DIGEST);
+    bench.farm.take_outbox();
     bench.compare("a", &lease, DIGEST, WRONG);
+    let outbox = bench.farm.take_outbox();
+    assert!(outbox.work, "another machine checks it");
     assert!(
-        matches!(&bench.effects()[..], [.., Effect::Fence { machine: Origin(1), .. }]),
+        outbox.effects.iter().any(|e| matches!(e, Effect::Fence { machine: Origin(1), .. })),
         "it contradicts itself"
     );
     assert_eq!(bench.status().jobs_done, 1);
@@ -218,4 +221,19 @@ fn late_block_of_abandoned_job_is_checked() {
     assert_eq!(bench.status().failed.len(), 1);
     block(&mut bench, "a", &late, WRONG);
     assert_eq!(bench.farm.verification.counts(), (0, 0, 1));
+}
+
+/// When a machine is fenced off, the store notes the disputes in which it has voted without its votes.
+#[test]
+fn withdrawn_votes_are_noted() {
+    let (mut bench, lease) = computed();
+    let check = bench.acquire(2, "b", 1).remove(0);
+    bench.compare("b", &check, DIGEST, WRONG);
+    let own = bench.acquire(3, "b", 1).remove(0);
+    bench.finish(4, "b", &own);
+    notes(&mut bench);
+    bench.compare("b", &own, DIGEST, WRONG);
+    let noted = notes(&mut bench);
+    let left = noted.iter().find(|check| check.job == lease.key.job).unwrap();
+    assert_eq!(left.votes, [Vote { by: Some(origin("a")), digest: DIGEST }]);
 }
