@@ -75,7 +75,7 @@ impl Fits for Context {
             .map_err(|e| e.within("medium"))
             .or_status()?;
         let similar = |(i, g): (usize, f64)| {
-            optics_model::medium::check_g(g)
+            optics_model::phase::check_g(g)
                 .and_then(|g| fit::similar(&medium, g))
                 .map(Into::into)
                 .map_err(|e| e.within(format_args!("g[{i}]")))

@@ -21,7 +21,7 @@ use optics_model::{Grid, Medium};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::records::{Row, Rows, Stored};
 use crate::dictionary::wide::wide;
-use local_axis::{BACKSCATTERED, LocalAxis, Weights};
+use local_axis::{LocalAxis, Weights};
 
 pub(crate) use noise::{NoiseFactors, NoisePlace};
 
@@ -98,7 +98,7 @@ impl<'a> Surrogate<'a> {
             channel,
             ior,
             sigma_t: LocalAxis::new(sigma_t, 0.75),
-            g: LocalAxis::with_shapes(g, 1.0, &BACKSCATTERED),
+            g: LocalAxis::along_g(g, 1.0, grid.point(0).phase()),
             albedo,
         }
     }

@@ -12,8 +12,9 @@ use serde::Serialize;
 
 use crate::invalid::{Invalid, Result};
 use crate::medium::{
-    TransportPoint, check_albedo, check_g, check_ior, check_optical_thickness, check_sigma_t, check_thickness,
+    TransportPoint, check_albedo, check_ior, check_optical_thickness, check_sigma_t, check_thickness,
 };
+use crate::phase::check_g;
 use crate::profile::RecordShape;
 use crate::scene::Scene;
 pub use effort::{Effort, NoiseLevel};

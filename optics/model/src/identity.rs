@@ -42,9 +42,9 @@ impl Digest {
         for number in [walks.get(), seed, u64::from(derivatives)] {
             hasher.update(&number.to_le_bytes());
         }
-        for number in numbers_of(point) {
-            hasher.update(&number.to_le_bytes());
-        }
+        hash_numbers(&mut hasher, &[point.sigma_t_per_mm()]);
+        hash_numbers(&mut hasher, &point.phase().parameters());
+        hash_numbers(&mut hasher, &[point.thickness_mm(), point.sample_ior()]);
         hasher.update(&canonical::scene(scene));
         hasher.into()
     }
@@ -60,27 +60,25 @@ impl Digest {
     }
 }
 
-/// Philox key of a transport point: depends on the dictionary's seed and on what of the point its walks depend on, the
-/// optical thickness, g and the index. Points that have these in common have the same walks, in whatever grid.
+/// Philox key of a transport point: depends on the dictionary's seed and on the slab in mean free paths. Points that have
+/// these in common have the same walks, in whatever grid.
 pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
     let mut hasher = blake3::Hasher::new_derive_key("farm.v1 random streams");
     hasher.update(&seed.to_le_bytes());
-    hasher.update(&point.walked_thickness().to_le_bytes());
-    for number in [point.g(), point.sample_ior()] {
-        hasher.update(&unsigned_zero(number).to_le_bytes());
-    }
+    let slab = point.walked_slab();
+    hasher.update(&slab.optical_thickness.to_le_bytes());
+    hash_numbers(&mut hasher, &slab.phase.parameters());
+    hash_numbers(&mut hasher, &[slab.ior]);
     let hash = hasher.finalize();
     let word = |i: usize| u32::from_le_bytes(hash.as_bytes()[4 * i..][..4].try_into().expect("4 bytes"));
     [word(0), word(1)]
 }
 
-fn numbers_of(point: &TransportPoint) -> [f64; 4] {
-    [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()].map(unsigned_zero)
-}
-
 /// Adding 0 turns −0 into 0, which is the same anisotropy.
-fn unsigned_zero(number: f64) -> f64 {
-    number + 0.0
+fn hash_numbers(hasher: &mut blake3::Hasher, numbers: &[f64]) {
+    for number in numbers {
+        hasher.update(&(number + 0.0).to_le_bytes());
+    }
 }
 
 #[cfg(test)]

@@ -98,9 +98,8 @@ impl JobSpec {
 
     /// Whether one set of walks serves both jobs: what differs is at most how long a mean free path is.
     pub fn shares_walks_with(&self, other: &Self) -> bool {
-        let walks = |job: &Self| (job.point.walked_thickness(), job.point.g(), job.point.sample_ior());
         let effort = |job: &Self| (job.walks, job.seed, job.derivatives, job.block);
-        walks(self) == walks(other)
+        self.point.walked_slab() == other.point.walked_slab()
             && effort(self) == effort(other)
             && self.albedo == other.albedo
             && (Arc::ptr_eq(&self.scene, &other.scene) || self.scene == other.scene)

@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::invalid::{Result, check};
+use crate::phase::PhaseFunction;
 
 /// Refuses what is not a usable extinction coefficient, in 1/mm.
 pub fn check_sigma_t(value: f64) -> Result<f64> {
@@ -12,11 +13,6 @@ pub fn check_sigma_t(value: f64) -> Result<f64> {
 /// Refuses what is not a single-scattering albedo.
 pub fn check_albedo(value: f64) -> Result<f64> {
     check("albedo", value, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")
-}
-
-/// Refuses what is not a usable Henyey–Greenstein anisotropy.
-pub fn check_g(value: f64) -> Result<f64> {
-    check("g", value, |v| v.abs() <= 0.999, "allowed are -0.999 to 0.999")
 }
 
 /// Refuses what is not a usable slab thickness, in mm.
@@ -43,12 +39,13 @@ pub fn check_ior(field: &str, value: f64) -> Result<f64> {
     check(field, value, |v| (1.0..=4.0).contains(&v), "allowed are 1 to 4")
 }
 
-/// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, anisotropy g.
+/// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, phase function.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Medium {
     sigma_t_per_mm: f64,
     albedo: f64,
-    g: f64,
+    #[serde(flatten)]
+    phase: PhaseFunction,
 }
 
 impl Medium {
@@ -56,7 +53,7 @@ impl Medium {
         Ok(Self {
             sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
             albedo: check_albedo(albedo)?,
-            g: check_g(g)?,
+            phase: PhaseFunction::new(g)?,
         })
     }
 
@@ -69,12 +66,12 @@ impl Medium {
     }
 
     pub fn g(&self) -> f64 {
-        self.g
+        self.phase.g()
     }
 
     /// Reduced scattering coefficient σ_s (1 − g): with [`Self::absorption_per_mm`], what similar media share.
     pub fn reduced_scattering_per_mm(&self) -> f64 {
-        self.sigma_t_per_mm * self.albedo * (1.0 - self.g)
+        self.sigma_t_per_mm * self.albedo * (1.0 - self.phase.anisotropy())
     }
 
     /// Absorption coefficient σ_a = σ_t (1 − α).
@@ -87,16 +84,26 @@ impl Medium {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransportPoint {
     sigma_t_per_mm: f64,
-    g: f64,
+    phase: PhaseFunction,
     thickness_mm: f64,
     sample_ior: f64,
+}
+
+/// A slab of the sample as its walks depend on it: lengths are in mean free paths. Points that have it in common share
+/// their walks: only lengths in mm differ.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+pub struct WalkedSlab {
+    /// In the precision of walks.
+    pub optical_thickness: f32,
+    pub phase: PhaseFunction,
+    pub ior: f64,
 }
 
 impl TransportPoint {
     pub fn new(sigma_t_per_mm: f64, g: f64, thickness_mm: f64, sample_ior: f64) -> Result<Self> {
         let point = Self {
             sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
-            g: check_g(g)?,
+            phase: PhaseFunction::new(g)?,
             thickness_mm: check_thickness(thickness_mm)?,
             sample_ior: check_ior("sample_ior", sample_ior)?,
         };
@@ -108,8 +115,12 @@ impl TransportPoint {
         self.sigma_t_per_mm
     }
 
+    pub fn phase(&self) -> PhaseFunction {
+        self.phase
+    }
+
     pub fn g(&self) -> f64 {
-        self.g
+        self.phase.g()
     }
 
     pub fn thickness_mm(&self) -> f64 {
@@ -125,10 +136,12 @@ impl TransportPoint {
         self.sigma_t_per_mm * self.thickness_mm
     }
 
-    /// The optical thickness in the precision of walks. Points that have it, g and the index in common share their
-    /// walks: only lengths in mm differ.
-    pub fn walked_thickness(&self) -> f32 {
-        self.optical_thickness() as f32
+    pub fn walked_slab(&self) -> WalkedSlab {
+        WalkedSlab {
+            optical_thickness: self.optical_thickness() as f32,
+            phase: self.phase,
+            ior: self.sample_ior,
+        }
     }
 }
 

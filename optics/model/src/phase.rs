@@ -1,27 +1,60 @@
-//! The phase function of the sample: sampling, density and azimuthal mean, each written once for all users.
+//! The phase function of the sample: its parameters, density and azimuthal mean, each written once for all users.
 //!
-//! The tracer samples it, for one walk or for a vector of walks, and scores with the azimuthal mean; the fit's surrogate
-//! takes the shapes of its interpolation from the density.
+//! The tracer samples it and scores with the azimuthal mean; the fit's surrogate takes the shapes of its interpolation from
+//! the density.
 
 use std::f64::consts::PI;
-use std::ops::{Add, Div, Mul};
+
+use serde::Serialize;
+
+use crate::invalid::{Result, check};
+
+/// Refuses what is not a usable Henyey–Greenstein anisotropy.
+pub fn check_g(value: f64) -> Result<f64> {
+    check("g", value, |v| v.abs() <= 0.999, "allowed are -0.999 to 0.999")
+}
 
 /// Henyey–Greenstein phase function with anisotropy g:
 /// p(cos θ) = (1 − g²) / (4π (1 + g² − 2 g cos θ)^{3/2}), in 1/sr.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize)]
 pub struct PhaseFunction {
     g: f64,
 }
 
 impl PhaseFunction {
-    /// `g` lies in (−1, 1).
-    pub fn new(g: f64) -> Self {
-        Self { g }
+    pub fn new(g: f64) -> Result<Self> {
+        Ok(Self { g: check_g(g)? })
+    }
+
+    /// The same with g = 1 − e^y: the coordinate of a grid's anisotropies in the fit, for any y below ln 2.
+    #[must_use]
+    pub fn at_ln_one_minus_g(self, y: f64) -> Self {
+        Self { g: 1.0 - y.exp() }
+    }
+
+    /// The same with all parameters in the precision of walks.
+    #[must_use]
+    pub fn in_single_precision(self) -> Self {
+        Self { g: f64::from(self.g as f32) }
+    }
+
+    /// All that distinguishes phase functions, for digests.
+    pub fn parameters(self) -> [f64; 1] {
+        [self.g]
+    }
+
+    pub fn g(self) -> f64 {
+        self.g
     }
 
     /// The mean cosine of the scattering angle.
     pub fn anisotropy(self) -> f64 {
         self.g
+    }
+
+    /// 1 − |g|: the angle in radians over which a narrow peak of the density falls to a third.
+    pub fn peak_width(self) -> f64 {
+        1.0 - self.g.abs()
     }
 
     /// 4π p(cos θ): the density as a multiple of isotropic scattering's.
@@ -49,48 +82,6 @@ impl PhaseFunction {
         let sum = a + b;
         (1.0 - g * g) / (4.0 * PI) * elliptic(2.0 * b / sum) / ((a - b) * sum.sqrt())
     }
-
-    pub fn sampler(self) -> PhaseSampler {
-        let g = self.g;
-        let numerator = [g * (1.0 + g * g) / 2.0, 1.0 + g * g, g * (3.0 - g * g) / 2.0];
-        PhaseSampler { g: g as f32, numerator: numerator.map(|v| v as f32) }
-    }
-}
-
-/// Samples a [`PhaseFunction`] in single precision.
-#[derive(Debug, Clone, Copy)]
-pub struct PhaseSampler {
-    g: f32,
-    /// g (1 + g²)/2, 1 + g², g (3 − g²)/2: the numerator's coefficients, highest power first.
-    numerator: [f32; 3],
-}
-
-impl PhaseSampler {
-    /// The phase function of the rounded anisotropy.
-    pub fn function(&self) -> PhaseFunction {
-        PhaseFunction::new(f64::from(self.g))
-    }
-
-    /// Cosine of the scattering angle from a number uniform in (−1, 1), or from each lane of a vector of them, with the same
-    /// bits.
-    ///
-    /// The inverse of the distribution function, written without a division by g:
-    /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², good for every g including 0. Rounding may
-    /// carry it past ±1 by an ulp or two.
-    #[expect(
-        clippy::inline_always,
-        reason = "the vector kernel compiles for its instructions what is inlined into it"
-    )]
-    #[inline(always)]
-    pub fn cosine<L>(&self, xi: L) -> L
-    where
-        L: Copy + Add<f32, Output = L> + Add<Output = L> + Mul<f32, Output = L> + Mul<Output = L>,
-        L: Div<Output = L>,
-    {
-        let [c2, c1, c0] = self.numerator;
-        let root = xi * self.g + 1.0;
-        ((xi * c2 + c1) * xi + c0) / (root * root)
-    }
 }
 
 /// (2/π) E(m), by the arithmetic–geometric mean (Abramowitz and Stegun 17.6).
@@ -114,7 +105,7 @@ mod tests {
     #[test]
     fn density_integrates_to_one_over_the_sphere() {
         for g in GS {
-            let phase = PhaseFunction::new(g);
+            let phase = PhaseFunction::new(g).unwrap();
             let n = 2_000_000;
             let sum: f64 =
                 (0..n).map(|i| phase.density(-1.0 + (f64::from(i) + 0.5) * 2.0 / f64::from(n))).sum();
@@ -127,7 +118,7 @@ mod tests {
     #[test]
     fn azimuthal_mean_matches_the_density() {
         for g in GS.into_iter().filter(|g| *g < 0.96) {
-            let phase = PhaseFunction::new(g);
+            let phase = PhaseFunction::new(g).unwrap();
             for u in [-1.0, -0.7, -0.1, 0.3, 0.9, 1.0] {
                 for mu in [0.05, 0.5, 0.88, 1.0_f64] {
                     let n = 20_000;

@@ -80,15 +80,14 @@ impl Light {
         let (n, n_c) = (stack.iors[stack.sample], stack.iors[stack.iors.len() - 1]);
         let thickness = f64::from(stack.thickness[stack.sample]);
         let scattering = stack.phase.function();
-        let g = scattering.anisotropy();
         let scale = PI * measure / (n * n);
         let reach = thickness.min(DARK);
-        let steps = ((32.0 / (1.0 - g.abs())) as usize).clamp(COSINES.0, COSINES.1);
+        let steps = ((32.0 / scattering.peak_width()) as usize).clamp(COSINES.0, COSINES.1);
         let mut table = vec![0.0; (DEPTHS + 1) * (steps + 1)];
         let mut lengths = derivatives.then(|| table.clone());
         let mut about = [[0.0; CELLS]; 2];
         let mut entering = [0.0; 2];
-        for beam in &arrivals.in_sample(thickness, g) {
+        for beam in &arrivals.in_sample(thickness, scattering) {
             let flux = scale * beam.flux / beam.cosine;
             // For light that goes up the same, with the cosines' signs changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };

@@ -1,18 +1,124 @@
-//! Directions of walks after a scattering.
+//! Samples the sample's phase function: cosines of scattering angles, and directions of walks after a scattering.
+//! Each formula is written once, for one walk and for walks in the lanes of a vector, with the same bits.
 
-use glam::Vec3;
-use optics_model::phase::PhaseSampler;
+#![expect(
+    clippy::inline_always,
+    reason = "the vector kernel compiles for its instructions what is inlined into it"
+)]
+
+use std::ops::{Add, Div, Mul, Sub};
+
+use optics_model::phase::PhaseFunction;
 
 use super::math::unit_vector;
 use super::rng::symmetric;
 
-/// Direction after scattering of the unit vector `direction`; 16 bits of `bits` make the polar angle, 16 the azimuth.
-#[inline]
-pub fn scatter(phase: &PhaseSampler, direction: Vec3, bits: u32) -> Vec3 {
-    let cos = phase.cosine(symmetric(bits));
-    let sin = (1.0 - cos * cos).max(0.0).sqrt();
-    let (x, y) = unit_vector(bits);
-    rotate(direction, sin * x, sin * y, cos)
+/// A number of one walk, or the same number of all walks in the lanes of a vector.
+pub trait Lanes:
+    Copy
+    + Add<Output = Self>
+    + Add<f32, Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Mul<f32, Output = Self>
+    + Div<Output = Self>
+{
+    /// 32 random bits for each walk.
+    type Bits: Copy;
+
+    /// Uniform in (−1, 1), from the upper 16 bits.
+    fn symmetric(bits: Self::Bits) -> Self;
+
+    /// (cos φ, sin φ), from the lower 16 bits.
+    fn unit_vector(bits: Self::Bits) -> (Self, Self);
+
+    /// A value in as many lanes.
+    fn constant(self, value: f32) -> Self;
+
+    fn magnitude(self) -> Self;
+
+    /// √max(self, 0).
+    fn root(self) -> Self;
+
+    /// The number with its sign changed where `by` is negative.
+    fn flip(self, by: Self) -> Self;
+}
+
+impl Lanes for f32 {
+    type Bits = u32;
+
+    fn symmetric(bits: u32) -> Self {
+        symmetric(bits)
+    }
+
+    fn unit_vector(bits: u32) -> (Self, Self) {
+        unit_vector(bits)
+    }
+
+    fn constant(self, value: f32) -> Self {
+        value
+    }
+
+    fn magnitude(self) -> Self {
+        self.abs()
+    }
+
+    fn root(self) -> Self {
+        self.max(0.0).sqrt()
+    }
+
+    fn flip(self, by: Self) -> Self {
+        Self::from_bits(self.to_bits() ^ (by.to_bits() & 0x8000_0000))
+    }
+}
+
+/// Samples a [`PhaseFunction`] in single precision.
+#[derive(Debug, Clone, Copy)]
+pub struct PhaseSampler {
+    function: PhaseFunction,
+    g: f32,
+    /// g (1 + g²)/2, 1 + g², g (3 − g²)/2: the numerator's coefficients, highest power first.
+    numerator: [f32; 3],
+}
+
+impl PhaseSampler {
+    pub fn new(function: PhaseFunction) -> Self {
+        let g = function.g();
+        let numerator = [g * (1.0 + g * g) / 2.0, 1.0 + g * g, g * (3.0 - g * g) / 2.0];
+        Self { function: function.in_single_precision(), g: g as f32, numerator: numerator.map(|v| v as f32) }
+    }
+
+    /// The phase function of the rounded parameters.
+    pub fn function(&self) -> PhaseFunction {
+        self.function
+    }
+
+    /// Direction after scattering of a unit vector; 16 of the bits make the polar angle, 16 the azimuth.
+    #[inline(always)]
+    pub fn scatter<L: Lanes>(&self, direction: [L; 3], bits: L::Bits) -> [L; 3] {
+        let cos = self.cosine(L::symmetric(bits));
+        let sin = (cos.constant(1.0) - cos * cos).root();
+        let (x, y) = L::unit_vector(bits);
+        rotate(direction, [sin * x, sin * y, cos])
+    }
+
+    /// Cosine of the scattering angle from a number uniform in (−1, 1).
+    ///
+    /// The inverse of the distribution function, written without a division by g:
+    /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², good for every g including 0. Rounding may
+    /// carry it past ±1 by an ulp or two.
+    ///
+    /// In a narrow forward peak 1 − cos θ is a difference of nearly equal numbers. Measured against double precision over
+    /// all 2¹⁶ numbers, for g in steps of 0.0005: the mean of 1 − cos θ has a relative error of at most 1.2e-5 up to g = 0.95,
+    /// 8e-5 up to 0.98, 2.4e-4 up to 0.99 and 8e-4 up to 0.995; at 0.999 it is 2.6 % too small. Of the single values, a
+    /// tenth is off by more than 1.9e-4 at worst up to g = 0.95, and by more than 4e-3 up to 0.99. Below g = 0 the mean is
+    /// within 1.3e-5.
+    #[inline(always)]
+    fn cosine<L: Lanes>(&self, xi: L) -> L {
+        let [c2, c1, c0] = self.numerator;
+        let root = xi * self.g + 1.0;
+        ((xi * c2 + c1) * xi + c0) / (root * root)
+    }
 }
 
 /// The vector with coordinates (x, y, z) in a frame whose third axis is the unit vector `n`.
@@ -20,24 +126,28 @@ pub fn scatter(phase: &PhaseSampler, direction: Vec3, bits: u32) -> Vec3 {
 /// Half a turn about u = n ± e_z carries ±e_z to n and needs no frame: v = u (u·l)/(1 + |n_z|) − l with
 /// l = (x, y, ±z), the sign being that of n_z. If |n|² = 1 + ε, then |v|² = 1 + ε k² with k the bracket below,
 /// and k² has mean at most 1 over the azimuth: rounding does not pile up, and no normalisation is needed.
-fn rotate(n: Vec3, x: f32, y: f32, z: f32) -> Vec3 {
-    let q = (n.x * x + n.y * y) / (1.0 + n.z.abs());
+#[inline(always)]
+fn rotate<L: Lanes>([nx, ny, nz]: [L; 3], [x, y, z]: [L; 3]) -> [L; 3] {
+    let q = (nx * x + ny * y) / (nz.magnitude() + 1.0);
     let k = q + z;
-    Vec3::new(n.x * k - x, n.y * k - y, n.z * k + flip(q, n.z))
-}
-
-/// `value` with its sign changed if `by` is negative.
-fn flip(value: f32, by: f32) -> f32 {
-    f32::from_bits(value.to_bits() ^ (by.to_bits() & 0x8000_0000))
+    [nx * k - x, ny * k - y, nz * k + q.flip(nz)]
 }
 
 #[cfg(test)]
 mod tests {
-    use optics_model::phase::PhaseFunction;
+    use glam::Vec3;
 
     use super::*;
     use crate::rng::Stream;
     use crate::testing::chi_square;
+
+    fn sampler(g: f64) -> PhaseSampler {
+        PhaseSampler::new(PhaseFunction::new(g).unwrap())
+    }
+
+    fn scatter(phase: &PhaseSampler, direction: Vec3, bits: u32) -> Vec3 {
+        phase.scatter(direction.to_array(), bits).into()
+    }
 
     const GS: [f64; 7] = [-0.9, -0.3, 0.0, 1e-4, 0.4, 0.8, 0.97];
 
@@ -45,7 +155,7 @@ mod tests {
     #[test]
     fn mean_cosine_is_g() {
         for g in GS {
-            let phase = PhaseFunction::new(g).sampler();
+            let phase = sampler(g);
             let cells = 1 << 16;
             let mean: f64 = (0..cells).map(|i| f64::from(phase.cosine(symmetric(i << 16)))).sum::<f64>()
                 / f64::from(cells);
@@ -57,8 +167,8 @@ mod tests {
     #[test]
     fn sampled_cosines_follow_the_density() {
         let chi = |sampled: f64, expected: f64| {
-            let phase = PhaseFunction::new(sampled).sampler();
-            let truth = PhaseFunction::new(expected);
+            let phase = sampler(sampled);
+            let truth = PhaseFunction::new(expected).unwrap();
             let mut counts = [0_u64; 50];
             for walk in 0..400_000 {
                 let bits = Stream::new([7, 11], 0, walk).words()[0];
@@ -81,7 +191,7 @@ mod tests {
     #[test]
     fn directions_stay_unit_vectors() {
         for g in [-0.6, 0.0, 0.6, 0.95, 0.999] {
-            let phase = PhaseFunction::new(g).sampler();
+            let phase = sampler(g);
             let mut direction = Vec3::new(0.0, 0.0, -1.0);
             let mut stream = Stream::new([3, 5], 1, 0);
             for _ in 0..100_000 {
@@ -100,7 +210,7 @@ mod tests {
     /// it is 0. 40,000 samples, so that an error of 0.02 fails.
     #[test]
     fn scattering_is_even_about_the_old_direction() {
-        let phase = PhaseFunction::new(0.3).sampler();
+        let phase = sampler(0.3);
         for n in [Vec3::Z, Vec3::NEG_Z, Vec3::X, Vec3::new(0.6, -0.48, -0.64), Vec3::new(-0.48, 0.64, 0.6)] {
             let axis = n.any_orthonormal_vector();
             let (mut sum, mut squares) = (Vec3::ZERO, 0.0);

@@ -2,11 +2,11 @@
 //! precision.
 
 use glam::Vec3;
-use optics_model::phase::{PhaseFunction, PhaseSampler};
 use optics_model::scene::{LayerMedium, sin2};
 use optics_model::{Scene, TransportPoint};
 
 use super::fresnel::RelativeIndex;
+use super::phase::PhaseSampler;
 
 /// A plane interface, seen from both sides.
 #[derive(Debug, Clone, Copy)]
@@ -48,7 +48,7 @@ impl Stack {
                 LayerMedium::Clear { ior, thickness_mm } => (ior, thickness_mm as f32),
                 LayerMedium::Sample => {
                     sample = thickness.len();
-                    (point.sample_ior() + scene.sample_ior_offset(), point.walked_thickness())
+                    (point.sample_ior() + scene.sample_ior_offset(), point.walked_slab().optical_thickness)
                 }
             };
             iors.push(ior);
@@ -69,7 +69,7 @@ impl Stack {
             thickness,
             iors,
             sample,
-            phase: PhaseFunction::new(point.g()).sampler(),
+            phase: PhaseSampler::new(point.phase()),
             sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
             ring_sin2: [inner, outer],
             multiple_scattering: scene.multiple_scattering(),

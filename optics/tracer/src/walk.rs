@@ -13,7 +13,6 @@ use super::fresnel::{Facet, RelativeIndex};
 use super::light::Light;
 use super::math::{ln, unit_vector};
 use super::microfacet::{Scattered, scatter_once, scatter_until_out};
-use super::phase::scatter;
 use super::pick::{AT_BASE, PICK_BLOCK, Pick, STEP, cut, importance};
 use super::rng::{Stream, uniform};
 use super::stack::Stack;
@@ -122,7 +121,7 @@ impl<'a> Walk<'a> {
             self.offset.free_paths += self.direction.x * free;
             self.length += free;
             self.scatterings += 1;
-            self.direction = scatter(&self.stack.phase, self.direction, angles);
+            self.direction = self.stack.phase.scatter(self.direction.to_array(), angles).into();
             return WalkEvent::Scattered;
         }
         let face = if down { 0.0 } else { thickness };

@@ -55,7 +55,7 @@ pub(crate) fn data(args: &SimilarArgs) -> Result<SimilarJson> {
     let media = args
         .to
         .iter()
-        .map(|g| optics_model::medium::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
+        .map(|g| optics_model::phase::check_g(*g).and_then(|g| optics_fit::similar(&medium, g)))
         .collect::<Result<Vec<Medium>, _>>()?;
     Ok(SimilarJson { medium: medium.into(), similar: media.iter().map(|m| (*m).into()).collect() })
 }

@@ -79,18 +79,14 @@ pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
 /// Jobs of a grid by the walks that they share, the costliest first, so that none of the long ones is left over at the
 /// end.
 pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
-    type Shared = (f32, f64, f64, Option<Option<usize>>);
     let walks = |job: u32| {
-        let point = grid.point(job as usize);
+        let slab = grid.point(job as usize).walked_slab();
         // Variants of the scene have walks of their own, and so has the baseline.
         let variant = grid.response_of(job as usize).map(|response| response.variant);
-        (point.walked_thickness(), point.g(), point.sample_ior(), variant)
-    };
-    let order = |a: &Shared, b: &Shared| {
-        b.0.total_cmp(&a.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)).then(a.3.cmp(&b.3))
+        (-slab.optical_thickness, slab, variant)
     };
     let mut jobs: Vec<_> = (0..grid.job_count() as u32).map(|job| (walks(job), job)).collect();
-    jobs.sort_by(|a, b| order(&a.0, &b.0).then(a.1.cmp(&b.1)));
+    jobs.sort_by(|a, b| a.partial_cmp(b).expect("numbers of points are finite"));
     let sets = jobs.chunk_by(|a, b| a.0 == b.0);
     sets.map(|set| set.iter().map(|(_, job)| *job).collect()).collect()
 }

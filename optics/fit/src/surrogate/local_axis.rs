@@ -45,16 +45,22 @@ impl Direction {
     }
 }
 
-/// A function of an axis's coordinate.
-type Shape = fn(f64) -> f64;
+/// Cosines of the angles through which backscattered light is followed along g: straight back, and about as far aside as
+/// profiles show. Powers of ln(1 − g) miss light that is scattered once by up to 5 %, which is what a dark medium's profile
+/// is then off by.
+const BACKWARDS: [f64; 2] = [-1.0, -0.6];
 
-/// How light that is scattered once, backwards, depends on ln(1 − g): straight back, and at the cosine −0.6. Powers of
-/// the coordinate miss it by up to 5 %, which is what a dark medium's profile is then off by.
-pub(crate) const BACKSCATTERED: [Shape; 2] = [|y| scattered(y, -1.0), |y| scattered(y, -0.6)];
+/// How light that is scattered once depends on y = ln(1 − g): 4π p(cos θ) of the phase function with that g.
+#[derive(Debug, Clone, Copy)]
+struct BackscatterShape {
+    phase: PhaseFunction,
+    cosine: f64,
+}
 
-/// 4π p(cos θ) of the phase function, with y = ln(1 − g).
-fn scattered(y: f64, cosine: f64) -> f64 {
-    PhaseFunction::new(1.0 - y.exp()).over_isotropic(cosine)
+impl BackscatterShape {
+    fn at(self, y: f64) -> f64 {
+        self.phase.at_ln_one_minus_g(y).over_isotropic(self.cosine)
+    }
 }
 
 /// Local models over the nodes of one axis.
@@ -65,7 +71,7 @@ pub(crate) struct LocalAxis {
     /// How many powers of the coordinate a model has, from 0 on.
     powers: usize,
     /// What it has besides.
-    shapes: &'static [Shape],
+    shapes: Vec<BackscatterShape>,
     /// Nodes on each side that are looked at.
     half_width: f64,
 }
@@ -82,18 +88,20 @@ impl LocalAxis {
             7.. if half_width >= 3.5 => 4,
             _ => 3,
         };
-        Self { nodes, powers, shapes: &[], half_width }
+        Self { nodes, powers, shapes: Vec::new(), half_width }
     }
 
-    /// Models that have these shapes too, as far as there are nodes for them.
-    pub(crate) fn with_shapes(nodes: Vec<f64>, reach: f64, shapes: &'static [Shape]) -> Self {
+    /// Models along ln(1 − g) that have the shapes of backscattered light too, as far as there are nodes for them. Of the
+    /// phase function, all but g counts.
+    pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: PhaseFunction) -> Self {
         let half_width = half_width(&nodes, reach);
         let (powers, room) = match nodes.len() {
             n @ 1..5 => (n, 0),
-            7.. if half_width >= 3.5 => (3, shapes.len()),
+            7.. if half_width >= 3.5 => (3, BACKWARDS.len()),
             _ => (3, 1),
         };
-        Self { nodes, powers, shapes: &shapes[..room.min(shapes.len())], half_width }
+        let shapes = BACKWARDS[..room].iter().map(|&cosine| BackscatterShape { phase, cosine }).collect();
+        Self { nodes, powers, shapes, half_width }
     }
 
     pub(crate) fn range(&self) -> (f64, f64) {
@@ -136,7 +144,7 @@ impl LocalAxis {
         let nodes = &self.nodes[first..first + window.len()];
         let terms = (self.powers + self.shapes.len()).min(window.len());
         let value = |term: usize, x: f64| match term.checked_sub(self.powers) {
-            Some(shape) => self.shapes[shape](x),
+            Some(shape) => self.shapes[shape].at(x),
             None => (x - centre).powi(term as i32),
         };
         let of_term = |term: usize| nodes.iter().chain(at).map(|x| value(term, *x)).collect();
@@ -229,13 +237,18 @@ pub(super) fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>>
 mod tests {
     use super::*;
 
+    fn phase(g: f64) -> PhaseFunction {
+        PhaseFunction::new(g).unwrap()
+    }
+
     /// The tracer samples the same function, and scores with its azimuthal mean.
     #[test]
     fn shapes_are_densities_of_the_phase_function() {
-        for (shape, cosine) in BACKSCATTERED.iter().zip([-1.0, -0.6]) {
+        for cosine in BACKWARDS {
             for g in [0.0_f64, 0.3, 0.6, 0.9] {
-                let density = 4.0 * std::f64::consts::PI * PhaseFunction::new(g).density(cosine);
-                assert!((shape((1.0 - g).ln()) / density - 1.0).abs() < 1e-12, "g {g}, cosine {cosine}");
+                let density = 4.0 * std::f64::consts::PI * phase(g).density(cosine);
+                let shape = BackscatterShape { phase: phase(0.1), cosine }.at((1.0 - g).ln());
+                assert!((shape / density - 1.0).abs() < 1e-12, "g {g}, cosine {cosine}");
             }
         }
     }
@@ -291,7 +304,7 @@ mod tests {
     fn single_and_diffuse_scattering_is_recovered() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];
         let nodes: Vec<f64> = g.iter().map(|g: &f64| (1.0 - g).ln()).collect();
-        let axis = LocalAxis::with_shapes(nodes, 1.0, &BACKSCATTERED);
+        let axis = LocalAxis::along_g(nodes, 1.0, phase(0.0));
         let diffuse = |y: f64, depth: f64| 1.0 / (1.0 + depth * y.exp());
         for g in [0.0, 0.03, 0.13, 0.25, 0.4, 0.52, 0.65, 0.75, 0.8] {
             let y = f64::ln(1.0 - g);
@@ -301,7 +314,10 @@ mod tests {
                 (sum / f(y) - 1.0).abs()
             };
             for cosine in [-1.0, -0.85, -0.7, -0.6] {
-                assert!(off(&|y| scattered(y, cosine)) < 2e-3, "g {g}, cosine {cosine}");
+                assert!(
+                    off(&|y| BackscatterShape { phase: phase(0.0), cosine }.at(y)) < 2e-3,
+                    "g {g}, cosine {cosine}"
+                );
             }
             for depth in [0.5, 2.0, 8.0, 30.0] {
                 assert!(off(&|y| diffuse(y, depth)) < 2e-3, "g {g}, depth {depth}");
@@ -313,7 +329,7 @@ mod tests {
     fn axes() -> Vec<LocalAxis> {
         let anisotropies = |n: usize, from: f64, to: f64| {
             let g = |i: usize| from + (to - from) * i as f64 / (n - 1) as f64;
-            LocalAxis::with_shapes((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, &BACKSCATTERED)
+            LocalAxis::along_g((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, phase(0.0))
         };
         let powers = [5, 9, 38].map(|n| LocalAxis::new(nodes(n), 0.75));
         let shapes = [2, 4, 5, 6, 9, 11, 25].map(|n| anisotropies(n, 0.0, 0.8));

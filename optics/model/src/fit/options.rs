@@ -5,7 +5,8 @@ use serde::Serialize;
 use crate::invalid::{Invalid, Result, check};
 use crate::limits::FitLimits;
 use crate::measurement::ProfileSetup;
-use crate::medium::{check_albedo, check_g, check_sigma_t};
+use crate::medium::{check_albedo, check_sigma_t};
+use crate::phase::check_g;
 use crate::quantities::Quantity;
 use crate::with_quantities;
 

@@ -47,7 +47,7 @@ impl NoiseLevel {
             Self::Fine => 10.0,
         };
         // In single precision, as points that share their walks have it in common.
-        let tau = f64::from(point.walked_thickness());
+        let tau = f64::from(point.walked_slab().optical_thickness);
         let walks = share * OF_THICK * (tau + 1.3) / (tau + 3.0);
         let batches = (walks / BATCH_WALKS as f64).ceil() as u64;
         Walks::new(batches * BATCH_WALKS).expect("whole batches, and enough of them")

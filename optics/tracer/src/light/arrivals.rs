@@ -14,6 +14,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::Vec3;
+use optics_model::phase::PhaseFunction;
 
 use crate::fresnel::{Facet, reflect, refract};
 use crate::math::exp_f64;
@@ -26,8 +27,8 @@ const CELLS: usize = 128;
 /// Cells that are taken together where they hold less than a share of all light.
 const NEAR: usize = 16;
 const BEAMS: f64 = 512.0;
-/// Anisotropy up to which directions in cells taken together are alike to the phase function.
-const WIDE: f64 = 0.9;
+/// Width of the phase function's peak from which directions in cells taken together are alike to it.
+const WIDE: f64 = 0.1;
 /// Passes through the sample that beams distinguish; the last two stand for all that come later. Where rough faces lose no
 /// light, some of it passes at grazing angles, and a mean length would stand for too different ones. There beams
 /// distinguish lengths: none, four to an octave up to 64 thicknesses, and beyond.
@@ -120,7 +121,7 @@ impl Arrivals {
 impl Arrivals {
     /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one
     /// direction are one, unless the phase function is narrow enough to distinguish them. Their `passed` is a mean.
-    pub fn in_sample(&self, optical_thickness: f64, g: f64) -> Vec<Beam> {
+    pub fn in_sample(&self, optical_thickness: f64, phase: PhaseFunction) -> Vec<Beam> {
         let mut cells = vec![[0.0; 3]; 2 * CELLS];
         for beam in &self.sample {
             let flux = beam.flux * exp_f64(-optical_thickness * beam.passed);
@@ -130,8 +131,8 @@ impl Arrivals {
                 *sum += flux * factor;
             }
         }
-        let faint =
-            if g.abs() > WIDE { 0.0 } else { cells.iter().map(|[flux, ..]| flux).sum::<f64>() / BEAMS };
+        let is_narrow = phase.peak_width() < WIDE;
+        let faint = if is_narrow { 0.0 } else { cells.iter().map(|[flux, ..]| flux).sum::<f64>() / BEAMS };
         let mut beams = Vec::new();
         for (side, cells) in cells.chunks_exact(CELLS).enumerate() {
             for near in cells.chunks_exact(NEAR) {

@@ -1,12 +1,12 @@
 //! Flights in the sample: two a block of random numbers, each to a scattering or to a face.
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, i32x16};
-use optics_model::phase::PhaseSampler;
 
 use super::hits::Hits;
 use super::keep::Keep;
-use super::lanes::{Floats, Mask, WalkLanes, Words};
-use super::numbers::{Philox, choose, constant, flip, ln, root, symmetric, uniform, unit_vector};
+use super::lanes::{Mask, WalkLanes, Words};
+use super::numbers::{Philox, choose, constant, ln, uniform};
+use crate::phase::PhaseSampler;
 use crate::stack::Stack;
 
 /// What flights depend on of the sample.
@@ -65,22 +65,10 @@ impl FlightSample {
         // A true lane is −1.
         let minus_one: i32x16<S> = scatters.to_vector();
         walks.scatterings -= minus_one.bitcast::<Words<S>>();
-        let [dx, dy, dz] = self.scatter([walks.dx, walks.dy, walks.dz], angles);
+        let [dx, dy, dz] = self.phase.scatter([walks.dx, walks.dy, walks.dz], angles);
         walks.dx = choose(scatters, dx, walks.dx);
         walks.dy = choose(scatters, dy, walks.dy);
         walks.dz = choose(scatters, dz, walks.dz);
         scatters
-    }
-
-    /// [`crate::phase::scatter`], lane by lane.
-    #[inline(always)]
-    fn scatter<S: Simd>(&self, [nx, ny, nz]: [Floats<S>; 3], bits: Words<S>) -> [Floats<S>; 3] {
-        let cos = self.phase.cosine(symmetric(bits));
-        let sin = root(constant(cos, 1.0) - cos * cos);
-        let (x, y) = unit_vector(bits);
-        let (x, y) = (sin * x, sin * y);
-        let q = (nx * x + ny * y) / (nz.abs() + 1.0);
-        let k = q + cos;
-        [nx * k - x, ny * k - y, nz * k + flip(q, nz)]
     }
 }

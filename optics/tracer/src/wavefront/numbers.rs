@@ -8,6 +8,7 @@ use fearless_simd::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, Simd
 use super::lanes::{Floats, Mask, Words};
 use crate::exits::Chunk;
 use crate::math::{COS_PI, LN, SIN_PI};
+use crate::phase::Lanes;
 use crate::rng::{MULTIPLIERS, ROUNDS, WEYL};
 
 /// Blocks of random numbers for the walks of a chunk.
@@ -81,12 +82,6 @@ pub fn uniform<S: Simd>(bits: Words<S>) -> Floats<S> {
     from_bits(bits >> 9 | 0x3f80_0000) - (1.0 - 1.0 / 16_777_216.0)
 }
 
-/// Uniform in (−1, 1), from the upper 16 bits.
-#[inline(always)]
-pub fn symmetric<S: Simd>(bits: Words<S>) -> Floats<S> {
-    from_bits((bits >> 9 & 0x007f_ff80) | 0x4000_0000) - (3.0 - 1.0 / 65_536.0)
-}
-
 /// [`crate::microfacet::level`].
 #[inline(always)]
 pub fn level<S: Simd>(bits: Words<S>) -> Floats<S> {
@@ -106,15 +101,43 @@ pub fn unit_vector<S: Simd>(bits: Words<S>) -> (Floats<S>, Floats<S>) {
     (flip_bits(c, turn), flip_bits(s, turn))
 }
 
-/// `value` with its sign changed where `by` is negative.
-#[inline(always)]
-pub fn flip<S: Simd>(value: Floats<S>, by: Floats<S>) -> Floats<S> {
-    flip_bits(value, by.bitcast::<Words<S>>() & 0x8000_0000)
-}
-
 #[inline(always)]
 fn flip_bits<S: Simd>(value: Floats<S>, sign: Words<S>) -> Floats<S> {
     from_bits(value.bitcast::<Words<S>>() ^ sign)
+}
+
+impl<S: Simd> Lanes for Floats<S> {
+    type Bits = Words<S>;
+
+    #[inline(always)]
+    fn symmetric(bits: Words<S>) -> Self {
+        from_bits((bits >> 9 & 0x007f_ff80) | 0x4000_0000) - (3.0 - 1.0 / 65_536.0)
+    }
+
+    #[inline(always)]
+    fn unit_vector(bits: Words<S>) -> (Self, Self) {
+        unit_vector(bits)
+    }
+
+    #[inline(always)]
+    fn constant(self, value: f32) -> Self {
+        constant(self, value)
+    }
+
+    #[inline(always)]
+    fn magnitude(self) -> Self {
+        self.abs()
+    }
+
+    #[inline(always)]
+    fn root(self) -> Self {
+        root(self)
+    }
+
+    #[inline(always)]
+    fn flip(self, by: Self) -> Self {
+        flip_bits(self, by.bitcast::<Words<S>>() & 0x8000_0000)
+    }
 }
 
 /// Natural logarithm of a positive normal number.
