@@ -17,6 +17,12 @@ pub(super) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// Priors may take up all degrees of freedom: then nothing is unlikely.
+    #[test]
+    fn nothing_is_unlikely_without_freedom() {
+        assert_eq!([0.0, -2.5].map(|k| exceedance(5.0, k)), [1.0; 2]);
+    }
+
     /// Quantiles from tables of χ².
     #[test]
     fn chi2_matches_tabled_quantiles() {

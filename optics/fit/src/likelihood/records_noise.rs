@@ -84,6 +84,31 @@ mod tests {
         assert_eq!([too_small_by(10.5, 8), too_small_by(8.0, 8), too_small_by(1.2, 1)], [MOST; 3]);
     }
 
+    /// Noise counts by its variance over the pixel's own, where the camera sees it. What a pixel hides is left to the diagonal.
+    #[test]
+    fn hidden_noise_becomes_no_mode() {
+        let n = 20;
+        let at = |pixel: usize, size: f64| -> Line {
+            (0..n).map(|i| if i == pixel { size } else { 0.0 }).collect()
+        };
+        let mut std_errors = vec![1.0; n];
+        (std_errors[8], std_errors[12]) = (3.0, 0.1);
+        let x: Line = (0..n).map(|i| (i as f64 + 0.5) * 0.5 - 5.0).collect();
+        let camera = Camera::new(&x, 0.5, 10.0, n);
+        let noise = NoiseFactors { factors: vec![at(8, 1.0), at(12, 0.3)], degrees: 30.0 };
+        let found = Modes::new(&noise, &camera, 0.0, &std_errors);
+        let factor: f64 = 29.0 / 27.0;
+        let (mode, rest) = (at(12, 0.3 * factor.sqrt()), at(8, factor));
+        assert_eq!(found.modes.len(), 1);
+        for i in 0..n {
+            assert!((found.modes[0][i] - mode[i]).abs() < 1e-9, "mode at pixel {i}");
+            assert!((found.rest_variances[i] - rest[i]).abs() < 1e-9, "rest at pixel {i}");
+        }
+        // An edge that lies a pixel further right.
+        let moved = Modes::new(&noise, &camera, 0.5, &std_errors);
+        assert!((moved.modes[0][9] - factor.sqrt()).abs() < 1e-9, "{:?}", moved.modes[0]);
+    }
+
     /// Smooth noise is kept nearly whole by a few modes, and what they leave is on the diagonal.
     #[test]
     fn modes_and_remainder_form_the_covariance() {

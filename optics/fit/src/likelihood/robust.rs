@@ -79,6 +79,27 @@ mod tests {
         assert!(weight(2.0) > 0.99 && weight(6.0) < 0.01);
     }
 
+    /// At most four pixels on each side belong to a speck, up to the first of another sign.
+    #[test]
+    fn rims_end_after_four_pixels() {
+        let mut residuals = vec![-1.0; 13];
+        residuals[6] = -9.0;
+        let excluded = |residuals: &[f64]| -> Vec<usize> {
+            specks(residuals).iter().enumerate().filter(|(_, out)| **out).map(|(i, _)| i).collect()
+        };
+        assert_eq!(excluded(&residuals), [2, 3, 4, 5, 6, 7, 8, 9, 10]);
+        (residuals[4], residuals[8]) = (1.0, 1.0);
+        assert_eq!(excluded(&residuals), [5, 6, 7]);
+    }
+
+    /// Dust makes runs of 24 pixels and 40 % of a profile at most.
+    #[test]
+    fn longest_run_and_share_bound_dust() {
+        let runs = |length: usize, of: usize| (0..400).map(|i| i % of < length).collect::<Vec<bool>>();
+        assert!(is_dust(&runs(24, 100)) && !is_dust(&runs(25, 100)));
+        assert!(is_dust(&runs(2, 5)) && !is_dust(&runs(21, 50)));
+    }
+
     /// A speck is excluded together with its rim.
     #[test]
     fn speck_is_excluded_with_its_rim() {

@@ -370,3 +370,17 @@ impl Parabola {
         2.0 * self.downhill.dot(&step) - step.dot(&(self.normal * step))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The fall along (1, 1, 1): twice the pull's 6, less the form's 4.
+    #[test]
+    fn parabola_promises_its_own_fall() {
+        let downhill = Vector3::new(1.0, 2.0, 3.0);
+        let normal = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 2.0));
+        let parabola = Parabola { x: [0.5; 3], cost: 0.0, downhill, normal };
+        assert_eq!(parabola.fall([1.5; 3]), 8.0);
+    }
+}

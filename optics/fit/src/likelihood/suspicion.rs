@@ -143,6 +143,45 @@ fn linear(v: f64) -> (f64, f64) {
 mod tests {
     use super::*;
 
+    /// A cause explains three fifths of the χ² that noise does not, and leaves a misfit of 3 or an eighth at most.
+    #[test]
+    fn convincing_causes_leave_little() {
+        let convinces = |misfit: f64, misfit_left: f64| {
+            let cause = Cause::Gain;
+            is_convincing(&Suspicion { cause, thickness_mm: None, amount: 0.0, misfit_left }, misfit)
+        };
+        for (misfit, most) in [(2.4, 1.7041), (10.0, 3.0), (40.0, 5.0)] {
+            assert!(convinces(misfit, most - 1e-3) && !convinces(misfit, most + 1e-3), "{misfit}");
+        }
+    }
+
+    /// The first pixel is black.
+    fn profile(thickness_mm: f64, value: f64) -> MeasuredProfile {
+        let x: Vec<f64> = (0..10).map(|i| f64::from(i) - 4.5).collect();
+        let values = (0..10).map(|i| if i == 0 { 0.0 } else { value }).collect();
+        MeasuredProfile::new("G", thickness_mm, x, values, Some(vec![0.01; 10])).unwrap()
+    }
+
+    /// Standard errors are decoded with the slope, and values that no screen shows are not coded.
+    #[test]
+    fn decoded_profiles_have_linear_errors() {
+        let profiles = decoded(&[&profile(0.5, 0.5)]).unwrap();
+        let (value, slope) = linear(0.5);
+        assert_eq!(profiles[0].values()[..2], [0.0, value]);
+        assert_eq!(profiles[0].std_errors().unwrap()[..2], [0.01 * linear(0.0).1, 0.01 * slope]);
+        assert!(decoded(&[&profile(0.5, 0.5), &profile(1.0, 1.01)]).is_none());
+    }
+
+    /// Thicknesses are exchanged between two profiles.
+    #[test]
+    fn swapped_profiles_exchange_thicknesses() {
+        let [a, b] = [(0.5, 0.3), (1.0, 0.4)].map(|(thickness_mm, value)| profile(thickness_mm, value));
+        let found = swapped(&[&a, &b]).unwrap();
+        let places = found.iter().map(|p| (p.thickness_mm(), p.values()[1]));
+        assert_eq!(places.collect::<Vec<_>>(), [(1.0, 0.3), (0.5, 0.4)]);
+        assert!(swapped(&[&a, &b, &a]).is_none());
+    }
+
     /// sRGB by the standard: half of the code is 21.4 % of the light, and the slopes of both branches meet within 3 %.
     #[test]
     fn srgb_is_decoded_by_the_standard() {

@@ -370,6 +370,17 @@ fn prior_cost(weight: f64, off: f64) -> f64 {
 mod tests {
     use super::*;
 
+    /// By hand: at (1, 2) from the centre the form is 18, and the slope adds −2 (0.5 − 2).
+    #[test]
+    fn coupling_cost_is_its_quadratic() {
+        let coupling = Coupling {
+            centre: DVector::from_row_slice(&[1.0, 0.0]),
+            information: DMatrix::from_row_slice(2, 2, &[2.0, 1.0, 1.0, 3.0]),
+            downhill: DVector::from_row_slice(&[0.5, -1.0]),
+        };
+        assert_eq!(coupling.cost(&DVector::from_row_slice(&[2.0, 2.0])), 21.0);
+    }
+
     /// A rough prior is normal up to two standard deviations; then its cost is 4 |u| − 4, with the slope that it pulls with.
     #[test]
     fn rough_priors_are_linear_beyond_two() {

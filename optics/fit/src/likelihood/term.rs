@@ -394,3 +394,6 @@ impl Term {
         Reduced::new(Quadratic { downhill, information: all }, shared)
     }
 }
+
+#[cfg(test)]
+mod tests;
