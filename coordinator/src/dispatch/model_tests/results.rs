@@ -40,7 +40,7 @@ impl World {
                 self.find_blocks();
             }
             Some(Outcome::Before { records, .. }) => {
-                self.farm.compare_with_stored(&arrived, records, arrived.digest)
+                self.farm.compare_with_stored(&arrived, records, arrived.digest);
             }
             Some(Outcome::Differs | Outcome::Repeated) => {
                 unreachable!("the model's store compares neither points nor blocks")

@@ -96,7 +96,7 @@ impl TryFrom<SceneFile> for Scene {
             let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
             e.renamed(field)
         })?;
-        let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, angles)?.into_iter().unzip();
+        let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, &angles)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
             // Priors have no place of their own in a file.
             let index = e.field().split(['[', ']']).nth(1).and_then(|i| i.parse::<usize>().ok());

@@ -9,7 +9,7 @@ mod session;
 
 use farm_tests::statistics::{Share, effort, quantile};
 
-use outcome::{QUANTITIES, SetUpOutcome};
+use outcome::{QUANTITIES, SceneOutcome, SetUpOutcome};
 use scenes::ChangedSetUp;
 use session::{Nodes, SetUpSession, dictionary};
 
@@ -90,7 +90,7 @@ fn random(sets: u64, materials: usize) {
         }
     }
     print_scene(&found);
-    let scene = coverage(&found, |o| o.scene.iter().map(|s| s.holds()).collect());
+    let scene = coverage(&found, |o| o.scene.iter().map(SceneOutcome::holds).collect());
     println!("all quantities of the scene: {scene} %");
     let (ratio, error) = of_sigma_t;
     assert!(ratio <= 1.5 || materials == 1, "median half-width {ratio}");
@@ -113,7 +113,7 @@ fn print_scene(found: &Sessions) {
     for name in names {
         let these: Vec<_> = estimates().filter(|s| s.name == name).collect();
         let of_name = |o: &SetUpOutcome| {
-            o.scene.iter().filter(|s| s.name == name).map(|s| s.holds()).collect::<Vec<bool>>()
+            o.scene.iter().filter(|s| s.name == name).map(SceneOutcome::holds).collect::<Vec<bool>>()
         };
         let hold = coverage(found, of_name);
         let square = these.iter().map(|s| s.z().powi(2)).sum::<f64>() / these.len() as f64;
