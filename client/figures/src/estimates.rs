@@ -9,8 +9,8 @@ use optics_model::scene::Scope;
 use crate::numbers::{minus, with_error};
 
 /// How far the standard errors of the rows hold.
-pub const NOTE: &str = "the noise of the dictionary's responses makes errors of roughnesses and indices too small, by a \
-                        factor of 1.2 to 2 in tests";
+pub const NOTE: &str = "the noise of the dictionary's responses makes errors of what a session shares too small, by a \
+                        factor of up to 1.2 in tests";
 
 /// Estimate and prior of one quantity, for what shares it.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -3,6 +3,7 @@
 //! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and beyond them a likelihood, which goes between
 //! the records of the dictionary and has error bars. The functions here are the questions that a dictionary answers.
 
+mod bases;
 mod design;
 mod dictionary;
 mod likelihood;

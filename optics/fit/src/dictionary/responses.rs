@@ -10,8 +10,12 @@ use std::sync::Arc;
 use optics_model::Grid;
 use optics_model::grid::Responses;
 use optics_model::scene::Prior;
+use rayon::prelude::*;
 
 use crate::dictionary::records::Records;
+use signal::{LinearRows, NodeOrder};
+
+mod signal;
 
 /// Relative change of a profile by one standard deviation below which a quantity's curve is taken to be straight.
 const NO_EFFECT: f64 = 1e-4;
@@ -73,21 +77,33 @@ impl VariedRecords {
         let grid = self.grid.clone();
         let (mut curves, mut linear) = (Vec::new(), Vec::new());
         if let Some(responses) = grid.responses() {
-            for (index, prior) in grid.scene().priors().iter().enumerate() {
+            let priors = grid.scene().priors().par_iter().enumerate();
+            let of_prior = priors.map(|(index, prior)| {
                 let steps = steps_of(responses, index, prior);
                 let curve = self.curve(prior, &steps, records);
-                let mut add = |differences: &[Vec<f64>], _: &[f32]| {
-                    let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
-                    let square: f64 = heights.iter().map(|h| h * h).sum();
-                    let of_pixel =
-                        |p: usize| heights.iter().zip(differences).map(|(h, d)| h * d[p]).sum::<f64>();
-                    linear.extend((0..differences[0].len()).map(|p| (of_pixel(p) / square) as f32));
-                };
-                self.each_row(&steps, records, &mut add);
+                (curve, self.linear(&steps, curve, records))
+            });
+            for (curve, of_prior) in of_prior.collect::<Vec<_>>() {
                 curves.push(curve);
+                linear.extend(of_prior);
             }
         }
         ResponseRecords { grid, curves, linear }
+    }
+
+    /// L of a quantity at all nodes, by least squares of its differences, without most of their noise.
+    fn linear(&self, steps: &[(usize, f64)], curve: ResponseCurve, records: &Records) -> Vec<f32> {
+        let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
+        let square: f64 = heights.iter().map(|h| h * h).sum();
+        let (mut linear, mut of_scene) = (Vec::new(), Vec::new());
+        let mut add = |differences: &[Vec<f64>], row: &[f32]| {
+            let of_pixel = |p: usize| heights.iter().zip(differences).map(|(h, d)| h * d[p]).sum::<f64>();
+            linear.extend((0..row.len()).map(|p| (of_pixel(p) / square) as f32));
+            of_scene.extend_from_slice(row);
+        };
+        self.each_row(steps, records, &mut add);
+        LinearRows::new(&mut linear, &of_scene, self.pixels()).reduce_noise(&NodeOrder::of(&self.grid));
+        linear
     }
 
     /// The curve that relates the differences of all records at two steps best, relative to the profiles. Dark pixels have

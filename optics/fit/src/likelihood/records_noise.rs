@@ -84,7 +84,8 @@ mod tests {
         assert_eq!([too_small_by(10.5, 8), too_small_by(8.0, 8), too_small_by(1.2, 1)], [MOST; 3]);
     }
 
-    /// Noise counts by its variance over the pixel's own, where the camera sees it. What a pixel hides is left to the diagonal.
+    /// Noise counts by its variance over the pixel's own, where the camera sees it. What a pixel hides
+    /// is left to the diagonal.
     #[test]
     fn hidden_noise_becomes_no_mode() {
         let n = 20;

@@ -4,6 +4,8 @@
 
 use optics_model::phase::PhaseFunction;
 
+use crate::bases::orthonormal;
+
 /// Weights of the nodes from `first` on, and their derivatives by the coordinate.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Weights {
@@ -203,34 +205,6 @@ fn half_width(nodes: &[f64], reach: f64) -> f64 {
     let n = nodes.len();
     let spacing = (nodes[n - 1] - nodes[0]).abs() / (n.max(2) - 1) as f64;
     (reach / spacing).clamp(2.5, 8.5)
-}
-
-/// What of a term the others do not have, as a share of its size, below which it is nothing but rounding.
-const NOTHING: f64 = 1e-11;
-
-/// Functions that span the terms and are orthonormal over the window's nodes under their weights. Each is given by its
-/// values, at the nodes and then at any places. Orthogonalised twice: terms are nearly alike where a window is narrow.
-pub(super) fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
-    let product =
-        |a: &[f64], b: &[f64]| -> f64 { window.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum() };
-    let mut basis: Vec<Vec<f64>> = Vec::with_capacity(terms.len());
-    for mut values in terms {
-        let size = product(&values, &values).sqrt();
-        for _ in 0..2 {
-            for other in &basis {
-                let along = product(&values, other);
-                values.iter_mut().zip(other).for_each(|(v, o)| *v -= along * o);
-            }
-        }
-        let left = product(&values, &values).sqrt();
-        if left > NOTHING * size {
-            for v in &mut values {
-                *v /= left;
-            }
-            basis.push(values);
-        }
-    }
-    basis
 }
 
 #[cfg(test)]

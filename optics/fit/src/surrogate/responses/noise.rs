@@ -5,13 +5,11 @@
 //! them larger: the noise is then overestimated.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
+use crate::bases::contrasts;
 use crate::dictionary::responses::ResponseCurve;
 use crate::surrogate::interpolation;
-use crate::surrogate::local_axis::{Direction, Weights, orthonormal};
+use crate::surrogate::local_axis::{Direction, Weights};
 use crate::surrogate::noise::NoisePlace;
-
-/// Highest degree of the polynomials.
-const DEGREE: usize = 3;
 
 /// What the responses' noise does to a prediction.
 #[derive(Debug)]
@@ -115,48 +113,9 @@ impl Surrogate<'_> {
     }
 }
 
-/// Weights of nodes, of unit length and orthogonal to each other and to polynomials up to [`DEGREE`], or up to a lower
-/// one where nodes are few; none for one node.
-fn contrasts(x: &[f64]) -> Vec<Vec<f64>> {
-    let n = x.len();
-    if n < 2 {
-        return Vec::new();
-    }
-    let middle = x.iter().sum::<f64>() / n as f64;
-    let powers = (n - 1).min(DEGREE + 1);
-    let monomials = (0..powers).map(|p| x.iter().map(|x| (x - middle).powi(p as i32)).collect());
-    let units = (0..n).map(|i| (0..n).map(|k| if i == k { 1.0 } else { 0.0 }).collect());
-    let mut basis = orthonormal(monomials.chain(units).collect(), &vec![1.0; n]);
-    basis.drain(..powers);
-    basis.truncate(n - powers);
-    basis
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Contrasts vanish for polynomials that the nodes exceed, and have unit length.
-    #[test]
-    fn contrasts_are_blind_to_polynomials() {
-        for n in 1..8 {
-            let x: Vec<f64> = (0..n).map(|i| (f64::from(i) + 0.1 * f64::from(i % 3)).ln_1p()).collect();
-            let found = contrasts(&x);
-            let powers = (n as usize).saturating_sub(1).min(DEGREE + 1);
-            assert_eq!(found.len(), if n == 1 { 0 } else { n as usize - powers });
-            for (i, contrast) in found.iter().enumerate() {
-                for power in 0..powers {
-                    let sum: f64 = contrast.iter().zip(&x).map(|(c, x)| c * x.powi(power as i32)).sum();
-                    assert!(sum.abs() < 1e-9, "{n} nodes, x^{power}: {sum}");
-                }
-                for (k, other) in found.iter().enumerate() {
-                    let product: f64 = contrast.iter().zip(other).map(|(a, b)| a * b).sum();
-                    let expected = if i == k { 1.0 } else { 0.0 };
-                    assert!((product - expected).abs() < 1e-9, "{n} nodes: {product}");
-                }
-            }
-        }
-    }
 
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]

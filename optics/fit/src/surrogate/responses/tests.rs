@@ -56,10 +56,10 @@ fn of_roughness(seed: u64) -> FitDictionary {
     let roughness = lab().priors()[0].clone();
     let scene = lab().with_priors(vec![roughness]).unwrap();
     let axes = Axes {
-        sigma_t_per_mm: vec![1.0, 2.0, 4.0, 8.0],
-        albedo: vec![0.8, 0.9, 0.97],
+        sigma_t_per_mm: vec![1.0, 2.0, 4.0, 8.0, 16.0, 32.0],
+        albedo: vec![0.7, 0.8, 0.85, 0.9, 0.94, 0.97],
         g: vec![0.0, 0.4, 0.7],
-        thickness_mm: vec![1.0],
+        thickness_mm: vec![0.5, 1.0],
         sample_ior: vec![IOR],
     };
     let base = SeenBase::of(&scene);

@@ -1,0 +1,229 @@
+//! Separates the responses of a quantity from most of their noise.
+//!
+//! The responses of all media lie in few directions of the space of pixels, and their noise in many. Only the directions
+//! in which responses are largest are kept, each with the share of its mean square that is not noise. Noise that is left
+//! would make a response look stronger than it is, and so the quantity better known.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use optics_model::Grid;
+
+use crate::bases::{contrasts, orthonormal};
+use crate::dictionary::sum::dot;
+use crate::dictionary::wide::wide;
+
+/// Directions of which it is asked how much of them is noise.
+const DIRECTIONS: usize = 16;
+/// Passes over the rows that turn the directions to those of the largest mean square.
+const PASSES: usize = 4;
+/// Least number of independent samples of the noise: with fewer, directions would be kept whose noise is small by chance.
+const LEAST_SAMPLES: usize = 6;
+/// Most rows of a pass.
+const MOST_ROWS: usize = 400;
+/// Radiance factor that is added to means of profiles before responses are divided by them: what is darker counts less.
+const DARK: f64 = 0.02;
+
+/// The nodes of a grid's responses, in the order of their rows.
+#[derive(Debug)]
+pub(super) struct NodeOrder {
+    ln_sigma_t: Vec<f64>,
+    /// Rows between neighbours in σ_t.
+    stride: usize,
+    /// Rows whose walks are the same.
+    albedos: usize,
+}
+
+impl NodeOrder {
+    pub(super) fn of(grid: &Grid) -> Self {
+        let (sigma_t, g) = grid.responses().map_or((&[][..], &[][..]), |r| (r.sigma_t(), r.g()));
+        let ln_sigma_t = sigma_t.iter().map(|i| grid.sigma_t_per_mm()[*i].ln()).collect();
+        let albedos = grid.albedo().len();
+        Self { ln_sigma_t, stride: g.len() * grid.thickness_mm().len() * albedos, albedos }
+    }
+
+    /// Weights of rows that polynomials in ln σ_t do not change, each of unit length: sums with them are noise.
+    fn contrasts(&self, rows: usize) -> Vec<Vec<(usize, f64)>> {
+        let (contrasts, block) = (contrasts(&self.ln_sigma_t), self.ln_sigma_t.len() * self.stride);
+        let firsts = (0..rows).step_by(block.max(1)).flat_map(|start| start..start + self.stride);
+        let at = |first: usize, contrast: &[f64]| {
+            contrast.iter().enumerate().map(|(s, weight)| (first + s * self.stride, *weight)).collect()
+        };
+        firsts.flat_map(|first| contrasts.iter().map(move |c| at(first, c)).collect::<Vec<_>>()).collect()
+    }
+}
+
+/// L of a quantity at all nodes: `[row][pixel]`.
+pub(super) struct LinearRows<'a> {
+    linear: &'a mut [f32],
+    /// Noise is nearly even where L is divided by both.
+    row_scales: Vec<f64>,
+    pixel_scales: Vec<f64>,
+}
+
+impl<'a> LinearRows<'a> {
+    /// `of_scene` are the profiles in the scene.
+    pub(super) fn new(linear: &'a mut [f32], of_scene: &[f32], pixels: usize) -> Self {
+        let count = of_scene.len() / pixels;
+        let mean = |values: &[f32]| DARK + values.iter().map(|v| f64::from(*v)).sum::<f64>() / pixels as f64;
+        let mut pixel_scales = vec![DARK; pixels];
+        for row in of_scene.chunks_exact(pixels) {
+            pixel_scales.iter_mut().zip(row).for_each(|(s, v)| *s += f64::from(*v) / count as f64);
+        }
+        Self { linear, row_scales: of_scene.chunks_exact(pixels).map(mean).collect(), pixel_scales }
+    }
+
+    /// Replaces every L by the part that is not noise. Where nodes are too few to show the noise, nothing changes.
+    pub(super) fn reduce_noise(&mut self, nodes: &NodeOrder) {
+        let contrasts = nodes.contrasts(self.count());
+        let directions = self.directions();
+        if contrasts.len() < LEAST_SAMPLES * nodes.albedos || directions.is_empty() {
+            return;
+        }
+        let found: Vec<Vec<f64>> = (0..self.count()).map(|row| self.along(row, &directions)).collect();
+        let (turned, squares) = principal(&found);
+        let turned_by =
+            |of: &[f64], k: usize| of.iter().enumerate().map(|(i, v)| v * turned[(i, k)]).sum::<f64>();
+        let noise = |k: usize| {
+            let sum = |contrast: &Vec<(usize, f64)>| -> f64 {
+                contrast.iter().map(|(row, weight)| weight * turned_by(&found[*row], k)).sum()
+            };
+            contrasts.iter().map(|c| sum(c).powi(2)).sum::<f64>() / contrasts.len() as f64
+        };
+        let shares: Vec<f64> =
+            squares.iter().enumerate().map(|(k, square)| (1.0 - noise(k) / square).max(0.0)).collect();
+        let kept = DMatrix::from_diagonal(&shares.into());
+        let kept = &turned * kept * turned.transpose();
+        for (row, found) in found.iter().enumerate() {
+            let weights: Vec<f64> = (0..found.len())
+                .map(|i| found.iter().enumerate().map(|(j, v)| kept[(i, j)] * v).sum())
+                .collect();
+            self.set(row, &weights, &directions);
+        }
+    }
+
+    fn count(&self) -> usize {
+        self.row_scales.len()
+    }
+
+    fn pixels(&self, row: usize) -> std::ops::Range<usize> {
+        let pixels = self.pixel_scales.len();
+        row * pixels..(row + 1) * pixels
+    }
+
+    fn scaled(&self, row: usize) -> Vec<f64> {
+        let scale = 1.0 / self.row_scales[row];
+        let linear = self.linear[self.pixels(row)].iter().zip(&self.pixel_scales);
+        linear.map(|(l, of_pixel)| scale * f64::from(*l) / of_pixel).collect()
+    }
+
+    fn along(&self, row: usize, directions: &[Vec<f64>]) -> Vec<f64> {
+        let scaled = self.scaled(row);
+        wide(
+            #[inline(always)]
+            || directions.iter().map(|d| dot(d, &scaled)).collect(),
+        )
+    }
+
+    fn set(&mut self, row: usize, weights: &[f64], directions: &[Vec<f64>]) {
+        let mut sum = vec![0.0; self.pixel_scales.len()];
+        add_all(&mut sum, weights, directions);
+        let (pixels, scale) = (self.pixels(row), self.row_scales[row]);
+        for ((l, sum), of_pixel) in self.linear[pixels].iter_mut().zip(sum).zip(&self.pixel_scales) {
+            *l = (sum * scale * of_pixel) as f32;
+        }
+    }
+
+    /// Orthonormal directions in which scaled responses have the largest mean square, by subspace iteration.
+    fn directions(&self) -> Vec<Vec<f64>> {
+        let rows = |most: usize| {
+            let count = most.min(self.count());
+            (0..count).map(move |k| k * self.count() / count)
+        };
+        let even = vec![1.0; self.pixel_scales.len()];
+        let mut directions = orthonormal(rows(DIRECTIONS).map(|row| self.scaled(row)).collect(), &even);
+        for _ in 0..PASSES {
+            let mut next = vec![vec![0.0; even.len()]; directions.len()];
+            for row in rows(MOST_ROWS) {
+                let scaled = self.scaled(row);
+                for (next, along) in next.iter_mut().zip(self.along(row, &directions)) {
+                    add_all(next, &[along], std::slice::from_ref(&scaled));
+                }
+            }
+            directions = orthonormal(next, &even);
+        }
+        directions
+    }
+}
+
+/// Adds multiples of profiles.
+fn add_all(sum: &mut [f64], weights: &[f64], profiles: &[Vec<f64>]) {
+    wide(
+        #[inline(always)]
+        || {
+            for (weight, profile) in weights.iter().zip(profiles) {
+                sum.iter_mut().zip(profile).for_each(|(s, v)| *s += weight * v);
+            }
+        },
+    );
+}
+
+/// Principal directions of vectors, as columns, and their mean squares.
+fn principal(vectors: &[Vec<f64>]) -> (DMatrix<f64>, Vec<f64>) {
+    let n = vectors[0].len();
+    let product =
+        |i: usize, j: usize| vectors.iter().map(|v| v[i] * v[j]).sum::<f64>() / vectors.len() as f64;
+    let found = SymmetricEigen::new(DMatrix::from_fn(n, n, product));
+    let squares = found.eigenvalues.iter().map(|square| square.max(f64::MIN_POSITIVE)).collect();
+    (found.eigenvectors, squares)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PIXELS: usize = 40;
+    const NODES: [usize; 2] = [6, 30];
+
+    /// Two directions whose sizes are polynomials in ln σ_t.
+    fn exact(s: f64, k: usize, p: usize) -> f64 {
+        let (x, k) = (p as f64 / PIXELS as f64, k as f64 / NODES[1] as f64);
+        (1.0 + s * k) * (3.0 * x).sin() + (0.3 * s * s - k) * (5.0 * x).cos()
+    }
+
+    /// Noise falls to less than a half, and what is left of the responses is right.
+    #[test]
+    fn noise_of_responses_is_reduced() {
+        let ln_sigma_t: Vec<f64> = (0..NODES[0]).map(|i| 0.6 * i as f64).collect();
+        let mut seed = 1_u32;
+        let mut uniform = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(seed) / f64::from(u32::MAX) - 0.5
+        };
+        let (mut truth, mut linear) = (Vec::new(), Vec::new());
+        for s in &ln_sigma_t {
+            for k in 0..NODES[1] {
+                truth.extend((0..PIXELS).map(|p| exact(*s, k, p)));
+            }
+        }
+        linear.extend(truth.iter().map(|v| (v + 0.4 * uniform()) as f32));
+        let of_scene = vec![1.0; linear.len()];
+        let off = |linear: &[f32]| -> f64 {
+            let squares = linear.iter().zip(&truth).map(|(l, t)| (f64::from(*l) - t).powi(2));
+            (squares.sum::<f64>() / truth.len() as f64).sqrt()
+        };
+        let before = off(&linear);
+        let mut rows = LinearRows::new(&mut linear, &of_scene, PIXELS);
+        rows.reduce_noise(&NodeOrder { ln_sigma_t, stride: NODES[1], albedos: 5 });
+        let after = off(&linear);
+        assert!((0.1..0.13).contains(&before) && after < 0.4 * before, "{before} {after}");
+    }
+
+    /// With few nodes of σ_t noise cannot be found, and responses stay as they are.
+    #[test]
+    fn responses_at_one_node_are_unchanged() {
+        let mut linear: Vec<f32> = (0..4 * PIXELS).map(|i| i as f32).collect();
+        let (before, of_scene) = (linear.clone(), vec![0.5; linear.len()]);
+        let mut rows = LinearRows::new(&mut linear, &of_scene, PIXELS);
+        rows.reduce_noise(&NodeOrder { ln_sigma_t: vec![1.0], stride: 4, albedos: 4 });
+        assert_eq!(linear, before);
+    }
+}
