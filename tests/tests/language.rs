@@ -39,7 +39,7 @@ const WORDS: [&[&str]; 12] = [
 /// How many of [`WORDS`] are still in the files of each top-level folder: the exact number, so that none comes back.
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 14),
-    ("client", 43),
+    ("client", 42),
     ("coordinator", 105),
     ("deploy", 0),
     ("docs", 1),

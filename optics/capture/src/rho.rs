@@ -56,14 +56,14 @@ impl BoardRho {
 
     /// Both sides lie within 0 to 1, up to three standard errors of the photographs.
     pub fn is_plausible(&self) -> bool {
-        self.sides().iter().all(|(_, rho)| rho.is_within(0.0))
+        self.sides().iter().all(|(_, rho)| is_possible(*rho, 0.0))
     }
 
     /// Refuses a side that lies outside 0 to 1 by more than three standard errors, of which those of light and dark in
     /// `of_scene` stem from what is uncertain in the scene.
     pub fn check(&self, colour: Colour, of_scene: [f64; 2]) -> Result<(), Invalid> {
         for ((side, rho), of_scene) in self.sides().into_iter().zip(of_scene) {
-            if !rho.is_within(of_scene) {
+            if !is_possible(rho, of_scene) {
                 let field = format!("rho.{side}[{}]", colour.letter());
                 let allowed = "from 0 to 1; the scene or the white reference does not fit this board";
                 return Err(Invalid::new(field, format!("{:.4}", rho.value), allowed));
@@ -73,11 +73,10 @@ impl BoardRho {
     }
 }
 
-impl Estimate {
-    fn is_within(&self, other_std_error: f64) -> bool {
-        let reach = 3.0 * self.std_error.hypot(other_std_error);
-        (-reach..=1.0 + reach).contains(&self.value)
-    }
+/// Whether a ρ lies within 0 to 1, up to three of both standard errors.
+fn is_possible(rho: Estimate, of_scene: f64) -> bool {
+    let reach = 3.0 * rho.std_error.hypot(of_scene);
+    (-reach..=1.0 + reach).contains(&rho.value)
 }
 
 #[cfg(test)]

@@ -91,7 +91,7 @@ impl Shots {
             }
             (SampleLayout::Mosaic(None), None) => bail!(
                 "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
-                 under [camera], `--pattern` with --check (`dcraw -i -v` tells it as \"Filter pattern\"); of a \
+                 under [camera], `--pattern` with --check (`dcraw -i -v` prints it as \"Filter pattern\"); of a \
                  monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
             ),
             (SampleLayout::Rgb, Some(_)) => {
