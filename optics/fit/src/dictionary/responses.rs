@@ -19,7 +19,7 @@ mod signal;
 
 /// Relative change of a profile by one standard deviation below which a quantity's curve is taken to be straight.
 const NO_EFFECT: f64 = 1e-4;
-/// The slope of a curve at the farthest steps is at least a tenth of that at 0: 1 + 2 q w ≥ 0.1.
+/// The slope of a curve is at least a tenth of that at 0 over all of the prior's range: 1 + 2 q w ≥ 0.1.
 const MOST_CURVATURE: f64 = 0.45;
 
 /// Bytes that a grid's responses take in one channel while they are made.
@@ -123,7 +123,9 @@ impl VariedRecords {
             }
         };
         self.each_row(steps, records, &mut add);
-        ResponseCurve { curvature: curvature(at, squares, product), ..straight }
+        let (low, high) = prior.range(self.grid.scene());
+        let ends = [low, high].map(|end| straight.bent(end / prior.std_error()));
+        ResponseCurve { curvature: curvature(at, squares, product, ends), ..straight }
     }
 
     /// Calls a function with the differences at these variants and the scene's own values, for every record.
@@ -169,13 +171,13 @@ fn steps_of(responses: &Responses, index: usize, prior: &Prior) -> Vec<(usize, f
 }
 
 /// q of two places w at which the differences over w have these sums of squares and of products: of the line through the
-/// origin from which both are off least.
-fn curvature(at: [f64; 2], squares: [f64; 2], product: f64) -> f64 {
+/// origin from which both are off least, as long as the curve rises between these ends.
+fn curvature(at: [f64; 2], squares: [f64; 2], product: f64, ends: [f64; 2]) -> f64 {
     let half = 0.5 * (squares[0] - squares[1]);
     // The first difference over w is this multiple of the second.
     let ratio = (half + half.hypot(product)) / product;
     let found = (ratio - 1.0) / (at[0] - ratio * at[1]);
-    let (low, high) = (at[0].min(0.0), at[1].max(at[0]));
+    let [low, high] = ends;
     let most = if low < 0.0 { -MOST_CURVATURE / low } else { f64::INFINITY };
     if found.is_finite() { found.clamp(-MOST_CURVATURE / high, most) } else { 0.0 }
 }
@@ -213,15 +215,38 @@ mod tests {
     /// The curvature that two exact differences have is found; without an effect a curve is straight.
     #[test]
     fn curvature_follows_from_two_differences() {
-        let at = [-1.3, 3.5];
-        for q in [-0.12, 0.0, 0.2] {
+        let (at, ends) = ([-1.3, 3.5], [-1.4, 3.8]);
+        for q in [-0.1, 0.0, 0.2] {
             let [a, b] = at.map(|w: f64| 0.7 * (1.0 + q * w));
-            let found = curvature(at, [a * a, b * b], a * b);
+            let found = curvature(at, [a * a, b * b], a * b, ends);
             assert!((found - q).abs() < 1e-12, "{found} {q}");
         }
-        // The second difference lies where a parabola would have turned.
-        assert_eq!(curvature(at, [4.0, 0.01], 0.2), -MOST_CURVATURE / 3.5);
-        assert_eq!(curvature(at, [1e-8; 2], 1e-8), 0.0);
+        assert_eq!(curvature(at, [1e-8; 2], 1e-8, ends), 0.0);
+    }
+
+    /// Whatever the differences at the steps, a curve rises over the whole range of its prior.
+    #[test]
+    fn curves_of_lab_rise_over_their_ranges() {
+        let scene = optics_model::Scene::lab();
+        for prior in scene.priors() {
+            let straight = ResponseCurve { bend: prior.bend(&scene), curvature: 0.0 };
+            let in_errors = |difference: f64| difference / prior.std_error();
+            let steps: Vec<f64> = prior.steps(&scene).into_iter().map(in_errors).collect();
+            let &[near, far] = &steps[..] else { continue };
+            let (low, high) = prior.range(&scene);
+            let ends = [low, high].map(in_errors);
+            // The differences over w at one step are ten times those at the other.
+            for squares in [[100.0, 1.0], [1.0, 100.0]] {
+                let at = [near, far].map(|u| straight.bent(u));
+                let curvature = curvature(at, squares, 10.0, ends.map(|u| straight.bent(u)));
+                assert_ne!(curvature, 0.0);
+                let curve = ResponseCurve { curvature, ..straight };
+                for i in 0..=100 {
+                    let u = ends[0] + f64::from(i) / 100.0 * (ends[1] - ends[0]);
+                    assert!(curve.at(u).1 > 0.0, "{}: {u}", scene.name_of(prior));
+                }
+            }
+        }
     }
 
     /// The slope of a curve is its derivative.
