@@ -1,24 +1,28 @@
 //! The answer of a channel at its minimum.
 
+pub(crate) mod budget;
+pub(crate) mod nuisances;
+pub(crate) mod suspicion;
+
 use nalgebra::DMatrix;
 use optics_model::fit::{
     Candidate, ChannelFit, Curve, FitCurves, Interval, Likelihood, Outside, Refined, ThicknessError,
 };
 use optics_model::{Grid, Medium};
 
-use super::bound::{bound, ideal_covariance};
-use super::chi2::exceedance;
-use super::problem::ChannelData;
-use super::profile_likelihood::{ProfileLikelihood, interval};
-use super::quantity::Quantity;
-use super::residuals::{clustering, outliers, stretches};
-use super::system::{Normal, State, System};
-use super::term::Linear;
-use super::unknowns::inverse_over_free;
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
+use crate::likelihood::interval::bound::{bound, ideal_covariance};
+use crate::likelihood::interval::chi2::exceedance;
+use crate::likelihood::interval::profile_likelihood::{ProfileLikelihood, interval};
+use crate::likelihood::interval::residuals::{clustering, outliers, stretches};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::inverse_over_free;
+use crate::likelihood::system::{Normal, State, System};
+use crate::likelihood::term::Linear;
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability of χ² below which residuals count as more than noise.
@@ -32,7 +36,7 @@ const RESOLVED_ALBEDO: f64 = 0.2;
 const VALLEY: f64 = 0.9;
 
 /// A channel at its minimum.
-pub(super) struct Found<'a, 'b> {
+pub(crate) struct Found<'a, 'b> {
     pub data: &'b ChannelData<'a>,
     pub system: &'b System<'a>,
     pub state: &'b State,
@@ -42,7 +46,7 @@ pub(super) struct Found<'a, 'b> {
 }
 
 /// How well residuals are explained.
-pub(super) struct Goodness {
+pub(crate) struct Goodness {
     pub chi2: f64,
     pub degrees_of_freedom: f64,
     pub probability: f64,
@@ -52,13 +56,13 @@ pub(super) struct Goodness {
 
 impl Goodness {
     /// Root mean square of the residuals over their noise.
-    pub(super) fn misfit(&self) -> f64 {
+    pub(crate) fn misfit(&self) -> f64 {
         (self.chi2 / self.degrees_of_freedom.max(1.0)).sqrt()
     }
 }
 
 impl Found<'_, '_> {
-    pub(super) fn slots(&self) -> &[usize] {
+    pub(crate) fn slots(&self) -> &[usize] {
         &self.system.slots[0]
     }
 
@@ -66,7 +70,7 @@ impl Found<'_, '_> {
         self.data.dictionary.grid()
     }
 
-    pub(super) fn x(&self, unknown: usize) -> f64 {
+    pub(crate) fn x(&self, unknown: usize) -> f64 {
         self.state.x[self.slots()[unknown]]
     }
 
@@ -78,12 +82,12 @@ impl Found<'_, '_> {
         held.unwrap_or_else(|| [sigma_t, albedo, g][index](x).clamp(axis[0], axis[axis.len() - 1]))
     }
 
-    pub(super) fn medium(&self, state: &State) -> Medium {
+    pub(crate) fn medium(&self, state: &State) -> Medium {
         let at = |i: usize| self.parameter(i, state.x[self.slots()[i]]);
         Medium::new(at(LN_SIGMA_T), at(ROOT_CO_ALBEDO), at(LN_ONE_MINUS_G)).expect("within the dictionary")
     }
 
-    pub(super) fn refined(&self) -> Refined {
+    pub(crate) fn refined(&self) -> Refined {
         let linear = self.system.linear(&self.state.x, &self.state.own);
         let normal = self.system.normal(&self.state.x, &self.state.own, &linear);
         let nothing = || DMatrix::from_element(self.state.x.len(), self.state.x.len(), 0.0);
@@ -146,7 +150,7 @@ impl Found<'_, '_> {
     }
 
     /// χ² of the pixels that belong, with the deviations from what was known of the set-up.
-    pub(super) fn goodness(&self, linear: &[Linear]) -> Goodness {
+    pub(crate) fn goodness(&self, linear: &[Linear]) -> Goodness {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for ((term, linear), own) in self.system.terms.iter().zip(linear).zip(&self.state.own) {
             let kept = linear.residuals.iter().zip(&term.left_out).filter(|(_, out)| !**out);
@@ -193,7 +197,10 @@ impl Found<'_, '_> {
             } else {
                 // The information is singular: nothing is known.
                 let (low, high) = all_limits[index];
-                [low, high].map(|value| super::profile_likelihood::IntervalEnd { value, open: true })
+                [low, high].map(|value| crate::likelihood::interval::profile_likelihood::IntervalEnd {
+                    value,
+                    open: true,
+                })
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
@@ -249,7 +256,7 @@ impl Found<'_, '_> {
     /// The two norms of Eq. 2 for every profile.
     fn errors(&self, linear: &[Linear]) -> Vec<ThicknessError> {
         let settings = self.data.options.settings();
-        let term = |(i, (term, linear)): (usize, (&super::term::Term, &Linear))| {
+        let term = |(i, (term, linear)): (usize, (&crate::likelihood::term::Term, &Linear))| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
             let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
             let rest: Line = term.values.iter().zip(&linear.model).map(|(v, m)| v - m).collect();
@@ -299,7 +306,7 @@ impl Found<'_, '_> {
         all
     }
 
-    pub(super) fn fit(
+    pub(crate) fn fit(
         &self,
         refined: Option<Refined>,
         nearest: &[[usize; 4]],
@@ -325,7 +332,7 @@ impl Found<'_, '_> {
         let models = |state: &State| self.system.linear(&state.x, &state.own);
         let best = models(self.state);
         let others: Vec<Vec<Linear>> = candidates.iter().map(|(_, state)| models(state)).collect();
-        let curves = |(i, term): (usize, &super::term::Term)| {
+        let curves = |(i, term): (usize, &crate::likelihood::term::Term)| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
             let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
             let curve = |values: &Line| Curve { gradient: slope.shown(values), values: values.clone() };
@@ -342,7 +349,7 @@ impl Found<'_, '_> {
 }
 
 /// Whether σ_t and the albedo are determined.
-pub(super) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
+pub(crate) fn is_resolved(sigma_t: &Interval, albedo: &Interval) -> bool {
     let bounded = |i: &Interval| !i.open_low && i.high <= RESOLVED_FACTOR * i.low;
     bounded(sigma_t) && !sigma_t.open_high && bounded(albedo) && albedo.high - albedo.low <= RESOLVED_ALBEDO
 }

@@ -5,12 +5,13 @@ use nalgebra::DVector;
 use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
 use optics_model::scene::Scope;
 
-use super::bound::{bound, ideal_covariance};
-use super::quantity::Quantity;
-use super::system::{State, System};
-use super::term::{Exposed, Term};
-use super::unknowns::{Unknowns, thickness_prior};
-use super::{Line, blur};
+use crate::likelihood::interval::bound::{bound, ideal_covariance};
+use crate::likelihood::point::Line;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::{Unknowns, thickness_prior};
+use crate::likelihood::system::{State, System};
+use crate::likelihood::term::blur;
+use crate::likelihood::term::{Exposed, Term};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 
 /// Standard deviation of the coordinates of a medium, and of the logarithm of μ, of which nothing is known beforehand: so

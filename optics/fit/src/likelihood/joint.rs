@@ -17,15 +17,15 @@ use optics_model::fit::{
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
-use super::answer::Found;
-use super::descent::COARSE;
-use super::outside;
-use super::problem::{ChannelData, Sharing, assemble};
-use super::start::{Scan, Start};
-use super::unknowns::inverse_over_free;
-use super::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
+use crate::likelihood::answer::Found;
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::assembly::{Sharing, assemble};
+use crate::likelihood::problem::start::{Scan, Start};
+use crate::likelihood::system::descent::COARSE;
+use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
@@ -224,7 +224,7 @@ impl<'a> Set<'a> {
                 let scan = &self.scans[i];
                 let factor = (-state.x[own.slots[0][LN_SCALE]]).exp();
                 let nearest = scan.best(&scan.costs(factor), data.options.settings().top as usize);
-                found.fit(Some(refined), &nearest, outside(data, scan))
+                found.fit(Some(refined), &nearest, data.outside(scan))
             })
             .collect();
         let best_g = |fit: &ChannelFit| fit.refined.as_ref().map(|r| r.best.medium.g());

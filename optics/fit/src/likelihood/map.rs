@@ -3,9 +3,9 @@
 use optics_model::fit::{Candidate, DistanceMap, FitOptions, MapLayer};
 use optics_model::{Invalid, Measurement, Medium};
 
-use super::problem::ChannelData;
-use super::start::Scan;
 use crate::dictionary::FitDictionary;
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::start::Scan;
 use crate::paper::layers::of_layers;
 
 /// One map per channel: the root of −2 ln L a pixel, in the basis of `start`, which makes it good to a few per cent.

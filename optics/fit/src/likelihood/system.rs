@@ -1,29 +1,29 @@
-//! Profiles that share unknowns, and the descent to the least −2 ln L of all of them together.
+//! Profiles that share unknowns: −2 ln L of all of them together, and its quadratic.
 
-use std::cell::OnceCell;
+pub(crate) mod descent;
+pub(crate) mod minimum;
+pub(crate) mod part;
+pub(crate) mod priors;
+pub(crate) mod quantity;
+pub(crate) mod settle;
+pub(crate) mod unknowns;
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-use super::descent::{Descent, DescentStep};
-use super::quantity::Quantity;
-use super::term::{Linear, Reduced, Term};
-use super::unknowns::{SceneUnknown, Unknown, clamped, free, inverse_over_free, limited_step};
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point};
+use crate::likelihood::term::reduced::Reduced;
+use crate::likelihood::term::{Linear, Term};
 use crate::surrogate::Surrogate;
+use quantity::Quantity;
+use unknowns::{SceneUnknown, Unknown, free, inverse_over_free};
 
-/// Information below which an unknown is hardly determined, in units in which it is of the order of 1.
-const UNDETERMINED: f64 = 100.0;
-/// A bound that no descent should reach.
-const MOST_STEPS: usize = 400;
-/// Standard deviations up to which the prior of a quantity of the scene is normal.
-const FIRM: f64 = 2.0;
 /// Terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
 /// The likelihood of other measurements, as a quadratic in the unknowns about a centre.
 #[derive(Debug, Clone)]
-pub(super) struct Coupling {
+pub(crate) struct Coupling {
     pub centre: DVector<f64>,
     pub information: DMatrix<f64>,
     /// −½ of the gradient of −2 ln L there.
@@ -39,7 +39,7 @@ impl Coupling {
 
 /// Profiles, each with the unknowns that its shared ones are. Of profiles of mixtures the medium's follow from inks.
 #[derive(Debug, Clone)]
-pub(super) struct System<'a> {
+pub(crate) struct System<'a> {
     pub terms: Vec<Term>,
     pub surrogates: Vec<&'a Surrogate<'a>>,
     pub slots: Vec<Vec<usize>>,
@@ -51,38 +51,23 @@ pub(super) struct System<'a> {
 
 /// Values of all unknowns, and −2 ln L there.
 #[derive(Debug, Clone)]
-pub(super) struct State {
+pub(crate) struct State {
     pub x: DVector<f64>,
     /// Each profile's own.
     pub own: Vec<Line>,
     pub cost: f64,
 }
 
-/// A quantity held at a value by a stiff quadratic penalty.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct HeldQuantity {
-    pub quantity: Quantity,
-    pub at: f64,
-    pub stiffness: f64,
-}
-
 /// Second derivative and gradient of −2 ln L, halved; profiles' own unknowns eliminated.
 #[derive(Debug)]
-pub(super) struct Normal {
+pub(crate) struct Normal {
     pub information: DMatrix<f64>,
     pub downhill: DVector<f64>,
     pub reduced: Vec<Reduced>,
 }
 
-/// A state on the way down; the parabola there is taken if it is needed.
-struct Evaluation {
-    state: State,
-    linear: Vec<Linear>,
-    normal: OnceCell<Normal>,
-}
-
 impl System<'_> {
-    pub(super) fn point(&self, term: usize, x: &DVector<f64>) -> Point {
+    pub(crate) fn point(&self, term: usize, x: &DVector<f64>) -> Point {
         let slots = &self.slots[term];
         match &self.terms[term].blend {
             None => Point(slots.iter().map(|slot| x[*slot]).collect()),
@@ -91,7 +76,7 @@ impl System<'_> {
     }
 
     /// The same with normal pixels and a dictionary without noise.
-    pub(super) fn ideal(&self) -> Self {
+    pub(crate) fn ideal(&self) -> Self {
         let mut ideal = self.clone();
         for term in &mut ideal.terms {
             term.modes.clear();
@@ -102,12 +87,12 @@ impl System<'_> {
     }
 
     /// Indices of the unknowns that can move.
-    pub(super) fn free(&self) -> Vec<usize> {
+    pub(crate) fn free(&self) -> Vec<usize> {
         free(&self.unknowns)
     }
 
     /// All profiles at a state.
-    pub(super) fn linear(&self, x: &DVector<f64>, own: &[Line]) -> Vec<Linear> {
+    pub(crate) fn linear(&self, x: &DVector<f64>, own: &[Line]) -> Vec<Linear> {
         let one = |i: usize| self.terms[i].linear(self.surrogates[i], &self.point(i, x), &own[i]);
         if self.terms.len() < MANY {
             (0..self.terms.len()).map(one).collect()
@@ -116,46 +101,18 @@ impl System<'_> {
         }
     }
 
-    /// −2 ln L of what is known beforehand.
-    fn prior_cost(&self, x: &DVector<f64>) -> f64 {
-        let priors = (0..self.unknowns.len()).filter_map(|i| self.cost_of_prior(i, x[i]));
-        priors.sum::<f64>() + self.coupling.as_ref().map_or(0.0, |c| c.cost(x))
-    }
-
-    /// −2 ln L of an unknown's prior at `x`; None if it has none or cannot move.
-    pub(super) fn cost_of_prior(&self, slot: usize, x: f64) -> Option<f64> {
-        let unknown = &self.unknowns[slot];
-        let (mean, sd) = unknown.prior.filter(|_| !unknown.held)?;
-        let off = (x - mean) / sd;
-        Some(prior_cost(self.prior_weight(slot, off), off))
-    }
-
-    /// How much a prior counts at `off` standard deviations. Those of the scene's quantities are rough guesses: beyond
-    /// [`FIRM`] they pull no harder, so that data that contradict them are followed.
-    fn prior_weight(&self, slot: usize, off: f64) -> f64 {
-        if self.of_scene.iter().any(|u| u.slot == slot) { rough_weight(off) } else { 1.0 }
-    }
-
-    /// Information of an unknown's prior, and its pull at `x`; zeros without one.
-    pub(super) fn prior_pull(&self, slot: usize, x: f64) -> (f64, f64) {
-        let unknown = &self.unknowns[slot];
-        let Some((mean, sd)) = unknown.prior.filter(|_| !unknown.held) else { return (0.0, 0.0) };
-        let weight = self.prior_weight(slot, (x - mean) / sd);
-        (weight / (sd * sd), -weight * (x - mean) / (sd * sd))
-    }
-
     fn cost(&self, x: &DVector<f64>, linear: &[Linear]) -> f64 {
         linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
     /// −2 ln L at a state, and its parabola there.
-    pub(super) fn look(&self, state: &State) -> (f64, Normal) {
+    pub(crate) fn look(&self, state: &State) -> (f64, Normal) {
         let linear = self.linear(&state.x, &state.own);
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
     /// Looks up other thicknesses, and what the white reference and the scene do, again where the media now are.
-    pub(super) fn move_near(&mut self, x: &DVector<f64>) {
+    pub(crate) fn move_near(&mut self, x: &DVector<f64>) {
         let points: Vec<Point> = (0..self.terms.len()).map(|i| self.point(i, x)).collect();
         let each = self.terms.par_iter_mut().zip(&self.surrogates).zip(&points);
         each.for_each(|((term, surrogate), point)| {
@@ -168,7 +125,7 @@ impl System<'_> {
         });
     }
 
-    pub(super) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
+    pub(crate) fn normal(&self, x: &DVector<f64>, own: &[Line], linear: &[Linear]) -> Normal {
         let one = |i: usize| self.terms[i].reduce(&linear[i], &own[i]);
         let reduced: Vec<Reduced> = if linear.len() < MANY {
             (0..linear.len()).map(one).collect()
@@ -176,15 +133,6 @@ impl System<'_> {
             (0..linear.len()).into_par_iter().map(one).collect()
         };
         self.sum(x, reduced)
-    }
-
-    /// The same with all unknowns damped: in proportion to their information, and those that are hardly determined by more.
-    fn damped(&self, normal: &Normal, x: &DVector<f64>, damping: f64) -> Normal {
-        let mut damped = self.sum(x, normal.reduced.iter().map(|reduced| reduced.damped(damping)).collect());
-        for i in 0..x.len() {
-            damped.information[(i, i)] += damping * (damped.information[(i, i)] + UNDETERMINED);
-        }
-        damped
     }
 
     /// All profiles together with what is known beforehand.
@@ -207,7 +155,7 @@ impl System<'_> {
     }
 
     /// Adds a profile's information on the unknowns, and its pull.
-    pub(super) fn add_reduced(
+    pub(crate) fn add_reduced(
         &self,
         term: usize,
         x: &DVector<f64>,
@@ -237,60 +185,9 @@ impl System<'_> {
         }
     }
 
-    /// The minimum of −2 ln L below a state, with a quantity held, to within `tolerance`.
-    pub(super) fn descend(&self, from: State, held: Option<&HeldQuantity>, tolerance: f64) -> State {
-        let spring =
-            |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
-        let total = |place: &Evaluation| place.state.cost + spring(&place.state.x);
-        let step = |from: &Evaluation, damping: f64| {
-            let state = &from.state;
-            let damped = self.damped(from.normal(self), &state.x, damping);
-            let step = self.step(&state.x, &damped, held)?;
-            let mut there = state.clone();
-            let fall = self.advance(&mut there, &damped, &step);
-            let known = |x: &DVector<f64>| self.prior_cost(x) + spring(x);
-            let predicted = fall + known(&state.x) - known(&there.x);
-            Some(DescentStep { to: self.evaluate(there), predicted })
-        };
-        let decrement = |place: &Evaluation| {
-            let normal = place.normal(self);
-            let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
-            own + self.shared_decrement(&place.state.x, normal, held)
-        };
-        let descent = Descent { most_steps: MOST_STEPS, tolerance };
-        descent.run(self.evaluate(from), total, decrement, step).state
-    }
-
-    fn evaluate(&self, mut state: State) -> Evaluation {
-        let linear = self.linear(&state.x, &state.own);
-        state.cost = self.cost(&state.x, &linear);
-        Evaluation { state, linear, normal: OnceCell::new() }
-    }
-
-    /// Moves a state within its limits, each profile's own unknowns following, and returns the fall of the profiles'
-    /// −2 ln L that their quadratics promise.
-    pub(super) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) -> f64 {
-        let from = state.x.clone();
-        state.x = clamped(&self.unknowns, &state.x + step);
-        let mut fall = 0.0;
-        for (i, (reduced, own)) in normal.reduced.iter().zip(&mut state.own).enumerate() {
-            let shared = if self.terms[i].blend.is_some() {
-                let (from, to) = (self.point(i, &from), self.point(i, &state.x));
-                DVector::from_fn(to.0.len(), |k, _| to.0[k] - from.0[k])
-            } else {
-                let slots = &self.slots[i];
-                DVector::from_iterator(slots.len(), slots.iter().map(|s| state.x[*s] - from[*s]))
-            };
-            let own_step = reduced.own_step(&shared);
-            fall += reduced.fall(&shared, &own_step);
-            own.iter_mut().zip(own_step.iter()).for_each(|(w, d)| *w += d);
-        }
-        fall
-    }
-
     /// Whether an extinction or an anisotropy, other than the quantity itself, lies where the dictionary or the bounds end
     /// and would go on, by more than its standard deviation; or, for an absorption, an albedo lies there.
-    pub(super) fn at_end(&self, state: &State, quantity: Quantity) -> bool {
+    pub(crate) fn at_end(&self, state: &State, quantity: Quantity) -> bool {
         if let Quantity::Absorption([_, albedo, _]) = quantity {
             let (unknown, x) = (&self.unknowns[albedo], state.x[albedo]);
             if !unknown.held && (x <= unknown.limits.0 || x >= unknown.limits.1) {
@@ -317,53 +214,10 @@ impl System<'_> {
         })
     }
 
-    fn step(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> Option<DVector<f64>> {
-        let (information, downhill) = with_spring(x, normal, held);
-        limited_step(&self.unknowns, x, &information, &downhill)
-    }
-
-    /// The fall of −2 ln L that an undamped step of the shared unknowns promises.
-    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
-        let (information, downhill) = with_spring(x, normal, held);
-        let step = limited_step(&self.unknowns, x, &information, &downhill);
-        step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
-    }
-
     /// The inverse of an information matrix over the unknowns that can move; zeros elsewhere. None if it is singular.
-    pub(super) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    pub(crate) fn covariance(&self, information: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         inverse_over_free(&self.unknowns, information, 0.0)
     }
-}
-
-impl Evaluation {
-    fn normal(&self, system: &System) -> &Normal {
-        self.normal.get_or_init(|| system.normal(&self.state.x, &self.state.own, &self.linear))
-    }
-}
-
-/// Information and pull with those of the penalty on a quantity.
-fn with_spring(
-    x: &DVector<f64>,
-    normal: &Normal,
-    held: Option<&HeldQuantity>,
-) -> (DMatrix<f64>, DVector<f64>) {
-    let (mut information, mut downhill) = (normal.information.clone(), normal.downhill.clone());
-    if let Some(HeldQuantity { quantity, at, stiffness }) = held {
-        let gradient = quantity.gradient(x);
-        downhill += &gradient * (*stiffness * (at - quantity.value(x)));
-        information += &gradient * gradient.transpose() * *stiffness;
-    }
-    (information, downhill)
-}
-
-/// Weight of a rough prior at `off` standard deviations.
-fn rough_weight(off: f64) -> f64 {
-    (FIRM / off.abs()).min(1.0)
-}
-
-/// −2 ln L of a prior with a weight at `off` standard deviations: a square where the weight is 1, and linear beyond.
-fn prior_cost(weight: f64, off: f64) -> f64 {
-    weight * (2.0 - weight) * off * off
 }
 
 #[cfg(test)]
@@ -379,18 +233,5 @@ mod tests {
             downhill: DVector::from_row_slice(&[0.5, -1.0]),
         };
         assert_eq!(coupling.cost(&DVector::from_row_slice(&[2.0, 2.0])), 21.0);
-    }
-
-    /// A rough prior is normal up to two standard deviations; then its cost is 4 |u| − 4, with the slope that it pulls with.
-    #[test]
-    fn rough_priors_are_linear_beyond_two() {
-        let cost = |off: f64| prior_cost(rough_weight(off), off);
-        for (off, expected) in [(0.0, 0.0), (-1.5, 2.25), (2.0, 4.0), (3.0, 8.0), (-5.0, 16.0)] {
-            assert!((cost(off) - expected).abs() < 1e-12, "{off}: {}", cost(off));
-        }
-        for off in [-4.0, -1.0, 0.5, 3.0] {
-            let slope = (cost(off + 1e-6) - cost(off - 1e-6)) / 2e-6;
-            assert!((slope - 2.0 * rough_weight(off) * off).abs() < 1e-6, "{off}: {slope}");
-        }
     }
 }

@@ -12,23 +12,33 @@
 //! Eliminating them (a Schur complement) leaves a gradient and an information matrix of what the profile shares with
 //! others.
 
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
-use optics_model::fit::FitSettings;
-use optics_model::scene::DARKER_WHITE;
+pub(crate) mod blend;
+pub(crate) mod blur;
+pub(crate) mod camera;
+pub(crate) mod records_noise;
+pub(crate) mod reduced;
+pub(crate) mod robust;
+pub(crate) mod scatter;
+pub(crate) mod white;
 
-use super::blend::Blend;
-use super::camera::Camera;
-use super::robust::{rho, weight};
-use super::{Line, Point, SHARED, blur};
+use nalgebra::{DMatrix, DVector};
+use optics_model::fit::FitSettings;
+
 use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
+use crate::likelihood::point::{Line, Point, SHARED};
 use crate::surrogate::responses::LocalResponses;
 use crate::surrogate::thickness::NearThickness;
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate, add_scaled};
+use blend::Blend;
+use camera::Camera;
+use reduced::{Quadratic, Reduced};
+use robust::{rho, weight};
+use white::White;
 
 /// What a profile has for itself, apart from the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Own {
+pub(crate) enum Own {
     Origin,
     Gain,
     Zero,
@@ -37,13 +47,13 @@ pub(super) enum Own {
 
 /// Something of a profile's own that is not known exactly.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct OwnPrior {
+pub(crate) struct OwnPrior {
     pub own: Own,
     pub std_error: f64,
 }
 
 #[derive(Debug, Clone)]
-pub(super) struct Term {
+pub(crate) struct Term {
     /// The inks that make the medium; none if the medium itself is unknown.
     pub blend: Option<Blend>,
     /// Nominal.
@@ -76,39 +86,9 @@ pub(super) struct Term {
     pub responses: Option<LocalResponses>,
 }
 
-/// How an error of the white reference changes the simulated profile, since the base's ρ was measured with it.
-#[derive(Debug, Clone)]
-pub(super) struct White {
-    /// By the logarithm of the reference, on the dictionary's pixels.
-    pub slope: Line,
-    /// The question's, from which factors are counted.
-    pub ln_mu: f64,
-}
-
-impl White {
-    /// The response of a slab, from records of the same walks with both ρ; none if the scene has none.
-    fn of(surrogate: &Surrogate, thickness_mm: f64, medium: Coordinates, ln_mu: f64) -> Option<Self> {
-        let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
-        let darker = values(&surrogate.under_darker_white()?);
-        let pairs = values(surrogate).into_iter().zip(darker);
-        let slope = pairs.map(|(stated, darker)| (stated - darker) / -DARKER_WHITE.ln()).collect();
-        Some(Self { slope, ln_mu })
-    }
-
-    /// The same where the medium now is.
-    pub(super) fn moved(
-        &self,
-        surrogate: &Surrogate,
-        thickness_mm: f64,
-        medium: Coordinates,
-    ) -> Option<Self> {
-        Self::of(surrogate, thickness_mm, medium, self.ln_mu)
-    }
-}
-
 /// A profile at some place of the unknowns.
 #[derive(Debug)]
-pub(super) struct Linear {
+pub(crate) struct Linear {
     /// What the model leaves, over the noise.
     pub residuals: Line,
     /// The model.
@@ -119,82 +99,9 @@ pub(super) struct Linear {
     pub cost: f64,
 }
 
-/// A profile's information on the shared unknowns.
-#[derive(Debug)]
-pub(super) struct Reduced {
-    /// −½ of the gradient of the cost, own unknowns following.
-    pub downhill: DVector<f64>,
-    /// Half of its second derivative.
-    pub information: DMatrix<f64>,
-    own_downhill: DVector<f64>,
-    /// Own by shared.
-    mixed: DMatrix<f64>,
-    own: Cholesky<f64, Dyn>,
-    /// Quadratic in all unknowns, the shared ones first.
-    all: Quadratic,
-}
-
-/// −½ of the gradient of a cost, and half of its second derivative.
-#[derive(Debug, Clone)]
-struct Quadratic {
-    downhill: DVector<f64>,
-    information: DMatrix<f64>,
-}
-
-impl Reduced {
-    /// `shared` are the unknowns that the profile may share.
-    fn new(all: Quadratic, shared: usize) -> Self {
-        let Quadratic { downhill, information } = &all;
-        let owns = downhill.len() - shared;
-        let of_shared = information.view((0, 0), (shared, shared)).clone_owned();
-        let mixed = information.view((shared, 0), (owns, shared)).clone_owned();
-        let of_own = information.view((shared, shared), (owns, owns)).clone_owned();
-        let own = Cholesky::new(of_own).expect("a prior's 1 is on the diagonal");
-        let own_downhill = downhill.rows(shared, owns).clone_owned();
-        let information = of_shared - mixed.transpose() * own.solve(&mixed);
-        let downhill = downhill.rows(0, shared) - mixed.transpose() * own.solve(&own_downhill);
-        Self { downhill, information, own_downhill, mixed, own, all }
-    }
-
-    /// The same with the profile's own unknowns damped.
-    pub(super) fn damped(&self, damping: f64) -> Self {
-        let mut all = self.all.clone();
-        let shared = self.downhill.len();
-        (shared..all.downhill.len()).for_each(|i| all.information[(i, i)] *= 1.0 + damping);
-        Self { all: self.all.clone(), ..Self::new(all, shared) }
-    }
-
-    /// The fall of the cost that own unknowns alone promise.
-    pub(super) fn own_decrement(&self) -> f64 {
-        self.own_downhill.dot(&self.own.solve(&self.own_downhill))
-    }
-
-    /// The fall of the cost that a step of all unknowns promises.
-    pub(super) fn fall(&self, shared: &DVector<f64>, own: &DVector<f64>) -> f64 {
-        let step = DVector::from_iterator(shared.len() + own.len(), shared.iter().chain(own.iter()).copied());
-        2.0 * self.all.downhill.dot(&step) - step.dot(&(&self.all.information * &step))
-    }
-
-    /// How the profile's own unknowns follow a step of the shared ones.
-    pub(super) fn own_step(&self, shared: &DVector<f64>) -> DVector<f64> {
-        self.own.solve(&(&self.own_downhill - &self.mixed * shared))
-    }
-
-    /// How the own unknowns respond where the shared ones respond so: they follow them to the least cost.
-    pub(super) fn own_response(&self, shared: &DVector<f64>) -> DVector<f64> {
-        -self.own.solve(&(&self.mixed * shared))
-    }
-
-    /// Covariance of the own unknowns, given that of the shared ones.
-    pub(super) fn own_covariance(&self, shared: &DMatrix<f64>) -> DMatrix<f64> {
-        let along = self.own.solve(&self.mixed);
-        self.own.inverse() + &along * shared * along.transpose()
-    }
-}
-
 /// The pixels of a profile.
 #[derive(Debug)]
-pub(super) struct Exposed {
+pub(crate) struct Exposed {
     /// Nominal.
     pub thickness_mm: f64,
     pub pitch_mm: f64,
@@ -221,7 +128,7 @@ fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
 impl Term {
     /// Without noise of the records; all pixels count as normal ones. Responses are those at a medium. Factors are counted
     /// from that of logarithm `ln_mu`.
-    pub(super) fn new(
+    pub(crate) fn new(
         profile: Exposed,
         set_up: &FitSettings,
         surrogate: &Surrogate,
@@ -253,7 +160,7 @@ impl Term {
     }
 
     /// Counts the records' noise as that of `alike` profiles; its modes' coefficients become what they have to be.
-    pub(super) fn count_alike(&mut self, own: &mut Line, alike: f64) {
+    pub(crate) fn count_alike(&mut self, own: &mut Line, alike: f64) {
         let factor = alike / self.alike;
         self.alike = alike;
         self.modes.iter_mut().flatten().for_each(|v| *v *= factor.sqrt());
@@ -266,7 +173,7 @@ impl Term {
         SHARED + self.responses.as_ref().map_or(0, LocalResponses::count)
     }
 
-    pub(super) fn own_count(&self) -> usize {
+    pub(crate) fn own_count(&self) -> usize {
         self.priors.len() + self.modes.len()
     }
 
@@ -275,7 +182,7 @@ impl Term {
         found.map_or(0.0, |i| own[i] * self.priors[i].std_error)
     }
 
-    pub(super) fn origin_mm(&self, own: &[f64]) -> f64 {
+    pub(crate) fn origin_mm(&self, own: &[f64]) -> f64 {
         self.origin_mm + self.own_value(own, Own::Origin)
     }
 
@@ -289,7 +196,7 @@ impl Term {
     }
 
     /// At the shared unknowns and the profile's own.
-    pub(super) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
+    pub(crate) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
         let (thickness_mm, medium) = (shared.thickness_mm(), shared.medium());
         let mut predicted = match &self.near {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
@@ -357,7 +264,7 @@ impl Term {
     }
 
     /// Weights of the pixels.
-    pub(super) fn weights(&self, linear: &Linear) -> Line {
+    pub(crate) fn weights(&self, linear: &Linear) -> Line {
         let weight = |(r, out): (&f64, &bool)| match (out, self.robust) {
             (true, _) => 0.0,
             (false, true) => weight(r / self.softness),
@@ -367,7 +274,7 @@ impl Term {
     }
 
     /// The profile's information on the shared unknowns, its own eliminated.
-    pub(super) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
+    pub(crate) fn reduce(&self, linear: &Linear, own: &[f64]) -> Reduced {
         let shared = self.shared_count();
         let weights = self.weights(linear);
         let n = linear.columns.len();

@@ -10,14 +10,15 @@ use optics_model::{
     Estimate, Grid, MeasuredProfile, Measurement, Medium, Profile, ProfileSetup, Record, Walks,
 };
 
-use super::SHARED;
-use super::channel;
-use super::descent::FINE;
-use super::problem::{ChannelData, Sharing, assemble};
-use super::start::Start;
-use super::unknowns::inverse_over_free;
 use crate::dictionary::FitDictionary;
 use crate::fit;
+use crate::likelihood::point::SHARED;
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::assembly::{Sharing, assemble};
+use crate::likelihood::problem::channel;
+use crate::likelihood::problem::start::Start;
+use crate::likelihood::system::descent::FINE;
+use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::testing::{
     dense_axes, dictionary_of, noisy_dictionary, noisy_records, normal, profile_value, rounded_dictionary_of,
 };

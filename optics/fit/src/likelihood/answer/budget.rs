@@ -8,13 +8,13 @@
 use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{ErrorSource, SourceShare};
 
-use super::answer::Found;
-use super::quantity::Quantity;
-use super::system::Normal;
-use super::term::{Linear, Own};
-use super::unknowns::inverse_over;
-use super::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS};
 use crate::dictionary::sum::dot;
+use crate::likelihood::answer::Found;
+use crate::likelihood::point::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS};
+use crate::likelihood::system::Normal;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::inverse_over;
+use crate::likelihood::term::{Linear, Own};
 
 /// In the order in which shares are listed; those of the quantities of the scene follow.
 const SOURCES: [ErrorSource; 11] = [
@@ -36,7 +36,7 @@ type Parts = Vec<f64>;
 
 impl Found<'_, '_> {
     /// Sources that make a part of any variance. Empty if the information is singular.
-    pub(super) fn budget(
+    pub(crate) fn budget(
         &self,
         linear: &[Linear],
         normal: &Normal,

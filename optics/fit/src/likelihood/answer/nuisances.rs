@@ -3,14 +3,16 @@
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
 
-use super::answer::Found;
-use super::term::{Own, OwnPrior, Reduced};
-use super::unknowns::{SceneUnknown, submatrix};
-use super::{BLUR, LN_SCALE, LN_THICKNESS, blur};
+use crate::likelihood::answer::Found;
+use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS};
+use crate::likelihood::system::unknowns::{SceneUnknown, submatrix};
+use crate::likelihood::term::blur;
+use crate::likelihood::term::reduced::Reduced;
+use crate::likelihood::term::{Own, OwnPrior};
 
 impl Found<'_, '_> {
     /// The uncertain quantities of the scene, in its order.
-    pub(super) fn scene_estimates(&self, covariance: &DMatrix<f64>) -> Vec<SceneEstimate> {
+    pub(crate) fn scene_estimates(&self, covariance: &DMatrix<f64>) -> Vec<SceneEstimate> {
         let scene = self.data.dictionary.grid().scene();
         let estimate = |unknown: &SceneUnknown| {
             let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
@@ -34,7 +36,7 @@ impl Found<'_, '_> {
     }
 
     /// In the order of the answer: common ones first, then by profile.
-    pub(super) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
+    pub(crate) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
         let of_profile = |i: usize| {
             let own = self.own_estimates(i, covariance, &reduced[i]);
             self.blur_estimate(i, covariance)

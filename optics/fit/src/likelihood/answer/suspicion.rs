@@ -6,10 +6,10 @@
 use optics_model::fit::{Cause, FitOptions, MISFIT, Nuisance, NuisanceEstimate, Suspicion};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
-use super::LN_SCALE;
-use super::answer::{Found, Goodness};
-use super::channel::minimum;
-use super::problem::ChannelData;
+use crate::likelihood::answer::{Found, Goodness};
+use crate::likelihood::point::LN_SCALE;
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::channel::minimum;
 
 /// Share of the unexplained χ² that a cause must explain, …
 const CONVINCING: f64 = 0.6;
@@ -20,7 +20,7 @@ const PULLED: f64 = 5.0;
 
 impl Found<'_, '_> {
     /// The likeliest cause; none if the residuals are noise.
-    pub(super) fn suspicion(&self, goodness: &Goodness, nuisances: &[NuisanceEstimate]) -> Option<Suspicion> {
+    pub(crate) fn suspicion(&self, goodness: &Goodness, nuisances: &[NuisanceEstimate]) -> Option<Suspicion> {
         let misfit = goodness.misfit();
         if misfit > MISFIT
             && let Some(corrected) = self.corrected(misfit)

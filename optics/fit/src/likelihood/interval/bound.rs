@@ -3,14 +3,14 @@
 use nalgebra::DMatrix;
 use optics_model::fit::{Bound, Ends, Z};
 
-use super::Line;
-use super::quantity::Quantity;
-use super::system::{State, System};
+use crate::likelihood::point::Line;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::{State, System};
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Covariance of all unknowns that the pixels, and what was known beforehand, allow at best. None if the information is
 /// singular.
-pub(super) fn ideal_covariance(system: &System, state: &State) -> Option<DMatrix<f64>> {
+pub(crate) fn ideal_covariance(system: &System, state: &State) -> Option<DMatrix<f64>> {
     let ideal = system.ideal();
     let own: Vec<Line> =
         ideal.terms.iter().zip(&state.own).map(|(term, own)| own[..term.own_count()].to_vec()).collect();
@@ -19,7 +19,7 @@ pub(super) fn ideal_covariance(system: &System, state: &State) -> Option<DMatrix
 }
 
 /// The bound of a channel's medium, given the least covariance of all unknowns.
-pub(super) fn bound(covariance: &DMatrix<f64>, state: &State, slots: &[usize]) -> Bound {
+pub(crate) fn bound(covariance: &DMatrix<f64>, state: &State, slots: &[usize]) -> Bound {
     let [s, a, g_, reduced, absorption] = Quantity::all(slots).map(|quantity| {
         let gradient = quantity.gradient(&state.x);
         let half = Z * gradient.dot(&(covariance * &gradient)).max(0.0).sqrt();

@@ -4,7 +4,7 @@
 /// priors take some up).
 ///
 /// The cube root of χ²/k is close to normal (Wilson and Hilferty 1931): good to 1e-3 from three degrees of freedom on.
-pub(super) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
+pub(crate) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
     if degrees_of_freedom <= 0.0 {
         return 1.0;
     }

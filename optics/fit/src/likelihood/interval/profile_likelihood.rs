@@ -3,10 +3,11 @@
 use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{Interval, Z};
 
-use super::Line;
-use super::quantity::Quantity;
-use super::system::{HeldQuantity, Normal, State, System};
-use super::unknowns::{Unknown, free, inverse_over};
+use crate::likelihood::point::Line;
+use crate::likelihood::system::minimum::HeldQuantity;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::{Unknown, free, inverse_over};
+use crate::likelihood::system::{Normal, State, System};
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;
@@ -25,14 +26,14 @@ const GOOD: (f64, f64) = (0.1, 0.3);
 
 /// One end of an interval; open if a limit comes first.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct IntervalEnd {
+pub(crate) struct IntervalEnd {
     pub value: f64,
     pub open: bool,
 }
 
 /// A minimum, and how far things may rise from it.
 #[derive(Debug)]
-pub(super) struct ProfileLikelihood<'a> {
+pub(crate) struct ProfileLikelihood<'a> {
     pub system: &'a System<'a>,
     pub optimum: &'a State,
     /// At the optimum.
@@ -44,7 +45,7 @@ pub(super) struct ProfileLikelihood<'a> {
 
 impl ProfileLikelihood<'_> {
     /// Both ends for a quantity, within limits.
-    pub(super) fn ends(&self, quantity: Quantity, limits: (f64, f64)) -> [IntervalEnd; 2] {
+    pub(crate) fn ends(&self, quantity: Quantity, limits: (f64, f64)) -> [IntervalEnd; 2] {
         let gradient = quantity.gradient(&self.optimum.x);
         let variance = gradient.dot(&(self.covariance * &gradient));
         if variance <= 0.0 {
@@ -210,7 +211,7 @@ fn outwards(
 
 /// At which distance the root of the rise is the wanted one; none if it is not up to the furthest, or if the least step
 /// rises more: from there no interval follows, since it is no minimum. At `deviation` it is one if all is linear.
-pub(super) fn reach(
+pub(crate) fn reach(
     wanted: f64,
     deviation: f64,
     furthest: f64,
@@ -245,7 +246,7 @@ pub(super) fn reach(
 }
 
 /// The interval of a parameter from the ends of its coordinate.
-pub(super) fn interval([low, high]: [IntervalEnd; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
+pub(crate) fn interval([low, high]: [IntervalEnd; 2], forward: impl Fn(f64) -> f64, falls: bool) -> Interval {
     let (low, high) = if falls { (high, low) } else { (low, high) };
     Interval { low: forward(low.value), high: forward(high.value), open_low: low.open, open_high: high.open }
 }

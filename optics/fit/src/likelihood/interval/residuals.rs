@@ -2,9 +2,9 @@
 
 use optics_model::fit::{OutlierPixel, Stretch};
 
-use super::Line;
-use super::system::System;
-use super::term::Linear;
+use crate::likelihood::point::Line;
+use crate::likelihood::system::System;
+use crate::likelihood::term::Linear;
 
 /// Least joint deviation of a stretch that is reported, in standard deviations.
 const STRETCH: f64 = 5.0;
@@ -14,8 +14,8 @@ const WIDTHS: [usize; 5] = [6, 12, 24, 48, 96];
 const STRETCHES: usize = 4;
 
 /// Pixels that were left out.
-pub(super) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> {
-    let of_term = |(term, linear): (&super::term::Term, &Linear)| -> Vec<OutlierPixel> {
+pub(crate) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> {
+    let of_term = |(term, linear): (&crate::likelihood::term::Term, &Linear)| -> Vec<OutlierPixel> {
         let pixel = |i: usize| OutlierPixel {
             profile_mm: term.thickness_mm,
             x_mm: term.x_mm[i],
@@ -27,7 +27,7 @@ pub(super) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> 
 }
 
 /// Where neighbouring residuals are large together, the largest first.
-pub(super) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
+pub(crate) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
     let mut found: Vec<Stretch> = Vec::new();
     for (term, linear) in system.terms.iter().zip(linear) {
         let n = linear.residuals.len();
@@ -59,7 +59,7 @@ pub(super) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
 
 /// By how much correlated residuals carry less information than as many independent ones: 1 + 2 Σ of their correlations, up
 /// to the first that is not positive.
-pub(super) fn clustering(system: &System, linear: &[Linear]) -> f64 {
+pub(crate) fn clustering(system: &System, linear: &[Linear]) -> f64 {
     let kept: Vec<Line> = linear
         .iter()
         .zip(&system.terms)

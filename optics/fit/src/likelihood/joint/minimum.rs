@@ -3,14 +3,14 @@
 use nalgebra::{Cholesky, DMatrix};
 use optics_model::fit::Interval;
 
-use crate::likelihood::chi2::exceedance;
-use crate::likelihood::descent::FINE;
-use crate::likelihood::problem::{Assembly, Sharing};
-use crate::likelihood::profile_likelihood::{ProfileLikelihood, interval};
-use crate::likelihood::quantity::Quantity;
+use crate::likelihood::interval::chi2::exceedance;
+use crate::likelihood::interval::profile_likelihood::{ProfileLikelihood, interval};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
+use crate::likelihood::problem::assembly::{Assembly, Sharing};
+use crate::likelihood::system::descent::FINE;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::eliminate;
 use crate::likelihood::system::{Normal, State, System};
-use crate::likelihood::unknowns::eliminate;
-use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::surrogate::g;
 
 /// Probability of the channels' pulls below which they count as contradictory.

@@ -7,8 +7,8 @@
 use optics_model::fit::{Cause, Suspicion};
 
 use super::minimum::Joint;
-use crate::likelihood::LN_SCALE;
-use crate::likelihood::descent::FINE;
+use crate::likelihood::point::LN_SCALE;
+use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::Term;
 

@@ -12,14 +12,14 @@ use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::dot;
 use crate::likelihood::answer::is_resolved;
-use crate::likelihood::blend::{Ink, InkPart, ink_medium, unlimited};
-use crate::likelihood::chi2::exceedance;
-use crate::likelihood::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
-use crate::likelihood::quantity::Quantity;
+use crate::likelihood::interval::chi2::exceedance;
+use crate::likelihood::interval::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::system::Normal;
+use crate::likelihood::system::quantity::Quantity;
+use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::likelihood::term::Linear;
-use crate::likelihood::unknowns::inverse_over_free;
-use crate::likelihood::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::likelihood::term::blend::{Ink, InkPart, ink_medium, unlimited};
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability below which a disagreement counts as more than noise.

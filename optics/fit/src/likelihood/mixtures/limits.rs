@@ -1,8 +1,8 @@
 //! Which media the dictionary predicts for a slab, and what to compute where it does not.
 
 use crate::dictionary::axes::list;
+use crate::likelihood::point::{LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::system::{State, System};
-use crate::likelihood::{LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::surrogate::{Surrogate, albedo, sigma_t};
 
 /// Media that are predicted at a thickness. Albedos go on below the least by as much as the least two differ, where

@@ -1,9 +1,10 @@
 //! The lowest minimum of one channel.
 
-use super::descent::COARSE;
-use super::problem::{Assembly, ChannelData, Sharing, assemble};
-use super::start::{Scan, Start};
-use super::system::State;
+use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
+use crate::likelihood::problem::start::{Scan, Start};
+use crate::likelihood::system::State;
+use crate::likelihood::system::descent::COARSE;
 use crate::surrogate::Surrogate;
 
 /// A start in the basis is followed if its cost is at most this much above the lowest, and this factor.
@@ -12,7 +13,7 @@ const FOLLOWED: (f64, f64) = (60.0, 1.3);
 const STARTS: usize = 3;
 
 /// Starts of a channel that are worth following.
-pub(super) fn starts(scan: &Scan, surrogates: &[Surrogate]) -> Vec<Start> {
+pub(crate) fn starts(scan: &Scan, surrogates: &[Surrogate]) -> Vec<Start> {
     let mut starts = scan.starts(surrogates, 1.0);
     let lowest = starts.first().map_or(0.0, |s| s.cost);
     starts.retain(|s| s.cost <= lowest + FOLLOWED.0 || s.cost <= FOLLOWED.1 * lowest);
@@ -21,7 +22,7 @@ pub(super) fn starts(scan: &Scan, surrogates: &[Surrogate]) -> Vec<Start> {
 }
 
 /// The system of a channel by itself at the lowest of its minima, and the refractive index of the sample there.
-pub(super) fn lowest<'a>(
+pub(crate) fn lowest<'a>(
     data: &ChannelData,
     surrogates: &'a [Surrogate<'a>],
     starts: &[Start],
@@ -38,7 +39,7 @@ pub(super) fn lowest<'a>(
 }
 
 /// The lowest minimum of a channel by itself, and the refractive index of the sample there.
-pub(super) fn minimum<'a>(
+pub(crate) fn minimum<'a>(
     data: &ChannelData,
     surrogates: &'a [Surrogate<'a>],
     scan: &Scan,

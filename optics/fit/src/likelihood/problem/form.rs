@@ -4,14 +4,12 @@
 use nalgebra::{Cholesky, DMatrix, DVector};
 use optics_model::fit::FitSettings;
 
-use super::{Line, blur};
 use crate::dictionary::sum::dot;
-
-/// Standard deviations from its neighbours from which on a pixel is not looked at here.
-const SPECK: f64 = 6.0;
+use crate::likelihood::point::Line;
+use crate::likelihood::term::blur;
 
 /// A quadratic form over pixels, with some columns integrated out.
-pub(super) struct QuadraticForm<'a> {
+pub(crate) struct QuadraticForm<'a> {
     weights: &'a [f64],
     /// Weighted columns, and the root of what their integral takes away.
     columns: Vec<Line>,
@@ -20,7 +18,7 @@ pub(super) struct QuadraticForm<'a> {
 
 impl<'a> QuadraticForm<'a> {
     /// The columns have coefficients of variance 1.
-    pub(super) fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
+    pub(crate) fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
         let weighted: Vec<Line> =
             columns.iter().map(|c| c.iter().zip(weights).map(|(c, w)| c * w).collect()).collect();
         let n = columns.len();
@@ -30,7 +28,7 @@ impl<'a> QuadraticForm<'a> {
         Some(Self { weights, columns: weighted, root })
     }
 
-    pub(super) fn of(&self, a: &[f64], b: &[f64]) -> f64 {
+    pub(crate) fn of(&self, a: &[f64], b: &[f64]) -> f64 {
         let direct: f64 = a.iter().zip(b).zip(self.weights).map(|((a, b), w)| a * b * w).sum();
         let along =
             |f: &[f64]| DVector::from_iterator(self.columns.len(), self.columns.iter().map(|c| dot(c, f)));
@@ -39,7 +37,7 @@ impl<'a> QuadraticForm<'a> {
 }
 
 /// The measurement as the basis has it.
-pub(super) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mean: &[f64]) -> Option<Line> {
+pub(crate) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mean: &[f64]) -> Option<Line> {
     let n = directions.len();
     let weighted: Vec<Line> =
         directions.iter().map(|d| d.iter().zip(weights).map(|(d, w)| d * w).collect()).collect();
@@ -56,7 +54,7 @@ pub(super) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mea
 }
 
 /// What loose things do to the profile, per standard deviation; `gain` is that of its gain.
-pub(super) fn loose_columns(
+pub(crate) fn loose_columns(
     smooth: &[f64],
     sensor: optics_model::scene::Sensor,
     first: usize,
@@ -84,17 +82,4 @@ pub(super) fn loose_columns(
         scaled(&by_x, set_up.origin_std_error_mm),
         scaled(&bend, 0.5 * blur::variance_mm2(mean + deviation)),
     ]
-}
-
-/// Pixels that lie where their neighbours do.
-pub(super) fn without_specks(values: &[f64], std_errors: &[f64]) -> Vec<bool> {
-    let n = values.len();
-    let apart = |i: usize| {
-        let mut near: Line = values[i.saturating_sub(4)..(i + 5).min(n)].to_vec();
-        near.sort_by(f64::total_cmp);
-        let spread = near[near.len() - 2] - near[1];
-        (values[i] - near[near.len() / 2]).abs() > SPECK * std_errors[i] + spread
-    };
-    let odd: Vec<bool> = (0..n).map(apart).collect();
-    (0..n).map(|i| !odd[i.saturating_sub(2)..(i + 3).min(n)].contains(&true)).collect()
 }

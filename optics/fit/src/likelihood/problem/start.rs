@@ -11,12 +11,13 @@ use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
 use optics_model::fit::FitSettings;
 
-use super::Line;
-use super::descent::{Descent, DescentStep};
-use super::form::{QuadraticForm, loose_columns, smoothed, without_specks};
 use crate::dictionary::FitDictionary;
 use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
+use crate::likelihood::point::Line;
+use crate::likelihood::problem::form::{QuadraticForm, loose_columns, smoothed};
+use crate::likelihood::system::descent::{Descent, DescentStep};
+use crate::likelihood::term::robust::without_specks;
 use crate::surrogate::Surrogate;
 use crate::surrogate::resample::resample;
 
@@ -33,7 +34,7 @@ const DESCENT: Descent = Descent { most_steps: 12, tolerance: 0.01 };
 
 /// A profile to be compressed; its values and errors are multiplied by μ.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Source<'a> {
+pub(crate) struct Source<'a> {
     pub profile: &'a MeasuredProfile,
     pub origin_mm: f64,
     pub set_up: &'a FitSettings,
@@ -44,7 +45,7 @@ pub(super) struct Source<'a> {
 
 /// One profile as a quadratic form in the coefficients of the basis.
 #[derive(Debug)]
-pub(super) struct Compressed {
+pub(crate) struct Compressed {
     /// Index into the grid's thicknesses, and ln of the slab's thickness over it.
     thickness: usize,
     ln_ratio: f64,
@@ -59,7 +60,7 @@ pub(super) struct Compressed {
 
 /// A place to begin at.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Start {
+pub(crate) struct Start {
     pub medium: [f64; 3],
     pub ior: usize,
     pub cost: f64,
@@ -67,7 +68,7 @@ pub(super) struct Start {
 
 impl Compressed {
     /// None if the profile covers nothing, or its basis is singular.
-    pub(super) fn new(dictionary: &FitDictionary, view: &View, source: &Source) -> Option<Self> {
+    pub(crate) fn new(dictionary: &FitDictionary, view: &View, source: &Source) -> Option<Self> {
         let Source { profile, origin_mm, set_up, scale_std_error, std_errors } = *source;
         let mu = set_up.mu;
         let axis = dictionary.grid().thickness_mm();
@@ -120,7 +121,7 @@ impl Compressed {
     }
 
     /// Index into the grid's thicknesses.
-    pub(super) fn thickness(&self) -> usize {
+    pub(crate) fn thickness(&self) -> usize {
         self.thickness
     }
 
@@ -186,7 +187,7 @@ impl Compressed {
 
 /// What limits a search.
 #[derive(Debug, Clone)]
-pub(super) struct Region {
+pub(crate) struct Region {
     /// As in `Admissible`, by index of the axes.
     pub admissible: crate::dictionary::axes::Admissible,
     pub limits: [(f64, f64); 3],
@@ -195,7 +196,7 @@ pub(super) struct Region {
 
 /// One channel, ready to be searched.
 #[derive(Debug)]
-pub(super) struct Scan<'a> {
+pub(crate) struct Scan<'a> {
     pub dictionary: &'a FitDictionary,
     pub view: std::sync::Arc<View>,
     pub terms: Vec<Compressed>,
@@ -204,7 +205,7 @@ pub(super) struct Scan<'a> {
 
 impl Scan<'_> {
     /// Costs of all media, in the order of their numbers.
-    pub(super) fn costs(&self, scale: f64) -> Vec<f32> {
+    pub(crate) fn costs(&self, scale: f64) -> Vec<f32> {
         let grid = self.dictionary.grid();
         let media = grid.record_count() / grid.thickness_mm().len();
         let mut costs = vec![0.0; media];
@@ -219,13 +220,13 @@ impl Scan<'_> {
     }
 
     /// Number of a medium over all axes.
-    pub(super) fn number(&self, [ior, s, g, a]: [usize; 4]) -> usize {
+    pub(crate) fn number(&self, [ior, s, g, a]: [usize; 4]) -> usize {
         let grid = self.dictionary.grid();
         ((ior * grid.sigma_t_per_mm().len() + s) * grid.g().len() + g) * grid.albedo().len() + a
     }
 
     /// Admissible media, best first, at most `count`.
-    pub(super) fn best(&self, costs: &[f32], count: usize) -> Vec<[usize; 4]> {
+    pub(crate) fn best(&self, costs: &[f32], count: usize) -> Vec<[usize; 4]> {
         let mut media = self.media(0..self.dictionary.grid().sample_ior().len());
         media.sort_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]));
         media.truncate(count);
@@ -277,7 +278,7 @@ impl Scan<'_> {
     }
 
     /// The minima of the likelihood in the basis, lowest first, each once.
-    pub(super) fn starts(&self, surrogates: &[Surrogate], scale: f64) -> Vec<Start> {
+    pub(crate) fn starts(&self, surrogates: &[Surrogate], scale: f64) -> Vec<Start> {
         let costs = self.costs(scale);
         let mut starts: Vec<Start> = Vec::new();
         let mut found: Vec<Start> = self
@@ -298,7 +299,7 @@ impl Scan<'_> {
     }
 
     /// The lowest place with the anisotropy at each node of the dictionary, and one scale.
-    pub(super) fn by_anisotropy(&self, surrogates: &[Surrogate], costs: &[f32], scale: f64) -> Vec<Start> {
+    pub(crate) fn by_anisotropy(&self, surrogates: &[Surrogate], costs: &[f32], scale: f64) -> Vec<Start> {
         let region = &self.region.admissible;
         let best = |g: usize| {
             let media = self.media(0..1).into_iter().filter(|m| m[2] == g);

@@ -3,8 +3,8 @@
 
 /// Tolerances of −2 ln L: of a start that is refined later, and of an estimate, which is then off by at most 1 % of its
 /// standard error.
-pub(super) const COARSE: f64 = 0.5;
-pub(super) const FINE: f64 = 1e-4;
+pub(crate) const COARSE: f64 = 0.5;
+pub(crate) const FINE: f64 = 1e-4;
 
 /// Damping of the first step, and the least after a step that raised the cost.
 const FIRST_DAMPING: f64 = 1e-3;
@@ -17,21 +17,21 @@ const DECAY: f64 = 1.0 / 3.0;
 const KINK: f64 = 0.01;
 
 /// A place with the fall of the cost that the quadratic model predicts for the step to it.
-pub(super) struct DescentStep<P> {
+pub(crate) struct DescentStep<P> {
     pub to: P,
     pub predicted: f64,
 }
 
 /// A descent to within a tolerance of the cost, with at most this many evaluations.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Descent {
+pub(crate) struct Descent {
     pub most_steps: usize,
     pub tolerance: f64,
 }
 
 impl Descent {
     /// The end of a descent from `here`. `decrement` is the fall that an undamped step promises, `step` a damped step.
-    pub(super) fn run<P>(
+    pub(crate) fn run<P>(
         &self,
         mut here: P,
         cost: impl Fn(&P) -> f64,

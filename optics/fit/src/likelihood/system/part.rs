@@ -2,14 +2,14 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::LN_SCALE;
-use super::system::{Coupling, Normal, State, System};
-use super::term::Term;
-use super::unknowns::{SceneUnknown, eliminate};
+use crate::likelihood::point::LN_SCALE;
+use crate::likelihood::system::unknowns::{SceneUnknown, eliminate};
+use crate::likelihood::system::{Coupling, Normal, State, System};
+use crate::likelihood::term::Term;
 
 impl System<'_> {
     /// The information of some profiles on the unknowns at a state, and their pull.
-    pub(super) fn contribution(
+    pub(crate) fn contribution(
         &self,
         terms: &[usize],
         state: &State,
@@ -24,7 +24,7 @@ impl System<'_> {
     }
 
     /// The unknowns that some profiles share, rising.
-    pub(super) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
+    pub(crate) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
         let of_term = |i: &usize| -> Vec<usize> {
             match &self.terms[*i].blend {
                 None => self.slots[*i].clone(),
@@ -39,7 +39,7 @@ impl System<'_> {
 
     /// Some profiles as a system of their own at a state, with the others as a quadratic, weighted by
     /// `share`. Its unknowns are those of [`Self::used_by`].
-    pub(super) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
+    pub(crate) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
         let used = self.used_by(terms);
         let (own, own_downhill) = self.contribution(terms, state, normal);
         let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);

@@ -2,12 +2,12 @@
 
 use nalgebra::DVector;
 
-use super::blend::Ink;
-use super::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
+use crate::likelihood::term::blend::Ink;
 
 /// A function of the unknowns whose value can be held.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Quantity {
+pub(crate) enum Quantity {
     /// One of the unknowns.
     Unknown(usize),
     /// ln σ_s(1 − g), of the medium at these unknowns.
@@ -23,7 +23,7 @@ pub(super) enum Quantity {
 }
 
 impl Quantity {
-    pub(super) fn value(self, x: &DVector<f64>) -> f64 {
+    pub(crate) fn value(self, x: &DVector<f64>) -> f64 {
         match self {
             Self::Unknown(i) => x[i],
             Self::ReducedScattering([s, a, g]) => (1.0 - x[a] * x[a]).max(1e-12).ln() + x[s] + x[g],
@@ -34,7 +34,7 @@ impl Quantity {
         }
     }
 
-    pub(super) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
+    pub(crate) fn gradient(self, x: &DVector<f64>) -> DVector<f64> {
         let mut gradient = DVector::zeros(x.len());
         match self {
             Self::Unknown(i) => gradient[i] = 1.0,
@@ -61,7 +61,7 @@ impl Quantity {
     }
 
     /// The quantities of a channel's medium.
-    pub(super) fn all(slots: &[usize]) -> [Self; 5] {
+    pub(crate) fn all(slots: &[usize]) -> [Self; 5] {
         let medium = [slots[LN_SIGMA_T], slots[ROOT_CO_ALBEDO], slots[LN_ONE_MINUS_G]];
         [
             Self::Unknown(medium[0]),
@@ -73,7 +73,7 @@ impl Quantity {
     }
 
     /// σ_t, √(1 − α), ln(1 − g), σ_s(1 − g) and √σ_a of an ink.
-    pub(super) fn of_ink(ink: Ink) -> [Self; 5] {
+    pub(crate) fn of_ink(ink: Ink) -> [Self; 5] {
         [
             Self::InkSigmaT(ink),
             Self::InkRootCoAlbedo(ink),

@@ -3,14 +3,14 @@
 use nalgebra::{Cholesky, DVector};
 use rayon::prelude::*;
 
-use super::descent::{COARSE, FINE};
-use super::form::without_specks;
-use super::records_noise::Modes;
-use super::robust::{is_dust, specks};
-use super::system::{State, System};
-use super::term::Own;
-use super::unknowns::{submatrix, subvector};
-use super::{Line, SHARED};
+use crate::likelihood::point::{Line, SHARED};
+use crate::likelihood::system::descent::{COARSE, FINE};
+use crate::likelihood::system::unknowns::{submatrix, subvector};
+use crate::likelihood::system::{State, System};
+use crate::likelihood::term::Own;
+use crate::likelihood::term::records_noise::Modes;
+use crate::likelihood::term::robust::without_specks;
+use crate::likelihood::term::robust::{is_dust, specks};
 use crate::surrogate::{Coordinates, NoisePlace, Surrogate};
 
 /// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
@@ -24,14 +24,14 @@ const HARDER: f64 = 0.4;
 
 impl<'a> System<'a> {
     /// A first minimum below a state, without the noise of records: specks are left out, and edges are looked for.
-    pub(super) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
+    pub(crate) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
         self.leave_out_specks_by_neighbours();
         self.place_edges(&mut state);
         self.descend(state, None, tolerance)
     }
 
     /// From a rough minimum to the last: with the noise of the records about, and without dust.
-    pub(super) fn settle(&mut self, mut state: State) -> State {
+    pub(crate) fn settle(&mut self, mut state: State) -> State {
         self.add_modes(&mut state);
         let modes_at = state.clone();
         for term in &mut self.terms {
@@ -65,7 +65,7 @@ impl<'a> System<'a> {
     }
 
     /// The state with some unknowns moved and held there, all else following in one step.
-    pub(super) fn held_at(&self, state: &State, places: &[(usize, f64)]) -> State {
+    pub(crate) fn held_at(&self, state: &State, places: &[(usize, f64)]) -> State {
         let mut x: DVector<f64> = state.x.clone();
         for (i, value) in places {
             x[*i] = *value;

@@ -8,7 +8,7 @@ const RIDGE: f64 = 1e-6;
 
 /// A quantity that profiles share.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Unknown {
+pub(crate) struct Unknown {
     /// Mean and standard deviation of what is known beforehand.
     pub prior: Option<(f64, f64)>,
     pub limits: (f64, f64),
@@ -18,32 +18,32 @@ pub(super) struct Unknown {
 
 /// The unknowns of a system under construction, and where they begin.
 #[derive(Debug, Default)]
-pub(super) struct Unknowns {
+pub(crate) struct Unknowns {
     pub all: Vec<Unknown>,
     pub x: Vec<f64>,
 }
 
 impl Unknowns {
-    pub(super) fn add(&mut self, prior: Option<(f64, f64)>, limits: (f64, f64), held: bool, x: f64) -> usize {
+    pub(crate) fn add(&mut self, prior: Option<(f64, f64)>, limits: (f64, f64), held: bool, x: f64) -> usize {
         self.all.push(Unknown { prior, limits, held });
         self.x.push(x.clamp(limits.0, limits.1));
         self.all.len() - 1
     }
 
     /// One that begins at the mean of its prior, and is held there if it is exact.
-    pub(super) fn known(&mut self, prior: (f64, f64), limits: (f64, f64)) -> usize {
+    pub(crate) fn known(&mut self, prior: (f64, f64), limits: (f64, f64)) -> usize {
         self.add(Some(prior), limits, prior.1 == 0.0, prior.0)
     }
 }
 
 /// Mean and standard deviation of the logarithm of a slab's thickness.
-pub(super) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, f64) {
+pub(crate) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, f64) {
     (thickness_mm.ln(), set_up.thickness_std_error_mm / thickness_mm)
 }
 
 /// An uncertain quantity of the scene among the unknowns.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct SceneUnknown {
+pub(crate) struct SceneUnknown {
     /// Index into the scene's priors.
     pub prior: usize,
     /// The material that it belongs to; none if it is the session's.
@@ -54,11 +54,11 @@ pub(super) struct SceneUnknown {
 }
 
 /// Indices of the unknowns that can move.
-pub(super) fn free(unknowns: &[Unknown]) -> Vec<usize> {
+pub(crate) fn free(unknowns: &[Unknown]) -> Vec<usize> {
     (0..unknowns.len()).filter(|i| !unknowns[*i].held).collect()
 }
 
-pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64> {
+pub(crate) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64> {
     for (x, unknown) in x.iter_mut().zip(unknowns) {
         *x = x.clamp(unknown.limits.0, unknown.limits.1);
     }
@@ -67,7 +67,7 @@ pub(super) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64>
 
 /// The step to the least of a quadratic, of the unknowns that can move and are not pulled over their limits. An unknown
 /// that it would push over a limit goes up to it, and the others follow.
-pub(super) fn limited_step(
+pub(crate) fn limited_step(
     unknowns: &[Unknown],
     x: &DVector<f64>,
     information: &DMatrix<f64>,
@@ -104,7 +104,7 @@ pub(super) fn limited_step(
 }
 
 /// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
-pub(super) fn inverse_over_free(
+pub(crate) fn inverse_over_free(
     unknowns: &[Unknown],
     information: &DMatrix<f64>,
     ridge: f64,
@@ -113,7 +113,7 @@ pub(super) fn inverse_over_free(
 }
 
 /// The same over these unknowns.
-pub(super) fn inverse_over(
+pub(crate) fn inverse_over(
     indices: &[usize],
     information: &DMatrix<f64>,
     ridge: f64,
@@ -131,17 +131,17 @@ pub(super) fn inverse_over(
 }
 
 /// The rows and columns of these indices.
-pub(super) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
+pub(crate) fn submatrix(matrix: &DMatrix<f64>, indices: &[usize]) -> DMatrix<f64> {
     DMatrix::from_fn(indices.len(), indices.len(), |i, j| matrix[(indices[i], indices[j])])
 }
 
 /// The elements of these indices.
-pub(super) fn subvector(vector: &DVector<f64>, indices: &[usize]) -> DVector<f64> {
+pub(crate) fn subvector(vector: &DVector<f64>, indices: &[usize]) -> DVector<f64> {
     DVector::from_iterator(indices.len(), indices.iter().map(|i| vector[*i]))
 }
 
 /// A quadratic over some unknowns that is left when others follow.
-pub(super) fn eliminate(
+pub(crate) fn eliminate(
     information: &DMatrix<f64>,
     downhill: &DVector<f64>,
     kept: &[usize],

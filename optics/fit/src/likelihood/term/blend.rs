@@ -6,21 +6,21 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
+use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
 
 /// Slots of an ink's σ_s, √σ_a and ln(1 − g) among the unknowns.
-pub(super) type Ink = [usize; 3];
+pub(crate) type Ink = [usize; 3];
 
 /// One ink of a mixture.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct InkPart {
+pub(crate) struct InkPart {
     pub fraction: f64,
     pub ink: Ink,
 }
 
 /// What a profile's medium is made of.
 #[derive(Debug, Clone)]
-pub(super) struct Blend {
+pub(crate) struct Blend {
     pub parts: Vec<InkPart>,
     /// What the dictionary predicts, in its coordinates. Beyond it a profile stays as it is at the end.
     pub limits: [(f64, f64); 3],
@@ -28,7 +28,7 @@ pub(super) struct Blend {
 
 /// A profile's shared unknowns at some place of the system's, and their derivatives by those in `slots`.
 #[derive(Debug)]
-pub(super) struct BlendPoint {
+pub(crate) struct BlendPoint {
     pub point: Line,
     pub slots: Vec<usize>,
     pub slopes: DMatrix<f64>,
@@ -36,19 +36,19 @@ pub(super) struct BlendPoint {
 
 /// A medium in the coordinates of the dictionary, and its derivatives by the inks' coordinates: three columns a part.
 #[derive(Debug)]
-pub(super) struct Blended {
+pub(crate) struct Blended {
     pub medium: [f64; 3],
     pub slopes: DMatrix<f64>,
 }
 
 impl Blend {
     /// The slots of the columns of [`Blended::slopes`].
-    pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
+    pub(crate) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
         self.parts.iter().flat_map(|part| part.ink)
     }
 
     /// With σ_s = Σ f σ_s,i, σ_a = Σ f σ_a,i and r = Σ f σ_s,i (1 − g_i): ln σ_t, √(σ_a/σ_t), ln(r/σ_s).
-    pub(super) fn at(&self, x: &DVector<f64>) -> Blended {
+    pub(crate) fn at(&self, x: &DVector<f64>) -> Blended {
         let (mut scattering, mut absorption, mut reduced) = (0.0, 0.0, 0.0);
         for InkPart { fraction, ink: [s, a, g] } in &self.parts {
             scattering += fraction * x[*s];
@@ -74,7 +74,7 @@ impl Blend {
     }
 
     /// With the slots of the set-up: those from the factor on μ on.
-    pub(super) fn place(&self, slots: &[usize], x: &DVector<f64>) -> BlendPoint {
+    pub(crate) fn place(&self, slots: &[usize], x: &DVector<f64>) -> BlendPoint {
         let blended = self.at(x);
         let parts = 3 * self.parts.len();
         let set_up = LN_SCALE..slots.len();
@@ -95,26 +95,26 @@ impl Blend {
     }
 
     /// The same with other slots.
-    pub(super) fn renumbered(&self, slot: impl Fn(&usize) -> usize) -> Self {
+    pub(crate) fn renumbered(&self, slot: impl Fn(&usize) -> usize) -> Self {
         let part = |part: &InkPart| InkPart { ink: part.ink.each_ref().map(&slot), ..*part };
         Self { parts: self.parts.iter().map(part).collect(), limits: self.limits }
     }
 }
 
 /// An ink's own medium in the coordinates of the dictionary.
-pub(super) fn ink_medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
+pub(crate) fn ink_medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
     unlimited(vec![InkPart { fraction: 1.0, ink }]).at(x).medium
 }
 
 /// A mixture that need not be one that the dictionary predicts.
-pub(super) fn unlimited(parts: Vec<InkPart>) -> Blend {
+pub(crate) fn unlimited(parts: Vec<InkPart>) -> Blend {
     Blend { parts, limits: [(f64::NEG_INFINITY, f64::INFINITY); 3] }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::likelihood::quantity::Quantity;
+    use crate::likelihood::system::quantity::Quantity;
 
     fn unknowns() -> DVector<f64> {
         DVector::from_vec(vec![5.994, 0.0735, -0.511, 0.45, 2.924, -0.4])

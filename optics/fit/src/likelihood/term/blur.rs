@@ -9,22 +9,22 @@ use optics_model::fit::FitSettings;
 const LEAST_MM: f64 = 0.01;
 
 /// u of a variance in mm².
-pub(super) fn coordinate(variance_mm2: f64) -> f64 {
+pub(crate) fn coordinate(variance_mm2: f64) -> f64 {
     (variance_mm2.max(0.0) + LEAST_MM * LEAST_MM).sqrt()
 }
 
 /// The variance in mm² at u.
-pub(super) fn variance_mm2(u: f64) -> f64 {
+pub(crate) fn variance_mm2(u: f64) -> f64 {
     (u * u - LEAST_MM * LEAST_MM).max(0.0)
 }
 
 /// Derivative of the variance by u.
-pub(super) fn slope(u: f64) -> f64 {
+pub(crate) fn slope(u: f64) -> f64 {
     2.0 * u
 }
 
 /// Mean and standard deviation of u for a σ with a standard error.
-pub(super) fn prior(set_up: &FitSettings) -> (f64, f64) {
+pub(crate) fn prior(set_up: &FitSettings) -> (f64, f64) {
     let mean = coordinate(set_up.blur_mm * set_up.blur_mm);
     (mean, coordinate((set_up.blur_mm + set_up.blur_std_error_mm).powi(2)) - mean)
 }

@@ -6,8 +6,8 @@
 
 use std::f64::consts::PI;
 
-use super::Line;
 use crate::dictionary::wide::wide;
+use crate::likelihood::point::Line;
 use crate::surrogate::interpolation::Place;
 
 /// Pixels that a profile is carried on beyond its ends, on each side.
@@ -23,7 +23,7 @@ const AT_STEP: f64 = 1e-4;
 
 /// The pixels of a measurement over those of a dictionary.
 #[derive(Debug, Clone)]
-pub(super) struct Camera {
+pub(crate) struct Camera {
     /// Edges of the measured pixels in units of the dictionary's, from the left end of its first.
     edges: Vec<f64>,
     /// Pitch of the dictionary in mm.
@@ -34,7 +34,7 @@ pub(super) struct Camera {
 
 /// A profile on the measured pixels, with derivatives.
 #[derive(Debug)]
-pub(super) struct ExposedProfile {
+pub(crate) struct ExposedProfile {
     pub values: Line,
     /// By the quantities that the caller had derivatives of.
     pub slopes: Vec<Line>,
@@ -46,7 +46,7 @@ pub(super) struct ExposedProfile {
 
 impl Camera {
     /// For pixel centres at a constant pitch, over a dictionary of this width and number of pixels.
-    pub(super) fn new(x_mm: &[f64], measured_pitch_mm: f64, width_mm: f64, pixels: usize) -> Self {
+    pub(crate) fn new(x_mm: &[f64], measured_pitch_mm: f64, width_mm: f64, pixels: usize) -> Self {
         let pitch_mm = width_mm / pixels as f64;
         let left = x_mm[0] - 0.5 * measured_pitch_mm;
         let edge = |i: usize| (left + i as f64 * measured_pitch_mm + 0.5 * width_mm) / pitch_mm;
@@ -54,7 +54,7 @@ impl Camera {
     }
 
     /// What is seen of a profile on the dictionary's pixels, and of its derivatives.
-    pub(super) fn expose(
+    pub(crate) fn expose(
         &self,
         values: &[f64],
         slopes: &[Line],
@@ -76,7 +76,7 @@ impl Camera {
     }
 
     /// The values of profiles alone, without a blur.
-    pub(super) fn sharp(&self, profiles: &[Line], origin_mm: f64) -> Vec<Line> {
+    pub(crate) fn sharp(&self, profiles: &[Line], origin_mm: f64) -> Vec<Line> {
         let places = self.places(origin_mm);
         profiles.iter().map(|values| average(&places, &integral(&pad(values)))).collect()
     }

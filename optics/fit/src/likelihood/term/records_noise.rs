@@ -1,8 +1,8 @@
 //! The noise of the dictionary's records as modes: it is alike in neighbouring pixels, since a walk lights many of them.
 
-use super::Line;
-use super::camera::Camera;
 use crate::dictionary::sum::dot;
+use crate::likelihood::point::Line;
+use crate::likelihood::term::camera::Camera;
 use crate::surrogate::NoiseFactors;
 
 /// Most modes that are kept.
@@ -15,7 +15,7 @@ const MOST: f64 = 10.0;
 
 /// A low-rank part of a covariance, and the variances that it leaves.
 #[derive(Debug, Default)]
-pub(super) struct Modes {
+pub(crate) struct Modes {
     pub modes: Vec<Line>,
     pub rest_variances: Line,
 }
@@ -27,7 +27,7 @@ impl Modes {
     /// The covariance is estimated from a number of profiles n, and its inverse is then too large by (n − 1)/(n − p − 2) on
     /// average, p being the number of directions in which it counts (Hartlap et al. 2007, "Why your model parameter
     /// confidences might be too optimistic"). All variances are multiplied by that.
-    pub(super) fn new(noise: &NoiseFactors, camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
+    pub(crate) fn new(noise: &NoiseFactors, camera: &Camera, origin_mm: f64, std_errors: &[f64]) -> Self {
         let seen = camera.sharp(&noise.factors, origin_mm);
         let n = std_errors.len();
         let at_pixel: Vec<Line> = (0..n).map(|i| seen.iter().map(|f| f[i]).collect()).collect();

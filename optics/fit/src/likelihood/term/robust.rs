@@ -18,6 +18,8 @@ const RIM: usize = 4;
 /// A speck reaches as far as its sign does, while it is at least this many standard deviations.
 const RIM_LEVEL: f64 = 0.5;
 
+/// Standard deviations from its neighbours from which on a pixel is a speck before any fit.
+const SPECK: f64 = 6.0;
 /// Longest run of pixels that specks make, two or three together.
 const LONGEST: usize = 24;
 /// Greatest share of pixels that can be dust.
@@ -29,27 +31,27 @@ fn parts(r: f64) -> (f64, f64) {
 }
 
 /// ρ(r), zero at 0.
-pub(super) fn rho(r: f64) -> f64 {
+pub(crate) fn rho(r: f64) -> f64 {
     let (normal, odd) = parts(r);
     let at_zero = 1.0 - SHARE + SHARE / WIDTH;
     -2.0 * ((normal + odd).max(f64::MIN_POSITIVE) / at_zero).ln()
 }
 
 /// dρ/d(r²): 1 for pixels that belong to the profile.
-pub(super) fn weight(r: f64) -> f64 {
+pub(crate) fn weight(r: f64) -> f64 {
     let (normal, odd) = parts(r);
     (normal + odd / (WIDTH * WIDTH)) / (normal + odd).max(f64::MIN_POSITIVE)
 }
 
 /// Whether odd pixels lie in runs as short as specks make them, and are not too many: else it is the model that is wrong.
-pub(super) fn is_dust(left_out: &[bool]) -> bool {
+pub(crate) fn is_dust(left_out: &[bool]) -> bool {
     let count = left_out.iter().filter(|o| **o).count();
     let longest = left_out.split(|o| !o).map(<[bool]>::len).max().unwrap_or(0);
     longest <= LONGEST && count as f64 <= DUST * left_out.len() as f64
 }
 
 /// Pixels that do not belong to the profile, with the rims of the specks that they are part of.
-pub(super) fn specks(residuals: &[f64]) -> Vec<bool> {
+pub(crate) fn specks(residuals: &[f64]) -> Vec<bool> {
     let n = residuals.len();
     let odd: Vec<bool> = residuals.iter().map(|r| weight(*r) < ODD).collect();
     let mut left_out = odd.clone();
@@ -59,6 +61,19 @@ pub(super) fn specks(residuals: &[f64]) -> Vec<bool> {
         (i.saturating_sub(RIM)..i).rev().take_while(|k| belongs(*k)).for_each(|k| left_out[k] = true);
     }
     left_out
+}
+
+/// Pixels close to their neighbours, by a median filter; a speck and its rims are not.
+pub(crate) fn without_specks(values: &[f64], std_errors: &[f64]) -> Vec<bool> {
+    let n = values.len();
+    let apart = |i: usize| {
+        let mut near: Vec<f64> = values[i.saturating_sub(4)..(i + 5).min(n)].to_vec();
+        near.sort_by(f64::total_cmp);
+        let spread = near[near.len() - 2] - near[1];
+        (values[i] - near[near.len() / 2]).abs() > SPECK * std_errors[i] + spread
+    };
+    let odd: Vec<bool> = (0..n).map(apart).collect();
+    (0..n).map(|i| !odd[i.saturating_sub(2)..(i + 3).min(n)].contains(&true)).collect()
 }
 
 #[cfg(test)]

@@ -2,10 +2,10 @@
 
 use optics_model::measurement::MIN_PIXELS;
 
-use super::Line;
+use crate::likelihood::point::Line;
 
 /// Standard errors from how values scatter from pixel to pixel, on the dark and on the light side separately.
-pub(super) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Line {
+pub(crate) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Line {
     let edge = x_mm.partition_point(|x| *x < 0.0);
     if edge.min(x_mm.len() - edge) < MIN_PIXELS {
         return vec![scatter(values); x_mm.len()];

@@ -1,0 +1,49 @@
+//! The unknowns that profiles may share, as indices, and the point of one profile: its values of them.
+
+/// Numbers by pixel.
+pub(crate) type Line = Vec<f64>;
+
+/// Unknowns that a profile may share with others, in this order.
+pub(crate) const LN_SIGMA_T: usize = 0;
+pub(crate) const ROOT_CO_ALBEDO: usize = 1;
+pub(crate) const LN_ONE_MINUS_G: usize = 2;
+/// Logarithm of a factor on μ.
+pub(crate) const LN_SCALE: usize = 3;
+/// The camera's blur (`blur`).
+pub(crate) const BLUR: usize = 4;
+pub(crate) const LN_THICKNESS: usize = 5;
+/// The uncertain quantities of the scene follow, in its order, each by its difference from the scene's value in units of
+/// its prior's standard deviation.
+pub(crate) const SHARED: usize = 6;
+
+/// Values of the shared unknowns of one profile.
+#[derive(Debug, Clone)]
+pub(crate) struct Point(pub Line);
+
+impl Point {
+    pub(crate) fn medium(&self) -> [f64; 3] {
+        [self.0[LN_SIGMA_T], self.0[ROOT_CO_ALBEDO], self.0[LN_ONE_MINUS_G]]
+    }
+
+    pub(crate) fn ln_scale(&self) -> f64 {
+        self.0[LN_SCALE]
+    }
+
+    pub(crate) fn scale(&self) -> f64 {
+        (-self.0[LN_SCALE]).exp()
+    }
+
+    /// Coordinate of the blur.
+    pub(crate) fn blur(&self) -> f64 {
+        self.0[BLUR]
+    }
+
+    pub(crate) fn thickness_mm(&self) -> f64 {
+        self.0[LN_THICKNESS].exp()
+    }
+
+    /// The uncertain quantities of the scene.
+    pub(crate) fn scene(&self) -> &[f64] {
+        &self.0[SHARED..]
+    }
+}

@@ -1,0 +1,149 @@
+//! Joins the profiles of channels to one system, with one unknown for all profiles that share a quantity.
+
+use nalgebra::DVector;
+use optics_model::Grid;
+use optics_model::scene::{Prior, Scope};
+
+use crate::dictionary::axes::held;
+use crate::likelihood::point::Line;
+use crate::likelihood::problem::{ChannelData, ProfileData};
+use crate::likelihood::system::unknowns::{SceneUnknown, Unknowns, thickness_prior};
+use crate::likelihood::system::{State, System};
+use crate::likelihood::term::{Term, blur};
+use crate::surrogate::Surrogate;
+
+/// How far, in the logarithm, a slab's thickness may be moved by a fit.
+const NEAR: f64 = 0.1;
+
+/// What several channels share in addition to the factor on μ.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sharing {
+    /// All have the same anisotropy.
+    pub g: bool,
+    /// Limits of the logarithm of a factor on μ of which nothing else is known.
+    pub scale: Option<(f64, f64)>,
+}
+
+/// Channels as one system: the profiles of channel i are `terms[i]` of it.
+#[derive(Debug)]
+pub(crate) struct Assembly<'a> {
+    pub system: System<'a>,
+    pub terms: Vec<std::ops::Range<usize>>,
+}
+
+/// A quantity of the set-up: one unknown for all profiles in which it is the same.
+#[derive(Debug, PartialEq)]
+enum SetUpKey<'a> {
+    /// The blur of a channel is the same in all photographs with the same prior.
+    Blur(&'a str, (f64, f64)),
+    /// A material has one slab of each thickness, whatever the channel.
+    Thickness(usize, f64),
+}
+
+/// The unknowns of a system under construction, and what they are.
+#[derive(Debug, Default)]
+struct Builder<'a> {
+    unknowns: Unknowns,
+    of_set_up: Vec<(SetUpKey<'a>, usize)>,
+    of_scene: Vec<SceneUnknown>,
+}
+
+impl<'a> Builder<'a> {
+    fn blur(&mut self, channel: &'a str, data: &ProfileData) -> usize {
+        let prior = blur::prior(&data.set_up);
+        let limits = (blur::coordinate(0.0), prior.0 + 20.0 * prior.1);
+        self.of_set_up(SetUpKey::Blur(channel, prior), prior, limits)
+    }
+
+    fn thickness(&mut self, material: usize, data: &ProfileData) -> usize {
+        let nominal = data.profile.thickness_mm();
+        let prior = thickness_prior(nominal, &data.set_up);
+        self.of_set_up(SetUpKey::Thickness(material, nominal), prior, (prior.0 - NEAR, prior.0 + NEAR))
+    }
+
+    fn of_set_up(&mut self, key: SetUpKey<'a>, prior: (f64, f64), limits: (f64, f64)) -> usize {
+        if let Some((_, slot)) = self.of_set_up.iter().find(|(known, _)| *known == key) {
+            return *slot;
+        }
+        let slot = self.unknowns.known(prior, limits);
+        self.of_set_up.push((key, slot));
+        slot
+    }
+}
+
+/// Unknowns for the uncertain quantities of a grid's scene, in their order, of a slab; none without responses.
+fn scene_slots(builder: &mut Builder, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
+    if grid.responses().is_none() {
+        return Vec::new();
+    }
+    let slot = |(index, prior): (usize, &Prior)| {
+        let (material, slab_mm) = match prior.scope() {
+            Scope::Session => (None, None),
+            Scope::Material => (Some(material), None),
+            Scope::Slab => (Some(material), Some(thickness_mm)),
+        };
+        let known =
+            builder.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm) == (index, material, slab_mm));
+        if let Some(known) = known {
+            return known.slot;
+        }
+        let (low, high) = prior.range(grid.scene());
+        let limits = (low / prior.std_error(), high / prior.std_error());
+        let slot = builder.unknowns.known((0.0, 1.0), limits);
+        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, slot });
+        slot
+    };
+    grid.scene().priors().iter().enumerate().map(slot).collect()
+}
+
+/// All channels as one system, beginning at these media.
+pub(crate) fn assemble<'a>(
+    channels: &[ChannelData],
+    surrogates: &[&'a Surrogate<'a>],
+    media: &[[f64; 3]],
+    scale: f64,
+    sharing: Sharing,
+) -> (Assembly<'a>, State) {
+    let mut builder = Builder::default();
+    let settings = channels[0].options.settings();
+    let deviation = settings.mu_std_error / settings.mu;
+    let scale_slot = match sharing.scale {
+        Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
+        None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
+    };
+    let mut common_g = None;
+    let (mut terms, mut slots, mut used, mut ranges) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
+        let limits = surrogate.limits_within(&data.options);
+        let held = held(data.dictionary.grid(), &data.options);
+        let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
+        let (s, a) = (of_medium(0), of_medium(1));
+        let g = match common_g {
+            Some(g) => g,
+            None => of_medium(2),
+        };
+        common_g = sharing.g.then_some(g);
+        let first = terms.len();
+        for profile in &data.profiles {
+            let blur = builder.blur(data.name, profile);
+            let thickness = builder.thickness(data.material, profile);
+            let grid = data.dictionary.grid();
+            let scene = scene_slots(&mut builder, grid, data.material, profile.profile.thickness_mm());
+            slots.push([vec![s, a, g, scale_slot, blur, thickness], scene].concat());
+            terms.push(profile.term(surrogate, *medium));
+            used.push(*surrogate);
+        }
+        ranges.push(first..terms.len());
+    }
+    let own: Vec<Line> = terms.iter().map(|t: &Term| vec![0.0; t.own_count()]).collect();
+    let system = System {
+        terms,
+        surrogates: used,
+        slots,
+        unknowns: builder.unknowns.all,
+        of_scene: builder.of_scene,
+        coupling: None,
+    };
+    let state = State { x: DVector::from_vec(builder.unknowns.x), own, cost: f64::INFINITY };
+    (Assembly { system, terms: ranges }, state)
+}

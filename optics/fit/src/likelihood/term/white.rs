@@ -1,0 +1,41 @@
+//! The response of a profile to an error of the white reference, through the ρ of the base.
+
+use optics_model::scene::DARKER_WHITE;
+
+use crate::likelihood::point::Line;
+use crate::surrogate::{Coordinates, Surrogate};
+
+/// How an error of the white reference changes the simulated profile, since the base's ρ was measured with it.
+#[derive(Debug, Clone)]
+pub(crate) struct White {
+    /// By the logarithm of the reference, on the dictionary's pixels.
+    pub slope: Line,
+    /// The question's, from which factors are counted.
+    pub ln_mu: f64,
+}
+
+impl White {
+    /// The response of a slab, from records of the same walks with both ρ; none if the scene has none.
+    pub(crate) fn of(
+        surrogate: &Surrogate,
+        thickness_mm: f64,
+        medium: Coordinates,
+        ln_mu: f64,
+    ) -> Option<Self> {
+        let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
+        let darker = values(&surrogate.under_darker_white()?);
+        let pairs = values(surrogate).into_iter().zip(darker);
+        let slope = pairs.map(|(stated, darker)| (stated - darker) / -DARKER_WHITE.ln()).collect();
+        Some(Self { slope, ln_mu })
+    }
+
+    /// The same where the medium now is.
+    pub(crate) fn moved(
+        &self,
+        surrogate: &Surrogate,
+        thickness_mm: f64,
+        medium: Coordinates,
+    ) -> Option<Self> {
+        Self::of(surrogate, thickness_mm, medium, self.ln_mu)
+    }
+}
