@@ -1,4 +1,4 @@
-//! Makes a new migration rebuild the crate.
+//! Rebuilds the crate when a migration is added.
 
 fn main() {
     println!("cargo:rerun-if-changed=migrations");

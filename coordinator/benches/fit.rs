@@ -1,8 +1,8 @@
 //! Speed of the fit with a whole dictionary: the engine alone, and over gRPC on loopback.
 //!
 //! `FARM_BENCH_DATA=DIR cargo bench -p farm-coordinator` takes the dictionary "paper" of a data directory, which
-//! `farmctl submit --data DIR` makes. Without it the paper's grid is filled by a formula, which serves to compare
-//! versions but prunes otherwise than simulated profiles.
+//! `farmctl submit --data DIR` makes. Without it the paper's grid is filled by a formula. That serves to compare
+//! versions, but pruning differs from that of simulated profiles.
 
 #![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
 
@@ -171,7 +171,7 @@ fn engine(c: &mut Criterion) {
     });
 }
 
-/// Queries that eight clients send in one go, each on a connection of its own.
+/// Number of clients, each with its own connection, and number of queries that each sends one after the other.
 const CLIENTS: usize = 8;
 const QUERIES: usize = 25;
 

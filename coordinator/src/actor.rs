@@ -1,26 +1,26 @@
-//! The callers that ask for changes, by token and address.
+//! Identifies the callers that request changes, by token and address.
 
 use std::fmt;
 
 use farm_link::Role;
 
-/// The caller that asks for a change, by its token and the other end of its connection.
+/// A caller that requests a change, by its token and the other end of its connection.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Actor {
-    /// Role and name of the token; none where none is asked for.
+    /// Role and name of the token; None if no token is needed.
     pub token: Option<(Role, String)>,
-    /// Empty if it is not known.
+    /// Empty if unknown.
     pub address: String,
 }
 
 impl Actor {
-    /// The owner of the dictionaries that it submits.
+    /// The name under which it owns the dictionaries that it submits.
     pub fn name(&self) -> &str {
         self.token.as_ref().map_or("", |(_, name)| name)
     }
 
-    /// The name under which it shares what is limited for each token. Empty for admins, who have no share but all, and where
-    /// there are no tokens.
+    /// The name under which limits per token apply to it. Empty for admins, to whom only the limits of all calls apply,
+    /// and if there are no tokens.
     pub fn shares_as(&self) -> &str {
         match &self.token {
             None | Some((Role::Admin, _)) => "",
@@ -28,7 +28,8 @@ impl Actor {
         }
     }
 
-    /// Whether it may change the dictionaries of an owner: its own, and admins all.
+    /// Whether it may change the dictionaries of an owner: clients only their own, admins all. Without tokens, every
+    /// caller may.
     pub fn may_change(&self, owner: &str) -> bool {
         match &self.token {
             None | Some((Role::Admin, _)) => true,
@@ -37,7 +38,7 @@ impl Actor {
     }
 }
 
-/// As events show it: `alice at 10.0.0.7`.
+/// Writes the form in events: `alice at 10.0.0.7`.
 impl fmt::Display for Actor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let between = if self.name().is_empty() || self.address.is_empty() { "" } else { " at " };

@@ -1,7 +1,7 @@
-//! What every call passes on its way in and out: a request id, authorisation, and an observer.
+//! Wraps every call with a request id, authorisation, and an observer.
 //!
-//! [`AuthorisationLayer`] goes around all services (`Server::builder().layer(…)`), so that a service added later is guarded
-//! without a word: what is not known to be for others is for admins.
+//! [`AuthorisationLayer`] surrounds all services (`Server::builder().layer(…)`), so that a service added later is
+//! guarded by default: methods without a rule are for admins.
 
 mod answer;
 mod budget;
@@ -40,19 +40,19 @@ use budget::{Account, Budget};
 use permission::Admitted;
 use report::Report;
 
-/// The method under which calls are observed that no service has answered: callers may choose any path.
+/// The method name with which calls are observed that no service has answered: callers may choose any path.
 pub const OTHER_METHOD: &str = "other";
 
-/// The method whose calls bring many messages: each is handed on before the next.
+/// The method whose calls stream many messages: each is passed on before the next.
 const STREAMED: &str = "/farm.v1.Leases/Complete";
 
-/// How often a call that waits looks whether its token is let in, and whether it is overdue.
+/// Interval at which a waiting call checks whether its token is accepted, and whether it is overdue.
 const LOOK: Duration = Duration::from_secs(1);
 
 /// Refused calls are logged at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
 
-/// Makes services [`Authorised`]: calls need the tokens that the gate knows, if it knows any.
+/// Makes services [`Authorised`]: calls need the tokens of the gate, if it has any.
 #[derive(Clone)]
 pub struct AuthorisationLayer {
     shared: Arc<Shared>,
@@ -60,7 +60,7 @@ pub struct AuthorisationLayer {
 
 type Observer = dyn Fn(&str, i32, Duration) + Send + Sync;
 
-/// What the services of all connections share.
+/// State that the services of all connections share.
 struct Shared {
     gate: Gate,
     observer: Box<Observer>,
@@ -70,9 +70,9 @@ struct Shared {
 }
 
 impl AuthorisationLayer {
-    /// `observer` is called once for every call, when it has ended: the method's path or [`OTHER_METHOD`], the gRPC code
-    /// (1, cancelled, if the caller has gone before the end), and how long it took. The calls of one token may hold so many
-    /// bytes of questions that are not answered and of answers that are not read.
+    /// `observer` is called once for every call, when it has ended, with the method's path or [`OTHER_METHOD`], the
+    /// gRPC code (1, cancelled, if the caller has gone before the end), and the duration. The calls of one token may
+    /// hold `held_bytes` bytes of questions that are not answered and of answers that are not read.
     pub fn new(
         gate: Gate,
         held_bytes: usize,
@@ -138,7 +138,7 @@ where
         };
         let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
         let report = Report::start(self.shared.clone(), method, span.clone(), caller, connection);
-        // Handlers need not see it, and what they do not see they cannot log.
+        // Handlers do not need the token, and cannot log what they do not receive.
         request.headers_mut().remove(AUTHORIZATION);
         match admitted {
             Ok(means) => {
@@ -146,7 +146,7 @@ where
                     span.record("caller", caller.name());
                 }
                 request.extensions_mut().insert(id.clone());
-                // The call itself may do work before it gives its future.
+                // The call itself may do work before it returns its future.
                 let answer = span.in_scope(|| self.inner.call(request));
                 let answered = async move {
                     let response = report.pass(answer.await, &id, means)?;
@@ -164,14 +164,14 @@ where
     }
 }
 
-/// What a call has been given, until it has ended.
+/// The resources of a call, until it has ended.
 struct Means {
-    /// Its place among the open calls of its connection, if it is one.
+    /// Its place among the open calls of its connection, if it is an open call.
     _place: Option<OwnedSemaphorePermit>,
     account: Account,
 }
 
-/// Prepares a call for its service: who calls, and what it may take.
+/// Prepares a call for its service: adds the caller, and limits the body.
 fn let_in(admitted: Admitted, shared: &Shared, request: &mut Request<Body>) -> Result<Means, Status> {
     let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
     if let (Some(connection), Admitted::Caller(_) | Admitted::Anybody | Admitted::Open { known: true }) =

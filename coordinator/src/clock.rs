@@ -1,4 +1,4 @@
-//! Time and randomness, the only place where the ambient ones are read.
+//! Reads the machine's clocks and its randomness.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ impl Clock {
         Self { start: std::time::Instant::now() }
     }
 
-    /// Monotonic time since the start; what leases are measured with.
+    /// Monotonic time since the start, by which leases are measured.
     pub fn now(&self) -> Duration {
         self.start.elapsed()
     }
@@ -35,7 +35,7 @@ impl Clock {
 /// 128 random bits in hexadecimal: worker ids.
 ///
 /// # Panics
-/// If the operating system has no randomness to give.
+/// If the operating system provides no randomness.
 pub fn random_token() -> String {
     format!("{:032x}", random())
 }
@@ -43,7 +43,7 @@ pub fn random_token() -> String {
 /// Random bytes that keep something secret for as long as a database is in use.
 ///
 /// # Panics
-/// If the operating system has no randomness to give.
+/// If the operating system provides no randomness.
 pub fn random_secret() -> Secret {
     let mut bytes = [0_u8; 32];
     getrandom::fill(&mut bytes).expect("the operating system gives random numbers");
@@ -62,7 +62,7 @@ pub struct Random;
 
 impl TokenSource for Random {
     fn token(&mut self) -> Token {
-        // 0 is no token.
+        // 0 is not a valid token.
         Token(random().max(1))
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use farm_link::memory::usable_bytes;
 use optics_model::limits::FitLimits;
 
-/// When backups are made, and how many are kept.
+/// The interval of backups, and the number of those that are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BackupSchedule {
     pub every: Duration,
@@ -19,7 +19,7 @@ pub struct BackupSchedule {
 pub struct Config {
     /// Folder of the database and of the lock that keeps a second coordinator out.
     pub data_dir: PathBuf,
-    /// How long a worker may be silent before its leases go to others.
+    /// Longest silence of a worker before its leases go to others.
     pub lease: Duration,
     /// Attempts after which a job is given up.
     pub max_attempts: u32,
@@ -31,9 +31,9 @@ pub struct Config {
     pub fit_memory_bytes: usize,
     /// Most pixels of one question about measurements.
     pub question_pixels: usize,
-    /// Whether its start is noted among the events.
+    /// Whether the start of the coordinator is recorded as an event.
     pub start_is_event: bool,
-    /// Backups that it makes by itself.
+    /// Schedule of automatic backups; None without.
     pub backups: Option<BackupSchedule>,
 }
 

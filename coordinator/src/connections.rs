@@ -1,7 +1,7 @@
-//! Accepting connections, within bounds.
+//! Accepts connections within bounds.
 //!
-//! Connections are bounded: excess ones are refused, silent ones time out, and unauthenticated ones must present a token
-//! within 30 s. Of one address a bounded number may be unauthenticated, and one more evicts the oldest of them.
+//! Excess connections are refused, silent ones time out, and unauthenticated ones must present a token within 30 s. The
+//! number of unauthenticated connections of one address is bounded, and one more evicts the oldest of them.
 
 mod admission;
 mod guarded;
@@ -33,18 +33,18 @@ pub use admission::{Admission, Peer};
 pub use guarded::Guarded;
 pub use lingering_close::LingeringClose;
 
-/// After an error that others will follow, as when there are no file descriptors left: time for some to be freed.
+/// Pause after an error that others will follow, as when there are no file descriptors left, so that some can be freed.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Refused connections and errors are logged at most this often.
 const TELL: Duration = Duration::from_secs(10);
 
-/// The address of programs that come through the Unix socket.
+/// The address of programs that connect to the Unix socket.
 pub(super) const OWN_USER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
-/// What connections may take.
+/// Limits of connections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// How many there may be at a time, at least 1.
+    /// Largest number of connections at a time, at least 1.
     pub connections: usize,
     /// Longest time until a connection has sent its greeting.
     pub hello: Duration,
@@ -57,9 +57,9 @@ pub struct Limits {
 /// Limits of connections that have not presented a token.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UnauthenticatedLimits {
-    /// How many there may be of one address.
+    /// Largest number of such connections of one address.
     pub connections: usize,
-    /// How long they may last.
+    /// Time limit until a token is presented.
     pub patience: Duration,
 }
 
@@ -75,7 +75,7 @@ impl Limits {
     }
 }
 
-/// How many connections there are and were sent away; for metrics.
+/// Numbers of open and refused connections, for metrics.
 #[derive(Debug, Clone)]
 pub struct Connections {
     counts: Arc<Counts>,
@@ -93,7 +93,7 @@ impl Connections {
         self.counts.most - self.counts.places.available_permits()
     }
 
-    /// Connections sent away since the start because all places were taken.
+    /// Connections refused since the start because all places were taken.
     pub fn refused(&self) -> u64 {
         self.counts.refused.load(Ordering::Relaxed)
     }
@@ -145,7 +145,7 @@ impl Incoming {
             Some(limits) => self.unauthenticated.admission(peer.ip(), limits.connections),
         };
         if let Err(error) = stream.set_nodelay(true) {
-            // It has most likely gone already, which its first read will show.
+            // It has most likely been closed already, which its first read will report.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
         Some(Guarded::new(LingeringClose::new(Either::Left(stream), place), self.limits, admission))
@@ -178,7 +178,7 @@ impl Incoming {
 
     fn failed(&mut self, error: &io::Error) {
         use io::ErrorKind::{ConnectionAborted, ConnectionReset, Interrupted};
-        // These concern one connection, which has gone before it was accepted.
+        // These concern one connection, which was closed before it was accepted.
         if matches!(error.kind(), ConnectionAborted | ConnectionReset | Interrupted) {
             return;
         }

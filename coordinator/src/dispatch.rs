@@ -1,4 +1,4 @@
-//! Which job goes to which worker: a state machine over plain data.
+//! Decides which job goes to which worker: a state machine over plain data.
 //!
 //! Synchronous, and without access to clocks, randomness, network and store: time comes in as a monotonic [`Duration`],
 //! tokens from a [`TokenSource`], results as calls. What must be made durable, recorded, counted or woken is in the
@@ -37,17 +37,17 @@ pub use schedule::{Dictionary, LeaseRequest, PERIOD, Period, Plan, Reason};
 
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
-    /// How long a lease holds without a word from its worker.
+    /// Duration of a lease from its grant or its last renewal.
     pub lease: Duration,
     /// Failed attempts after which a job is given up.
     pub max_attempts: u32,
     /// Share of the results that a second worker computes too, for comparison.
     pub check_share: f64,
-    /// Keys the choice of these, and the tokens of leases and workers.
+    /// Key for the sampling of these results, and for the tokens of leases and workers.
     pub secret: Secret,
 }
 
-/// Where tokens of leases come from.
+/// A source of tokens for leases.
 pub trait TokenSource {
     /// A token that cannot be guessed.
     fn token(&mut self) -> Token;

@@ -1,4 +1,4 @@
-//! The operations of the coordinator, each once. They connect dispatch, store and fit.
+//! Implements the operations of the coordinator, each once. They connect dispatch, store and fit.
 
 mod backup;
 mod completion;
@@ -135,7 +135,7 @@ pub(crate) struct Overview {
     pub threads: u64,
     pub uptime_ms: u64,
     pub database_bytes: u64,
-    /// Comparisons between workers: equal, unequal, and waiting.
+    /// Numbers of comparisons between machines: equal, unequal, and waiting.
     pub checks: (u64, u64, usize),
     pub store_fault: Option<String>,
 }
@@ -149,7 +149,7 @@ pub(crate) struct Farm {
     fits: FitCache,
     result_budget: Arc<ResultBudget>,
     last_backup: LastBackup,
-    /// Why the last result could not be stored.
+    /// The reason why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
 }
 
@@ -182,7 +182,7 @@ impl Farm {
         Ok(farm)
     }
 
-    /// Notes that the farm can be reached from now on.
+    /// Records the event that the farm can be reached from now on.
     pub(crate) fn started(&self) {
         self.scheduler.note(
             &Actor::default(),
@@ -243,17 +243,17 @@ impl Farm {
         })
     }
 
-    /// What was finished in each period of the last hour, and the time since the start.
+    /// The work that was finished in each period of the last hour, and the time since the start.
     pub(crate) fn paces(&self) -> (Vec<Period>, Duration) {
         self.scheduler.query(|dispatcher, now| (dispatcher.schedule().paces(now), now))
     }
 
-    /// Why the last result could not be stored, if it could not.
+    /// The reason why the last result could not be stored, if it could not.
     pub(crate) fn store_fault(&self) -> Option<String> {
         self.store_fault.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Writes what is still to be written and closes the database.
+    /// Writes all pending data and closes the database.
     pub(crate) async fn close(&self) {
         self.scheduler.close().await;
         self.give_back_room_at_end().await;
@@ -269,7 +269,7 @@ impl Farm {
     }
 }
 
-/// The dispatcher as the store remembers it.
+/// Builds the dispatcher from the store.
 async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, StoreError> {
     let mut dispatcher = Dispatcher::new(Settings {
         lease: config.lease,

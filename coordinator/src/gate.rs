@@ -1,4 +1,4 @@
-//! Admission of connections and calls: tokens, certificates, peers on this machine.
+//! Admits connections and calls by tokens, certificates, or their user on this machine.
 
 use std::io;
 use std::net::SocketAddr;
@@ -11,19 +11,19 @@ use tonic::transport::ServerTlsConfig;
 /// The coordinator's rules of admission.
 #[derive(Debug, Clone)]
 pub enum Gate {
-    /// Whoever reaches the port may do everything.
+    /// Every caller that reaches the port may do everything.
     Everybody,
-    /// The programs of the user that the coordinator runs as, which reach its Unix socket. Only on loopback.
+    /// Programs of the user that the coordinator runs as, which connect to its Unix socket. Only on loopback.
     OwnUser,
-    /// Those whose tokens are in an access file, over TLS.
+    /// Callers whose tokens are in an access file, over TLS.
     File(Arc<CoordinatorAccess>),
 }
 
-/// Where a coordinator listens.
+/// The sockets on which a coordinator listens.
 #[derive(Debug)]
 pub struct Listener {
     pub(crate) port: TcpListener,
-    /// The socket for the programs of its own user.
+    /// The socket for the programs of the coordinator's own user.
     pub(crate) own_user: Option<LocalSocket>,
 }
 
@@ -60,7 +60,7 @@ impl Gate {
         }
     }
 
-    /// The tokens of those who are let in; none where there are no tokens.
+    /// The tokens that are accepted; None if there are no tokens.
     pub(crate) fn tokens(&self) -> Option<Arc<Tokens>> {
         match self {
             Self::Everybody | Self::OwnUser => None,
@@ -73,12 +73,12 @@ impl Gate {
         !matches!(self, Self::Everybody)
     }
 
-    /// Whether each worker's token has one vote about results: with one token for all, each machine has.
+    /// Whether each worker's token has one vote on results. With a single token for all workers, each machine has one.
     pub(crate) fn votes_by_token(&self) -> bool {
         self.tokens().is_some_and(|tokens| tokens.count(Role::Worker) > 1)
     }
 
-    /// The answer to callers that are not let in.
+    /// The advice to callers that are not admitted.
     pub(crate) fn advice(&self) -> &'static str {
         match self {
             Self::OwnUser => {
@@ -89,7 +89,7 @@ impl Gate {
         }
     }
 
-    /// Takes up what has changed: tokens that were added or removed.
+    /// Reads tokens that were added or removed.
     pub(crate) fn look_over(&self) {
         match self {
             Self::Everybody | Self::OwnUser => {}

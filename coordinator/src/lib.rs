@@ -1,6 +1,6 @@
 //! The coordinator: splits a grid into jobs, leases them to workers, stores the records, answers fits.
 //!
-//! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not know each other. The caller
+//! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not depend on each other. The caller
 //! owns the port and the stop signal.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
@@ -37,7 +37,7 @@ use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
 use store::{Commit, DataDir, Store};
 
-/// How often all that time alone changes is looked over.
+/// Interval of the checks of everything that changes with time alone.
 const LOOK_OVER: Duration = Duration::from_secs(1);
 
 #[derive(Debug, thiserror::Error)]
@@ -50,7 +50,7 @@ pub enum Error {
     Address(std::io::Error),
 }
 
-/// A coordinator that holds its data directory and has read what is in it.
+/// A coordinator that has locked its data directory and loaded its contents.
 #[derive(Debug)]
 pub struct Coordinator {
     farm: Arc<Farm>,
@@ -58,7 +58,7 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Takes the data directory, creating it if need be, and takes up the work that is left in it.
+    /// Locks the data directory, creating it if necessary, and resumes the work that is left in it.
     pub async fn open(config: &Config) -> Result<Self, Error> {
         let build = BuildInfo {
             version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -74,8 +74,8 @@ impl Coordinator {
         Ok(Self { farm, config: config.clone() })
     }
 
-    /// Serves those whom the gate lets in until `shutdown`, then closes the database. Metrics are served over HTTP on a
-    /// listener of their own, if there is one.
+    /// Serves the callers that the gate admits until `shutdown`, then closes the database. Metrics are served over HTTP
+    /// on a separate listener, if there is one.
     pub async fn serve(
         self,
         listener: impl Into<Listener>,

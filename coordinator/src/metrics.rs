@@ -1,4 +1,4 @@
-//! Metrics and health over plain HTTP, on a port of its own: `/metrics`, `/livez`, `/readyz`.
+//! Serves metrics and health over plain HTTP, on a separate port: `/metrics`, `/livez`, `/readyz`.
 //!
 //! A client that can reach the port can read the names of dictionaries and their progress; it can change nothing.
 
@@ -33,13 +33,13 @@ use self::exposition::Format;
 pub use self::counters::{BuildInfo, JobFailure, LeaseKind, Metrics, VerificationOutcome};
 pub use self::snapshot::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
-/// What a request may take to arrive. A connection brings one: places are few, and probes need one soon.
+/// Time limit for a request to arrive. A connection carries one: places are few, and probes need one soon.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
-/// Ends connections whose other side does not read what it asked for.
+/// Time limit of a connection whose other side does not read the answer.
 const CONNECTION_TIMEOUT: Duration = Duration::from_secs(30);
-/// What a running answer may take after the signal to stop.
+/// Time limit of a running answer after the signal to stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(1);
-/// Where there are as many, the oldest makes room: a probe is answered whatever else is connected.
+/// Largest number of connections, beyond which the oldest is closed: a probe is answered whatever else is connected.
 const MOST_CONNECTIONS: usize = 64;
 const BUFFER_BYTES: usize = 16_384;
 const MOST_HEADERS: usize = 64;
@@ -52,7 +52,8 @@ const PATHS: &str = "not found; there are:
 
 type Ask<T> = Arc<dyn Fn() -> T + Send + Sync>;
 
-/// What the port answers. Both closures are called for each request on a thread that serves others: they must be quick.
+/// The server of the metrics port. Both closures are called for each request on a thread that serves others: they must
+/// be quick.
 #[derive(Clone)]
 pub struct MetricsServer {
     metrics: Metrics,
@@ -61,7 +62,7 @@ pub struct MetricsServer {
 }
 
 impl MetricsServer {
-    /// `ready` returns why the caller cannot serve, if it cannot.
+    /// `ready` returns the reason if the caller cannot serve.
     pub fn new(
         metrics: Metrics,
         snapshot: impl Fn() -> Snapshot + Send + Sync + 'static,
@@ -77,7 +78,7 @@ impl fmt::Debug for MetricsServer {
     }
 }
 
-/// Answers until the token is cancelled, and ends within two seconds then, whatever is connected.
+/// Serves until the token is cancelled, and then ends within two seconds, whatever is connected.
 pub async fn serve(listener: TcpListener, state: MetricsServer, shutdown: CancellationToken) {
     let router = router(state);
     let mut connections = JoinSet::new();
@@ -98,7 +99,7 @@ pub async fn serve(listener: TcpListener, state: MetricsServer, shutdown: Cancel
         }
     }
     drop(listener);
-    // What runs on is cut off; one of the caller's closures that hangs is left to end with the process.
+    // Answers that are still running are cut off. A closure of the caller that hangs ends with the process.
     let _ = tokio::time::timeout(STOP_TIMEOUT, async {
         while let Some(ended) = connections.join_next().await {
             report(ended);
@@ -143,7 +144,7 @@ async fn accept(listener: &TcpListener) -> TcpStream {
             Ok((stream, _)) => return stream,
             Err(error) => {
                 tracing::warn!(%error, "metrics port: a connection was not accepted");
-                // Out of files, for example: asking again at once would only burn time.
+                // Without free file descriptors, for example, an immediate retry would only use processor time.
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
         }

@@ -1,4 +1,4 @@
-//! The gRPC services: decode, one call, encode.
+//! Implements the gRPC services: each method decodes, makes one call, and encodes.
 
 mod admin;
 mod dictionaries;
@@ -36,27 +36,27 @@ use crate::gate::{Gate, Listener};
 use crate::metrics::Metrics;
 use limits::Limits;
 
-/// HTTP/2 pings find links that were cut without a word, and keep those busy that would be cut for their silence.
+/// Interval of HTTP/2 pings, which detect links that were cut silently, and keep links open that would be cut when idle.
 const PING: Duration = Duration::from_secs(10);
-/// How long one may be without an answer.
+/// Time limit for the answer to a ping.
 const PONG: Duration = Duration::from_secs(20);
 
-/// How often the number of refused connections is looked at.
+/// Interval at which the number of refused connections is read.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// How long a stop waits for calls that are under way.
+/// Longest time that a stop waits for calls that are under way.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Calls under way on one connection.
+/// Largest number of calls under way on one connection.
 const STREAMS: u32 = 256;
 
-/// Least that the questions and unread answers of one token may hold: several of the largest messages.
+/// Smallest budget for the questions and unread answers of one token: several of the largest messages.
 const HELD_BYTES: usize = 128 << 20;
 
-/// Largest piece of a message that comes at once: results of some 100 kB are read in few pieces.
+/// Largest HTTP/2 frame: results of some 100 kB are read in few pieces.
 const FRAME_BYTES: u32 = 64 << 10;
 
-/// What every service needs.
+/// State that every service needs.
 #[derive(Debug, Clone)]
 struct Context {
     farm: Arc<Farm>,
@@ -64,13 +64,13 @@ struct Context {
     limits: Limits,
     /// Most pixels of one question about measurements.
     question_pixels: usize,
-    /// Largest answer to one: half of what the calls of one token may hold.
+    /// Largest answer to one, in bytes: half of the budget of one token's calls.
     answer_bytes: usize,
     gate: Gate,
 }
 
 impl Context {
-    /// A stream of what a source gives to a caller, of which so many items are on their way at a time.
+    /// Streams the items of a source to a caller, with up to `queue` items in flight.
     fn stream<S: Source, T: Send + 'static>(
         &self,
         caller: &Actor,
@@ -149,7 +149,7 @@ async fn services(context: Context, question_limit: usize) -> Routes {
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
-    // Older tools ask by the older name.
+    // Older tools use the older version.
     let reflection = descriptors().build_v1().expect("the descriptors were made by the compiler");
     let older_reflection = descriptors().build_v1alpha().expect("the descriptors were made by the compiler");
     let limit = RequestLimits::MESSAGE_BYTES;
@@ -163,7 +163,7 @@ async fn services(context: Context, question_limit: usize) -> Routes {
         .add_service(FarmServer::new(context).max_decoding_message_size(limit))
 }
 
-/// Carries the number of connections refused over to the figures.
+/// Adds the number of refused connections to the metrics.
 async fn count_refused(connections: Connections, metrics: Metrics, shutdown: CancellationToken) {
     let mut counted = 0;
     while !shutdown.is_cancelled() {

@@ -1,4 +1,4 @@
-//! The SQLite store: dictionaries, ended jobs, points and their records, workers, events.
+//! Stores dictionaries, ended jobs, points and their records, workers and events in an SQLite database.
 //!
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before it is acknowledged.
@@ -80,7 +80,7 @@ pub enum StoreError {
     PagesUnread(String),
     #[error("a dictionary with this name exists already")]
     NameTaken,
-    /// What several results that were stored together failed with.
+    /// The common error of several results that were stored together.
     #[error(transparent)]
     Together(#[from] Arc<StoreError>),
     #[error("storing a result failed by a defect of this program: its log tells more")]
@@ -108,7 +108,7 @@ pub struct Store {
     place: Place,
     dir: Arc<DataDir>,
     completions: mpsc::Sender<writer::Request>,
-    /// Taken by way of the [`Ledger`].
+    /// Locked through the [`Ledger`].
     records: Arc<RwLock<()>>,
 }
 
@@ -118,7 +118,7 @@ impl Store {
     pub async fn open(dir: DataDir, committed: impl Fn(Commit) + Send + 'static) -> Result<Self> {
         let file = dir.database_file();
         dir.create_database()?;
-        // What a file's schema calls is not trusted.
+        // Functions and virtual tables that a file's schema uses are not trusted.
         let options = SqliteConnectOptions::new()
             .filename(&file)
             .busy_timeout(Duration::from_secs(10))
@@ -137,7 +137,7 @@ impl Store {
             .foreign_keys(true);
         let write = SqlitePoolOptions::new()
             .max_connections(1)
-            // The database is a file of this machine: what would fail a test fails the query too.
+            // The database is a local file: an error that a test would find fails the query too.
             .test_before_acquire(false)
             // On a full disk SQLite ends a transaction by itself and sqlx still counts it as open: such a connection
             // would refuse every later one.
@@ -172,7 +172,7 @@ impl Store {
         self.writer()?.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to write"))
     }
 
-    /// The one connection that writes, if what it writes can be found again.
+    /// The one connection that writes, if the database's file is still in its place.
     fn writer(&self) -> Result<&SqlitePool> {
         self.place.check()?;
         Ok(&self.write)
@@ -183,7 +183,7 @@ impl Store {
         self.place.check()
     }
 
-    /// A connection that has nothing in memory yet, for reading.
+    /// A new connection for reading, with an empty cache.
     async fn fresh_connection(&self) -> Result<SqliteConnection> {
         self.read.connect_options().connect().await.map_err(doing("opening the database once more"))
     }
@@ -198,7 +198,7 @@ impl Store {
     /// A verified copy of the database as it is now, in a new file.
     pub async fn backup(&self, destination: &Path) -> Result<backup::BackupReport> {
         let report = backup::backup(&self.read, destination, newest_schema()).await?;
-        // It has grown meanwhile.
+        // The log has grown meanwhile.
         if let Err(error) = self.empty_log().await {
             tracing::warn!(%error, "the database's log is not shortened yet");
         }
@@ -210,7 +210,7 @@ impl Store {
         &self.dir
     }
 
-    /// What SQLite finds wrong with the file; empty if nothing.
+    /// The faults that SQLite's integrity check reports; empty if there are none.
     pub async fn faults(&self) -> Result<Vec<String>> {
         let rows: Vec<(String,)> = sqlx::query_as("PRAGMA integrity_check(20)")
             .fetch_all(&self.read)
@@ -219,7 +219,7 @@ impl Store {
         let lines = rows.iter().flat_map(|row| row.0.lines());
         let faults: Vec<&str> = lines.filter(|line| *line != "ok" && !line.starts_with("***")).collect();
         match faults.iter().find(|line| is_unread(line)) {
-            // What else it found follows from that.
+            // The other faults follow from the unread page.
             Some(unread) => Err(StoreError::PagesUnread((*unread).to_owned())),
             None => Ok(faults.into_iter().map(ToOwned::to_owned).collect()),
         }
@@ -232,12 +232,12 @@ impl Store {
     }
 }
 
-/// The newest schema that this program knows.
+/// The newest schema that this program supports.
 pub fn newest_schema() -> i64 {
     migration::migrator().iter().map(|m| m.version).max().unwrap_or(0)
 }
 
-/// Whether SQLite reports a page that it could not read; what it has read and finds wrong has the code 11.
+/// Whether SQLite reports a page that it could not read; a page that it has read and found corrupt has the code 11.
 fn is_unread(fault: &str) -> bool {
     const CORRUPT: i32 = 11;
     let code =

@@ -1,4 +1,4 @@
-//! The types of what is stored. The store maps its rows to them, and `dispatch` begins from them after a
+//! Defines the types of the stored data. The store maps its rows to them, and `dispatch` begins from them after a
 //! restart, so that neither depends on the other.
 
 use std::sync::Arc;
@@ -9,7 +9,7 @@ use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, PackedRecords, Quality, Walks};
 
-/// What people want of a dictionary.
+/// The state that a user has requested for a dictionary.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DesiredState {
     Run,
@@ -36,13 +36,13 @@ pub struct StoredDictionary {
     pub created_unix_ms: u64,
     pub priority: i32,
     pub desire: DesiredState,
-    /// Why it was cancelled.
+    /// The reason that was given for the desired state; may be empty.
     pub reason: String,
     /// Name of the token with which it was submitted; empty where none was presented.
     pub owner: String,
 }
 
-/// How a job ended.
+/// The end of a job.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum EndedJob {
     Done {
@@ -51,9 +51,9 @@ pub enum EndedJob {
         records: Digest,
         /// The machine that computed it, if one did it alone.
         by: Option<Origin>,
-        /// Machines that have found the same when they checked it.
+        /// Machines that have confirmed the records in a check.
         confirmed: Vec<Origin>,
-        /// Its records were there before.
+        /// Its records were stored before, for another dictionary.
         reused: bool,
     },
     GivenUp {
@@ -71,19 +71,18 @@ impl EndedJob {
     }
 }
 
-/// A machine, by the number of its row in the store: what results are traced back to, however
-/// many processes run there.
+/// A machine, by the number of its row in the store. Results are traced back to it, however many processes run there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Origin(pub i64);
 
-/// Where a worker came from. Token and address are what the coordinator has seen; the host is what the worker claims.
+/// The machine of a worker. Token and address are observed by the coordinator; the host is claimed by the worker.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Machine {
     /// Name of the token that it has presented; empty if none is required.
     pub token: String,
     /// The other end of its connection; empty if that is this process.
     pub address: String,
-    /// Distinguishes its machine from others, chosen by itself; may be empty.
+    /// Distinguishes the machine from others, as the worker itself claims; may be empty.
     pub host: String,
 }
 
@@ -93,31 +92,32 @@ impl Machine {
         Self { address: address.to_owned(), ..Self::default() }
     }
 
-    /// What the store knows it by. A worker cannot choose it: it would be another one whenever it liked.
+    /// The key of the machine in the store. A worker cannot choose it: it could change its identity at will.
     pub fn identity(&self) -> String {
         format!("{}@{}", self.token, self.address)
     }
 
-    /// Whether both are known to be the same machine, if its host is true: a worker that was started again may come from
-    /// another address.
+    /// Whether both are the same machine, provided that the claimed hosts are true: a worker that was started again may
+    /// come from another address.
     pub fn is_same(&self, other: &Self) -> bool {
         let same_host = !self.host.is_empty() && self.host == other.host;
         self.token == other.token && (self.address == other.address || same_host)
     }
 }
 
-/// A machine that the store knows.
+/// A machine in the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct KnownMachine {
     pub origin: Origin,
     pub machine: Machine,
-    /// What its worker was called last.
+    /// The last label of its worker.
     pub label: String,
-    /// Why it is fenced off, if it is.
+    /// The reason why it is fenced off, if it is.
     pub fenced: Option<String>,
 }
 
-/// One machine's result, as its digest. The machine may be unknown: several, or a former version did not note it.
+/// One machine's result, as its digest. The machine is unknown if there were several, or if a former version did not note
+/// it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Vote {
     pub by: Option<Origin>,
@@ -151,18 +151,18 @@ pub struct Completion {
     pub job: JobSpec,
     pub worker: Origin,
     pub content: JobResult,
-    /// If the records must reach a target error.
+    /// The target error, if the records must reach one.
     pub quality: Option<Quality>,
 }
 
 #[derive(Debug)]
 pub enum JobResult {
     Records(PackedRecords),
-    /// Sums of the block that the job names.
+    /// Sums of the job's block.
     Sums(Bytes),
 }
 
-/// What became of a result.
+/// The outcome of storing a result.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Outcome {
     /// The job is done.
@@ -171,10 +171,10 @@ pub enum Outcome {
     Part,
     /// The target error is not reached: nothing is kept, and more walks are needed.
     MoreWalks(Walks),
-    /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and this cannot be compared
-    /// with its records.
+    /// Nothing is kept: the dictionary was deleted, the worker is fenced off, or the job is done and the result cannot be
+    /// compared with its records.
     Unwanted,
-    /// The job was done before, with the records that have this digest; these have another, or the same.
+    /// The job was done before. `records` is the digest of its records, `new` that of the result, which may be the same.
     Before { records: Digest, new: Digest },
     /// Nothing is kept: another job has stored other records for the same walks.
     Differs,
@@ -182,13 +182,13 @@ pub enum Outcome {
     Repeated,
 }
 
-/// What an outcome amounts to, for the worker and for the metrics.
+/// The kind of an outcome, for the worker and for the metrics.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutcomeKind {
     Stored,
-    /// The same was stored before.
+    /// The same result was stored before.
     Duplicate,
-    /// Other records are stored than these.
+    /// Different records are stored.
     Conflict,
     Unwanted,
 }
@@ -209,7 +209,7 @@ impl OutcomeKind {
     /// The labels under which outcomes are counted.
     pub const LABELS: [&str; 3] = ["stored", "duplicate", "conflict"];
 
-    /// The label under which it is counted. None for results that are not wanted any more.
+    /// The label under which it is counted. None for unwanted results.
     pub fn label(self) -> Option<&'static str> {
         Self::LABELS.get(self as usize).copied()
     }

@@ -1,9 +1,9 @@
-//! Warnings that outsiders can cause at will, and that must not fill the log.
+//! Limits how often warnings are logged that outsiders can cause at will, so that they do not fill the log.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// Counts events, and returns now and then how many there were, to be logged.
+/// Counts events, and returns their number at intervals, to be logged.
 #[derive(Debug)]
 pub(crate) struct Throttle {
     every: Duration,
@@ -21,7 +21,7 @@ impl Throttle {
         Self { every, state: Mutex::default() }
     }
 
-    /// Counts an event at the time `now`. Returns the number since the last telling, if that is long enough ago.
+    /// Counts an event at the time `now`. Returns the number since the last report, if that is long enough ago.
     pub(crate) fn count(&self, now: Duration) -> Option<u64> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         state.untold += 1;

@@ -1,4 +1,4 @@
-//! Cores for fits: callers take turns, however many fits of each wait.
+//! Assigns cores to fits: callers take turns, however many fits of each wait.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -6,12 +6,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::oneshot;
 use tonic::Status;
 
-/// Fits that wait for a core, besides those that have one.
+/// Largest number of fits that wait for a core, in addition to those that have one.
 const WAITING: usize = 256;
-/// Those of one client's token.
+/// Largest number of waiting fits of one client's token.
 const WAITING_OF_ONE: usize = 64;
 
-/// The cores, and who waits for them.
+/// The cores, and the queues of callers that wait for them.
 #[derive(Debug)]
 pub(crate) struct Turns {
     cores: usize,
@@ -45,7 +45,7 @@ impl Turns {
         Self { cores, state: Mutex::default() }
     }
 
-    /// A core, when it is this caller's turn. A caller with a name never has all cores, if there are several.
+    /// Waits for a core, in this caller's turn. A caller with a name never has all cores, if there are several.
     pub(crate) async fn core(self: &Arc<Self>, caller: &str) -> Result<Core, Status> {
         let turn = self.enqueue(caller)?;
         self.give();
@@ -76,7 +76,7 @@ impl Turns {
     /// Gives out the cores that are free.
     fn give(self: &Arc<Self>) {
         while let Some((turn, caller)) = self.next() {
-            // Who has gone gives it back at once.
+            // If the caller has gone, the core is dropped and thereby returned at once.
             drop(turn.send(Core { turns: self.clone(), caller }));
         }
     }
@@ -108,7 +108,7 @@ impl Turns {
 }
 
 impl State {
-    /// Fits whose callers have gone wait no longer.
+    /// Removes waiting fits whose callers have gone.
     fn forget_those_gone(&mut self) {
         let Self { waiting, callers, next, .. } = self;
         for caller in callers.values_mut() {
@@ -138,7 +138,7 @@ impl Drop for Core {
 mod tests {
     use super::*;
 
-    /// A fit that waits, once it does.
+    /// Starts a fit, and returns once it waits.
     async fn waits(turns: &Arc<Turns>, caller: &str) -> tokio::task::JoinHandle<Result<Core, Status>> {
         let (turns, caller) = (turns.clone(), caller.to_owned());
         let before = turns.lock().waiting;

@@ -1,4 +1,4 @@
-//! Databases of every schema, as programs of their time wrote them, are read by this one.
+//! Checks that databases of every schema, as programs of their time wrote them, can be read.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -14,7 +14,7 @@ use optics_model::{Digest, Grid, MeasuredProfile, Measurement};
 use prost::Message;
 use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-/// Digests of the records, as the programs told them: walks give the same bits with all of them.
+/// Digests of the records, as those programs reported them: walks give the same bits with all of them.
 const TINY: &str = "489ae2e8843061d76675c4e449b2dcbc915686ec2e5af42c958c1c5c58a9b441";
 const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86cebcb44f";
 
@@ -40,7 +40,7 @@ async fn data_of(schema: i64) -> tempfile::TempDir {
     let options = sqlx::sqlite::SqliteConnectOptions::new()
         .filename(dir.path().join("farm.db"))
         .create_if_missing(true)
-        // Tables come in the order of their names.
+        // The fixture creates tables in the order of their names.
         .foreign_keys(false);
     let mut connection = options.connect().await.unwrap();
     sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut connection).await.unwrap();
@@ -56,7 +56,7 @@ async fn dictionary(store: &Store, name: &str) -> StoredDictionary {
     store.dictionaries().await.unwrap().into_iter().find(|d| d.name.as_str() == name).unwrap()
 }
 
-/// Ends of a dictionary's jobs, and the digest of all of its records.
+/// Outcomes of a dictionary's jobs, and the digest of all of its records.
 async fn ended(store: &Store, dictionary: &StoredDictionary) -> (Vec<EndedJob>, String) {
     let ended = store.ended_jobs(dictionary.id, &dictionary.grid).await.unwrap();
     let digest = |job: &EndedJob| match job {
@@ -80,7 +80,7 @@ fn measurement(dictionary: &optics_fit::FitDictionary) -> Measurement {
 async fn every_schema_can_be_read_and_fitted() {
     for schema in 1..=newest_schema() {
         let dir = data_of(schema).await;
-        // The second time it has the newest schema.
+        // In the second pass the database has the newest schema.
         for _ in 0..2 {
             let store = open(&dir).await;
             assert!(store.faults().await.unwrap().is_empty(), "schema {schema}");
@@ -139,7 +139,7 @@ async fn byte_errors_are_read_next_to_floats() {
     }
 }
 
-/// From the second schema on: what is known of who computed a job, and what people want of a dictionary.
+/// From the second schema on, the machine that computed a job and the desired state of a dictionary are stored.
 #[tokio::test]
 async fn shared_points_and_desires_are_read() {
     for schema in 2..=newest_schema() {
@@ -168,14 +168,14 @@ async fn shared_points_and_desires_are_read() {
         let events = store.events_after(0, "open", 10).await.unwrap();
         let kinds: Vec<&str> = events.iter().map(|event| &event.kind[..]).collect();
         assert_eq!(kinds, ["SUBMITTED", "PAUSED"], "schema {schema}");
-        // From the fifth on it is known whose they are, and who did what.
+        // From the fifth schema on, owners of dictionaries and actors of events are stored.
         let known = |who: &str| if schema >= 5 { who.to_owned() } else { String::new() };
         assert_eq!((tiny.owner, open.owner), (known("alice"), String::new()), "schema {schema}");
         assert_eq!(events[1].actor, known("alice at 127.0.0.1"), "schema {schema}");
     }
 }
 
-/// Nothing is left of a dictionary and its points when it goes, whatever the schema that it came from.
+/// Nothing is left of a deleted dictionary and its points, whatever the schema that it came from.
 #[tokio::test]
 async fn dictionaries_of_every_schema_are_deleted_whole() {
     for schema in 1..=newest_schema() {

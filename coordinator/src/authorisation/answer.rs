@@ -1,4 +1,5 @@
-//! An answer on its way to its caller: counted until it is read, piece by piece, and for so long.
+//! Sends an answer to its caller piece by piece. Until it is read, its bytes count against the caller's budget, and its
+//! connection has a deadline.
 
 use std::time::Duration;
 
@@ -10,22 +11,22 @@ use tonic::Status;
 use super::budget::Account;
 use crate::connections::{Admission, Unread};
 
-/// Largest piece that is handed to the connection, which keeps it until the caller reads.
+/// Largest piece that is passed to the connection, which keeps it until the caller reads.
 const PIECE: usize = 64 << 10;
-/// Longest time until a message of an answer is read, apart from that for its bytes. Streams give up earlier, and then have
-/// to be heard.
+/// Time limit until a message of an answer is read, in addition to the time for its bytes. Streams give up earlier, and
+/// their status has to be delivered after that.
 const PATIENCE: Duration = Duration::from_secs(150);
-/// Bytes that must be read in a second beyond that.
+/// Slowest rate in bytes per second, from which the time for the bytes follows.
 const SLOWEST: usize = 64 << 10;
 
-/// What an answer holds.
+/// An answer that is being sent.
 #[derive(Debug)]
 pub(super) struct Answer {
     account: Account,
     connection: Option<Admission>,
-    /// What is left of a message.
+    /// The rest of a message.
     rest: Bytes,
-    /// Until the message is read.
+    /// Marks the message as unread until it is read.
     unread: Option<Unread>,
 }
 
@@ -34,7 +35,7 @@ impl Answer {
         Self { account, connection, rest: Bytes::new(), unread: None }
     }
 
-    /// The next piece of a message that is under way. The caller asks, so that what was given before has been taken.
+    /// The next piece of the current message. A call of this function means that the previous piece has been taken.
     pub fn next(&mut self) -> Option<Frame<Bytes>> {
         if self.rest.is_empty() {
             if self.unread.take().is_some() {
@@ -45,12 +46,12 @@ impl Answer {
         Some(Frame::data(self.rest.split_to(PIECE.min(self.rest.len()))))
     }
 
-    /// Whether there is a message under way.
+    /// Whether part of the current message has still to be sent.
     pub fn has_more(&self) -> bool {
         !self.rest.is_empty()
     }
 
-    /// Takes a message, whose first piece comes next; refused if the unread answers of its caller hold too much.
+    /// Accepts a message, whose first piece comes next; refused if the unread answers of its caller hold too much.
     pub fn take(&mut self, message: Bytes) -> Result<(), Status> {
         self.account.hold(message.len())?;
         let time = PATIENCE + Duration::from_secs((message.len() / SLOWEST) as u64);

@@ -1,17 +1,17 @@
-//! Memory that calls hold before and after their work, for each token and altogether.
+//! Bounds the memory that calls hold before and after their work, for each token and in total.
 //!
 //! A call holds the bytes of its question until it is answered, and those of its answer until they are read. They count
-//! for its token, over all connections and calls; where no token is asked for, for the other end's address.
+//! for its token, over all connections and calls, or for the address of the other end if no token is needed.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tonic::Status;
 
-/// What the calls of one token may hold, as a share of what all may.
+/// Ratio of the budget of all calls to that of one token's calls.
 const SHARES: usize = 4;
 
-/// Bytes that calls may hold.
+/// The budget of bytes that calls may hold.
 #[derive(Debug)]
 pub(super) struct Budget {
     share: usize,
@@ -27,7 +27,7 @@ struct HeldBytes {
 }
 
 impl Budget {
-    /// The calls of one token may hold `share` bytes, all together some times as much.
+    /// A budget of `share` bytes for the calls of one token, and of `SHARES` times as much for all calls.
     pub fn of(share: usize) -> Self {
         Self { share, all: share.saturating_mul(SHARES), held: Mutex::default() }
     }
@@ -37,7 +37,7 @@ impl Budget {
     }
 }
 
-/// What one call holds; it is given back when the last copy is dropped.
+/// The bytes that one call holds. They are released when the last copy is dropped.
 #[derive(Debug, Clone)]
 pub(super) struct Account(Arc<Entry>);
 
@@ -53,7 +53,7 @@ impl Account {
         Self(Arc::new(Entry { budget, caller, bytes: Mutex::new(0) }))
     }
 
-    /// Holds more bytes, or refuses to.
+    /// Reserves more bytes; refused if the budget does not suffice.
     pub fn hold(&self, more: usize) -> Result<(), Status> {
         let Entry { budget, caller, bytes } = &*self.0;
         let mut held = budget.lock();
@@ -72,7 +72,7 @@ impl Account {
         Ok(())
     }
 
-    /// Gives back all that it holds.
+    /// Releases all bytes that the call holds.
     pub fn release(&self) {
         self.0.release();
     }

@@ -1,4 +1,5 @@
-//! What a caller says: as long as their token is let in, in time, and within what their calls may hold.
+//! Passes a caller's messages on as long as the token is accepted, they arrive in time, and they fit into the budget of
+//! the token's calls.
 
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -15,37 +16,37 @@ use super::message::Message;
 use super::permission::{self, Caller};
 use crate::gate::Gate;
 
-/// Longest time until a message has come whole, apart from that for its bytes.
+/// Time limit until a message is complete, in addition to the time for its bytes.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Bytes that must come in a second beyond that.
+/// Slowest rate in bytes per second, from which the time for the bytes follows.
 const SLOWEST: usize = 64 << 10;
 
-/// The callers whose tokens are checked while a call is under way.
+/// The caller whose token is checked while a call is under way, with its gate; None without a token.
 pub(super) type LetIn = Option<(Gate, Caller)>;
 
 struct CallersBody {
     inner: Body,
     let_in: LetIn,
     account: Account,
-    /// Whether there are many messages, each of which is handed on before the next.
+    /// Whether there are many messages, each of which is passed on before the next.
     streamed: bool,
     message: Message,
-    /// When the message began to be waited for; none between the messages of a stream.
+    /// Time since which the current message has been waited for; None between the messages of a stream.
     begun: Option<Instant>,
     look: Option<Pin<Box<Sleep>>>,
-    /// What has come of a stream, and waits until there is room for it.
+    /// A frame of a stream that waits until there is room for it.
     waits: Option<Frame<bytes::Bytes>>,
 }
 
-/// The body of a caller's request, which ends with an error when the token is revoked, when it does not come in time, and
-/// when it goes beyond what the token's calls may hold.
+/// The body of a caller's request. It ends with an error when the token is revoked, when a message does not arrive in
+/// time, and when the token's calls exceed their budget; a stream waits for room instead.
 pub(super) fn watched(inner: Body, let_in: LetIn, account: Account, streamed: bool) -> Body {
     let (message, begun) = (Message::default(), Some(Instant::now()));
     Body::new(CallersBody { inner, let_in, account, streamed, message, begun, look: None, waits: None })
 }
 
 impl CallersBody {
-    /// Why nothing more is taken.
+    /// The status with which the body ends, if the token is revoked or a message is overdue.
     fn ended(&self) -> Option<Status> {
         if let Some((gate, caller)) = &self.let_in
             && !permission::is_let_in_still(gate, caller)
@@ -62,7 +63,7 @@ impl CallersBody {
         })
     }
 
-    /// Takes note of what has come, and of when the next message begins.
+    /// Counts received bytes, and notes when the next message begins.
     fn count(&mut self, data: &[u8]) {
         let ended = self.message.take(data);
         if self.streamed {
@@ -71,7 +72,7 @@ impl CallersBody {
         }
     }
 
-    /// Makes room for what has come. In a stream, messages that are whole are handed on, and are no longer the call's.
+    /// Reserves memory for received bytes. In a stream, complete messages are passed on, and no longer count for the call.
     fn hold(&self, data: &[u8]) -> Result<(), Status> {
         if !self.streamed {
             return self.account.hold(data.len());
@@ -80,7 +81,7 @@ impl CallersBody {
         self.account.hold(if self.message.is_between() { 0 } else { self.message.bytes() })
     }
 
-    /// What has come, when there is room for it.
+    /// The next frame, once there is room for it.
     fn poll_inner(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<bytes::Bytes>, Status>>> {
         let frame = match self.waits.take() {
             Some(frame) => frame,
@@ -167,7 +168,7 @@ mod tests {
         body.collect().await.map(|all| all.to_bytes().len()).map_err(|status| status.code())
     }
 
-    /// A message must arrive whole within the time limit.
+    /// A message must be complete within the time limit.
     #[tokio::test(start_paused = true)]
     async fn incomplete_message_times_out() {
         let trickle = |n| message(n).chunks(1).map(<[u8]>::to_vec).collect::<Vec<_>>();
@@ -188,7 +189,7 @@ mod tests {
         assert_eq!(read(body(pieces, PATIENCE / 2, &account(1000), true)).await, Ok(75));
     }
 
-    /// Bytes of a request count against the budget until they are handed on.
+    /// Bytes of a request count against the budget until they are passed on.
     #[tokio::test(start_paused = true)]
     async fn held_bytes_count_until_handed_on() {
         let pieces = || vec![message(60), message(60)];

@@ -1,20 +1,20 @@
-//! Where the messages of a gRPC call begin and end.
+//! Finds the boundaries of the messages of a gRPC call.
 
 /// Bytes before each message: whether it is compressed, and its length.
 const PREFIX: usize = 5;
 
-/// The message that is coming.
+/// The message that is being received.
 #[derive(Debug, Default)]
 pub(super) struct Message {
     prefix: Vec<u8>,
-    /// Bytes that have come of it, with its prefix.
+    /// Bytes that have been received of it, with its prefix.
     come: usize,
-    /// Bytes that it still lacks, once its prefix is whole.
+    /// Missing bytes of its content, once its prefix is complete.
     lacks: usize,
 }
 
 impl Message {
-    /// Takes note of bytes; whether a message has ended in them.
+    /// Counts received bytes; returns whether a message has ended in them.
     pub fn take(&mut self, mut data: &[u8]) -> bool {
         let mut ended = false;
         while !data.is_empty() {
@@ -42,12 +42,12 @@ impl Message {
         ended
     }
 
-    /// Bytes that have come of the message that is coming, or came last.
+    /// Bytes that have been received of the current message or, between two messages, of the last one.
     pub fn bytes(&self) -> usize {
         self.come
     }
 
-    /// Whether the last message is whole and the next has not begun.
+    /// Whether the last message is complete and the next has not begun.
     pub fn is_between(&self) -> bool {
         self.prefix.is_empty()
     }

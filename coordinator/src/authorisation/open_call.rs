@@ -1,4 +1,4 @@
-//! Calls that need no token: they may say little, and not take long to say it.
+//! Limits the size and the duration of calls that need no token.
 
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -9,19 +9,19 @@ use tokio::time::Sleep;
 use tonic::Status;
 use tonic::body::Body;
 
-/// Most that such a call may say: the names of a service or a few.
+/// Most bytes of such a call: the names of a service or a few.
 const BYTES: usize = 4 << 10;
-/// Longest time until it has said it.
+/// Time limit until its body is complete.
 const TIME: Duration = Duration::from_secs(10);
 
-/// What an open call says, up to its limits.
+/// The body of an open call, with its limits.
 struct Limited {
     inner: Body,
     left: usize,
     end: Pin<Box<Sleep>>,
 }
 
-/// The body of an open call, which ends with an error where it goes beyond its limits.
+/// Limits the body of an open call: it ends with an error beyond its limits.
 pub(super) fn limited(inner: Body) -> Body {
     Body::new(Limited { inner, left: BYTES, end: Box::pin(tokio::time::sleep(TIME)) })
 }

@@ -1,4 +1,4 @@
-//! Which roles may call what.
+//! Decides which calls are admitted, by their method and the caller's role.
 
 use std::net::SocketAddr;
 
@@ -33,7 +33,7 @@ impl Caller {
         self.role
     }
 
-    /// As messages distinguish two tokens: names alone may stand twice.
+    /// Role and name, by which messages distinguish two tokens: a name alone may occur twice.
     pub(super) fn label(&self) -> String {
         format!("{} {}", self.role, self.name)
     }
@@ -43,7 +43,7 @@ impl Caller {
     }
 }
 
-/// Name of the caller, from its token and its address.
+/// The caller, by its token and its address.
 pub(crate) fn actor(extensions: &Extensions) -> Actor {
     let token = extensions.get::<Caller>().map(|caller| (caller.role, caller.name.clone()));
     let address = remote(extensions).map(|address| address.ip().to_canonical().to_string());
@@ -53,7 +53,7 @@ pub(crate) fn actor(extensions: &Extensions) -> Actor {
 /// The name of the coordinator's own user, in logs and events.
 const OWN_USER: &str = "local";
 
-/// Paths begin with these. The first that fits counts, and what fits none is for admins.
+/// Requirements of paths that begin with these. The first match counts, and paths without one are for admins.
 const RULES: [(&str, Needed); 5] = [
     ("/grpc.health.v1.Health/", Needed::Nothing),
     ("/grpc.reflection.", Needed::Nothing),
@@ -73,18 +73,19 @@ fn needed(path: &str) -> Needed {
     rule.map_or(Needed::OneOf(&[Role::Admin]), |&(_, needed)| needed)
 }
 
-/// How a call is let in.
+/// The basis on which a call is admitted.
 #[derive(Debug)]
 pub(super) enum Admitted {
     /// By a token.
     Caller(Caller),
-    /// Where everybody is let in.
+    /// The gate admits all callers.
     Anybody,
-    /// Because the method needs no token. Whether the call carries a valid one makes no difference.
+    /// The method needs no token. `known`: the call carries a valid one, which authenticates the connection but gives
+    /// the call no further rights.
     Open { known: bool },
 }
 
-/// The caller, or why the call is refused.
+/// The basis on which a call is admitted, or the reason for its refusal.
 pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, Status> {
     let path = request.uri().path();
     match gate {
@@ -94,7 +95,7 @@ pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, St
     }
 }
 
-/// Programs of the coordinator's own user, which come through its Unix socket, are let in.
+/// Admits programs of the coordinator's own user, which connect to its Unix socket.
 fn admit_own_user(gate: &Gate, path: &str, extensions: &Extensions) -> Result<Admitted, Status> {
     let is_own = connection(extensions).is_some_and(|peer| peer.admission.is_own_user());
     match needed(path) {
@@ -133,12 +134,12 @@ fn admit_token(gate: &Gate, tokens: &Tokens, path: &str, headers: &HeaderMap) ->
     Ok(Admitted::Caller(Caller { name: name.to_owned(), role, hash: token_hash(token) }))
 }
 
-/// Whether a caller would be let in now, as when the call began.
+/// Whether a caller would still be admitted, as when the call began.
 pub(super) fn is_let_in_still(gate: &Gate, caller: &Caller) -> bool {
     gate.tokens().is_none_or(|tokens| tokens.have(&caller.hash, caller.role))
 }
 
-/// The answer to a call under way whose caller is let in no more.
+/// The status that ends a call whose caller is no longer admitted.
 pub(super) fn revoked(caller: &Caller) -> Status {
     let Caller { name, .. } = caller;
     Status::unauthenticated(format!("the token of this call ({name}) is not let in any more"))
@@ -150,7 +151,7 @@ fn bearer_token(headers: &HeaderMap) -> Option<&str> {
     scheme.eq_ignore_ascii_case("bearer").then_some(token.trim_start())
 }
 
-/// The other end of a call's connection, for the log.
+/// Address of the other end of a call's connection, for the log.
 pub(super) fn peer(extensions: &Extensions) -> Option<String> {
     remote(extensions).map(|address| address.to_string())
 }
@@ -159,13 +160,13 @@ fn remote(extensions: &Extensions) -> Option<SocketAddr> {
     connection(extensions)?.tcp.remote_addr()
 }
 
-/// The connection that a call came on.
+/// The connection of a call.
 pub(super) fn connection(extensions: &Extensions) -> Option<&Peer> {
     let encrypted = || extensions.get::<TlsConnectInfo<Peer>>().map(TlsConnectInfo::get_ref);
     extensions.get::<Peer>().or_else(encrypted)
 }
 
-/// The machine at the other end of a call's connection, as far as token and address show.
+/// The machine at the other end of a call's connection, identified by token and address.
 pub(crate) fn machine(extensions: &Extensions) -> Machine {
     let token = extensions.get::<Caller>().map(Caller::name).unwrap_or_default().to_owned();
     let address = remote(extensions).map_or_else(String::new, |address| network(address.ip()));

@@ -18,18 +18,18 @@ use super::request_id::RequestId;
 use super::{LOOK, Means, OTHER_METHOD, Shared};
 use crate::connections::Admission;
 
-/// A call under way. If it is dropped, the caller has gone.
+/// A call under way. If it is dropped before its end, the caller has gone.
 pub(super) struct Report {
     shared: Arc<Shared>,
     method: String,
     span: Span,
     started: Duration,
-    /// The code in the response's header, which an answer without messages has.
+    /// The code in the response's header, which is present in an answer without messages.
     code: Option<i32>,
     reported: bool,
-    /// Given back when the call has ended.
+    /// Released when the call has ended.
     means: Option<Means>,
-    /// By whose token it was let in.
+    /// The caller whose token admitted the call.
     caller: Option<Caller>,
     connection: Option<Admission>,
 }
@@ -46,13 +46,13 @@ impl Report {
         Self { shared, method, span, started, code: None, reported: false, means: None, caller, connection }
     }
 
-    /// The answer if the caller's token has been revoked since the call began.
+    /// The status that ends the call, if its token has been revoked since it began.
     fn revoked(&self) -> Option<Status> {
         let caller = self.caller.as_ref()?;
         (!permission::is_let_in_still(&self.shared.gate, caller)).then(|| permission::revoked(caller))
     }
 
-    /// Sends an answer on, to be watched until its end.
+    /// Forwards an answer, which is watched until its end.
     pub(super) fn pass<E>(
         mut self,
         answer: Result<Response<Body>, E>,
@@ -61,7 +61,7 @@ impl Report {
     ) -> Result<Response<ObservedBody>, E> {
         match answer {
             Ok(response) => {
-                // The question is answered.
+                // The question is answered, so its bytes are released.
                 means.account.release();
                 self.means = Some(means);
                 let response = self.revoked().map_or(response, Status::into_http);
@@ -74,8 +74,8 @@ impl Report {
         }
     }
 
-    /// The answer to a call that is not let in. Its method is not reported: its path is the caller's invention
-    /// as long as nothing has been found there.
+    /// The answer to a call that is not admitted. Its method is not reported: callers may invent paths, and no service
+    /// has been found at this one.
     pub(super) fn refuse(mut self, status: Status, id: &RequestId) -> Response<ObservedBody> {
         OTHER_METHOD.clone_into(&mut self.method);
         self.watch(status.into_http(), id)
@@ -99,7 +99,7 @@ impl Report {
         })
     }
 
-    /// The stream has ended without trailers.
+    /// Reports the end of a stream without trailers.
     fn log_end(&mut self) {
         self.report_end(self.code.unwrap_or(Code::Unknown as i32));
     }
@@ -124,16 +124,16 @@ fn code(headers: &HeaderMap) -> Option<i32> {
     headers.get(Status::GRPC_STATUS)?.to_str().ok()?.parse().ok()
 }
 
-/// A response's body, watched.
+/// A response's body that is watched until its end.
 pub struct ObservedBody {
     inner: Body,
     answer: Option<Answer>,
-    /// What came before anybody asked.
+    /// The first frame, if it was fetched before the body was polled.
     first: Poll<Option<Result<Frame<bytes::Bytes>, Status>>>,
     report: Report,
-    /// When to look again at the token of a stream that waits.
+    /// Timer for the next check of the token while a stream waits.
     look: Option<Pin<Box<Sleep>>>,
-    /// By a revoked token.
+    /// Whether the stream was ended with a status, because of a revoked token or an exhausted budget.
     ended: bool,
 }
 
@@ -144,12 +144,12 @@ impl ObservedBody {
         self.answer = None;
         self.report.report_end(status.code() as i32);
         let mut trailers = HeaderMap::new();
-        // The answer is plain text.
+        // Adding the status does not fail, since its message is plain text.
         let _ = status.add_header(&mut trailers);
         Frame::trailers(trailers)
     }
 
-    /// Fetches what is there of the answer, so that it counts even if its caller never asks for it.
+    /// Fetches the first frame of the answer, so that it counts even if its caller never polls for it.
     pub(super) async fn fetched(mut self) -> Self {
         std::future::poll_fn(|cx| {
             let _entered = self.report.span.enter();
@@ -167,7 +167,7 @@ impl ObservedBody {
         std::mem::replace(&mut self.first, Poll::Pending)
     }
 
-    /// A frame of the answer; none yet if it is a message, which is counted and handed on in pieces.
+    /// Accounts for a frame of the answer. Pending if it is a message, which is counted and forwarded in pieces.
     fn counted(
         &mut self,
         frame: Option<Result<Frame<bytes::Bytes>, Status>>,
@@ -185,7 +185,7 @@ impl ObservedBody {
         }
     }
 
-    /// The next frame of the answer; while there is none, a look at the token each second.
+    /// The next frame of the answer; while there is none, the token is checked every second.
     fn poll_inner(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<bytes::Bytes>, Status>>> {
         loop {
             if let Some(status) = self.report.revoked() {
@@ -197,7 +197,7 @@ impl ObservedBody {
             if let Some(piece) = self.answer.as_mut().and_then(Answer::next) {
                 return Poll::Ready(Some(Ok(piece)));
             }
-            // Streams do their work while they are asked for the next message.
+            // Streams work while they are polled for the next message.
             let entered = self.report.span.clone().entered();
             let polled = Pin::new(&mut self.inner).poll_frame(cx);
             drop(entered);
@@ -233,7 +233,7 @@ impl HttpBody for ObservedBody {
     ) -> Poll<Option<Result<Frame<Self::Data>, Status>>> {
         let this = self.get_mut();
         if this.ended {
-            // Whoever has ended it before anybody asked has left the reason.
+            // A body that ended before it was polled has kept the reason as its first frame.
             let Poll::Ready(reason) = this.take_first() else { return Poll::Ready(None) };
             return Poll::Ready(reason);
         }
@@ -254,7 +254,7 @@ impl HttpBody for ObservedBody {
         if self.answer.as_ref().is_some_and(Answer::has_more) {
             return false;
         }
-        // An answer that is a status alone ends with its head: clients refuse one that ends with an empty frame.
+        // An answer that is a status alone ends with its header: clients refuse one that ends with an empty frame.
         match &self.first {
             Poll::Ready(first) => first.is_none(),
             Poll::Pending => self.ended || self.inner.is_end_stream(),
@@ -262,7 +262,7 @@ impl HttpBody for ObservedBody {
     }
 
     fn size_hint(&self) -> SizeHint {
-        // What was fetched before is not the inner body's any more.
+        // Frames that were fetched before are missing from the inner body's size.
         SizeHint::default()
     }
 }

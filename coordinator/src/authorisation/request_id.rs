@@ -1,4 +1,4 @@
-//! A name for each call, by which what both sides log about it can be put together.
+//! Identifies each call by a request id, by which the logs of both sides can be matched.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use crate::clock::random_token;
 const HEADER: HeaderName = HeaderName::from_static("x-request-id");
 const LONGEST: usize = 64;
 
-/// The caller's own, or a random one.
+/// The request id of a call: the caller's own, or a random one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RequestId(String);
 

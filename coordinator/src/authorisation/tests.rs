@@ -6,7 +6,7 @@ use http_body_util::{BodyExt as _, StreamBody};
 
 use super::*;
 
-/// What the calls of one caller may hold.
+/// Bytes that the calls of one caller may hold.
 const HELD: usize = 1 << 20;
 
 type Told = Arc<Mutex<Vec<(String, i32)>>>;
@@ -24,7 +24,7 @@ fn request(path: &str) -> Request<Body> {
     Request::builder().uri(path).header("authorization", "Bearer x").body(Body::empty()).unwrap()
 }
 
-/// A service that gives what it is asked for, and the extensions and headers of its request.
+/// A service whose response `make` builds from the request.
 fn answering(
     make: impl Fn(&Request<Body>) -> Response<Body> + Clone,
 ) -> impl Service<
@@ -56,7 +56,7 @@ async fn stream_is_counted_after_its_trailers() {
     assert_eq!(*told.lock().unwrap(), [("/farm.v1.Fits/Fit".to_owned(), 5)]);
 }
 
-/// A stream that ends without a status code counts as unknown.
+/// A stream that is dropped counts as cancelled, and one that ends without a status code as unknown.
 #[tokio::test]
 async fn dropped_stream_counts_as_cancelled() {
     let (mut service, told) = guarded(answering(|_| stream(None)));
@@ -77,7 +77,7 @@ async fn abandoned_call_counts_as_cancelled() {
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1)]);
 }
 
-/// It ends with its head: gRPC's own library takes no empty frame in place of its end.
+/// An empty answer ends with its header: gRPC's own library accepts no empty frame in place of its end.
 #[tokio::test]
 async fn empty_answer_is_counted_by_its_header() {
     let (mut service, told) = guarded(answering(|_| Status::not_found("no").into_http()));
@@ -110,7 +110,7 @@ async fn handlers_get_request_id_but_no_token() {
     assert_eq!(response.headers().get("x-request-id").unwrap(), "my-id");
 }
 
-/// A message of so many bytes and its trailers.
+/// A message of this many bytes and its trailers.
 fn answer(bytes: usize) -> Response<Body> {
     let frames = [
         Frame::data(bytes::Bytes::from(vec![7; bytes])),
@@ -135,7 +135,7 @@ async fn unread_answers_are_bounded() {
     assert_eq!(codes, [8, 0, 0]);
 }
 
-/// A body that tells its size must not tell what is left of it after the first look.
+/// A body of known size must not report the size of its rest after the first frame was fetched.
 #[tokio::test]
 async fn size_of_an_answer_stays_reported() {
     let whole = || Response::new(Body::new(http_body_util::Full::new(bytes::Bytes::from_static(b"whole"))));

@@ -13,35 +13,35 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::Instant;
 use tonic::transport::server::TcpConnectInfo;
 
-/// Open calls of a connection, such as for the farm's health, that are under way at a time.
+/// Largest number of calls without a token, such as for the farm's health, that are under way on a connection at a time.
 const OPEN_CALLS: usize = 8;
-/// How long the calls of a connection may take to hear that its token is revoked, before it is cut.
+/// Time for the calls of a connection to report that its token is revoked, before the connection is cut.
 const LAST_WORDS: std::time::Duration = std::time::Duration::from_secs(3);
 
-/// What the calls on a connection know of it.
+/// Properties of a connection that its calls can read.
 #[derive(Debug, Clone)]
 pub struct Peer {
     pub tcp: TcpConnectInfo,
     pub admission: Admission,
 }
 
-/// Whether a call on a connection has presented a token.
+/// The admission of a connection: whether a call on it has presented a token, and whether it may stay.
 #[derive(Debug, Clone)]
 pub struct Admission {
-    /// Its place among the unauthenticated peers of its address, until then.
+    /// Its place among the unauthenticated peers of its address, until a call has presented a token.
     unauthenticated: Arc<Mutex<Option<UnauthenticatedPeer>>>,
     open_calls: Arc<Semaphore>,
     is_own_user: bool,
     stay: Arc<Mutex<Stay>>,
 }
 
-/// How long an admitted connection stays.
+/// The conditions under which an admitted connection stays.
 #[derive(Default)]
 struct Stay {
-    /// The token that was shown last, and whether it is let in still.
+    /// The token that was presented last, and whether it is still accepted.
     let_in: Option<(blake3::Hash, Box<dyn Fn() -> bool + Send + Sync>)>,
     revoked: Option<Instant>,
-    /// By when the answers on it have to be read.
+    /// Times by which the answers on the connection have to be read.
     unread: BTreeMap<u64, Instant>,
     answers: u64,
 }
@@ -52,7 +52,7 @@ impl fmt::Debug for Stay {
     }
 }
 
-/// An answer that waits to be read; it does no longer when this is dropped.
+/// An answer that waits to be read, until this is dropped.
 #[derive(Debug)]
 pub(crate) struct Unread {
     stay: Arc<Mutex<Stay>>,
@@ -76,7 +76,7 @@ impl Admission {
         Self { unauthenticated, open_calls, is_own_user: false, stay: Arc::default() }
     }
 
-    /// A program of the user that the coordinator runs as.
+    /// The admission of a program of the user that the coordinator runs as.
     pub(super) fn own_user() -> Self {
         Self { is_own_user: true, ..Self::new(None) }
     }
@@ -85,17 +85,17 @@ impl Admission {
         self.is_own_user
     }
 
-    /// A peer that needs no token.
+    /// The admission of a peer that needs no token.
     pub(crate) fn admitted() -> Self {
         Self::new(None)
     }
 
-    /// A call has shown a token.
+    /// Notes that a call has presented a token.
     pub(crate) fn admit(&self) {
         lock(&self.unauthenticated).take();
     }
 
-    /// A call has shown a token that is let in as long as this holds.
+    /// Notes that a call has presented a token, which is accepted as long as `let_in` returns true.
     pub(crate) fn stays_while(&self, token: blake3::Hash, let_in: impl Fn() -> bool + Send + Sync + 'static) {
         let mut stay = lock(&self.stay);
         if stay.let_in.as_ref().is_none_or(|(last, _)| *last != token) {
@@ -103,7 +103,7 @@ impl Admission {
         }
     }
 
-    /// An answer that has to be read by then.
+    /// Notes an answer that has to be read before `until`.
     pub(crate) fn unread(&self, until: Instant) -> Unread {
         let mut stay = lock(&self.stay);
         stay.answers += 1;
@@ -112,7 +112,7 @@ impl Admission {
         Unread { stay: self.stay.clone(), number }
     }
 
-    /// Why the connection ends now, if it does.
+    /// The reason for which the connection ends now; None if it stays.
     pub(crate) fn is_over(&self, now: Instant) -> Option<&'static str> {
         if lock(&self.unauthenticated).as_ref().is_some_and(|peer| peer.evicted.load(Ordering::Relaxed)) {
             return Some("others of this address wait, and the other end has shown no token");
@@ -139,12 +139,12 @@ impl Admission {
     }
 }
 
-/// Connections without a token, by address, the oldest first: whether each has lost its place.
+/// Connections without a token by address, the oldest first, each with a flag that is set when it loses its place.
 #[derive(Debug, Clone, Default)]
 pub(super) struct UnauthenticatedPeers(Arc<Mutex<HashMap<String, VecDeque<Arc<AtomicBool>>>>>);
 
 impl UnauthenticatedPeers {
-    /// A place among the at most `most` unauthenticated connections of an address. Where all are taken the oldest is
+    /// A place among the at most `most` unauthenticated connections of an address. If all are taken, the oldest is
     /// evicted: clients with a token present it soon, and idle connections do not lock them out.
     pub fn admission(&self, address: IpAddr, most: usize) -> Admission {
         let (address, evicted) = (network(address), Arc::new(AtomicBool::new(false)));
@@ -168,7 +168,7 @@ impl UnauthenticatedPeers {
 #[derive(Debug)]
 struct UnauthenticatedPeer {
     address: String,
-    /// Whether another one has its place.
+    /// Whether another connection has taken its place.
     evicted: Arc<AtomicBool>,
     peers: UnauthenticatedPeers,
 }
@@ -185,8 +185,8 @@ impl Drop for UnauthenticatedPeer {
     }
 }
 
-/// What counts as one machine, as far as its address shows: a network of IPv6 does, since a machine has as many addresses
-/// there as it likes.
+/// Identifies a machine by its address. An IPv6 address counts by its /64 network, since a machine may use any address
+/// in it; loopback addresses count as they are.
 pub(crate) fn network(address: IpAddr) -> String {
     match address.to_canonical() {
         IpAddr::V6(address) if !address.is_loopback() => {

@@ -11,13 +11,13 @@ use tonic::transport::server::{Connected, TcpConnectInfo};
 
 use super::{Admission, Limits, Peer};
 
-/// Length of the greeting that begins every HTTP/2 connection. That of TLS is longer. A first byte alone would not do: it
-/// costs nothing to send.
+/// Length of the greeting (preface) that begins every HTTP/2 connection; that of TLS is longer. A first byte alone
+/// would not suffice: it costs nothing to send.
 const GREETING_BYTES: usize = 24;
-/// How often a connection is asked whether it ends for what is on it.
+/// Interval at which the admission of a connection is checked.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// A connection and its deadline. Under TLS it is what TLS runs on.
+/// A connection and its deadlines. An encrypted connection is guarded below TLS.
 #[derive(Debug)]
 pub struct Guarded<IO> {
     io: IO,
@@ -27,16 +27,16 @@ pub struct Guarded<IO> {
 
 #[derive(Debug)]
 struct Watch {
-    /// When the other end was last heard of, or the start while its greeting is incomplete.
+    /// Time of the last bytes from the other end, or the start while its greeting is incomplete.
     heard: Instant,
     greeting_left: usize,
     hello: Duration,
     silence: Duration,
     /// The deadline for presenting a token.
     token_deadline: Option<Instant>,
-    /// When it was last asked whether it ends for what is on it.
+    /// Time of the last check of the admission.
     looked: Instant,
-    /// Wakes the reader. May be early, since it is set again only when it has rung: reads are many, deadlines few.
+    /// Wakes the reader. It may be early, since it is set again only after it has fired: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
 
@@ -67,7 +67,7 @@ impl Watch {
         }
     }
 
-    /// Why the connection ends for what is on it; now and then, since reads are many.
+    /// The reason for which the admission has ended, checked at intervals, since reads are many.
     fn look(&mut self, admission: &Admission) -> Option<io::Error> {
         let now = Instant::now();
         if now < self.looked + LOOK {
@@ -77,7 +77,7 @@ impl Watch {
         admission.is_over(now).map(|why| io::Error::new(io::ErrorKind::TimedOut, why))
     }
 
-    /// Ready when the other end has been silent for too long, or the connection ends for what is on it.
+    /// Ready when the other end has been silent for too long, or the admission has ended.
     fn poll_overdue(&mut self, cx: &mut Context<'_>, admission: &Admission) -> Poll<io::Error> {
         let (limit, mut what) = match self.greeting_left {
             0 => (self.silence, "the other end is silent"),
@@ -107,7 +107,7 @@ impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
             return Poll::Ready(Err(error));
         }
         let before = buf.filled().len();
-        // What has come counts, even if it is fetched late: then it was this end that had no time.
+        // Received bytes count even if they are read late: the delay was on this side.
         match Pin::new(&mut this.io).poll_read(cx, buf) {
             Poll::Ready(read) => {
                 this.watch.hear(buf.filled().len() - before);
@@ -119,8 +119,8 @@ impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
 }
 
 impl<IO> Guarded<IO> {
-    /// What waits for the other end waits no longer than this one's patience: who reads nothing ends, too. While the
-    /// answer to a ping waits nothing is read, so that nothing is heard either.
+    /// Bounds a pending write as `poll_read` bounds a pending read: a peer that reads nothing is overdue, too. While
+    /// the answer to a ping is pending, nothing is read, so no bytes extend the deadline either.
     fn or_overdue<T>(&mut self, cx: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         match polled {
             Poll::Pending => self.watch.poll_overdue(cx, &self.admission).map(Err),
@@ -201,7 +201,7 @@ mod tests {
         (Guarded::new(here, LIMITS, Admission::admitted()), there)
     }
 
-    /// How long it takes until a read fails, which it must by being overdue.
+    /// The time until a read fails because the connection is overdue.
     async fn overdue_after(guarded: &mut Guarded<DuplexStream>) -> Duration {
         let start = Instant::now();
         let error = loop {
@@ -256,7 +256,7 @@ mod tests {
         about(overdue_after(&mut guarded).await, SILENCE);
     }
 
-    /// However much it says: without a token it ends. With one it goes on.
+    /// A connection without a token ends, however much it sends. One with a token goes on.
     #[tokio::test(start_paused = true)]
     async fn connection_without_token_ends() {
         for admitted in [false, true] {
@@ -281,7 +281,7 @@ mod tests {
         }
     }
 
-    /// However much it says: an answer that it does not read ends it.
+    /// A connection that does not read an answer ends, however much it sends.
     #[tokio::test(start_paused = true)]
     async fn unread_answer_cuts_the_connection() {
         let (mut guarded, mut there) = pair();
@@ -299,7 +299,7 @@ mod tests {
         drop(chatter.await);
     }
 
-    /// One who reads nothing holds what is written to him, and is not asked for more.
+    /// A write to a peer that reads nothing fails when the peer is overdue.
     #[tokio::test(start_paused = true)]
     async fn peer_that_never_reads_is_overdue() {
         for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {

@@ -36,7 +36,7 @@ type Stream = Either<TcpStream, UnixStream>;
 pub struct LingeringClose {
     stream: Option<Stream>,
     received: usize,
-    /// Given back when the connection ends; draining does not hold it.
+    /// Released when the connection ends; draining does not hold it.
     _place: OwnedSemaphorePermit,
 }
 
@@ -69,7 +69,7 @@ impl Drop for LingeringClose {
                     stream.shutdown().await?;
                     tokio::io::copy(&mut stream.take(MOST_BYTES), &mut tokio::io::sink()).await
                 };
-                // How the peer ends does not matter.
+                // Errors of the peer do not matter.
                 let _ = tokio::time::timeout(LINGER_TIME, drain).await;
                 drop(lingers);
             });
@@ -154,7 +154,7 @@ mod tests {
         assert_eq!(places.available_permits(), 2 * LINGERING);
     }
 
-    /// The last bytes reach the peer although its own were never read, and the place is given back.
+    /// The last bytes reach the peer although those that it sent were never read, and the place is released.
     #[tokio::test]
     async fn last_bytes_survive_unread_input() {
         let places = Arc::new(Semaphore::new(1));

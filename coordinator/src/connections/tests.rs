@@ -98,7 +98,7 @@ async fn listener_errors_cause_a_pause_only() {
     assert!(start.elapsed() >= PAUSE);
 }
 
-/// Runs the next test in a process of its own, since it takes all file descriptors that there are.
+/// Runs the next test in a separate process, since it takes all available file descriptors.
 #[test]
 fn connections_wait_for_free_file_descriptors() {
     let script = "ulimit -n 64 && exec \"$0\" --exact connections::tests::connections_wait_while_descriptors_are_missing --ignored";

@@ -1,4 +1,4 @@
-//! A result on its way: what the coordinator decides before it is stored, and what is noted once it is.
+//! Describes a result on its way to the store: the decision before it is stored, and the facts that are noted afterwards.
 
 use farm_proto::ids::WorkerId;
 use farm_proto::lease::LeaseKey;
@@ -8,7 +8,7 @@ use optics_model::{Digest, Quality, Walks};
 use super::part::{JobRef, PartId};
 use crate::stored::Origin;
 
-/// What to do with a result that has come in.
+/// The decision about a result that has arrived.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Admission {
     /// Store it, if it reaches the target error.
@@ -20,7 +20,7 @@ pub enum Admission {
 }
 
 impl Admission {
-    /// What was computed, and how many walks.
+    /// The job that was computed, with its number of walks.
     pub fn job(&self) -> &JobSpec {
         match self {
             Self::Store { job, .. } | Self::Compare { job, .. } | Self::Repeated { job } => job,
@@ -32,7 +32,7 @@ impl Admission {
 #[derive(Debug)]
 pub struct Arrived<'a> {
     pub worker: &'a WorkerId,
-    /// The worker's machine, also if the worker is not registered any more.
+    /// The worker's machine, also if the worker is no longer registered.
     pub by: Origin,
     pub key: &'a LeaseKey,
     /// Walks of its whole job.

@@ -1,4 +1,4 @@
-//! The ends of attempts. A result is admitted, and noted once it is stored; a failure is counted against job and machine.
+//! Ends attempts: admits results, notes them once they are stored, and counts failures against job and machine.
 
 use std::time::Duration;
 
@@ -15,9 +15,9 @@ use super::{DispatchError, Dispatcher};
 use crate::stored::{Origin, Outcome};
 
 impl Dispatcher {
-    /// Whether a result is wanted. It counts also if its lease is lost, as long as the coordinator gave it, be it before a
-    /// restart: records depend on the job alone. `identity` is that of the job as the worker received it, so that a
-    /// result for another grid or another number of walks is refused.
+    /// Decides whether a result is accepted. A result whose lease is lost is accepted too, provided that this coordinator
+    /// granted the lease, even before a restart: records depend on the job alone. `identity` is the identity of the job
+    /// as the worker received it, so a result for another grid or another number of walks is refused.
     pub fn admit(
         &mut self,
         now: Duration,
@@ -31,13 +31,13 @@ impl Dispatcher {
         let admitted = self.schedule.admit(key, identity, by, holder, checked);
         let unused = matches!(admitted, Err(_) | Ok(Admission::Repeated { .. }));
         if unused && self.schedule.leases().held_by(key, worker).is_some() {
-            // The worker drops the result and forgets the lease, whose end must not count as silence.
+            // The worker drops the result and the lease, whose end must not count as silence.
             self.schedule.free(key.token, &mut self.outbox);
         }
         admitted
     }
 
-    /// Notes what the store has made of a result. [`Outcome::Differs`] is for [`Self::contradict`].
+    /// Notes the outcome of storing a result. [`Outcome::Differs`] is handled by [`Self::contradict`].
     pub fn arrived(&mut self, now: Duration, arrived: &Arrived, outcome: Outcome) {
         match outcome {
             Outcome::Finished { records } => self.finished(now, arrived, records),
@@ -71,7 +71,7 @@ impl Dispatcher {
     /// The target error is not reached: begins the job again with more walks.
     pub(super) fn prolong(&mut self, now: Duration, arrived: &Arrived, more: Walks) {
         let job = arrived.job();
-        // Of two copies that came at once, the second asks for what the first has brought about.
+        // If two copies arrive at once, the second requests a restart that the first has already caused.
         if self.schedule.has_walks(job, arrived.walks) && self.schedule.is_open(job) {
             self.result_came(now, arrived);
             self.schedule.prolong(job, more, &mut self.outbox);
@@ -99,9 +99,9 @@ impl Dispatcher {
         }
     }
 
-    /// A result differs from the records of other jobs that asked for the same walks. Those in `again` were set aside and
-    /// are computed again; `None` if several machines have confirmed them. It counts as a failed attempt, so that it
-    /// cannot go on for ever.
+    /// Handles a result that differs from the records of other jobs with the same walks. The records of the jobs in
+    /// `again` were set aside and are computed again; `None` if several machines have confirmed them. The result counts
+    /// as a failed attempt, so that this cannot repeat for ever.
     pub fn contradict(&mut self, now: Duration, arrived: &Arrived, again: Option<&[JobRef]>) {
         let key = arrived.key;
         self.schedule.hand_back(&[*key], &mut self.outbox);
@@ -129,7 +129,7 @@ impl Dispatcher {
         Ok(())
     }
 
-    /// Counts a lease that came to nothing against its worker's machine and, unless it was a check, against its job.
+    /// Counts a failed lease against its worker's machine and, unless it was a check, against its job.
     pub(super) fn blame(&mut self, now: Duration, held: &OpenLease, silent: Option<Process>, what: &str) {
         let Ok(worker) = self.roster.get(&held.worker) else { return };
         let (machine, job) = (worker.origin, (held.key.dictionary, held.key.job));

@@ -1,4 +1,4 @@
-//! The dispatcher: the schedule, the verification of results and the roster of workers, and what passes between them.
+//! Combines the schedule, the verification of results and the roster of workers, and passes data between them.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -62,7 +62,7 @@ impl Dispatcher {
         self.schedule.status_of(now, dictionary, &self.roster, disputed)
     }
 
-    /// Why a dictionary is not done, the most important first.
+    /// The reasons why a dictionary is not done, the most important first.
     pub fn explain(&self, now: Duration, dictionary: &Dictionary) -> Vec<Reason> {
         let checks = self.verification.explain(now, dictionary.id(), &self.roster);
         self.schedule.explain(now, dictionary, &self.roster, checks)
@@ -80,26 +80,26 @@ impl Dispatcher {
         self.roster.statuses(now, after, most, |id| self.schedule.leases().count_of(id))
     }
 
-    /// What is wrong with the state, if anything is. Checked after every transition of a debug build.
+    /// Checks the invariants of the state, after every transition of a debug build.
     #[cfg(debug_assertions)]
     pub fn check(&self, now: Duration) -> Result<(), String> {
         self.schedule.check(now, &self.roster)?;
         self.verification.check(&self.schedule)
     }
 
-    /// All that the changes since the last call have produced.
+    /// Takes everything that the transitions since the last call have produced.
     pub fn take_outbox(&mut self) -> Outbox {
         let mut outbox = std::mem::take(&mut self.outbox);
         self.verification.publish(&mut outbox);
         outbox
     }
 
-    /// An effect that could not be performed comes again with the next call of [`Self::look_over`].
+    /// Defers an effect that could not be performed: the next call of [`Self::look_over`] orders it again.
     pub fn put_off(&mut self, effect: Effect) {
         self.put_off.push(effect);
     }
 
-    /// Records an event of a dictionary, or of one of its jobs, if the dictionary is there.
+    /// Records an event of a dictionary, or of one of its jobs, if the dictionary exists.
     pub fn note(&mut self, id: DictionaryId, job: Option<u32>, kind: EventKind, message: impl Into<String>) {
         self.schedule.note(id, job, kind, message, &mut self.outbox);
     }
@@ -111,7 +111,7 @@ impl Dispatcher {
         self.outbox.work_came();
     }
 
-    /// Takes up a dictionary that workers may have been working on before the coordinator's start, which is time 0.
+    /// Adds a dictionary that workers may have been working on before the coordinator's start, which is time 0.
     pub fn take_up_dictionary(&mut self, dictionary: Dictionary) {
         self.schedule.expect_workers_of(dictionary.id());
         self.add_dictionary(dictionary);
@@ -125,7 +125,7 @@ impl Dispatcher {
         }
     }
 
-    /// Sets what people want of a dictionary; the store has it already.
+    /// Sets the desired state of a dictionary; the store holds it already.
     pub fn set_desire(&mut self, id: DictionaryId, desire: DesiredState, reason: String) {
         let kind = match desire {
             DesiredState::Run => EventKind::Resumed,
@@ -143,7 +143,7 @@ impl Dispatcher {
         self.outbox.changed = true;
     }
 
-    /// Gives the jobs that were given up another chance; the store has forgotten their end.
+    /// Retries the jobs that were given up, and returns their number; the store has deleted their failures already.
     pub fn retry(&mut self, id: DictionaryId) -> usize {
         let again = self.schedule.retry(id);
         self.note(id, None, EventKind::Retried, format!("{again} jobs are tried again"));
@@ -151,7 +151,7 @@ impl Dispatcher {
         again
     }
 
-    /// Begins jobs again whose records are gone from the store.
+    /// Restarts jobs whose records are no longer in the store.
     pub fn reopen(&mut self, id: DictionaryId, jobs: &[u32]) {
         self.schedule.reopen(id, jobs);
         self.verification.forget_jobs(id, jobs);
@@ -174,12 +174,13 @@ impl Dispatcher {
         }
     }
 
-    /// Takes up a check that the store remembers.
+    /// Restores a check from the store.
     pub fn remember_check(&mut self, check: OpenCheck) {
         self.verification.remember(check, &self.schedule);
     }
 
-    /// Lets a worker in; the same process registering again takes the place of its former self. How long its leases hold.
+    /// Registers a worker, and returns the duration of its leases. A process that registers again replaces its former
+    /// registration.
     pub fn register(
         &mut self,
         now: Duration,
@@ -188,20 +189,21 @@ impl Dispatcher {
         about: Registration,
     ) -> Result<Duration, DispatchError> {
         if let Some(before) = self.roster.register(now, id, machine, about, &mut self.outbox)? {
-            // It did not get the answer to its first registration, or forgot: what it held waits again.
+            // The process did not receive the answer to its first registration, or lost it: the parts that it held wait
+            // again.
             self.schedule.free_worker(&before, &mut self.outbox);
         }
         Ok(self.settings.lease)
     }
 
-    /// A worker has been heard of: nothing failed for its silence. Its machine.
+    /// Notes a call of a worker, withdraws the blame for its silence, and returns its machine.
     pub(super) fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<Origin, DispatchError> {
         let (process, blamed) = self.roster.seen(now, id)?;
         self.schedule.forgive(&process, blamed);
         Ok(self.roster.get(id)?.origin)
     }
 
-    /// Forgets a worker and frees all its leases, without blame.
+    /// Removes a worker and frees all its leases, without blame.
     pub fn leave(&mut self, id: &WorkerId) {
         self.schedule.free_worker(id, &mut self.outbox);
         if let Some((process, blamed)) = self.roster.leave(id, &mut self.outbox) {
@@ -209,17 +211,17 @@ impl Dispatcher {
         }
     }
 
-    /// Lets a worker finish what it has and leave.
+    /// Marks a worker to finish the parts that it holds and then leave.
     pub fn drain(&mut self, which: &str) -> Result<WorkerId, String> {
         self.roster.drain(which, &mut self.outbox)
     }
 
-    /// Lets a machine in again that was fenced off.
+    /// Readmits a machine that was fenced off.
     pub fn lift_fence(&mut self, which: &str) -> Result<Origin, String> {
         self.roster.lift_fence(which, &mut self.outbox)
     }
 
-    /// Gives out as many parts as are wished: checks first, then the costliest jobs, then copies of late parts.
+    /// Grants as many parts as requested: checks first, then the costliest jobs, then copies of late parts.
     pub fn acquire(
         &mut self,
         now: Duration,
@@ -244,7 +246,7 @@ impl Dispatcher {
         Ok(Grant { leases, drain: false })
     }
 
-    /// Extends leases; those that are lost, and whether the worker is to leave.
+    /// Extends leases. Returns those that are lost, and whether the worker is to leave.
     pub fn renew(
         &mut self,
         now: Duration,
@@ -262,13 +264,13 @@ impl Dispatcher {
         self.schedule.hand_back(leases, &mut self.outbox);
     }
 
-    /// Does what time alone brings: frees leases, asks for effects again, finds late parts, forgets workers that are gone.
-    /// Returns how many leases it has freed.
+    /// Performs the transitions that depend on time alone: frees leases, orders failed effects again, finds late parts,
+    /// and removes workers that are gone. Returns the number of freed leases.
     pub fn look_over(&mut self, now: Duration) -> usize {
         let last = self.schedule.begin_look(now);
         self.try_effects_again();
         let freed = self.free_expired(now) + self.end_endless(now);
-        // Wakes machines whose pause is over, and those that may take now what was kept for others.
+        // Wakes machines whose pause is over, and those that may now take parts that were reserved for others.
         if self.schedule.take_kept_for_others() | self.roster.pause_ended(last, now) {
             self.outbox.work_came();
         }
@@ -278,7 +280,7 @@ impl Dispatcher {
         freed
     }
 
-    /// Orders effects again that could not be performed, as far as they still hold.
+    /// Orders failed effects again, as far as they still apply.
     fn try_effects_again(&mut self) {
         let schedule = &self.schedule;
         let holds = |effect: &Effect| match effect {
@@ -310,7 +312,7 @@ impl Dispatcher {
         self.count_expired(expired.len())
     }
 
-    /// Frees leases that their workers renew and never end.
+    /// Frees leases that their workers keep renewing without ever delivering a result.
     fn end_endless(&mut self, now: Duration) -> usize {
         let endless = self.schedule.endless(now);
         for held in &endless {

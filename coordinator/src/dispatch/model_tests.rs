@@ -1,7 +1,7 @@
-//! The dispatcher against a model of the farm around it, under random operations.
+//! Tests the dispatcher against a model of the farm around it, under random operations.
 //!
 //! The model holds the store and the workers. It performs effects as the farm does, and after every step the
-//! dispatcher must say what the model has counted from scratch.
+//! dispatcher's state must equal what the model has counted from scratch.
 
 mod check;
 mod effects;
@@ -20,7 +20,7 @@ use world::World;
 
 /// Steps of one case.
 const STEPS: usize = 80;
-/// Cases of each test unless `PROPTEST_CASES` says otherwise: a second or two.
+/// Cases of each test, unless `PROPTEST_CASES` sets another number: a second or two.
 const CASES: u32 = 150;
 
 fn config() -> ProptestConfig {
@@ -28,7 +28,7 @@ fn config() -> ProptestConfig {
     ProptestConfig { cases, failure_persistence: None, max_shrink_iters: 20_000, ..ProptestConfig::default() }
 }
 
-/// Runs the steps, and then lets honest workers finish what is left.
+/// Runs the steps, and then lets honest workers finish the remaining work.
 fn run(mut world: World, steps: &[Op]) -> Result<(), TestCaseError> {
     let fail = |at: &dyn std::fmt::Debug, why| TestCaseError::fail(format!("after {at:?}: {why}"));
     for step in steps {
@@ -38,7 +38,7 @@ fn run(mut world: World, steps: &[Op]) -> Result<(), TestCaseError> {
     world.finish_all().map_err(|why| fail(&"the last phase", why))
 }
 
-/// Blocks of a job that asked for more walks are still checked after a restart.
+/// Blocks of a job that was begun again with more walks are still checked after a restart of the coordinator.
 #[test]
 fn blocks_are_checked_after_more_walks() {
     let acquire = |worker, max| Op::Acquire { worker, max };

@@ -1,5 +1,5 @@
-//! What a transition of the dispatcher produced: effects, events, counts and wake-ups. The scheduler empties it after each
-//! transition.
+//! Collects the output of a transition of the dispatcher: effects, events, counts and wake-ups. The scheduler empties it
+//! after each transition.
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
@@ -7,21 +7,21 @@ use farm_proto::ids::DictionaryId;
 use super::part::Purpose;
 use crate::stored::{OpenCheck, Origin};
 
-/// All that was produced since it was last taken.
+/// Everything that was produced since the outbox was last emptied.
 #[derive(Debug, Default)]
 pub struct Outbox {
-    /// What must be made durable, in this order.
+    /// Changes that must be made durable, in this order.
     pub effects: Vec<Effect>,
     pub events: Vec<Event>,
     pub counts: Vec<Count>,
-    /// There may be work for a worker that waits.
+    /// There may be work for a waiting worker.
     pub work: bool,
-    /// People who watch may see something new.
+    /// There may be a change for watching clients.
     pub changed: bool,
 }
 
 impl Outbox {
-    /// There may be work for a worker that waits, and people may see something new.
+    /// Notes that there may be work for a waiting worker, and a change for watching clients.
     pub fn work_came(&mut self) {
         (self.work, self.changed) = (true, true);
     }
@@ -31,14 +31,14 @@ impl Outbox {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Count {
     Granted(Purpose),
-    /// Leases whose workers were silent too long.
+    /// Leases that expired, or that were renewed too long without a result.
     Expired(usize),
     GivenUp {
         quarantined: bool,
     },
-    /// A comparison between workers that found the same.
+    /// A comparison between machines with equal results.
     Agreed,
-    /// A comparison that did not.
+    /// A comparison between machines with different results.
     Disputed,
 }
 
@@ -56,20 +56,20 @@ pub enum Effect {
         dictionary: DictionaryId,
         job: u32,
     },
-    /// Note that a machine has found a job's records to be right: after a restart they need no other check.
+    /// Note that a machine has confirmed a job's records: after a restart they need no other check.
     Agreed {
         dictionary: DictionaryId,
         job: u32,
         machine: Origin,
     },
-    /// Note how a check stands; it is over if it has no votes.
+    /// Note the votes of a check; a check without votes is over.
     NoteCheck(OpenCheck),
-    /// Set all aside that a machine alone stands for.
+    /// Set the results of a machine aside, except those that others have confirmed.
     Fence {
         machine: Origin,
         reason: String,
     },
-    /// Let a machine in again, and take back what was set aside with it.
+    /// Readmit a machine, and restore the results that were set aside with it.
     LiftFence {
         machine: Origin,
     },
@@ -104,7 +104,7 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    /// As programs see it.
+    /// The code of the kind, for programs.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::CoordinatorStarted => "COORDINATOR_STARTED",
@@ -135,7 +135,7 @@ impl EventKind {
     }
 }
 
-/// Something that people may want to know later.
+/// An entry of the event log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Event {
     pub kind: EventKind,

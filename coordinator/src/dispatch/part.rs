@@ -1,4 +1,4 @@
-//! What work consists of: jobs of dictionaries, their parts, and the purposes that parts are leased for.
+//! Identifies units of work: jobs of dictionaries, their parts, and the purposes of leases.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
@@ -37,14 +37,14 @@ impl From<&LeaseKey> for PartId {
     }
 }
 
-/// What a lease was given out for.
+/// The purpose of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Purpose {
     First,
-    /// After an attempt that came to nothing.
+    /// Another attempt, after one without a result.
     Retry,
     /// A second copy of a part whose first takes too long.
     Copy,
-    /// To compare with a result that is stored.
+    /// A repetition, to compare with a stored result.
     Check,
 }

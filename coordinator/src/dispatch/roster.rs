@@ -1,5 +1,4 @@
-//! The workers that are registered and the machines that they run on. Records which of them are silent, draining,
-//! suspended or fenced off.
+//! Keeps the registered workers and their machines, and records which of them are silent, draining, suspended or fenced off.
 
 mod machines;
 mod worker_token;
@@ -16,16 +15,16 @@ use super::{DispatchError, Settings};
 use crate::stored::{KnownMachine, Machine, Origin};
 use machines::Machines;
 
-/// Workers that hold no lease are forgotten after this long.
+/// Time of silence after which a worker without leases is removed.
 const FORGET: Duration = Duration::from_mins(10);
 
-/// A process, by the random name that it chose when it started.
+/// A process, identified by the random name that it generated at its start.
 pub type Process = String;
 
-/// How a worker describes itself, and where it connects from.
+/// A worker's description of itself, with the machine from which it connects.
 #[derive(Debug, Clone)]
 pub struct Registration {
-    /// The same when a process registers again.
+    /// Unchanged when a process registers again.
     pub instance: Process,
     pub machine: Machine,
     pub label: String,
@@ -58,14 +57,14 @@ impl Worker {
     }
 }
 
-/// All workers, and the machines that were ever met.
+/// All workers, and all machines that have ever connected.
 #[derive(Debug)]
 pub struct Roster {
     settings: Settings,
     known: BTreeMap<WorkerId, Worker>,
     by_process: BTreeMap<(Origin, Process), WorkerId>,
     machines: Machines,
-    /// Jobs that were blamed for the silence of a process, which may come back even when it was forgotten.
+    /// Jobs that were blamed for the silence of a process, which may come back even after its removal.
     blamed: BTreeMap<(Origin, Process), Vec<JobRef>>,
 }
 
@@ -92,7 +91,7 @@ impl Roster {
         }
     }
 
-    /// Notes a sign of life of a worker; its process, and the jobs that were blamed for its silence.
+    /// Notes a call of a worker. Returns its process, and the jobs that were blamed for its silence.
     pub fn seen(&mut self, now: Duration, id: &WorkerId) -> Result<(Process, Vec<JobRef>), DispatchError> {
         self.get(id)?;
         let worker = self.known.get_mut(id).ok_or_else(|| DispatchError::UnknownWorker(id.clone()))?;
@@ -102,7 +101,7 @@ impl Roster {
         Ok((process.1, blamed))
     }
 
-    /// Lets a worker in. The same process registering again replaces its former registration, whose id is returned.
+    /// Registers a worker. A process that registers again replaces its former registration, whose id is returned.
     pub fn register(
         &mut self,
         now: Duration,
@@ -135,15 +134,16 @@ impl Roster {
         Ok(replaced)
     }
 
-    /// How many workers of an access token are registered.
+    /// Number of registered workers with an access token.
     fn count_of(&self, token: &str) -> usize {
         self.known.values().filter(|worker| worker.about.machine.token == token).count()
     }
 
-    /// Forgets a worker. It was heard of once more: its process, and the jobs that were blamed for its silence.
+    /// Removes a worker that leaves. Returns its process and the jobs that were blamed for its silence, since it has made
+    /// contact once more.
     pub fn leave(&mut self, id: &WorkerId, outbox: &mut Outbox) -> Option<(Process, Vec<JobRef>)> {
         let last_seen = self.known.get(id)?.last_seen;
-        // One that is fenced off withdraws no blame.
+        // A worker that is fenced off withdraws no blame.
         let heard = self.seen(last_seen, id).ok();
         let worker = self.remove(id)?;
         let message = format!("{} jobs done", worker.jobs_done);
@@ -152,7 +152,7 @@ impl Roster {
         heard
     }
 
-    /// Forgets workers that were silent for long and may go.
+    /// Removes workers that have been silent for too long, as far as `may_go` permits.
     pub fn forget_silent(&mut self, now: Duration, may_go: impl Fn(&WorkerId) -> bool, outbox: &mut Outbox) {
         let is_gone = |w: &Worker| now.saturating_sub(w.last_seen) >= FORGET;
         let gone = self.known.iter().filter(|(id, w)| is_gone(w) && may_go(id)).map(|(id, _)| id.clone());
@@ -172,7 +172,7 @@ impl Roster {
         Some(worker)
     }
 
-    /// Marks a worker to finish what it has and leave. Found by id, or by label if only one has it.
+    /// Marks a worker, found by its id or its unique label, to finish its parts and leave.
     pub fn drain(&mut self, which: &str, outbox: &mut Outbox) -> Result<WorkerId, String> {
         let is_meant = |(id, w): &(&WorkerId, &mut Worker)| id.0 == which || w.about.label == which;
         let mut found: Vec<(&WorkerId, &mut Worker)> = self.known.iter_mut().filter(is_meant).collect();
@@ -180,7 +180,7 @@ impl Roster {
             [(id, worker)] => {
                 worker.draining = true;
                 let label = worker.about.label.clone();
-                // If it waits for work it is to hear of it at once.
+                // If the worker waits for work, it must be woken at once.
                 outbox.work = true;
                 outbox.events.push(Event::of_worker(EventKind::WorkerDraining, label, "asked to leave"));
                 Ok(id.clone())
@@ -212,7 +212,7 @@ impl Roster {
         self.machines.succeeded(machine);
     }
 
-    /// Counts against a machine that a job has come to nothing there.
+    /// Counts a failed job against a machine.
     pub fn failed(&mut self, now: Duration, machine: Origin, job: JobRef, reason: &str, outbox: &mut Outbox) {
         let alone = !self.able(now).any(|other| other != machine);
         if let Some(pause) = self.machines.failed(now, machine, job, alone) {
@@ -224,17 +224,17 @@ impl Roster {
         }
     }
 
-    /// Notes that a machine has found a stored result to be right.
+    /// Notes that a machine has confirmed a stored result.
     pub fn succeeded(&mut self, machine: Origin) {
         self.machines.succeeded(machine);
     }
 
-    /// Several machines have failed at a job, so that it counts against none of them. True if that ends a pause.
+    /// Removes a job from the failures of all machines, since several of them have failed at it. True if that ends a pause.
     pub fn exonerate(&mut self, now: Duration, job: JobRef) -> bool {
         self.machines.exonerate(now, job)
     }
 
-    /// Fences a machine off; false if it was before.
+    /// Fences a machine off; false if it is fenced off already.
     pub fn fence(&mut self, machine: Origin, reason: &str, outbox: &mut Outbox) -> bool {
         if self.machines.is_fenced(machine) {
             return false;
@@ -245,8 +245,8 @@ impl Roster {
         true
     }
 
-    /// Lets a machine in again that was fenced off, found by what its worker was called, or by token and address. What was
-    /// set aside comes back as far as it was not computed again.
+    /// Readmits a machine that was fenced off, found by the label of its worker, or by token and address. Its results
+    /// that were set aside are restored, unless they were computed again.
     pub fn lift_fence(&mut self, which: &str, outbox: &mut Outbox) -> Result<Origin, String> {
         let named = |known: &&KnownMachine| known.label == which || known.machine.identity() == which;
         let found: Vec<Origin> = self.machines.fenced().filter(named).map(|known| known.origin).collect();
@@ -272,12 +272,12 @@ impl Roster {
         }
     }
 
-    /// Takes up a machine as the store has it.
+    /// Adds a machine from the store.
     pub fn remember_machine(&mut self, known: KnownMachine) {
         self.machines.remember(known);
     }
 
-    /// Whether each token has one vote, or each machine: tokens, if there are several for workers.
+    /// Sets whether each token has one vote, or each machine: each token, if there are several for workers.
     pub fn set_votes_by_token(&mut self, by_token: bool) {
         self.machines.set_votes_by_token(by_token);
     }
@@ -333,7 +333,7 @@ impl Roster {
         now.saturating_sub(worker.last_seen) > self.settings.lease
     }
 
-    /// How long a machine gets no jobs.
+    /// Time until the pause of a machine ends; None if it has none.
     pub fn pause_left(&self, now: Duration, machine: Origin) -> Option<Duration> {
         self.machines.pause_left(now, machine)
     }
@@ -343,7 +343,7 @@ impl Roster {
         self.machines.pause_ended(after, now)
     }
 
-    /// Whether a machine is tried with one job at a time, since it had a pause.
+    /// Whether a machine gets only one job at a time, since it had a pause.
     pub fn is_on_trial(&self, machine: Origin) -> bool {
         self.machines.is_on_trial(machine)
     }

@@ -1,4 +1,4 @@
-//! The dictionaries with the states of their jobs, and the leases that are out. Decides which job goes out next.
+//! Keeps the dictionaries with the states of their jobs and the open leases, and decides which job is granted next.
 
 #[cfg(debug_assertions)]
 mod check;
@@ -58,7 +58,7 @@ pub struct Schedule {
     pace_history: PaceHistory,
     /// Parts that take too long, found at the last look.
     late: Vec<PartId>,
-    /// Some part was kept for other machines than the one that asked.
+    /// Some part was reserved for other machines than the one that requested work.
     kept_for_others: bool,
     /// Dictionaries that were begun before the coordinator's start.
     taken_up: BTreeSet<DictionaryId>,
@@ -94,7 +94,7 @@ impl Schedule {
         self.taken_up.insert(id);
     }
 
-    /// Removes a dictionary with its leases; false if it is not there.
+    /// Removes a dictionary with its leases; false if it does not exist.
     pub fn remove(&mut self, id: DictionaryId) -> bool {
         let Some(dictionary) = self.dictionaries.remove(&id) else { return false };
         self.order.remove(&(Reverse(dictionary.priority()), id));
@@ -158,7 +158,7 @@ impl Schedule {
         dictionary.status(eta_s, waits.then(goes_first).flatten(), disputed)
     }
 
-    /// Active dictionaries that are served before this one, the first first.
+    /// Active dictionaries that are served before this one, in this order.
     fn served_before(&self, dictionary: &Dictionary) -> impl Iterator<Item = &Dictionary> {
         let first = (Reverse(dictionary.priority()), dictionary.id());
         let before = self.order.range(..first).filter_map(|(_, id)| self.dictionaries.get(id));
@@ -173,7 +173,7 @@ impl Schedule {
         Some((before + dictionary.cost_left()) / rate)
     }
 
-    /// Parts that wait, and leases that are out.
+    /// Numbers of waiting parts and of open leases.
     pub fn load(&self) -> (usize, usize) {
         let waiting = self.dictionaries.values().filter(|d| d.is_active()).map(Dictionary::pending).sum();
         (waiting, self.leases.len())
@@ -189,7 +189,7 @@ impl Schedule {
         self.pace_history.periods(now)
     }
 
-    /// Sets what people want of a dictionary; the store has it already.
+    /// Sets the desired state of a dictionary; the store holds it already.
     pub fn set_desire(
         &mut self,
         id: DictionaryId,
@@ -215,12 +215,12 @@ impl Schedule {
         }
     }
 
-    /// Gives the jobs that were given up another chance; how many.
+    /// Retries the jobs that were given up; returns their number.
     pub fn retry(&mut self, id: DictionaryId) -> usize {
         self.dictionaries.get_mut(&id).map_or(0, |d| d.retry().len())
     }
 
-    /// Begins jobs again whose records are gone from the store.
+    /// Restarts jobs whose records are no longer in the store.
     pub fn reopen(&mut self, id: DictionaryId, jobs: &[u32]) {
         if !self.dictionaries.contains_key(&id) {
             return;
@@ -233,7 +233,7 @@ impl Schedule {
         }
     }
 
-    /// Records an event of a dictionary, or of one of its jobs, if the dictionary is there.
+    /// Records an event of a dictionary, or of one of its jobs, if the dictionary exists.
     pub fn note(
         &self,
         id: DictionaryId,
@@ -298,7 +298,7 @@ impl Schedule {
         }
     }
 
-    /// Ends the leases of a part that is computed no more, but for checks.
+    /// Ends the leases of a part that is no longer to be computed, except those of checks.
     fn end_leases(&mut self, part: PartId) -> Vec<OpenLease> {
         let ended = self.leases.remove_part(part);
         let (checks, ended): (Vec<_>, Vec<_>) = ended.into_iter().partition(|h| h.purpose == Purpose::Check);
@@ -313,7 +313,8 @@ impl Schedule {
         ended
     }
 
-    /// Counts a failed attempt at a job; it is tried again or given up. How many machines have failed at it.
+    /// Counts a failed attempt at a job, which is tried again or given up. Returns the number of machines that have
+    /// failed at it.
     pub fn strike(
         &mut self,
         now: Duration,

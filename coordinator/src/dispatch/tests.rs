@@ -77,7 +77,7 @@ fn worker(name: &str) -> WorkerId {
     WorkerId(name.to_owned())
 }
 
-/// That of a, b, c in the bench.
+/// The origin of worker a, b or c of the bench.
 fn origin(name: &str) -> Origin {
     Origin(i64::from(name.as_bytes()[0] - b'a' + 1))
 }
@@ -146,7 +146,7 @@ impl Bench {
         arrive(name, lease, |arrived| self.farm.compare_with_stored(arrived, stored, new));
     }
 
-    /// Effects but for notes of how checks stand.
+    /// The effects, except notes about checks.
     fn effects(&mut self) -> Vec<Effect> {
         let effects = self.farm.take_outbox().effects.into_iter();
         effects.filter(|effect| !matches!(effect, Effect::NoteCheck(_))).collect()

@@ -1,5 +1,5 @@
-//! Verification of results. A share of them is computed by a second machine too, a third decides when two differ, and a
-//! machine that is outvoted is fenced off.
+//! Verifies results: a share of them is computed by a second machine too, a third decides when two differ, and a machine
+//! that is outvoted is fenced off.
 //!
 //! Only a machine that was given a check has a vote. Any other result that differs from the stored one opens a check, and
 //! decides nothing: a worker that once held a lease could deliver for it any number of times.
@@ -35,7 +35,7 @@ pub struct Verification {
     confirmed: BTreeMap<JobRef, Vec<Origin>>,
 }
 
-/// What verification acts on: the states of jobs, the machines, and the decisions to be published.
+/// The state that verification acts on: the jobs, the machines, and the decisions to be published.
 #[derive(Debug)]
 pub struct Context<'a> {
     pub schedule: &'a mut Schedule,
@@ -57,7 +57,7 @@ impl Verification {
         Self { settings, checks: Checks::default(), suspects: BTreeSet::new(), confirmed: BTreeMap::new() }
     }
 
-    /// Samples the results that a dictionary begins with, and takes up which of them were confirmed.
+    /// Samples the results that a dictionary begins with, and records which of them were confirmed.
     pub fn add_dictionary(
         &mut self,
         id: DictionaryId,
@@ -73,14 +73,14 @@ impl Verification {
         }
     }
 
-    /// A dictionary goes: another that shares the records of its jobs inherits their open checks.
+    /// Hands the open checks of a removed dictionary over to another one that shares the records of its jobs.
     pub fn hand_over(&mut self, id: DictionaryId, schedule: &Schedule, outbox: &mut Outbox) {
         let open: Vec<_> =
             self.checks.of_dictionary(id).map(|(part, votes)| (part, votes.to_vec())).collect();
         for (part, votes) in open {
             let Some((heir, records)) = schedule.heir(part) else { continue };
             let first = votes[0];
-            // If it holds other albedos of the same walks, the votes of others about those are of no use.
+            // If the heir holds other albedos of the same walks, the votes of others do not apply to its records.
             let same = first.digest == records;
             let votes = if same { votes } else { vec![Vote { by: first.by, digest: records }] };
             self.checks.want(heir, votes, true);
@@ -94,7 +94,7 @@ impl Verification {
         self.suspects.retain(|(dictionary, _)| *dictionary != id);
     }
 
-    /// Forgets all about jobs whose records are gone.
+    /// Drops the checks and confirmations of jobs whose records are gone.
     pub fn forget_jobs(&mut self, id: DictionaryId, jobs: &[u32]) {
         self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
         for job in jobs {
@@ -103,28 +103,28 @@ impl Verification {
         }
     }
 
-    /// Forgets the checks of a job's blocks, which is begun again with more walks.
+    /// Drops the checks of the blocks of a job that is begun again with more walks.
     pub fn forget_blocks(&mut self, job: JobRef) {
         self.checks.retain(|part| part.job_ref() != job);
     }
 
-    /// A block is not stored any more.
+    /// Drops the check of a block that is no longer stored.
     pub fn forget_block(&mut self, part: PartId) {
         self.checks.settle(part);
     }
 
-    /// A block is there again; whether a check of it goes on that the store remembers.
+    /// Resumes the check of a block that is stored again; false if the store holds no such check.
     pub fn block_found(&mut self, part: PartId) -> bool {
         self.checks.take_up(part)
     }
 
-    /// A block is stored: asks for a second opinion if it is sampled, or its job is suspect.
+    /// Requests a check of a stored block if it is sampled, or if its job is suspect.
     pub fn block_stored(&mut self, arrived: &Arrived, outbox: &mut Outbox) {
         let is_suspect = self.suspects.contains(&arrived.job());
         self.want_check_of_block(arrived, is_suspect, outbox);
     }
 
-    /// A job is done: asks for a second opinion if its result is sampled, or it is suspect.
+    /// Requests a check of a finished job if its result is sampled, or if the job is suspect.
     pub fn job_finished(&mut self, arrived: &Arrived, records: Digest, outbox: &mut Outbox) {
         let (job, part) = (arrived.job(), arrived.part());
         self.checks.forget_aside(job);
@@ -138,13 +138,13 @@ impl Verification {
         }
     }
 
-    /// A job is done with the records of another one.
+    /// Notes that a job is done with the records of another one.
     pub fn job_taken_over(&mut self, job: JobRef) {
         self.suspects.remove(&job);
         self.checks.forget_aside(job);
     }
 
-    /// The sums of a block are merged and cannot be recovered later, so the store keeps their digest.
+    /// Requests a check of a block. Its sums are merged and cannot be recovered later, so the store keeps their digest.
     fn want_check_of_block(&mut self, arrived: &Arrived, is_suspect: bool, outbox: &mut Outbox) {
         let Arrived { by, digest, .. } = *arrived;
         if is_suspect || self.is_sampled(arrived.part(), digest) {
@@ -157,12 +157,12 @@ impl Verification {
         sampling::is_sampled(&self.settings.secret, part, digest, self.settings.check_share)
     }
 
-    /// The next results of these jobs are checked in any case.
+    /// Marks jobs whose next results are checked in any case.
     pub fn suspect(&mut self, jobs: impl IntoIterator<Item = JobRef>) {
         self.suspects.extend(jobs);
     }
 
-    /// Whether several machines have found the records of one of these jobs.
+    /// Whether several machines agree on the records of one of these jobs.
     pub fn is_confirmed(&self, jobs: &[JobRef]) -> bool {
         jobs.iter().any(|job| self.confirmed.contains_key(job))
     }
@@ -178,7 +178,7 @@ impl Verification {
         self.checks.subject(part)
     }
 
-    /// Comparisons between machines: equal, unequal, and waiting for a worker.
+    /// Numbers of comparisons between machines: equal, unequal, and waiting for a worker.
     pub fn counts(&self) -> (u64, u64, usize) {
         (self.checks.agreed, self.checks.disputed, self.checks.waiting())
     }
@@ -206,7 +206,7 @@ impl Verification {
         }
     }
 
-    /// What there is to say about the checks of a dictionary: disputes, and checks that no machine can take.
+    /// The reasons that concern the checks of a dictionary: disputes, and checks that no machine can take.
     pub fn explain(&self, now: Duration, id: DictionaryId, roster: &Roster) -> Vec<Reason> {
         let mut reasons = Vec::new();
         if let Some(PartId { job, .. }) = self.checks.disputed_in(id).next() {
@@ -233,7 +233,7 @@ impl Verification {
         reasons
     }
 
-    /// What is wrong with the checks, if anything is. There are a thousand at most.
+    /// Verifies the invariants of the checks, of which there are a thousand at most.
     #[cfg(debug_assertions)]
     pub fn check(&self, schedule: &Schedule) -> Result<(), String> {
         for (part, votes) in self.checks.all() {
@@ -256,7 +256,7 @@ impl Verification {
         }
     }
 
-    /// Takes up a check that the store remembers, if it is still about what is stored.
+    /// Restores a check from the store, if it still concerns the stored result.
     pub fn remember(&mut self, check: OpenCheck, schedule: &Schedule) {
         let part = PartId { dictionary: check.dictionary, job: check.job, part: check.block };
         let first = check.votes.first().map(|first| first.digest);
@@ -265,7 +265,7 @@ impl Verification {
         });
         let goes_on = |d: &Dictionary| d.grid().quality().is_some() && !d.is_done(part.job);
         if !holds && schedule.by_id(part.dictionary).is_some_and(goes_on) {
-            // With more walks it may have this block again.
+            // With more walks the job may have this block again.
             self.checks.put_aside(part, check.votes);
             return;
         }

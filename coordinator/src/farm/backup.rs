@@ -1,4 +1,4 @@
-//! Backups on their way to a client: made next to the database, sent, and removed.
+//! Makes backups next to the database, sends them to clients, and removes them.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;
@@ -13,16 +13,16 @@ use crate::store::backup::BackupReport;
 /// Bytes of a piece.
 const PIECE: usize = 1 << 20;
 
-/// A verified copy of the database on its way out. The copy here goes with this.
+/// A verified copy of the database that is sent to a client. Its file is removed when this is dropped.
 #[derive(Debug)]
 pub(crate) struct Backup {
     file: PathBuf,
-    /// What comes first, if it has not been given yet.
+    /// The report, which comes first, if it has not been taken yet.
     report: Option<BackupReport>,
     offset: u64,
 }
 
-/// What a backup is made of: a report, and then the bytes in pieces.
+/// A part of a backup: a report first, and then the bytes in pieces.
 #[derive(Debug)]
 pub(crate) enum BackupPart {
     Report(BackupReport),
@@ -31,7 +31,7 @@ pub(crate) enum BackupPart {
 
 impl Drop for Backup {
     fn drop(&mut self) {
-        // What cannot be removed now is at the next start.
+        // A file that cannot be removed now is removed at the next start.
         let _ = std::fs::remove_file(&self.file);
         let _ = std::fs::remove_file(self.file.with_extension("db.b3"));
     }

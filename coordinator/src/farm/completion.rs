@@ -1,4 +1,4 @@
-//! Stores a result, or compares it with the stored one. The dispatcher takes note of the outcome under the ledger's guard.
+//! Stores a result, or compares it with the stored one. The dispatcher notes the outcome under the ledger's guard.
 
 use std::sync::PoisonError;
 
@@ -13,12 +13,12 @@ use crate::dispatch::{Admission, Arrived, EventKind, JobRef};
 use crate::store::{LedgerGuard, StoreError};
 use crate::stored::{Completion, JobResult, Outcome};
 
-/// What is to be looked up in the store now that a result is stored.
+/// The next step after a result is stored.
 enum Next {
     Nothing,
-    /// The blocks of the job that there are.
+    /// Look up which blocks of the job the store holds.
     FindBlocks,
-    /// These jobs of other dictionaries, which the records may serve too.
+    /// Try these jobs of other dictionaries, which the records may serve too.
     Serve(Vec<JobRef>),
 }
 
@@ -82,7 +82,7 @@ impl Farm {
         Ok(stored?)
     }
 
-    /// Lets the dispatcher take note of an outcome.
+    /// Notes an outcome in the dispatcher, and returns the next step.
     fn note_outcome(&self, arrived: &Arrived<'_>, outcome: Outcome) -> Next {
         let job = arrived.job();
         self.scheduler.transition(|dispatcher, now| {
@@ -90,7 +90,7 @@ impl Farm {
             let schedule = dispatcher.schedule();
             match outcome {
                 Outcome::Finished { .. } => Next::Serve(schedule.served_by(job)),
-                // Blocks are shared by dictionaries that ask for the same: another one may have merged those that this one
+                // Blocks are shared by dictionaries with the same jobs: another one may have merged blocks that this one
                 // has counted.
                 Outcome::Part if schedule.waits_for_nothing(job) => Next::FindBlocks,
                 Outcome::MoreWalks(_) => Next::FindBlocks,
@@ -99,9 +99,9 @@ impl Farm {
         })
     }
 
-    /// Other records are stored for the same walks, by a job of another dictionary: one of two machines has computed
-    /// wrongly. Both jobs are done again, and then checked by others; but what several have found alike one does not
-    /// undo.
+    /// Handles a result that differs from the stored records of another dictionary's job for the same walks: one of two
+    /// machines has computed a wrong result. Both jobs are done again, and then checked by others; but a single result
+    /// does not undo records on which several machines agree.
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let exclusive = self.store.ledger().exclusive().await;
         // Blocks that were merged with this one are gone anyway.
@@ -117,7 +117,7 @@ impl Farm {
         self.find_blocks_of(&exclusive, arrived.key).await
     }
 
-    /// The blocks that came before a block were damaged when they were read. If they are at a second reading too, all
+    /// Handles blocks that were damaged when they were read for a merge. If a second reading finds them damaged too, all
     /// are computed again.
     async fn forget_blocks(&self, key: &LeaseKey, job: &JobSpec) -> Result<(), StoreError> {
         let exclusive = self.store.ledger().exclusive().await;
@@ -133,7 +133,7 @@ impl Farm {
         Ok(())
     }
 
-    /// Takes up which blocks of a job the store holds.
+    /// Notes in the dispatcher which blocks of a job the store holds.
     async fn find_blocks_of(&self, _held: &LedgerGuard<'_>, key: &LeaseKey) -> Result<(), StoreError> {
         let job = self.scheduler.query(|d, _| d.schedule().by_id(key.dictionary).map(|d| d.spec(key.job, 0)));
         if let Some(job) = job.filter(|job| job.block().is_some()) {

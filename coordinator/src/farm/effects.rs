@@ -1,4 +1,4 @@
-//! Makes the dispatcher's decisions durable, one effect after the other. An effect that fails is put off and tried again.
+//! Makes the dispatcher's decisions durable, one effect after the other. An effect that fails is deferred and retried.
 
 use std::collections::BTreeSet;
 use std::sync::Weak;
@@ -12,13 +12,13 @@ use crate::dispatch::{Dictionary, Effect};
 use crate::store::{Exclusive, StoreError};
 use crate::stored::{EndedJob, Origin};
 
-/// Performs orders as long as there is a farm. What cannot be stored now is tried again at the next look.
+/// Performs orders as long as the farm exists. An effect that cannot be stored now is retried at the next look.
 pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceiver<Order>) {
     while let Some(order) = orders.recv().await {
         let Some(farm) = farm.upgrade() else { return };
         match order {
             Order::Perform(effect) => {
-                // In a task of its own, so that a panic loses neither this decision nor those that follow.
+                // Performed in a separate task, so that a panic loses neither this decision nor those that follow.
                 let performing = {
                     let (farm, effect) = (farm.clone(), effect.clone());
                     tokio::spawn(async move { farm.perform(&effect).await })
@@ -69,7 +69,7 @@ impl Farm {
         }
     }
 
-    /// Lets a machine in again, and ends jobs with its records that were set aside.
+    /// Readmits a machine, and ends jobs with its records that were set aside.
     async fn take_back(&self, machine: Origin) -> Result<(), StoreError> {
         let exclusive = self.store.ledger().exclusive().await;
         let restored = exclusive.lift_fence(machine).await?;

@@ -1,16 +1,17 @@
-//! How many events anybody may bring about: the oldest are deleted for the newest, so one must not write all of them.
+//! Limits the events that one actor can cause: the oldest are deleted for the newest, so no actor must be able to write
+//! all of them.
 
 use std::collections::HashMap;
 use std::time::Duration;
 
-/// Events of one actor that are kept though they come at once.
+/// Events of one actor that are kept if they come at once.
 const AT_ONCE: f64 = 1000.0;
-/// Events of one actor that are kept in a second after that: of those that are kept, a tenth in nearly three hours.
+/// Events of one actor that are kept per second after that: a tenth of all that are kept in nearly three hours.
 const IN_A_SECOND: f64 = 1.0;
-/// Actors that are remembered: there may be as many as there are addresses.
+/// Number of actors from which on those with a full share are dropped: there may be as many as there are addresses.
 const ACTORS: usize = 10_000;
 
-/// What the actors have left.
+/// The remaining shares of the actors.
 #[derive(Debug, Default)]
 pub(super) struct EventShares(HashMap<String, Share>);
 
@@ -59,7 +60,7 @@ mod tests {
         assert_eq!(kept(&mut shares, "mallory", start + Duration::from_hours(24)), AT_ONCE as usize);
     }
 
-    /// Actors are forgotten once their share of events is full again.
+    /// Actors are dropped once their share of events is full again.
     #[test]
     fn actors_with_a_full_share_are_dropped() {
         let mut shares = EventShares::default();

@@ -1,4 +1,4 @@
-//! Events on their way to the store, in batches, so that no operation waits for them.
+//! Writes events to the store in batches, so that no operation waits for them.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -13,9 +13,9 @@ use crate::store::{Store, StoredEvent};
 
 /// Events that may wait; more are dropped, and logged.
 const QUEUE: usize = 10_000;
-/// Events of one transaction.
+/// Most events of one transaction.
 const BATCH: usize = 500;
-/// How long events are gathered before they are written.
+/// Time in which events are gathered between two transactions.
 const PAUSE: Duration = Duration::from_millis(200);
 
 #[derive(Debug)]
@@ -38,11 +38,11 @@ impl Recorder {
         }
     }
 
-    /// Notes an event.
+    /// Logs an event, and queues it for the store unless its actor's share is used up.
     pub(super) fn record(&self, event: &Event) {
         let Event { kind, dictionary, job, worker, message, actor } = event;
         tracing::info!(kind = kind.as_str(), dictionary, job, worker, actor, "{message}");
-        // What workers bring about has no actor. What the farm does by itself always counts.
+        // Events that workers cause have no actor. Events of the farm itself are always kept.
         let whose = if actor.is_empty() && !worker.is_empty() { "workers" } else { actor.as_str() };
         let whose = whose.split_once(" at ").map_or(whose, |(token, _)| token);
         let is_kept = |shares: &mut EventShares| whose.is_empty() || shares.take(whose, self.clock.now());
@@ -65,7 +65,7 @@ impl Recorder {
         }
     }
 
-    /// Writes what waits and ends.
+    /// Writes the waiting events and ends the writer.
     pub(super) async fn finish(&self) {
         self.queue.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(writer) = self.writer.lock().await.take() {

@@ -1,4 +1,4 @@
-//! Finished records of a dictionary, as they are read.
+//! Exports finished records of a dictionary as they are read.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -8,16 +8,16 @@ use optics_model::{Grid, Invalid, Record};
 
 use super::{Farm, Result};
 
-/// Records on their way out.
+/// A stream of records to a client.
 #[derive(Debug)]
 pub(crate) struct Export {
     farm: Arc<Farm>,
     name: DictionaryName,
-    /// What is still to be read, the next last.
+    /// Ranges that are still to be read, the next last.
     ranges: Vec<Range<usize>>,
-    /// What has been read, the next last.
+    /// Records that have been read, the next last.
     read: Vec<Record>,
-    /// How many of the records are done.
+    /// Number of the requested records that are done.
     pub promised: usize,
 }
 
@@ -58,7 +58,7 @@ impl Export {
 }
 
 /// Records of a grid that are read at a time: whole jobs, as they are stored, of some 2 MiB together. Each stream whose
-/// client is slow holds as many. Of larger jobs a part is read at a time.
+/// client is slow holds as many. Larger jobs are read in parts.
 fn at_a_time(grid: &Grid) -> usize {
     const BYTES: usize = 2 << 20;
     const MOST_BYTES: usize = 8 << 20;
@@ -69,7 +69,7 @@ fn at_a_time(grid: &Grid) -> usize {
     }
 }
 
-/// The numbers of the records that are wanted, in pieces that are read at once.
+/// The numbers of the requested records, in pieces that are read at once.
 fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>>, Invalid> {
     let (total, chunk) = (grid.record_count(), at_a_time(grid));
     let stored = grid.stored_records();
@@ -82,12 +82,12 @@ fn ranges(grid: &Grid, first: usize, indices: &[u32]) -> Result<Vec<Range<usize>
     if let Some((i, bad)) = indices.iter().enumerate().find(|(_, n)| **n as usize >= stored) {
         return Err(Invalid::new(format!("indices[{i}]"), bad, allowed()));
     }
-    // One beyond the last is what a client asks for that has everything.
+    // A client that has everything requests the number after the last one.
     if first > stored {
         return Err(Invalid::new("first", first, allowed()));
     }
     if indices.is_empty() {
-        // Borders are those of whole pieces from the first record on: what is between two jobs is read once.
+        // The borders are those of whole pieces from record 0 on, so that no job is read twice.
         let pieces = first / chunk..total.div_ceil(chunk);
         let piece = |n: usize| (n * chunk).max(first)..((n + 1) * chunk).min(total);
         return Ok(pieces.map(piece).filter(|piece| !piece.is_empty()).collect());

@@ -1,7 +1,7 @@
 //! Keeps channels of dictionaries in memory from the first question on, up to a limit, and drops the least recently used.
 //!
 //! Questions under way keep their channels. A dictionary below the limit is read as a whole, so that its next question
-//! waits for nothing; of a larger one a question reads its own channels.
+//! waits for nothing; from a larger one, each question reads only its own channels.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -28,7 +28,7 @@ pub(super) struct FitCache {
 struct Kept {
     /// Most recently used last.
     channels: Vec<Channel>,
-    /// How often records have been forgotten: what was read meanwhile may be of before.
+    /// Number of times that records have changed: channels that were read meanwhile may hold the old records.
     forgotten: u64,
 }
 
@@ -90,7 +90,7 @@ impl FitCache {
         kept.channels.retain(|channel| channel.of != id);
     }
 
-    /// The dictionary, if these channels are here.
+    /// The dictionary with these channels, if all of them are in memory.
     fn find(&self, id: DictionaryId, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
         let mut kept = self.lock();
         let is_asked = |channel: &Channel| channel.of == id && channels.contains(&channel.index);
@@ -105,8 +105,8 @@ impl FitCache {
         found
     }
 
-    /// Lets others go until there is room for the wanted channels. Tells which of these are here, and how often records
-    /// have been forgotten.
+    /// Drops other channels until there is room for the wanted ones. Returns those of the wanted ones that are in memory,
+    /// and the number of times that records have changed.
     fn make_room(&self, id: DictionaryId, wanted: &[usize], each: usize) -> (Vec<(usize, FitChannel)>, u64) {
         let mut kept = self.lock();
         let is_wanted = |channel: &Channel| channel.of == id && wanted.contains(&channel.index);
@@ -122,7 +122,7 @@ impl FitCache {
         (here, kept.forgotten)
     }
 
-    /// Keeps what was read, unless records were forgotten since.
+    /// Keeps the channels that were read, unless records have changed since.
     fn keep(&self, of: DictionaryId, bytes: usize, read: &FitDictionary, forgotten: u64) {
         let mut kept = self.lock();
         if kept.forgotten == forgotten {
@@ -154,7 +154,7 @@ pub async fn load_dictionary(
     load_channels(store, name, id, grid, &all).await
 }
 
-/// The same with some of its channels.
+/// Reads some channels of a complete dictionary into memory, and compares its records with their digests.
 async fn load_channels(
     store: &Store,
     name: &DictionaryName,

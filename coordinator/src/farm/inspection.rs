@@ -1,4 +1,4 @@
-//! A look at the whole database.
+//! Inspects the whole database.
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
@@ -8,7 +8,7 @@ use super::Farm;
 use super::records::UNSTEADY;
 use crate::store::{JobRecords, StoreError};
 
-/// What a look at the whole database found.
+/// The findings of an inspection of the whole database.
 #[derive(Debug, Default)]
 pub(crate) struct Inspection {
     pub jobs: usize,
@@ -16,34 +16,34 @@ pub(crate) struct Inspection {
     /// Jobs whose records are not those that were stored, at two readings.
     pub damaged: Vec<(DictionaryName, u32, String)>,
     pub unreadable: Vec<Unreadable>,
-    /// What SQLite finds wrong with the file.
+    /// The faults of the file that SQLite reports.
     pub faults: Vec<String>,
-    /// Why SQLite could not look at the file.
+    /// The reason why SQLite could not check the file.
     pub unchecked: Option<String>,
 }
 
-/// Jobs of a dictionary of which nothing is known, since they could not be read; nothing of them was deleted.
+/// Jobs of a dictionary that could not be read, so that their state is not known; nothing of them was deleted.
 #[derive(Debug)]
 pub(crate) struct Unreadable {
     pub name: DictionaryName,
     pub jobs: usize,
-    /// The first of them, and why.
+    /// The first of them; `what` is the reason.
     pub first: u32,
     pub what: String,
 }
 
-/// What a job's records are.
+/// The state of a job's records.
 enum Look {
-    /// It is not done.
+    /// The job is not done.
     Nothing,
-    /// How many were stored.
+    /// Number of its records.
     Good(usize),
     Damaged(String),
     Unreadable(String),
 }
 
 impl Farm {
-    /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` says so.
+    /// Compares all records with their digests. Jobs that are damaged are computed again if `repair` is set.
     pub(crate) async fn inspect(&self, repair: bool) -> Inspection {
         let all: Vec<_> = self.scheduler.query(|dispatcher, _| {
             dispatcher

@@ -1,4 +1,4 @@
-//! The operations of workers: registration, leases, renewals. A request for leases waits until there is work.
+//! Implements the operations of workers: registration, leases, renewals. A request for leases waits until there is work.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ use super::{Farm, FarmError, Result};
 use crate::clock::{Random, random_token};
 use crate::dispatch::{Admission, Dispatcher, Grant, LeaseRequest, Registration};
 
-/// How a worker comes to its end.
+/// The way in which a worker ends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum WorkerEnd {
     /// It was asked to stop, and has little time left.
@@ -20,7 +20,7 @@ pub(crate) enum WorkerEnd {
     Left,
 }
 
-/// What a worker and the coordinator must agree on.
+/// The versions on which a worker and the coordinator must agree.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Versions {
     pub physics: u32,
@@ -51,8 +51,8 @@ impl Farm {
         self.scheduler.query(|dispatcher, _| dispatcher.roster().worker_token(worker))
     }
 
-    /// Lets a worker in; its id, and how long its leases hold. `votes_by_token`: each token has one vote about results, or
-    /// else each machine.
+    /// Registers a worker; returns its id and the duration of its leases. `votes_by_token`: each token has one vote about
+    /// results, or else each machine.
     pub(crate) async fn register(
         &self,
         about: Registration,
@@ -69,7 +69,7 @@ impl Farm {
         Ok((id, lease))
     }
 
-    /// Gives out leases; waits for work up to `patience`. None if none has come.
+    /// Grants leases; waits for work up to `patience`. None if none has come.
     pub(crate) async fn acquire(
         &self,
         worker: &WorkerId,
@@ -80,7 +80,7 @@ impl Farm {
         let request = request.into();
         let patience = tokio::time::sleep(patience);
         tokio::pin!(patience);
-        // Before the first look, so that no work comes between the two.
+        // Subscribed before the first look, so that no work is missed in between.
         let mut work = self.scheduler.work();
         loop {
             let grant = self.acquire_now(worker, request)?;
@@ -100,7 +100,7 @@ impl Farm {
         Ok(acquire?)
     }
 
-    /// Extends leases: those that are lost, and whether the worker is to leave.
+    /// Extends leases. Returns those that are lost, and whether the worker is to leave.
     pub(crate) fn renew(
         &self,
         worker: &WorkerId,
@@ -109,12 +109,13 @@ impl Farm {
         Ok(self.scheduler.transition(|dispatcher, now| dispatcher.renew(now, worker, leases))?)
     }
 
-    /// Whether a result is wanted, and what it must look like.
+    /// Decides whether a result is accepted, and returns the job that it must match.
     pub(super) fn admit(&self, worker: &WorkerId, key: &LeaseKey, identity: Digest) -> Result<Admission> {
         Ok(self.scheduler.transition(|dispatcher, now| dispatcher.admit(now, worker, key, identity))?)
     }
 
-    /// Takes leases back; a worker that leaves gives all of its leases back, also those it has not heard of.
+    /// Takes leases back; a worker that leaves gives all of its leases back, including those whose grant it has not
+    /// received.
     pub(crate) fn hand_back(&self, worker: &WorkerId, leases: &[LeaseKey], end: Option<WorkerEnd>) {
         self.scheduler.transition(|dispatcher, _| {
             dispatcher.hand_back(leases);
@@ -133,7 +134,7 @@ impl Farm {
         Ok(counted?)
     }
 
-    /// Looks at all that time alone changes; returns how many leases were freed since their workers are silent.
+    /// Performs the transitions that depend on time alone; returns the number of leases that were freed.
     pub(crate) fn look_over(&self) -> usize {
         self.scheduler.transition(Dispatcher::look_over)
     }

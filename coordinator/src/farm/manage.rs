@@ -1,5 +1,5 @@
-//! The operations of clients and admins: submit, pause, resume, cancel, retry, delete, explain, drain. Changes of
-//! dictionaries run one at a time.
+//! Implements the operations of clients and admins: submit, pause, resume, cancel, retry, delete, explain, drain. Changes
+//! of dictionaries run one at a time.
 
 use std::collections::HashSet;
 
@@ -40,7 +40,7 @@ impl Farm {
             return Err(FarmError::NameTaken { name });
         }
         grid.check_parts()?;
-        // What has no room in memory must not be in the store, where the next start would find it.
+        // A dictionary for which there is no room in memory must not be stored, since the next start would load it.
         let planned = grid.clone();
         let plan = blocking(move || Plan::new(&planned)).await;
         self.check_room(by, &plan)?;
@@ -59,8 +59,8 @@ impl Farm {
         self.status(&name)
     }
 
-    /// The coordinator keeps account of every job of every dictionary: all together have a limit, and what one token has
-    /// submitted leaves room for others.
+    /// Checks the limits for a new dictionary. The coordinator keeps account of every job of every dictionary: all
+    /// together have a limit, and those of one token leave room for others.
     fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
         let of_one = self
             .scheduler
@@ -87,12 +87,12 @@ impl Farm {
         Ok(())
     }
 
-    /// Begins with a new dictionary: uses the records that exist already, and serves the rest.
+    /// Begins to serve a new dictionary; jobs whose records exist already are done.
     async fn take_up(&self, by: &Actor, plan: Plan, stored: StoredDictionary) -> Result<()> {
         let (id, grid) = (stored.id, stored.grid.clone());
         let shared = self.store.ledger().shared().await;
         let reused = if grid.quality().is_some() {
-            // How many walks a point ends with is not known before.
+            // The final number of walks of a point is not known in advance.
             0
         } else {
             let of_jobs = grid.clone();
@@ -106,7 +106,7 @@ impl Farm {
         let dictionary = Dictionary::planned(plan, stored, &ended);
         self.scheduler.transition(|dispatcher, _| dispatcher.add_dictionary(dictionary));
         self.find_blocks(&shared, id).await?;
-        // What came in the meantime.
+        // Records may have arrived in the meantime.
         self.take_over_done(&shared, id).await?;
         let (jobs, records) = (grid.job_count(), grid.stored_records());
         let message = format!("{jobs} jobs, {records} records; {reused} jobs are there already");
@@ -115,7 +115,7 @@ impl Farm {
         Ok(())
     }
 
-    /// Takes up blocks of divided jobs that the store holds.
+    /// Notes in the dispatcher which blocks of divided jobs the store holds.
     pub(super) async fn find_blocks(
         &self,
         _held: &LedgerGuard<'_>,
@@ -151,7 +151,7 @@ impl Farm {
         self.change(by, name, DesiredState::Cancel, reason, &from).await
     }
 
-    /// The dictionary of a name, if it is one that this one may change.
+    /// The dictionary of a name, if the actor may change it.
     fn changeable(&self, by: &Actor, name: &DictionaryName) -> Result<DictionaryStatus> {
         let status = self.status(name)?;
         if by.may_change(&status.owner) {
@@ -224,7 +224,7 @@ impl Farm {
         self.status(name)
     }
 
-    /// Removes a dictionary that does not run; returns how many records went with it.
+    /// Removes a dictionary that does not run; returns the number of records that were deleted with it.
     pub(crate) async fn delete(&self, by: &Actor, name: &DictionaryName) -> Result<u64> {
         let _one_at_a_time = self.managing.lock().await;
         let state = self.changeable(by, name)?.state();
@@ -244,7 +244,7 @@ impl Farm {
         Ok(records)
     }
 
-    /// Where blocks of a dictionary's unfinished jobs are gathered, and of no other one's.
+    /// Identities of the points that gather blocks of this dictionary's unfinished jobs, and of no other dictionary's.
     fn blocks_of_none_but(&self, id: DictionaryId) -> Vec<Digest> {
         let gathered = |d: &Dictionary| d.divided_jobs().into_iter().map(|(_, job)| job.sums_identity());
         self.scheduler.query(|dispatcher, _| {
@@ -273,14 +273,14 @@ impl Farm {
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
-    /// Lets a machine in again that was fenced off.
+    /// Readmits a machine that was fenced off.
     pub(crate) async fn readmit(&self, by: &Actor, which: &str) -> Result<()> {
         let lifted = self.scheduler.transition_by(by, |dispatcher, _| dispatcher.lift_fence(which));
         self.scheduler.settled().await;
         lifted.map(drop).map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
-    /// Jobs of a dictionary that were given up, from one on.
+    /// Jobs of a dictionary that were given up, from the index `from` on.
     pub(crate) fn failed_jobs(
         &self,
         name: &DictionaryName,

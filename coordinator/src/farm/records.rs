@@ -1,7 +1,7 @@
 //! Reads records, and has them computed again when the disk returns others than were stored.
 //!
-//! Records are forgotten only if they are not those that were stored, twice: a read that fails is no evidence about them,
-//! and what differs at one reading alone lies in memory, a cable or a cache.
+//! Records are set aside only if two readings differ from what was stored: a read that fails is no evidence about them,
+//! and a difference at one reading alone stems from memory, a cable or a cache.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use super::{Farm, FarmError, Result};
 use crate::dispatch::EventKind;
 use crate::store::{Damaged, JobRecords, StoreError};
 
-/// What is said of records that were damaged at the first reading, and not at the second.
+/// The message about records that were damaged at the first reading, and not at the second.
 pub(super) const UNSTEADY: &str = "it differed from what was stored at one reading, and not at the next";
 
 impl Farm {
@@ -53,7 +53,7 @@ impl Farm {
         }
     }
 
-    /// Why a job's records are not those that were stored, at a reading of its own.
+    /// The damage that a separate reading of a job's records finds; None if they are intact.
     pub(super) async fn damage_of(
         &self,
         id: DictionaryId,
@@ -63,7 +63,7 @@ impl Farm {
         Ok(self.store.job_read_again(id, grid, job).await?.err().map(|damaged| damaged.what))
     }
 
-    /// Reads a job once more; only if that finds damage too it is computed again, if its dictionary goes on.
+    /// Reads a job once more. If that finds damage too, the job is computed again, as far as its dictionary goes on.
     pub(super) async fn forget_if_damaged(
         &self,
         id: DictionaryId,
@@ -73,7 +73,7 @@ impl Farm {
         let exclusive = self.store.ledger().exclusive().await;
         let Some(what) = self.damage_of(id, grid, job).await? else { return Ok(None) };
         let mut again = exclusive.set_job_aside(id, job).await?;
-        // One that has lost its end has no records to be forgotten.
+        // A job that has lost its end has no records to be set aside.
         again.push((id, job));
         self.begin_again(&exclusive, again);
         drop(exclusive);
@@ -82,8 +82,8 @@ impl Farm {
         Ok(Some(what))
     }
 
-    /// Answers a question to a complete dictionary, off the async threads. It is about the channels of
-    /// these names, or the first if none is given. When the answer is not awaited any more, the work ends soon.
+    /// Answers a question to a complete dictionary, off the async threads. The question is about the channels of these
+    /// names, or the first if none is given. When the answer is no longer awaited, the work ends soon.
     pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
@@ -115,7 +115,7 @@ impl Farm {
     }
 }
 
-/// Why work has no result. A panic is in the log.
+/// The error of work that has ended without a result. A panic is in the log.
 pub(super) fn ended_early(error: &JoinError) -> FarmError {
     if error.is_panic() { FarmError::Defect } else { FarmError::Stopping }
 }

@@ -1,4 +1,4 @@
-//! The budget of memory for results that are being received or stored.
+//! Limits the memory for results that are being received or stored.
 //!
 //! Memory is reserved as bytes arrive, so a result that is only announced, or trickles, holds next to nothing. Each
 //! machine and each access token may reserve a share. A result for which none is left waits. One result at a time may
@@ -54,7 +54,7 @@ impl ResultBudget {
         Self { bytes, share_bytes, token_bytes, all, overdraft, shares, tokens }
     }
 
-    /// Begins a stream of results from a machine that has shown the token of a name.
+    /// Begins a stream of results from a machine that has presented the token of a name.
     pub fn stream(self: &Arc<Self>, token: &str, machine: String) -> ResultStream {
         let of_token = self.of_token(token);
         let mut shares = self.shares();
@@ -77,7 +77,7 @@ impl ResultBudget {
         share
     }
 
-    /// Why results wait, if any do.
+    /// The reason why results wait, if any do.
     pub fn shortage(&self) -> Option<String> {
         let shares = self.shares();
         let waiting: usize = shares.values().map(|share| share.waiting).sum();

@@ -20,9 +20,9 @@ use crate::dispatch::DispatchError;
 use crate::store::StoreError;
 use crate::stored::{JobResult, Machine, Outcome};
 
-/// How long a worker may take for the next piece of a result.
+/// Longest time until a worker sends the next piece of a result.
 const PATIENCE: Duration = Duration::from_mins(1);
-/// Bytes that a result must bring in a second beyond that.
+/// Lowest rate of a result beyond that, in bytes per second.
 const SLOWEST: usize = 64 << 10;
 
 /// A piece of a stream of results: each result is a header, and then its content.
@@ -42,7 +42,7 @@ pub(crate) struct Header {
     pub identity: Digest,
 }
 
-/// Why a result came to nothing.
+/// The reason why a result was not stored.
 #[derive(Debug)]
 pub(crate) enum Refusal {
     /// The worker is to deliver it again later.
@@ -51,12 +51,12 @@ pub(crate) enum Refusal {
     Unwanted(DispatchError),
 }
 
-/// A result on its way to the disk, or one that is not wanted.
+/// A result that is being stored, or the error of one that is refused.
 type Task = Result<JoinHandle<Result<Outcome>>, DispatchError>;
 
 impl Farm {
-    /// Receives all results of a machine's stream, storing each while the next comes in; what became of them, in their
-    /// order.
+    /// Receives all results of a machine's stream, storing each while the next is received. Returns their outcomes, in
+    /// their order.
     pub(crate) async fn receive<S, E>(
         self: &Arc<Self>,
         machine: &Machine,
@@ -99,7 +99,7 @@ impl Farm {
                         farm.complete(worker, key, admission, result).await
                     })));
                 }
-                // Only this one is not wanted; the others of the stream are.
+                // Only this result is refused; the others of the stream are accepted.
                 Err(FarmError::Dispatch(
                     error @ (DispatchError::LeaseLost { .. } | DispatchError::UnknownJob(_)),
                 )) => {
@@ -116,7 +116,7 @@ impl Farm {
         Ok(delivered)
     }
 
-    /// A result that no job has, such as one that is not a number: an attempt that failed.
+    /// Counts an impossible result, such as one with NaN, as a failed attempt.
     fn cannot_be(&self, worker: &WorkerId, key: &LeaseKey, why: &Invalid) {
         let reason = format!("its result cannot be: {why}");
         // Without a lease it counts for nothing.
@@ -147,7 +147,7 @@ struct Pieces<S> {
     budget: ResultStream,
 }
 
-/// How long a result of `bytes` bytes may take from its header to its end.
+/// Longest time that a result of `bytes` bytes may take from its header to its end.
 fn longest(bytes: usize) -> Duration {
     PATIENCE + Duration::from_secs((bytes / SLOWEST) as u64)
 }
@@ -172,7 +172,7 @@ where
         let gathered = tokio::time::timeout(time, self.gather(job, &mut reservation)).await;
         let (bytes, after) = gathered.map_err(|_| FarmError::Slow(time.as_secs()))??;
         let checked = if job.block().is_some() {
-            // Refused here rather than when they are merged.
+            // Invalid sums are refused here rather than when they are merged.
             Sums::from_le_bytes(job, 1, &bytes).map(|_| JobResult::Sums(bytes))
         } else {
             PackedRecords::new(job, bytes).map(JobResult::Records)
@@ -180,8 +180,8 @@ where
         Ok((checked, reservation, after))
     }
 
-    /// The pieces of one result as a whole, not longer than it may be, and what comes after it. They are copied to a place
-    /// of just their size: as they are, they hold on to the messages that they came in, however large these are.
+    /// Joins the pieces of one result, up to its permitted length, and returns them with the piece that follows. They are
+    /// copied to a buffer of exactly their size: otherwise each would keep the whole message in memory in which it arrived.
     async fn gather(
         &mut self,
         job: &JobSpec,
@@ -208,13 +208,13 @@ where
                 return Err(refused(what, given, format!("{wanted} are needed")));
             }
             self.budget.reserve(reservation, piece.len()).await;
-            // All at once, so that it is never moved; the system gives the memory as it is written to.
+            // Reserved all at once, so that the buffer is never moved; the system provides the memory as it is written to.
             whole.reserve(wanted - whole.len());
             whole.extend_from_slice(&piece);
         }
     }
 
-    /// Passes over the content of a result that is not wanted.
+    /// Passes over the content of a refused result.
     async fn skip(&mut self) -> Result<Option<Piece>, E> {
         loop {
             match self.next().await? {

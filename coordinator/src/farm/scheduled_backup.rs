@@ -1,8 +1,8 @@
-//! Backups that the coordinator makes by itself.
+//! Makes backups on a schedule.
 //!
-//! Each is one that `farmctl backup` would make: verified, with its checksum. They have the time in their names, so that
-//! they are in order by name, and the oldest go when there are enough. One that fails is tried again before long; those
-//! that are there stay.
+//! Each is like one that `farmctl backup` makes: verified, with its checksum. Their names contain the time, so that they
+//! are in order by name, and the oldest are removed when there are enough. One that fails is retried before long; the
+//! existing ones stay.
 
 use std::io;
 use std::os::unix::fs::DirBuilderExt as _;
@@ -19,10 +19,10 @@ use crate::config::BackupSchedule;
 use crate::dispatch::EventKind;
 use crate::store::StoreError;
 
-/// How names begin and end.
+/// Prefix and suffix of the names.
 const PREFIX: &str = "farm-";
 const SUFFIX: &str = ".db";
-/// Longest time until one that has failed is tried again.
+/// Longest time until a failed backup is retried.
 const AGAIN: Duration = Duration::from_mins(10);
 
 impl Farm {
@@ -34,7 +34,7 @@ impl Farm {
                 () = shutdown.cancelled() => return,
                 () = tokio::time::sleep(pause) => {}
             }
-            // A stop does not wait for a large database to be copied: what was begun is removed.
+            // A stop does not wait for a large database to be copied: an unfinished copy is removed.
             let made = tokio::select! {
                 () = shutdown.cancelled() => return,
                 made = self.scheduled_backup(&schedule) => made,
@@ -51,7 +51,7 @@ impl Farm {
         }
     }
 
-    /// How long until the first is due: one of a run before may be young enough.
+    /// Time until the first backup is due: one of an earlier run may be recent enough.
     async fn until_first(&self, schedule: &BackupSchedule) -> Duration {
         let folder = schedule.folder.clone();
         let newest = blocking(move || {
@@ -85,7 +85,7 @@ impl Farm {
     }
 }
 
-/// When the last scheduled backup was made, on a clock that never jumps.
+/// The time of the last scheduled backup, on a clock that never jumps.
 #[derive(Debug)]
 pub(super) struct LastBackup {
     clock: Clock,
@@ -104,7 +104,7 @@ impl LastBackup {
         *self.age_at.lock().unwrap_or_else(PoisonError::into_inner) = Some((age, self.clock.now()));
     }
 
-    /// How old it is; None if there is none.
+    /// Age of the last backup; None if there is none.
     pub fn age(&self) -> Option<Duration> {
         let (age, at) = (*self.age_at.lock().unwrap_or_else(PoisonError::into_inner))?;
         Some(age + self.clock.now().saturating_sub(at))
@@ -117,7 +117,7 @@ fn name(unix_ms: u64) -> String {
     format!("{PREFIX}{}{SUFFIX}", time.strftime("%Y%m%dT%H%M%SZ"))
 }
 
-/// The scheduled backups of a folder, the oldest first. Others that lie there have other names.
+/// The scheduled backups of a folder, the oldest first. Other files in it have other names.
 fn scheduled(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let is_one = |name: &str| {
         let time = name.strip_prefix(PREFIX).and_then(|name| name.strip_suffix(SUFFIX));
@@ -136,7 +136,7 @@ fn scheduled(folder: &Path) -> io::Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// Removes the oldest, with their checksums, until `keep` are left. What has a later name than the one just made was
+/// Removes the oldest, with their checksums, until `keep` are left. A backup with a later name than the one just made was
 /// made before the clock was set back, so it is older than all others.
 fn forget_old(folder: &Path, keep: usize, just_made: &Path) -> io::Result<()> {
     let mut all = scheduled(folder)?;
@@ -148,14 +148,14 @@ fn forget_old(folder: &Path, keep: usize, just_made: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Makes the folder if need be, and clears it of what a coordinator that was killed had begun.
+/// Creates the folder if there is none, and removes unfinished backups of a coordinator that was killed.
 fn prepare(folder: &Path) -> io::Result<()> {
     std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)?;
     for entry in std::fs::read_dir(folder)? {
         let path = entry?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let begun = name.starts_with(PREFIX) && name.contains(".db.draft");
-        // One that is being written is locked.
+        // A draft that is being written is locked.
         if begun && std::fs::File::open(&path).is_ok_and(|file| file.try_lock().is_ok()) {
             std::fs::remove_file(&path)?;
         }
@@ -167,7 +167,7 @@ fn prepare(folder: &Path) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// They count as newer than those with later times in their names.
+    /// Backups made after the clock was set back count as newer than those with later times in their names.
     #[test]
     fn backups_after_a_clock_change_are_kept() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Serialises access to the dispatcher and publishes what each transition produced.
+//! Serialises access to the dispatcher and publishes the output of each transition.
 //!
 //! The dispatcher is reached through this type alone. A [`Scheduler::transition`] locks once and then empties the outbox:
 //! effects go to the one task that performs them, events to the recorder, counts to the metrics, and the tasks that wait
@@ -16,7 +16,7 @@ use crate::clock::Clock;
 use crate::dispatch::{Count, Dispatcher, Effect, Event, EventKind, Outbox, Purpose};
 use crate::metrics::{JobFailure, LeaseKind, Metrics, VerificationOutcome};
 
-/// What the task that performs effects is to do.
+/// An order to the task that performs effects.
 #[derive(Debug)]
 pub(super) enum Order {
     Perform(Effect),
@@ -58,12 +58,12 @@ impl Scheduler {
         (scheduler, receiver)
     }
 
-    /// Changes the state and publishes what the change produced.
+    /// Changes the state and publishes the output of the change.
     pub fn transition<T>(&self, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
         self.transition_by(&Actor::default(), change)
     }
 
-    /// The same on behalf of an actor, whose name goes into the events.
+    /// Changes the state on behalf of an actor, whose name goes into the events.
     pub fn transition_by<T>(&self, actor: &Actor, change: impl FnOnce(&mut Dispatcher, Duration) -> T) -> T {
         let (value, outbox) = {
             let mut dispatcher = self.lock();
@@ -87,9 +87,9 @@ impl Scheduler {
         look(&self.lock(), self.clock.now())
     }
 
-    /// Waits until everything is durable that was decided before.
+    /// Waits until all earlier decisions are durable.
     pub async fn settled(&self) {
-        // As nearly always: results seldom bring about decisions.
+        // The usual case: results seldom cause decisions.
         if self.outstanding.load(Ordering::SeqCst) == 0 {
             return;
         }
@@ -99,12 +99,12 @@ impl Scheduler {
         }
     }
 
-    /// An effect was performed, or put off.
+    /// Notes that an effect was performed, or deferred.
     pub fn performed(&self) {
         self.outstanding.fetch_sub(1, Ordering::SeqCst);
     }
 
-    /// Notes an event that no change of the state has brought about.
+    /// Records an event that no change of the state has caused.
     pub fn note(&self, actor: &Actor, kind: EventKind, message: impl Into<String>) {
         self.recorder.record(&Event { actor: actor.to_string(), ..Event::of_farm(kind, message) });
     }
@@ -113,17 +113,17 @@ impl Scheduler {
         &self.metrics
     }
 
-    /// Wakes up after every change that happens from now on.
+    /// A receiver that is woken after every change from now on.
     pub fn changes(&self) -> watch::Receiver<()> {
         self.changed.subscribe()
     }
 
-    /// Wakes up whenever there may be work for a worker that waits.
+    /// A receiver that is woken whenever there may be work for a waiting worker.
     pub fn work(&self) -> watch::Receiver<()> {
         self.work.subscribe()
     }
 
-    /// Writes what is still to be written.
+    /// Writes all pending effects and events.
     pub async fn close(&self) {
         self.settled().await;
         self.recorder.finish().await;

@@ -13,7 +13,7 @@ impl Farm {
     /// Ends jobs of other dictionaries that the records of a job serve too.
     pub(super) async fn serve_others(&self, held: &LedgerGuard<'_>, served: Vec<JobRef>, by: Origin) {
         for (id, job) in served {
-            // Then it is computed by itself.
+            // If this fails, the job is computed by itself.
             if let Err(error) = self.take_over(held, id, &[job], Some(by)).await {
                 tracing::warn!(%error, job, "a job could not be ended with the records of another dictionary");
             }
@@ -55,7 +55,7 @@ impl Farm {
         });
         let is_taken = |job: u32| taken.iter().any(|(taken, _)| *taken == job);
         for (_, spec) in specs.iter().filter(|(job, spec)| spec.block().is_some() && is_taken(*job)) {
-            // Its blocks are not needed any more.
+            // The blocks of the job are no longer needed.
             held.delete_blocks(spec).await?;
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! States and counts at one moment, for the port of the metrics.
+//! Collects states and counts at one moment, for the port of the metrics.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ impl Farm {
         Snapshot { database_bytes, backup_age_s, ..self.scheduler.query(snapshot) }
     }
 
-    /// Why it cannot serve, if it cannot.
+    /// Whether the farm can serve; the error is the reason why it cannot.
     pub(crate) fn ready(&self) -> Result<(), String> {
         match self.store_fault() {
             Some(fault) => Err(format!("results cannot be stored: {fault}")),
@@ -43,7 +43,7 @@ fn snapshot(dispatcher: &Dispatcher, now: Duration) -> Snapshot {
         } += 1;
         snapshot.work_done.push((dictionary.name().to_string(), dictionary.work_done()));
     }
-    // Those that are still at work are the most interesting, then the newest.
+    // Unfinished dictionaries come first, then the others, the newest first among both.
     snapshot.work_done.reverse();
     snapshot.work_done.sort_by_key(|(_, done)| *done >= 1.0);
     for worker in dispatcher.workers(now, &farm_proto::ids::WorkerId(String::new()), usize::MAX) {

@@ -1,5 +1,5 @@
-//! A farm on a store of its own, without network: what it does when the disk does not give back what it was given, and
-//! how dictionaries share records.
+//! Tests a farm on a store of its own, without network: how it handles a disk that returns other bytes than were written,
+//! and how dictionaries share records.
 
 mod fitting;
 mod result_stream;
@@ -27,7 +27,7 @@ use crate::store::{DataDir, Store};
 use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome, OutcomeKind};
 
 const JOBS: u32 = 40;
-/// As few as a fit may have.
+/// The fewest pixels that a fit may have.
 const PIXELS: usize = 8;
 
 fn grid() -> Grid {
@@ -87,7 +87,7 @@ async fn done() -> (Arc<Farm>, tempfile::TempDir) {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();
     }
     let farm = load(store).await;
-    // Nothing is written behind this test's back.
+    // Nothing else is written during the test.
     farm.scheduler.close().await;
     (farm, dir)
 }
@@ -96,14 +96,14 @@ fn jobs_done(farm: &Farm) -> u32 {
     farm.status(&name()).unwrap().jobs_done as u32
 }
 
-/// The database's log, and what it holds.
+/// Path and contents of the database's log.
 fn log(dir: &tempfile::TempDir) -> (PathBuf, Vec<u8>) {
     let path = dir.path().join("farm.db-wal");
     let bytes = std::fs::read(&path).unwrap();
     (path, bytes)
 }
 
-/// Puts bytes back where they were; what came after them stays.
+/// Writes bytes back to the start of a file; the bytes after them stay.
 fn restore(path: &Path, bytes: &[u8]) {
     std::fs::File::options().write(true).open(path).unwrap().write_all_at(bytes, 0).unwrap();
 }
@@ -150,7 +150,7 @@ async fn transient_read_damage_keeps_the_record() {
     assert!(found.damaged.is_empty(), "{found:?}");
     assert_eq!(found.unreadable.len(), 1, "{found:?}");
     assert!(found.unreadable[0].what.contains("at one reading, and not at the next"), "{found:?}");
-    // Another connection than the one that read it wrongly may be asked.
+    // Another connection than the one that read it wrongly may be used.
     if let Err(unsteady) = farm.records(&name(), 0..80).await {
         assert!(matches!(unsteady, FarmError::Unreadable { job: 17, .. }), "{unsteady:?}");
     }
@@ -210,7 +210,8 @@ async fn too_large_grid_is_refused_before_storing() {
     assert_eq!(farm.store.dictionaries().await.unwrap().len(), 1);
 }
 
-/// An earlier version may have stored one. It is cancelled with the reason and does not prevent the start.
+/// A dictionary that is too large, which an earlier version may have stored, is cancelled with the reason and does not
+/// prevent the start.
 #[tokio::test]
 async fn too_large_dictionary_is_cancelled_at_start() {
     let dir = tempfile::tempdir().unwrap();
@@ -248,7 +249,7 @@ async fn worker(farm: &Farm, label: &str) -> WorkerId {
     farm.register(about, versions, false).await.unwrap().0
 }
 
-/// Gives a worker one job, and takes records whose numbers are all the same.
+/// Gives a worker one job, and delivers records whose numbers are all the same.
 async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
     let lease = farm.acquire_now(worker, 1).unwrap().leases.remove(0);
     let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
@@ -273,7 +274,7 @@ async fn dispute_wakes_workers_that_wait() {
     assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 
-/// Lets a worker do all that is given out; the number of jobs.
+/// Lets a worker do all jobs that are given out; returns their number.
 async fn work(farm: &Farm, worker: &WorkerId) -> usize {
     let mut done = 0;
     while let Some(lease) = farm.acquire_now(worker, 1).unwrap().leases.pop() {

@@ -1,4 +1,4 @@
-//! Maintenance of the database while no job is computed.
+//! Maintains the database while no job is computed.
 
 use std::sync::Weak;
 use std::time::Duration;
@@ -7,10 +7,10 @@ use super::Farm;
 
 /// Pause between two looks.
 const PAUSE: Duration = Duration::from_secs(10);
-/// How long the end of a coordinator may be put off for it.
+/// Longest time by which maintenance may delay the end of a coordinator.
 const AT_END: Duration = Duration::from_secs(3);
 
-/// Looks after the database as long as there is a farm.
+/// Maintains the database as long as the farm exists.
 pub(super) async fn keep(farm: Weak<Farm>) {
     loop {
         tokio::time::sleep(PAUSE).await;
@@ -22,7 +22,7 @@ pub(super) async fn keep(farm: Weak<Farm>) {
 }
 
 impl Farm {
-    /// Gives back room on the disk, unless there are leases: their results would have to wait.
+    /// Returns disk space, unless there are leases: their results would have to wait.
     async fn give_back_room(&self) {
         let (_, leased) = self.scheduler.query(|dispatcher, _| dispatcher.schedule().load());
         if leased > 0 {
@@ -33,7 +33,7 @@ impl Farm {
         }
     }
 
-    /// The same before the database is closed; what is left is for the next time.
+    /// Returns disk space before the database is closed, for a limited time; the rest is left for the next time.
     pub(super) async fn give_back_room_at_end(&self) {
         let _ = tokio::time::timeout(AT_END, self.give_back_room()).await;
     }

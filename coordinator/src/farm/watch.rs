@@ -1,4 +1,4 @@
-//! A dictionary's progress, as it comes.
+//! Reports the progress of a dictionary as it changes.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,8 +11,8 @@ use tokio::time::{Instant, timeout_at};
 
 use super::{Farm, FarmError, Result};
 
-/// After so long without news the last are repeated: proxies and routers cut connections that are silent for as little as
-/// 20 s, and a client sees by the silence that its connection leads nowhere.
+/// After this time without a change the last state is repeated: proxies and routers cut connections that are silent for
+/// as little as 20 s, and a client recognises a dead connection by its silence.
 pub(super) const REPEAT: Duration = Duration::from_secs(10);
 
 /// Least time between two states.
@@ -22,19 +22,19 @@ const PAUSE: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(crate) struct Watch {
     farm: Arc<Farm>,
-    /// Which it is; another one may take its name.
+    /// Identifies the dictionary; another one may take its name.
     id: DictionaryId,
     name: DictionaryName,
     changes: watch::Receiver<()>,
-    /// The state that was sent last,
+    /// The state that was sent last.
     last: Option<DictionaryStatus>,
-    /// and when.
+    /// The time at which it was sent.
     sent: Instant,
 }
 
 impl Farm {
     pub(crate) fn watch(self: &Arc<Self>, name: DictionaryName) -> Result<Watch> {
-        // Before the first look, so that no change falls between the two.
+        // Subscribed before the first look, so that no change is missed in between.
         let changes = self.scheduler.changes();
         let (id, _) = self.found(&name)?;
         Ok(Watch { farm: self.clone(), id, name, changes, last: None, sent: Instant::now() })
@@ -75,7 +75,8 @@ impl Watch {
     }
 }
 
-/// Whether nothing has changed that people would see: the time that is left changes all the time, by a little.
+/// Whether two states are the same to a user: small changes of the remaining time do not count, since it changes all the
+/// time.
 fn same(a: &DictionaryStatus, b: &DictionaryStatus) -> bool {
     let near = match (a.eta_s, b.eta_s) {
         (Some(a), Some(b)) => (a - b).abs() <= 0.1 * a.max(b),

@@ -1,4 +1,4 @@
-//! The states of a dictionary's jobs, as they change.
+//! Reports the states of a dictionary's jobs as they change.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -34,11 +34,11 @@ pub(crate) struct JobWatch {
     farm: Arc<Farm>,
     id: DictionaryId,
     changes: watch::Receiver<()>,
-    /// What was found at the last look,
+    /// The states at the last look.
     last: Vec<JobState>,
-    /// and what of it is still to be sent.
+    /// The runs of these states that are still to be sent.
     runs: VecDeque<JobRun>,
-    /// When something was sent last.
+    /// The time at which something was sent last.
     sent: Instant,
     /// The dictionary has ended: there will be no other look.
     ended: bool,
@@ -46,7 +46,7 @@ pub(crate) struct JobWatch {
 
 impl Farm {
     pub(crate) fn watch_jobs(self: &Arc<Self>, name: &DictionaryName) -> Result<JobWatch> {
-        // Before the first look, so that no change falls between the two.
+        // Subscribed before the first look, so that no change is missed in between.
         let mut changes = self.scheduler.changes();
         changes.mark_changed();
         let (id, _) = self.found(name)?;
@@ -102,7 +102,7 @@ impl JobWatch {
     }
 }
 
-/// The runs of states that were not so before.
+/// The runs of states that have changed.
 fn changed(before: &[JobState], now: &[JobState]) -> VecDeque<JobRun> {
     let is_new = |i: &usize| before.get(*i) != now.get(*i);
     let mut runs: Vec<std::ops::Range<usize>> = Vec::new();

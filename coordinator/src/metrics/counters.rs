@@ -1,6 +1,6 @@
-//! What the coordinator counts and times while it works.
+//! Counts and times events while the coordinator works.
 //!
-//! Each label takes values of a fixed list alone, so that no caller can make the metrics grow.
+//! Labels take values of fixed lists only, so that no caller can make the metrics grow.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ use crate::stored::OutcomeKind;
 use super::exposition::{self, Format};
 use super::snapshot::{Scrape, Snapshot};
 
-/// 0.1 ms to a minute, three a decade.
+/// Bounds of buckets from 0.1 ms to a minute, three a decade.
 const SECONDS: [f64; 18] = [
     0.0001, 0.000_25, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0,
     25.0, 60.0,
@@ -46,7 +46,7 @@ const CODES: [&str; 17] = [
     "UNAUTHENTICATED",
 ];
 const UNKNOWN: usize = 2;
-/// Stands for all methods that the server does not have.
+/// Label of all methods that the server does not have.
 const OTHER: &str = "other";
 
 /// An enumeration whose variants are the values of a label.
@@ -67,11 +67,11 @@ macro_rules! label {
 }
 
 label! {
-    /// `Failed`: one attempt; `Quarantined`: given up.
+    /// `Failed`: an attempt failed; `Quarantined`: the job was given up.
     JobFailure { Failed = "failed", Quarantined = "quarantined" }
 }
 label! {
-    /// Why a lease was granted.
+    /// Reason for which a lease was granted.
     LeaseKind { First = "first", Retry = "retry", Speculative = "speculative", Verification = "verification" }
 }
 label! {
@@ -79,7 +79,7 @@ label! {
     VerificationOutcome { Agreed = "agreed", Disputed = "disputed" }
 }
 
-/// What was built, for `farm_build_info`.
+/// Version of the build, for `farm_build_info`.
 #[derive(Debug, Clone)]
 pub struct BuildInfo {
     pub version: String,
@@ -158,7 +158,7 @@ impl Metrics {
         Self(Arc::new(inner))
     }
 
-    /// An answered call; `path` as the client asked for it, `code` the number of its gRPC code.
+    /// Records an answered call: `path` as the client requested it, `code` the number of its gRPC code.
     pub fn rpc(&self, path: &str, code: i32, elapsed: Duration) {
         let method = self.0.methods.get(path).copied().unwrap_or(OTHER);
         let known = usize::try_from(code).ok().and_then(|code| CODES.get(code));
@@ -188,7 +188,7 @@ impl Metrics {
         self.0.verifications.get_or_create(&Outcome { outcome: outcome.value() }).inc();
     }
 
-    /// One transaction that is on disk, with the jobs and records that came with it.
+    /// Records a transaction that is on disk, with the numbers of its jobs and records.
     pub fn committed(&self, elapsed: Duration, jobs: u64, records: u64) {
         self.0.commits.inc();
         self.0.commit_seconds.observe(elapsed.as_secs_f64());
@@ -208,7 +208,7 @@ impl Metrics {
         self.0.fits_stopped.inc();
     }
 
-    /// All metrics as text, with those that hold at this moment.
+    /// All metrics as text, including those of the current state.
     pub(super) fn expose(&self, snapshot: Snapshot, format: Format) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
         now.register_collector(Box::new(Scrape::new(snapshot)));
@@ -279,7 +279,7 @@ impl Inner {
     }
 }
 
-/// All values are there from the start, at zero: otherwise the first event of a kind is not seen as a rise.
+/// All values exist from the start, at zero: otherwise the first event of a kind would not appear as an increase.
 fn family<L: Clone + std::hash::Hash + Eq>(
     values: &[&'static str],
     label: fn(&'static str) -> L,

@@ -1,20 +1,20 @@
-//! The two text formats that scrapers ask for.
+//! Writes metrics in the two text formats that scrapers request.
 //!
-//! OpenMetrics describes a counter without the `_total` of its samples, the older format with it; a reader of the
-//! older one would take our counters for metrics without type or help.
+//! OpenMetrics describes a counter without the `_total` of its samples, the older format with it; a reader of the older
+//! one would take these counters for metrics without type or help.
 
 use std::collections::HashSet;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
-    /// For those that ask for it, as Prometheus does.
+    /// The format for scrapers that request it, as Prometheus does.
     OpenMetrics,
-    /// For all others: people with curl, `promtool check metrics`, older collectors.
+    /// The format for all others: curl, `promtool check metrics`, older collectors.
     Prometheus,
 }
 
 impl Format {
-    /// Quality factors do not matter: who names OpenMetrics can read it.
+    /// Ignores quality factors: a client that names OpenMetrics can read it.
     pub(super) fn best_of<'a>(accepted: impl IntoIterator<Item = &'a str>) -> Self {
         let types = accepted.into_iter().flat_map(|line| line.split(','));
         let mut names = types.filter_map(|kind| kind.split(';').next());

@@ -1,6 +1,6 @@
-//! What this process takes of the machine, in the words that Prometheus clients have agreed upon.
+//! Reads the use of memory, files and processor time by this process, for the standard metrics of Prometheus clients.
 
-/// Values that the system does not provide are left out.
+/// Resource use of this process. Values that the system does not provide are left out.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Process {
     pub(super) resident_memory_bytes: Option<u64>,
@@ -18,7 +18,7 @@ impl Process {
     }
 }
 
-/// Linux alone has these files.
+/// Reads `/proc`, which exists on Linux alone.
 fn resident_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
@@ -26,7 +26,7 @@ fn resident_memory_bytes() -> Option<u64> {
     Some(kib * 1024)
 }
 
-/// The one with which the folder is read is not counted.
+/// The descriptor with which the folder is read is not counted.
 fn open_fds() -> Option<u64> {
     let entries = std::fs::read_dir("/proc/self/fd").ok()?;
     Some((entries.count() as u64).saturating_sub(1))

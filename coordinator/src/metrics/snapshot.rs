@@ -1,4 +1,4 @@
-//! What holds at the moment of asking: states, progress, sizes.
+//! Exposes the state at the moment of a scrape: states, progress, sizes.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use prometheus_client::metrics::counter::ConstCounter;
 
 use super::process::Process;
 
-/// Further dictionaries are left out of `farm_work_done_ratio`.
+/// Largest number of dictionaries in `farm_work_done_ratio`; further ones are left out.
 pub const MOST_RATIOS: usize = 100;
 
-/// The coordinator's state at a scrape; the caller ensures that it is quick to make.
+/// The coordinator's state at a scrape; the caller ensures that it is quick to create.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Snapshot {
     pub jobs: JobCounts,
@@ -20,9 +20,9 @@ pub struct Snapshot {
     pub dictionaries: DictionaryCounts,
     /// Name and share of the work that is done, 0 to 1; the first [`MOST_RATIOS`] are exposed.
     pub work_done: Vec<(String, f64)>,
-    /// The database with its log.
+    /// Size of the database with its log.
     pub database_bytes: u64,
-    /// How old the last scheduled backup is; None without one.
+    /// Age of the last scheduled backup; None without one.
     pub backup_age_s: Option<f64>,
 }
 

@@ -147,7 +147,7 @@ async fn process_resources_are_in_the_metrics() {
     assert!((1e-6..1e6).contains(&value("process_cpu_seconds_total")));
 }
 
-/// Calls of made-up methods and codes add no metrics beyond those of `other`.
+/// Calls of invented methods and codes add no metrics beyond those of `other`.
 #[tokio::test]
 async fn made_up_methods_add_no_metrics() {
     let metrics = fresh();

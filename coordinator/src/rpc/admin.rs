@@ -1,4 +1,4 @@
-//! Service `farm.v1.Admin`.
+//! Implements the gRPC service `farm.v1.Admin`.
 
 use farm_proto::wire::admin_server::Admin;
 use farm_proto::wire::backup_piece::Content;

@@ -1,4 +1,4 @@
-//! Service `farm.v1.Dictionaries`.
+//! Implements the gRPC service `farm.v1.Dictionaries`.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::wire::dictionaries_server::Dictionaries;
@@ -20,11 +20,11 @@ use super::text::one_line;
 use crate::authorisation::actor;
 use crate::farm::detached;
 
-/// Most dictionaries of one page.
+/// Largest number of dictionaries per page.
 const DICTIONARIES: u32 = 100;
-/// Most jobs that were given up of one page.
+/// Largest number of given-up jobs per page.
 const FAILED: u32 = 1000;
-/// Records on their way to a client that exports.
+/// Number of records in flight to a client that exports.
 const EXPORT_QUEUE: usize = 4;
 
 #[tonic::async_trait]
@@ -65,7 +65,7 @@ impl Dictionaries for Context {
         let name = DictionaryName::new(request.name).or_status()?;
         let most = page_size(request.page_size, 100, FAILED);
         let from = u32::try_from(page_token(&request.page_token).or_status()?).unwrap_or(u32::MAX);
-        // One more shows whether there are others.
+        // One additional job shows whether there are others.
         let mut failed = self.farm.failed_jobs(&name, from, most + 1)?;
         let next = failed.get(most).map(|failed| failed.job.to_string());
         failed.truncate(most);

@@ -1,4 +1,4 @@
-//! Service `farm.v1.Farm`.
+//! Implements the gRPC service `farm.v1.Farm`.
 
 use farm_proto::ids::WorkerId;
 use farm_proto::wire::farm_server::Farm;
@@ -16,9 +16,9 @@ use super::status::OrStatus;
 use crate::dispatch::PERIOD;
 use crate::store::StoredEvent;
 
-/// Most workers, and most events, of one page.
+/// Largest number of workers, or of events, per page.
 const PAGE: u32 = 1000;
-/// Events of a page whose size the request leaves open.
+/// Number of events per page if the request does not give a size.
 const EVENTS: u32 = 100;
 
 #[tonic::async_trait]

@@ -1,4 +1,4 @@
-//! Service `farm.v1.Fits`.
+//! Implements the gRPC service `farm.v1.Fits`.
 
 use farm_proto::wire::fits_server::Fits;
 use farm_proto::wire::{
@@ -20,7 +20,7 @@ use super::work::{check_answer, check_design};
 use crate::actor::Actor;
 use crate::authorisation::actor;
 
-/// Most similar media of one question.
+/// Largest number of similar media per question.
 const SIMILAR: usize = 10_000;
 
 #[tonic::async_trait]
@@ -156,7 +156,7 @@ impl Fits for Context {
 }
 
 impl Context {
-    /// Asks a dictionary about channels when a core is free.
+    /// Answers a question about channels of a dictionary once a core is free.
     async fn ask<T: Send + 'static>(
         &self,
         by: &Actor,
@@ -199,7 +199,7 @@ fn options(options: Option<&wire::FitOptions>) -> Result<FitOptions, Invalid> {
     FitOptions::try_from(options.copied().unwrap_or_default()).map_err(|e| e.within("options"))
 }
 
-/// The channels that were measured.
+/// Names of the measured channels.
 fn channels<'a>(materials: impl IntoIterator<Item = &'a Measurement>) -> Vec<String> {
     let names = materials.into_iter().flat_map(Measurement::channels);
     let names: std::collections::BTreeSet<&str> = names.collect();

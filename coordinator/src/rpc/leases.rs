@@ -1,4 +1,4 @@
-//! Service `farm.v1.Leases`.
+//! Implements the gRPC service `farm.v1.Leases`.
 
 use std::time::Duration;
 
@@ -24,9 +24,9 @@ use crate::dispatch::{Grant, LeaseRequest, Registration};
 use crate::farm::{Farm, Header, Piece, Refusal, Versions, WorkerEnd};
 use crate::stored::{Machine, Outcome, OutcomeKind};
 
-/// Longest instance that a worker may choose.
+/// Longest instance that a worker may choose, in bytes.
 const INSTANCE_BYTES: usize = 64;
-/// Longest text by which a worker's machine is distinguished from others.
+/// Longest text that distinguishes a worker's machine from others, in bytes.
 const HOST_BYTES: usize = 64;
 
 #[tonic::async_trait]
@@ -126,7 +126,7 @@ impl Leases for Context {
     }
 }
 
-/// What a job's records depend on, as it was sent with the job.
+/// The digest of all that a job's records depend on, as it was sent with the job.
 fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
     let digest = bytes.try_into().map(Digest::from_bytes);
     digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
@@ -137,7 +137,7 @@ fn facts(facts: wire::MachineFacts) -> MachineFacts {
     MachineFacts { cores, memory_bytes, kernel: short_line(&kernel), log: one_line(&log) }
 }
 
-/// A piece of the stream in which results come.
+/// Decodes a piece of the stream that delivers results.
 fn piece(message: CompleteRequest, farm: &Farm) -> Result<Piece, Status> {
     Ok(match required("content", message.content)? {
         Content::Header(header) => Piece::Header(Header {

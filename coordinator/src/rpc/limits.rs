@@ -1,4 +1,4 @@
-//! What all calls together may take, and each caller of it: cores for fits, in [`turns`](crate::turns), and streams.
+//! Limits the cores for fits, in [`turns`](crate::turns), and the streams of all calls together and of each caller.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,17 +8,17 @@ use tonic::Status;
 
 use crate::turns::{Core, Turns};
 
-/// Streams that are watched or exported.
+/// Largest number of streams that are watched or exported.
 const STREAMS: usize = 1024;
-/// Those of one client's token: others need some, too.
+/// Largest number of streams of one client's token, so that others can open some, too.
 const STREAMS_OF_ONE: usize = 256;
 
-/// Shared by all calls.
+/// Limits that all calls share.
 #[derive(Debug, Clone)]
 pub(super) struct Limits {
     fits: Arc<Turns>,
     streams: Arc<Semaphore>,
-    /// By the name of the token.
+    /// Number of streams by the name of the token.
     streams_of: Arc<Mutex<HashMap<String, usize>>>,
 }
 
@@ -54,14 +54,14 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// A core for a fit, in the turn of the callers that share by this name (empty for those without a share); refused
-    /// if too many wait.
+    /// Waits for a core for a fit, in the turn of the callers that share under this name (empty for those without a
+    /// share); refused if too many wait.
     pub(super) async fn fit(&self, caller: &str) -> Result<Core, Status> {
         self.fits.core(caller).await
     }
 
-    /// A place for a stream of the callers that share by this name (empty for those without a share); refused if there
-    /// are too many.
+    /// A place for a stream of the callers that share under this name (empty for those without a share); refused if
+    /// there are too many.
     pub(super) fn stream(&self, caller: &str) -> Result<StreamPlace, Status> {
         let place = self.streams.clone().try_acquire_owned().map_err(|_| {
             Status::resource_exhausted(format!("{STREAMS} streams are open already: try again later"))

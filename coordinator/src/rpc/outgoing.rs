@@ -1,7 +1,7 @@
-//! Streams to clients: items as fast as the client takes them, and a status if the end is not reached.
+//! Streams items to clients as fast as they take them, and sends a status if the end is not reached.
 //!
-//! A client that takes nothing for [`PATIENCE`] loses its stream, so that nobody holds records and a place here for
-//! ever. When it reads on it finds what was on its way and then `DEADLINE_EXCEEDED`: it can ask for the rest.
+//! A client that takes nothing for [`PATIENCE`] loses its stream, so that it does not hold records and a place here for
+//! ever. When it reads on, it receives the items in flight and then `DEADLINE_EXCEEDED`, and can request the rest.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -18,10 +18,10 @@ use tonic::Status;
 
 use crate::farm::{Backup, BackupPart, Export, FarmError, JobRun, JobWatch, Watch};
 
-/// How long a client may take to read one item.
+/// Time limit for a client to read one item.
 pub(super) const PATIENCE: Duration = Duration::from_mins(2);
 
-/// Where the items of a stream come from.
+/// A source of the items of a stream.
 pub(super) trait Source: Send + 'static {
     type Item: Send;
 
@@ -61,7 +61,8 @@ impl Source for Backup {
     }
 }
 
-/// Hands on all items of a source, as fast as the client takes them, until one of the two has enough.
+/// Forwards all items of a source, as fast as the client takes them, until the source ends, the client is gone, or the
+/// coordinator stops.
 pub(super) async fn hand_on<S: Source, T>(mut source: S, encode: impl Fn(S::Item) -> T, outlet: Outlet<T>) {
     loop {
         let next = tokio::select! {
@@ -80,10 +81,10 @@ pub(super) async fn hand_on<S: Source, T>(mut source: S, encode: impl Fn(S::Item
     }
 }
 
-/// Why a stream has ended early; nothing if it was brought to its end.
+/// The status with which a stream ends early; None if it is complete.
 type Last = Arc<Mutex<Option<Status>>>;
 
-/// The end where items are put in. A stream whose outlet is dropped without [`Outlet::finish`] or [`Outlet::fail`] ends
+/// The sending end of a stream. A stream whose outlet is dropped without [`Outlet::finish`] or [`Outlet::fail`] ends
 /// with an error.
 #[derive(Debug)]
 pub(super) struct Outlet<T> {
@@ -93,18 +94,18 @@ pub(super) struct Outlet<T> {
     patience: Duration,
 }
 
-/// The end that the client reads.
+/// The receiving end, which the client reads.
 #[derive(Debug)]
 pub(super) struct Outgoing<T> {
     receiver: mpsc::Receiver<Result<T, Status>>,
     last: Last,
 }
 
-/// Nobody wants the rest of the stream.
+/// The rest of the stream is not sent: the client is gone or reads nothing, or the coordinator is stopping.
 #[derive(Debug)]
 pub(super) struct Gone;
 
-/// A stream that holds so many items on their way, and ends with `shutdown` or when an item is not read in time.
+/// A stream with up to `queue` items in flight. It ends with `shutdown`, or when an item is not read within `patience`.
 pub(super) fn outgoing<T>(
     queue: usize,
     patience: Duration,
@@ -117,7 +118,7 @@ pub(super) fn outgoing<T>(
 }
 
 impl<T> Outlet<T> {
-    /// Hands an item to the client. A stop of the coordinator does not wait for slow readers.
+    /// Sends an item to the client. A stop of the coordinator does not wait for slow readers.
     pub(super) async fn send(&self, item: T) -> Result<(), Gone> {
         tokio::select! {
             () = self.shutdown.cancelled() => Err(self.stopping()),
@@ -142,12 +143,12 @@ impl<T> Outlet<T> {
         }
     }
 
-    /// Everything was sent.
+    /// Marks the stream as complete.
     pub(super) fn finish(self) {
         self.end_with(None);
     }
 
-    /// The stream ends with an error, after what is on its way.
+    /// Ends the stream with an error, after the items in flight.
     pub(super) fn fail(self, status: Status) {
         self.end_with(Some(status));
     }
@@ -198,7 +199,7 @@ mod tests {
         (items, None)
     }
 
-    /// The error comes after the items that were already on their way.
+    /// The error comes after the items that were already in flight.
     #[tokio::test(start_paused = true)]
     async fn stalled_reader_gets_deadline_error() {
         let (outlet, outgoing, _shutdown) = stream();

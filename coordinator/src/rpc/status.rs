@@ -1,4 +1,4 @@
-//! Errors as gRPC statuses, in one place.
+//! Maps errors to gRPC statuses, in one place.
 
 use farm_proto::to_status;
 use optics_model::Invalid;
@@ -16,7 +16,7 @@ impl From<FarmError> for Status {
             | FarmError::Worker { .. }
             | FarmError::Dispatch(DispatchError::UnknownJob(_)) => Code::NotFound,
             FarmError::NameTaken { .. } => Code::AlreadyExists,
-            // Not UNAUTHENTICATED, which is about tokens: this is cured by registering again.
+            // Not UNAUTHENTICATED, which is about tokens: the remedy is to register again.
             FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Aborted,
             FarmError::NotYours { .. } | FarmError::Dispatch(DispatchError::Fenced(_)) => {
                 Code::PermissionDenied
@@ -46,7 +46,7 @@ impl From<FarmError> for Status {
     }
 }
 
-/// A value of a request that was refused, as a status.
+/// Converts the error of a refused value to a status.
 pub(super) trait OrStatus<T> {
     fn or_status(self) -> Result<T, Status>;
 }
@@ -57,7 +57,7 @@ impl<T> OrStatus<T> for Result<T, Invalid> {
     }
 }
 
-/// A message field that must be there.
+/// The value of a required field.
 pub(super) fn required<T>(field: &str, value: Option<T>) -> Result<T, Status> {
     value.ok_or_else(|| to_status(&Invalid::new(field, "nothing", "a value is needed")))
 }

@@ -1,18 +1,18 @@
-//! Texts that others write, and that people read in logs, events and terminals.
+//! Limits texts of callers that are shown in logs, events and terminals to one printable line.
 
 use farm_proto::{RequestLimits, is_printable};
 
-/// Longest label of a worker, and whatever else a list shows of it.
+/// Longest label of a worker, and longest other text that lists show of it, in bytes.
 const SHORT_BYTES: usize = 200;
 
-/// One line of printable text, as long as texts may be. Whoever writes it could else pretend to be other lines of a log,
-/// or steer a terminal.
+/// One line of printable text, of limited length. Otherwise a text could imitate other lines of a log, or send control
+/// sequences to a terminal.
 pub(super) fn one_line(text: &str) -> String {
     let most = text.floor_char_boundary(RequestLimits::TEXT_BYTES);
     text[..most].chars().map(|c| if is_printable(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
-/// The same of what stands in every list of workers.
+/// The same for texts that appear in every list of workers, with a lower limit.
 pub(super) fn short_line(text: &str) -> String {
     let mut line = one_line(text);
     line.truncate(line.floor_char_boundary(SHORT_BYTES));

@@ -1,19 +1,19 @@
-//! How much a question asks for, reckoned before any of it is done.
+//! Estimates the size of a request's answer and work before any of it is done, and refuses requests that are too large.
 
 use optics_fit::channels_called;
 use optics_model::fit::{DesignQuestion, FitOptions};
 use optics_model::{Grid, Invalid, Measurement};
 
-/// What a neighbour takes in an answer, and each thickness of it.
+/// Bytes of a neighbour in an answer, and of each of its thicknesses.
 const NEIGHBOUR_BYTES: usize = 96;
 const THICKNESS_BYTES: usize = 48;
-/// What a pixel of a curve takes: its value and its gradient.
+/// Bytes of a pixel of a curve: its value and its gradient.
 const PIXEL_BYTES: usize = 16;
 /// Most pixels of all profiles of a design: those of each set of slabs count for each number of shots.
 const DESIGN_PIXELS: usize = 1 << 24;
-/// Most sets that are made up where none are given.
+/// Largest number of slab sets that are generated if none are given.
 const SETS_MADE_UP: usize = 25;
-/// Slabs of such a set.
+/// Number of slabs in a generated set.
 const SLABS_MADE_UP: usize = 3;
 
 /// Refuses a question whose answer would have more than `most` bytes.
@@ -24,11 +24,12 @@ pub(super) fn check_answer(
     most: usize,
 ) -> Result<(), Invalid> {
     let settings = options.settings();
-    // A neighbour is a medium of the dictionary: it has the records of all thicknesses.
+    // A neighbour is a medium of the dictionary, with records of all thicknesses.
     let media = grid.record_count() / grid.thickness_mm().len().max(1);
     let neighbours = (settings.top as usize).min(media);
     let pixels = if settings.curves { grid.scene().sensor().pixels() } else { 0 };
-    // Besides the neighbours' curves there are the places, what was measured, and the refined fit's.
+    // In addition to the neighbours' curves, there are the positions, the measured values, and the curve of the refined
+    // fit.
     let curves = |profiles: usize| profiles * pixels * PIXEL_BYTES * (neighbours + 3);
     let of = |material: &Measurement| {
         let channels = channels_called(grid, material.channels()).len();
@@ -47,7 +48,7 @@ pub(super) fn check_answer(
     Err(Invalid::new("options.top", given, allowed))
 }
 
-/// Refuses a design that would take all cores for long.
+/// Refuses a design that would occupy all cores for a long time.
 pub(super) fn check_design(grid: &Grid, question: &DesignQuestion) -> Result<(), Invalid> {
     let settings = question.settings();
     let pixels = settings.pixels.map_or_else(|| grid.scene().sensor().pixels(), |row| row.count());

@@ -1,8 +1,9 @@
-//! Tables `set_aside` and `jobs_set_aside`: what is not believed any more, until it has been computed again.
+//! Sets results aside that are no longer trusted, until they have been computed again (tables `set_aside` and
+//! `jobs_set_aside`).
 //!
-//! Whoever is accused may be right. So nothing is deleted on suspicion: the points of a machine that is fenced off get a
-//! random identity, so that no lookup finds them, and their jobs begin again. A job's records go when it has been done
-//! again; if the fence is lifted before, they come back.
+//! A suspected machine may be right, so nothing is deleted on suspicion: the points of a machine that is fenced off get a
+//! random identity, so that no lookup finds them, and their jobs begin again. A job's records are deleted when it has
+//! been done again; if the fence is lifted before, they are restored.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
@@ -13,7 +14,7 @@ use super::{Exclusive, Result, Store, doing, jobs};
 use crate::stored::{EndedJob, Origin};
 use optics_model::Walks;
 
-/// Sets points aside, by their rows, for the sake of a machine: the jobs that they had ended.
+/// Sets points aside, by their rows, on account of a machine. Returns the jobs that they had ended.
 pub(super) async fn set_aside(
     tx: &mut SqliteConnection,
     points: &[i64],
@@ -44,7 +45,7 @@ pub(super) async fn set_aside(
     begin_jobs_again(tx, &rows).await
 }
 
-/// Jobs have been done again: what was set aside of them goes, and blocks that were gathered for them.
+/// Deletes the results that were set aside of jobs that have been done again, and the blocks that were gathered for them.
 pub(super) async fn done_again(
     tx: &mut SqliteConnection,
     jobs: impl Iterator<Item = (DictionaryId, u32)>,
@@ -96,7 +97,7 @@ impl Store {
 }
 
 impl Exclusive<'_> {
-    /// Sets the records of a point aside: the jobs to be computed again.
+    /// Sets the records of a point aside; returns the jobs to be computed again.
     pub async fn set_point_aside(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
         let mut tx = self.store.begin().await?;
         let point: Vec<i64> =
@@ -106,7 +107,7 @@ impl Exclusive<'_> {
         Ok(jobs)
     }
 
-    /// Sets the records of a job aside, in all dictionaries that share them: the jobs to be computed again.
+    /// Sets the records of a job aside, in all dictionaries that share them; returns the jobs to be computed again.
     pub async fn set_job_aside(
         &self,
         dictionary: DictionaryId,
@@ -127,8 +128,8 @@ impl Exclusive<'_> {
         Ok(jobs)
     }
 
-    /// Fences a machine off, and sets all aside that it has computed: the jobs to be computed again. What others have
-    /// confirmed stays, in their name.
+    /// Fences a machine off, and sets its results aside; returns the jobs to be computed again. Results that others have
+    /// confirmed stay, credited to them.
     pub async fn fence(&self, worker: Origin, reason: &str) -> Result<Vec<(DictionaryId, u32)>> {
         let what = "fencing a worker off";
         let mut tx = self.store.begin().await?;
@@ -139,7 +140,7 @@ impl Exclusive<'_> {
             .await
             .map_err(doing(what))?;
         for statement in [
-            // One of those who have confirmed it takes its place.
+            // One of the machines that have confirmed a point takes its place.
             "UPDATE contributions SET confirmed = 0 WHERE confirmed = 1 AND worker_id <> ?1 \
              AND point_id IN (SELECT point_id FROM contributions WHERE worker_id = ?1 AND confirmed = 0) \
              AND worker_id = (SELECT min(worker_id) FROM contributions AS others \
@@ -164,8 +165,8 @@ impl Exclusive<'_> {
         Ok(jobs)
     }
 
-    /// Lets a machine in again, and takes back what was set aside for its sake, as far as it has not been computed
-    /// again meanwhile: the jobs that are done by that.
+    /// Readmits a machine, and restores the results that were set aside on its account, unless they have been computed
+    /// again meanwhile. Returns the jobs that are done by that.
     pub async fn lift_fence(&self, machine: Origin) -> Result<Vec<(DictionaryId, EndedJob)>> {
         let what = "letting a machine in again";
         let mut tx = self.store.begin().await?;

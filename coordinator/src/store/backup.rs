@@ -1,7 +1,7 @@
-//! Online backup of a database, and restore: never half a file, never an unverified one.
+//! Makes backups of a running database and restores them: never half a file, never an unverified one.
 //!
 //! A backup is one SQLite file with a checksum next to it (`FILE.b3`, as `b3sum` writes and checks it). SQLite's own
-//! check sees broken pages and indexes, but not a changed bit within a profile: the checksum does.
+//! check finds broken pages and indexes, but not a changed bit within a profile: the checksum does.
 
 mod checksum;
 mod draft;
@@ -22,7 +22,7 @@ use super::DataDir;
 
 pub use self::verify::{BackupCounts, Checksum, Verified, verify};
 
-/// "FARM" in the header of a database (`PRAGMA application_id`), by which `file` and this program know it.
+/// "FARM" in the header of a database (`PRAGMA application_id`), by which `file` and this program recognise it.
 pub const APPLICATION_ID: u32 = 0x4641_524D;
 
 #[derive(Debug, thiserror::Error)]
@@ -84,8 +84,8 @@ pub struct RestoreReport {
 /// Copies the database behind `pool` to a new file while it is being written to.
 ///
 /// Everything that was committed before the call is in the copy. The log of the database cannot be merged while this
-/// runs, and grows. `newest_schema` is the newest migration that this program knows. Ends early, with an error, when the
-/// pool is closed.
+/// runs, and grows. `newest_schema` is the newest migration that this program supports. Ends early, with an error, when
+/// the pool is closed.
 pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -> Result<BackupReport> {
     let destination =
         std::path::absolute(destination).map_err(failed(destination, "cannot be made absolute"))?;
@@ -105,10 +105,10 @@ pub async fn backup(pool: &SqlitePool, destination: &Path, newest_schema: i64) -
     })
 }
 
-/// On a connection of its own, which looks again and again whether the pool is being closed: nobody waits then for a slow
-/// disk.
+/// Copies the database on a separate connection, which checks again and again whether the pool is being closed, so that a
+/// stop does not wait for a slow disk.
 async fn copy_database(pool: &SqlitePool, file: &Path) -> sqlx::Result<()> {
-    /// Steps of SQLite's between two looks: some tens of records.
+    /// Steps of SQLite's virtual machine between two of these checks: some tens of records.
     const STEPS: i32 = 100;
     let mut connection = pool.acquire().await?;
     connection.close_on_drop();
@@ -119,7 +119,7 @@ async fn copy_database(pool: &SqlitePool, file: &Path) -> sqlx::Result<()> {
     copied.map(drop)
 }
 
-/// A backup that comes in piece by piece, in a draft next to the file that it will be.
+/// A backup that is received piece by piece, in a draft next to its destination.
 #[derive(Debug)]
 pub struct Incoming {
     draft: Draft,
@@ -144,7 +144,7 @@ impl Incoming {
     }
 }
 
-/// Gives a draft its name, and a checksum next to it, if it is a whole database, and the one that is expected.
+/// Gives a draft its name, and a checksum next to it, if it is a whole database with the expected digest.
 async fn publish_verified(
     draft: Draft,
     destination: &Path,
@@ -183,8 +183,8 @@ pub async fn restore(file: &Path, dir: &DataDir, newest_schema: i64) -> Result<R
     })
 }
 
-/// The address of a draft for SQLite: without locks, which some cluster filesystems have not to give and nobody else
-/// would look at; and not to be created, since a backup that was given up may still be waiting for its connection.
+/// The address of a draft for SQLite: without locks, which some cluster filesystems do not offer and no other program
+/// would check; and without creating the file, since a backup that was given up may still be waiting for its connection.
 fn address(file: &Path) -> String {
     use std::os::unix::ffi::OsStrExt;
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-_.".contains(&byte);
@@ -202,7 +202,7 @@ fn publish_with_checksum(draft: Draft, destination: &Path, digest: blake3::Hash)
     let sidecar = sidecar(destination);
     checksum::write(&sidecar, destination, digest)?;
     draft.publish(destination).inspect_err(|_| {
-        // Whoever took the name in the meantime may have written a checksum of their own.
+        // Another program that took the name in the meantime may have written its own checksum.
         if checksum::read(&sidecar).is_ok_and(|there| there == Some(digest)) {
             let _ = std::fs::remove_file(&sidecar);
         }

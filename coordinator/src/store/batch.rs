@@ -1,8 +1,8 @@
-//! Many results in one transaction, with few queries.
+//! Stores many results in one transaction, with few queries.
 //!
-//! Every query is a message to SQLite's thread and an answer, which costs more than what the query does. So all that the
-//! results of a transaction must be held against is read at once, what becomes of each is decided here, and what is
-//! new is written in statements of many rows, several at a time.
+//! Every query is a message to SQLite's thread and an answer, which costs more than the query itself. So all rows with
+//! which the results of a transaction must be compared are read at once, the outcome of each is decided here, and new
+//! rows are written in statements of many rows, several at a time.
 
 mod facts;
 mod script;
@@ -21,13 +21,13 @@ use crate::stored::{Completion, JobResult, Outcome};
 /// Most values of one query that are looked up or written.
 const ROWS: usize = 256;
 
-/// What the store knows, and what the results of this transaction add to it.
+/// The contents of the store that concern these results, and the additions of this transaction.
 struct Known {
     facts: Facts,
     points: Points,
 }
 
-/// Points in the order in which results name them.
+/// Points in the order in which results refer to them.
 #[derive(Default)]
 struct Points {
     places: HashMap<Digest, usize>,
@@ -38,13 +38,13 @@ struct Point {
     identity: Digest,
     /// Its row, if it has one.
     id: Option<i64>,
-    /// Albedos with their profiles as bytes; those that the store has come first.
+    /// Albedos with their profiles as bytes; those that are stored come first.
     records: Vec<(f64, Bytes)>,
-    /// How many of these the store has.
+    /// Number of these that are stored.
     stored: usize,
 }
 
-/// What is to be written for a result that ends its job.
+/// The data to be written for a result that ends its job.
 struct End<'a> {
     completion: &'a Completion,
     point: usize,
@@ -53,7 +53,7 @@ struct End<'a> {
     gathered: Option<i64>,
 }
 
-/// Stores results in a transaction; what becomes of each, in their order.
+/// Stores results in a transaction; returns the outcome of each, in their order.
 pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut known = Known { facts: Facts::look(tx, completions).await?, points: Points::default() };
     let wanted: Vec<&Completion> = completions.iter().filter(|c| known.is_wanted(c)).collect();
@@ -87,7 +87,7 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
 }
 
 impl Known {
-    /// Whether a result is to be kept, as far as is known before it is looked at.
+    /// Whether a result is to be kept, as far as is known before it is examined.
     fn is_wanted(&self, completion: &Completion) -> bool {
         let job = (completion.dictionary, completion.job_number);
         !self.is_refused(completion) && self.facts.ended.get(&job).is_none_or(|ended| ended.records.is_none())
@@ -99,7 +99,7 @@ impl Known {
             || !self.facts.dictionaries.contains(&completion.dictionary)
     }
 
-    /// What becomes of a result of which nothing is kept; None if it is wanted.
+    /// The outcome of a result of which nothing is kept; None if the result is to be kept.
     fn verdict(&self, completion: &Completion) -> Option<Outcome> {
         if self.is_refused(completion) {
             return Some(Outcome::Unwanted);
@@ -116,7 +116,7 @@ impl Known {
         Some(if comparable { before() } else { Outcome::Unwanted })
     }
 
-    /// Takes a result that is wanted: notes what is to be written if it ends its job.
+    /// Takes a result that is to be kept: adds it to `ends` if it ends its job.
     async fn take<'a>(
         &mut self,
         tx: &mut SqliteConnection,
@@ -168,7 +168,7 @@ where
 }
 
 impl Points {
-    /// The points of some results, with those records that the store has of the albedos in question.
+    /// The points of some results, with their stored records of the albedos in question.
     async fn look(tx: &mut SqliteConnection, completions: &[&Completion], facts: &Facts) -> Result<Self> {
         let mut points = Self::default();
         let mut albedos = Vec::new();
@@ -215,7 +215,7 @@ impl Points {
         })
     }
 
-    /// Adds those records to a point that it does not have; None, and nothing is added, if it has others instead.
+    /// Adds the missing records to a point. Returns None, and adds nothing, if the point has different records.
     fn put(&mut self, identity: Digest, albedo: &[f64], records: &PackedRecords) -> Option<usize> {
         let place = self.place(identity);
         let point = &mut self.points[place];
@@ -233,7 +233,7 @@ impl Points {
         Some(place)
     }
 
-    /// Gives a row to each point with records that has none.
+    /// Inserts a row for each point with records that has none.
     async fn insert(&mut self, tx: &mut SqliteConnection) -> Result<()> {
         let is_new = |p: &&Point| p.id.is_none() && !p.records.is_empty();
         let missing: Vec<_> = self.points.iter().filter(is_new).map(|p| p.identity).collect();
@@ -244,7 +244,7 @@ impl Points {
         Ok(())
     }
 
-    /// Writes the records that the store does not have yet.
+    /// Writes the records that are not stored yet.
     async fn write(&self, script: &mut Script<'_>) -> Result<()> {
         let fresh = |point: &Point| {
             let id = point.id;
@@ -267,14 +267,14 @@ impl Points {
     }
 }
 
-/// Writes that jobs have ended, and who computed their points.
+/// Writes the ends of jobs, and the machines that computed their points.
 async fn write_ends(script: &mut Script<'_>, ends: &[End<'_>], points: &Points) -> Result<()> {
     script
         .insert("INSERT OR IGNORE INTO contributions (point_id, worker_id)", ends, |mut row, end| {
             row.push_bind(points.id(end.point)).push_bind(end.completion.worker.0);
         })
         .await?;
-    // What was given up may have been done after all.
+    // A job that was given up may have been done after all.
     let into = "INSERT OR REPLACE INTO jobs (dictionary_id, job, point_id, walks, records_digest)";
     script
         .insert(into, ends, |mut row, End { completion, point, digest, .. }| {

@@ -1,4 +1,4 @@
-//! Table `votes`: checks that are not settled. Table `secrets`: what decides which results are checked.
+//! Stores open checks (table `votes`), and the secret that decides which results are checked (table `secrets`).
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
@@ -29,7 +29,7 @@ impl VoteRow {
 }
 
 impl Store {
-    /// Notes how a check stands. It is forgotten if it has no votes, or if its dictionary is gone.
+    /// Stores the votes of a check. The check is deleted if it has no votes, or if its dictionary is gone.
     pub async fn note_check(&self, check: &OpenCheck) -> Result<()> {
         let what = "noting how a check stands";
         let mut tx = self.begin().await?;

@@ -1,4 +1,5 @@
-//! The data directory: created, closed to other users, proven writable and locked before SQLite touches it.
+//! Prepares the data directory: creates it, closes it to other users, proves it writable and locks it before SQLite
+//! touches it.
 
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::io::Write;
@@ -52,8 +53,8 @@ impl DataDir {
         Ok(dir)
     }
 
-    /// Makes an empty database file that is its owner's alone, if there is none: SQLite would let others read it. It gives
-    /// its log the same permissions.
+    /// Creates an empty database file that only its owner can read, if there is none: SQLite would let others read it.
+    /// SQLite gives its log the same permissions.
     pub fn create_database(&self) -> Result<()> {
         let file = File::options().create(true).append(true).mode(0o600).open(self.database_file());
         let fault =
@@ -61,12 +62,12 @@ impl DataDir {
         file.map(drop).map_err(fault)
     }
 
-    /// Where the coordinator that holds this directory listens, if it has said so.
+    /// The address at which the coordinator that holds this directory listens, if it has published one.
     pub fn address(path: &Path) -> Option<String> {
         std::fs::read_to_string(path.join(ADDRESS_FILE)).ok().filter(|a| !a.is_empty())
     }
 
-    /// How the names of backups begin that are on their way to a client.
+    /// Prefix of the names of backups that are on their way to a client.
     pub const BACKUP_PREFIX: &str = "backup-";
 
     /// The folder in it for backups that the coordinator makes by itself.
@@ -90,7 +91,7 @@ impl DataDir {
         self.path.join("farm.db")
     }
 
-    /// Tells other processes where this coordinator listens; whole or not at all.
+    /// Publishes the address at which this coordinator listens, whole or not at all.
     pub fn publish_address(&self, address: std::net::SocketAddr) -> Result<()> {
         let fault =
             |source| StoreError::DataDir { dir: self.path.clone(), what: "cannot be written to", source };
@@ -101,13 +102,13 @@ impl DataDir {
     }
 
     pub fn forget_address(&self) {
-        // What is not there need not be removed, and a stale address is noticed when there is no answer.
+        // A missing file need not be removed, and a stale address is noticed when there is no answer.
         let _ = std::fs::remove_file(self.path.join(ADDRESS_FILE));
     }
 }
 
-/// Refuses what another user made, who could read and change all that is in it. Root may use everything, and what root has
-/// made may be meant for this user, as a volume of a container is.
+/// Refuses a file or folder of another user, who could read and change its contents. Root may use everything, and a
+/// folder of root may be meant for this user, as a volume of a container is.
 fn refuse_other_users(path: &Path) -> Result<()> {
     let own = rustix::process::geteuid().as_raw();
     match std::fs::metadata(path).map(|about| about.uid()) {
@@ -118,8 +119,8 @@ fn refuse_other_users(path: &Path) -> Result<()> {
     }
 }
 
-/// Closes the folder to other users if it is the farm's alone. One with other things in it, such as a home or `/tmp`, is
-/// others' business: there the farm's files are closed, and a warning says if others can replace them.
+/// Closes the folder to other users if it contains only the farm's files. One with other files, such as a home or `/tmp`,
+/// stays as it is: there only the farm's files are closed, and a warning reports if others can replace them.
 fn close_folder(path: &Path) {
     let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX, DataDir::BACKUPS];
     let is_own = |name: &str| own.iter().any(|own| name.starts_with(own));
@@ -132,8 +133,8 @@ fn close_folder(path: &Path) {
     }
 }
 
-/// Takes from other users what they may do with a file or folder that is there; its owner keeps what he may. False if that
-/// is not ours to do.
+/// Restricts the permissions of an existing file or folder to `most`, so that other users have none. False if that is not
+/// permitted.
 fn close_to_others(path: &Path, most: u32) -> bool {
     let Some(now) = mode_of(path) else { return true };
     if now & !most == 0 {
@@ -189,7 +190,7 @@ mod tests {
         assert_eq!(["farm.db", "farm.db-wal", "lock"].map(|name| mode(&path.join(name))), [0o600; 3]);
     }
 
-    /// Whoever names his home or `/tmp` does not want it closed.
+    /// A folder with other files, such as a home or `/tmp`, keeps its permissions.
     #[test]
     fn folder_with_other_files_is_left_alone() {
         let home = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Deleting dictionaries and points, with all that belongs to them.
+//! Deletes dictionaries and points, with all that belongs to them.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
@@ -8,14 +8,14 @@ use super::points::{self, delete_points};
 use super::{Exclusive, LedgerGuard, Result, Store, aside, doing};
 
 impl LedgerGuard<'_> {
-    /// Deletes the blocks that came before the records of a divided job. No job has ended with them.
+    /// Deletes the blocks that were gathered for a divided job. No job has ended with them.
     pub async fn delete_blocks(&self, job: &JobSpec) -> Result<()> {
         delete_point(self.store, job.sums_identity()).await.map(drop)
     }
 }
 
 impl Exclusive<'_> {
-    /// Deletes the records of a point: the jobs to be computed again.
+    /// Deletes the records of a point; returns the jobs to be computed again.
     #[cfg(test)]
     pub async fn delete_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
         delete_point(self.store, identity).await

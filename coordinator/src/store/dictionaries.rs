@@ -1,4 +1,4 @@
-//! Table `dictionaries`.
+//! Stores and reads dictionaries (table `dictionaries`).
 
 use std::sync::Arc;
 
@@ -35,7 +35,7 @@ impl TryFrom<DictionaryRow> for StoredDictionary {
             .map_err(|_| corrupt("grid_digest", format!("{} bytes", row.grid_digest.len())))?;
         let grid = Grid::try_from(grid).map_err(|e| corrupt("grid", e.to_string()))?;
         let grid_digest = Digest::from_bytes(digest);
-        // The records say nothing of the scene that they were computed in.
+        // The records do not contain the scene in which they were computed.
         if grid_digest.physics_version_of(&grid).is_none() {
             return Err(corrupt("grid", "it is not the one that was stored: its digest differs".to_owned()));
         }
@@ -68,7 +68,7 @@ impl Store {
         rows.into_iter().map(TryInto::try_into).collect()
     }
 
-    /// Fails with [`StoreError::NameTaken`] if there is one of this name.
+    /// Creates a dictionary. Fails with [`StoreError::NameTaken`] if there is one of this name.
     pub async fn create_dictionary(
         &self,
         name: DictionaryName,
@@ -78,7 +78,7 @@ impl Store {
         created_unix_ms: u64,
     ) -> Result<StoredDictionary> {
         let grid_digest = Digest::of_grid(&grid);
-        // A number that was used before may stand in a late result: it must not come again.
+        // A number that was used before may occur in a late result: it must not be used again.
         let insert = sqlx::query(
             "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms, priority, owner) \
              VALUES (max(?1, (SELECT coalesce(max(id), 0) + 1 FROM dictionaries)), ?2, ?3, ?4, ?1, ?5, ?6)",

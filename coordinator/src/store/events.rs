@@ -1,8 +1,8 @@
-//! Table `events`: what has happened, for people.
+//! Stores and reads the event log (table `events`).
 
 use super::{Result, Store, doing};
 
-/// Events that are kept.
+/// Number of events that are kept.
 const KEPT: i64 = 100_000;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,7 +21,7 @@ pub struct StoredEvent {
 from_row!(StoredEvent { id, unix_ms, kind, dictionary, job, worker, message, actor });
 
 impl Store {
-    /// Appends events, whose numbers are given by the store, and deletes the oldest if there are too many.
+    /// Appends events, whose numbers the store assigns, and deletes the oldest if there are too many.
     pub async fn add_events(&self, events: &[StoredEvent]) -> Result<()> {
         let what = "storing events";
         let mut tx = self.begin().await?;

@@ -1,7 +1,7 @@
 //! Refuses filesystems on which SQLite's locks and shared memory cannot be relied upon.
 //!
 //! A write-ahead log needs memory that all its users share and locks that hold: several machines, or a server in
-//! between, give neither, and what then comes is silent corruption.
+//! between, give neither, which leads to silent corruption.
 
 use std::path::{Path, PathBuf};
 
@@ -16,17 +16,17 @@ pub enum FilesystemError {
     Ask { path: PathBuf, source: std::io::Error },
 }
 
-/// What a filesystem's kind means for a database.
+/// The kind of a filesystem, as far as it matters for a database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
     Local,
-    /// A program in user space: what is behind it cannot be seen.
+    /// A program in user space, whose storage cannot be determined.
     Fuse,
     /// Served by, or shared with, other machines.
     Network(&'static str),
 }
 
-/// `f_type` of `statfs` for filesystems that are served or shared, with the names that people know them by.
+/// `f_type` of `statfs` for filesystems that are served or shared, with their common names.
 const NETWORK: [(u32, &str); 20] = [
     // linux/magic.h
     (0x0000_6969, "NFS"),
@@ -62,7 +62,7 @@ const NETWORK: [(u32, &str); 20] = [
 /// linux/magic.h: FUSE_SUPER_MAGIC; block devices mounted through FUSE, such as NTFS, have it too.
 const FUSE: u32 = 0x6573_5546;
 
-/// Tells what the `f_type` of a filesystem means; what is not known counts as local.
+/// Classifies a filesystem by its `f_type`; an unknown one counts as local.
 pub fn classify(f_type: u32) -> Kind {
     if f_type == FUSE {
         return Kind::Fuse;
@@ -72,8 +72,8 @@ pub fn classify(f_type: u32) -> Kind {
 
 /// Refuses a folder (or where it would be created) on a network filesystem; may return a warning to log.
 ///
-/// Asks on Linux alone; other systems' filesystems are all accepted. What lies under an overlay, a loop device or a
-/// network block device is not seen.
+/// Checks on Linux alone; other systems' filesystems are all accepted. The storage under an overlay, a loop device or a
+/// network block device is not examined.
 pub fn refuse_network_filesystem(path: &Path) -> Result<Option<String>, FilesystemError> {
     let existing = nearest_existing(path);
     let asked = f_type(&existing).map_err(|source| FilesystemError::Ask { path: existing, source })?;

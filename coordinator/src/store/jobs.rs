@@ -1,4 +1,4 @@
-//! Table `jobs`: those that have ended.
+//! Stores and reads the jobs that have ended (table `jobs`).
 
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Grid, Walks};
@@ -14,7 +14,7 @@ struct JobRow {
     failure: Option<String>,
     quarantined: bool,
     worker: Option<i64>,
-    /// Numbers of machines, with commas.
+    /// Numbers of machines, separated by commas.
     confirmed: Option<String>,
 }
 
@@ -102,7 +102,7 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets that jobs were given up.
+    /// Deletes the failures of jobs that were given up.
     pub async fn retry_jobs(&self, dictionary: DictionaryId) -> Result<u64> {
         let deleted = sqlx::query("DELETE FROM jobs WHERE dictionary_id = ? AND failure IS NOT NULL")
             .bind(dictionary.0)

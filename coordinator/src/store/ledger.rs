@@ -1,4 +1,4 @@
-//! The lock between results that are being stored and records that are being deleted.
+//! Provides the lock between results that are being stored and records that are being deleted.
 //!
 //! It is held shared from the moment a result is handed to the store until the dispatcher has noted it, and exclusively
 //! while records are deleted or set aside. So the dispatcher never counts a record as stored that was deleted in between.
@@ -20,14 +20,14 @@ pub struct LedgerGuard<'a> {
     pub(super) store: &'a Store,
 }
 
-/// Held together with others: results are stored, and the dispatcher takes note of them.
+/// The lock held together with others, while results are stored and the dispatcher notes them.
 #[derive(Debug)]
 pub struct Shared<'a> {
     held: LedgerGuard<'a>,
     _guard: RwLockReadGuard<'a, ()>,
 }
 
-/// Held alone: records are deleted or set aside, or come back.
+/// The lock held alone, while records are deleted, set aside or restored.
 #[derive(Debug)]
 pub struct Exclusive<'a> {
     held: LedgerGuard<'a>,

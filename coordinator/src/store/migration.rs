@@ -1,5 +1,5 @@
-//! Brings a database to the present schema: the migrations in SQL, and what SQL alone cannot migrate, the records of the
-//! first schema, which belonged to dictionaries and are moved to points.
+//! Brings a database to the present schema: runs the migrations in SQL, and moves the records of the first schema, which
+//! belonged to dictionaries, to points, since SQL alone cannot migrate them.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -42,7 +42,8 @@ fn parse((name, sql): (&'static str, &'static str)) -> Option<Migration> {
 }
 
 impl Store {
-    /// In one transaction, so that a process that is killed leaves everything as it was.
+    /// Moves the records of the first schema, in one transaction, so that a process that is killed leaves everything as
+    /// it was.
     pub(super) async fn move_records_of_first_schema(&self) -> Result<()> {
         let table: Option<(i64,)> = sqlx::query_as(
             "SELECT 1 FROM sqlite_schema WHERE type = 'table' AND name = 'records_of_dictionaries'",
@@ -71,7 +72,7 @@ async fn move_dictionary(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc
             .await
             .map_err(doing(WHAT))?;
     for (job,) in jobs {
-        // Of an older physics version: nothing computed today has the same identity.
+        // The job is of an older physics version: no job of today has the same identity.
         let identity = Digest::of_bytes(format!("schema 1, dictionary {}, job {job}", id.0).as_bytes());
         let point = points::point(tx, identity).await?;
         let first = grid.first_record(job as usize);
@@ -104,7 +105,7 @@ async fn move_dictionary(tx: &mut SqliteConnection, id: DictionaryId, grid: &Arc
 mod tests {
     use super::*;
 
-    /// A migration that is a file alone would never be applied.
+    /// Every migration file is in the list: one that is not would never be applied.
     #[test]
     fn every_migration_file_is_applied() {
         let folder = std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/migrations")).unwrap();

@@ -1,5 +1,5 @@
-//! Where the database is. A file that was deleted or moved can be written to as before, but what is written has no name and
-//! is gone when the program ends, or is not where anybody looks for it.
+//! Checks that the database is still in its place. A file that was deleted or moved can be written to as before, but the
+//! data have no name and are gone when the program ends, or are not where they are expected.
 
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::MetadataExt as _;
@@ -20,7 +20,7 @@ impl Place {
         Ok(Self { name: name.to_owned(), file: file_at(name)? })
     }
 
-    /// An error if the name is gone or another file's. What only cannot be looked at may still be there.
+    /// Returns an error if the name is gone or another file's. A file that merely cannot be examined may still be there.
     pub fn check(&self) -> Result<()> {
         let lost = match file_at(&self.name) {
             Ok(file) => file != self.file,

@@ -1,4 +1,4 @@
-//! Table `points`: sets of walks, independent of the dictionaries that asked for them.
+//! Stores and finds points (table `points`): sets of walks, independent of the dictionaries that need them.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use crate::stored::Origin;
 /// Identities that one query looks up.
 const LOOKUP: usize = 500;
 
-/// Row of a point, made if need be.
+/// Row of a point, inserted if there is none.
 pub(super) async fn point(connection: &mut SqliteConnection, identity: Digest) -> Result<i64> {
     let what = "storing a point";
     let found: Option<(i64,)> = sqlx::query_as("SELECT id FROM points WHERE identity = ?")
@@ -55,7 +55,7 @@ pub(super) async fn credit(connection: &mut SqliteConnection, gathered: i64, poi
     Ok(())
 }
 
-/// Rows of the points that the store has.
+/// Rows of those points that are stored.
 pub(super) async fn find(
     connection: &mut SqliteConnection,
     identities: &[Digest],
@@ -74,7 +74,7 @@ pub(super) async fn find(
     Ok(found)
 }
 
-/// Makes rows of points that the store does not have.
+/// Inserts rows of points that are not stored yet.
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     identities: &[Digest],
@@ -97,14 +97,14 @@ pub(super) fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)
 }
 
 impl Store {
-    /// Points that the store has, by their identities.
+    /// Rows of those points that are stored, by their identities.
     pub(super) async fn points_of(&self, identities: &[Digest]) -> Result<HashMap<Digest, i64>> {
         let mut connection = self.read.acquire().await.map_err(doing("looking for points"))?;
         Ok(find(&mut connection, identities).await?.into_iter().collect())
     }
 }
 
-/// What went with some points.
+/// The jobs and records that were deleted with some points.
 #[derive(Debug, Default)]
 pub(super) struct Deleted {
     /// Jobs that had ended with their records, in all dictionaries that share them.
@@ -117,7 +117,7 @@ pub(super) fn rows_of(points: &[i64]) -> String {
     format!("[{}]", points.iter().map(ToString::to_string).collect::<Vec<_>>().join(","))
 }
 
-/// Deletes points by their rows, with their records and sums, who computed them, and the jobs that they ended.
+/// Deletes points by their rows, with their records, sums and contributions, and the jobs that they ended.
 pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> Result<Deleted> {
     let what = "deleting points";
     if points.is_empty() {
@@ -131,7 +131,7 @@ pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> 
         .await
         .map_err(doing(what))?
         .rows_affected();
-    // Last the points: the others refer to them.
+    // The points come last, since the other rows refer to them.
     for delete in [
         "DELETE FROM jobs_set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
         "DELETE FROM set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
@@ -144,7 +144,7 @@ pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> 
     Ok(Deleted { jobs, records })
 }
 
-/// Jobs that points have ended are open again, and returned.
+/// Reopens the jobs that points have ended, and returns them.
 pub(super) async fn begin_jobs_again(
     tx: &mut SqliteConnection,
     rows: &str,

@@ -1,11 +1,10 @@
-//! Table `records`: the numbers of finished jobs as bytes, held against what was stored.
+//! Reads the records of finished jobs (table `records`), and verifies them against the digests that were stored with them.
 //!
-//! A job's records are those that were stored if all are there, each has the form that the grid prescribes, and together
-//! they have the digest in the job's row. All records are read here, so that all mean the same by
-//! damage.
+//! A job's records are those that were stored if all are present, each has the form that the grid prescribes, and
+//! together they have the digest in the job's row. All records are read here, so that damage has one definition.
 //!
-//! Damage found at one reading may lie in memory, a cable or a cache: only a second one, on a connection of its own, tells
-//! that the disk has other records than were stored. An error of reading says nothing about records.
+//! Damage found at one reading may stem from memory, a cable or a cache: only a second reading, on a separate connection,
+//! shows that the disk holds other records than were stored. A read error is no evidence of damage.
 
 use std::ops::Range;
 
@@ -18,7 +17,7 @@ use tokio_stream::StreamExt;
 
 use super::{Result, Store, StoreError, doing, jobs};
 
-/// The records of a finished job, which are those that were stored.
+/// The verified records of a finished job.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobRecords {
     pub job: u32,
@@ -33,7 +32,7 @@ pub struct Damaged {
     pub what: String,
 }
 
-/// What a reading found of a job.
+/// The result of reading a job.
 pub type Found = std::result::Result<JobRecords, Damaged>;
 
 /// A record of a job that is done; a job that has lost all of its records has one row without any.
@@ -70,13 +69,12 @@ impl Store {
         Ok(with_missing(found, range))
     }
 
-    /// Reads a job that is known to be finished by itself, on a connection of its own: what others keep in memory may be
-    /// what is wrong.
+    /// Reads a job that is known to be finished by itself, on a separate connection: the cache of the others may be damaged.
     pub async fn job_read_again(&self, dictionary: DictionaryId, grid: &Grid, job: u32) -> Result<Found> {
         let range = job as usize..job as usize + 1;
         let mut connection = self.fresh_connection().await?;
         let found = read(&mut connection, dictionary, grid, range.clone()).await;
-        // It has only read.
+        // The connection has only read: an error in closing it does no harm.
         let _ = connection.close().await;
         Ok(with_missing(found?, range).remove(0))
     }
@@ -108,14 +106,14 @@ async fn read(
     Ok(found)
 }
 
-/// The records of a job, as its rows come in with rising albedos: as the grid has them.
+/// The records of a job, gathered from its rows in ascending order of albedo, which is that of the grid.
 struct Gathered {
     job: i64,
     digest: Vec<u8>,
-    /// That of the first record: a point's records are of one program.
+    /// The layout of the first record: all records of a point are of one program version.
     layout: Layout,
     bytes: Vec<u8>,
-    /// The first record that cannot be one.
+    /// The error of the first record with a wrong length.
     corrupt: Option<StoreError>,
 }
 
@@ -130,7 +128,7 @@ impl Gathered {
 
     fn add(&mut self, row: &RecordRow<'_>, grid: &Grid) {
         let (Some(albedo), Some(profiles)) = (row.albedo, row.profiles) else { return };
-        // The point may hold more albedos than this dictionary asks for.
+        // The point may hold more albedos than this dictionary needs.
         if !grid.albedo().contains(&albedo) {
             return;
         }
@@ -145,7 +143,7 @@ impl Gathered {
         }
     }
 
-    /// Compares the records with what was stored.
+    /// Compares the records with the stored digest.
     fn check(self, grid: &Grid) -> Found {
         let job = self.job as u32;
         self.verified(grid).map(|records| JobRecords { job, records }).map_err(|what| Damaged { job, what })

@@ -1,4 +1,4 @@
-//! Jobs that need no computing: their records came for another dictionary.
+//! Ends jobs that need no computing, since their records came for another dictionary.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use sqlx::SqliteConnection;
 use super::records::JobRecords;
 use super::{LedgerGuard, Result, Store, doing};
 
-/// A job whose records are there, and the row of their point.
+/// A job whose records are stored, and the row of their point.
 struct Reusable {
     job: u32,
     point: i64,
@@ -22,8 +22,8 @@ struct Reusable {
 type PointRecords = Vec<(f64, bytes::Bytes)>;
 
 impl LedgerGuard<'_> {
-    /// Ends those open jobs of a dictionary whose records are there already. `jobs` are their numbers and identities;
-    /// `grids` those of all dictionaries. Returns the jobs with the digests of their records.
+    /// Ends those open jobs of a dictionary whose records are stored already. `jobs` are the numbers and identities of
+    /// the open jobs; `grids` are the grids of all dictionaries. Returns the jobs with the digests of their records.
     pub async fn reuse(
         &self,
         dictionary: DictionaryId,
@@ -54,7 +54,7 @@ impl LedgerGuard<'_> {
 }
 
 impl Store {
-    /// Records of a point: those of jobs whose records are the ones that were stored. What is damaged is computed again.
+    /// The intact records of a point. Damaged records are computed again.
     async fn verified_records(
         &self,
         point: i64,
@@ -84,7 +84,7 @@ impl Store {
     }
 }
 
-/// All records that a job asks for, if they are among these.
+/// All records that a job needs, if they are among these.
 fn records_for(grid: &Grid, job: u32, there: &PointRecords) -> Option<PackedRecords> {
     let mut bytes = Vec::with_capacity(grid.albedo().len() * grid.record_bytes());
     for albedo in grid.albedo() {
@@ -94,7 +94,7 @@ fn records_for(grid: &Grid, job: u32, there: &PointRecords) -> Option<PackedReco
     PackedRecords::new(&JobSpec::of(grid, job as usize), bytes.into()).ok()
 }
 
-/// Ends a job with records that are there. Not if a result of its own has ended it a moment ago.
+/// Ends a job with stored records; false if a result of its own has ended it a moment ago.
 async fn end(
     tx: &mut SqliteConnection,
     dictionary: DictionaryId,

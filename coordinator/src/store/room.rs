@@ -1,13 +1,12 @@
-//! Room on the disk that the database and its log do not need.
+//! Returns disk space that the database and its log do not need.
 //!
-//! The log grows while a backup or a long answer is read, since it cannot be merged into the file then. SQLite uses it again
-//! from its beginning once it is merged, and cuts it to [`LOG_BYTES`] at that. At a quiet time, it is emptied.
+//! The log grows while a backup or a long answer is read, since it cannot be merged into the file then. Once it is
+//! merged, SQLite reuses it from its beginning, and cuts it to [`LOG_BYTES`]. At a quiet time, it is emptied.
 //!
-//! The file keeps the pages of what was deleted, for what is to come. A `VACUUM` would give them back in one piece of work
-//! of unknown length, with as much room again and nobody able to write meanwhile. So new databases are made such
-//! that SQLite can move the last pages to where there is room, and cut the file, a few pages at a time. Those of earlier
-//! versions cannot: they become so by one `VACUUM` at a start, when nobody waits for anything, if more than half of them is
-//! free.
+//! The file keeps the pages of deleted rows for later rows. A `VACUUM` would return them in one operation of unknown
+//! length, which needs as much space again and blocks all writers meanwhile. So new databases use incremental
+//! auto-vacuum: SQLite moves the last pages to free places and cuts the file, a few pages at a time. Databases of earlier
+//! versions are converted by one `VACUUM` at a start, when no call is waiting, if more than half of them is free.
 
 use sqlx::SqlitePool;
 
@@ -17,15 +16,15 @@ use super::{Result, Store, doing};
 pub(super) const LOG_BYTES: u64 = 64 << 20;
 /// Smaller logs are left as they are.
 const LITTLE_LOG_BYTES: u64 = 1 << 20;
-/// Pages that are given back in one transaction: 8 MiB.
+/// Pages that are returned in one transaction: 8 MiB.
 const STEP: i64 = 2048;
-/// Fewer free pages are left for what is to come: 4 MiB.
+/// Free pages that are kept for later rows: 4 MiB.
 const FEW: i64 = 1024;
-/// What `PRAGMA auto_vacuum` answers if pages can be given back.
+/// The value of `PRAGMA auto_vacuum` if pages can be returned.
 const INCREMENTAL: i64 = 2;
 
 impl Store {
-    /// Gives back what file and log do not need, in short steps between which others can write.
+    /// Returns the space that file and log do not need, in short steps between which others can write.
     pub async fn give_back_room(&self) -> Result<()> {
         let (mut shrunk, writer) = (false, self.writer()?);
         if number(writer, "PRAGMA auto_vacuum").await? == INCREMENTAL {
@@ -63,7 +62,7 @@ impl Store {
     }
 }
 
-/// Makes a database of an earlier version one that can give pages back, if more than half of it is free.
+/// Converts a database of an earlier version to incremental auto-vacuum, if more than half of it is free.
 pub(super) async fn convert(writer: &SqlitePool) -> Result<()> {
     let free = number(writer, "PRAGMA freelist_count").await?;
     let pages = number(writer, "PRAGMA page_count").await?;
@@ -181,7 +180,7 @@ mod tests {
         assert!(size(dir.path(), "farm.db") < 5 * MIB, "{} bytes", size(dir.path(), "farm.db"));
     }
 
-    /// A stop of the coordinator does not wait until a slow disk has taken all of it.
+    /// A stop of the coordinator does not wait until a slow disk has taken the whole backup.
     #[tokio::test]
     async fn closing_the_store_ends_a_backup() {
         let dir = tempfile::tempdir().unwrap();

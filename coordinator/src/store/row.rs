@@ -1,5 +1,5 @@
-//! `from_row!`: reads the columns of a row into the fields that bear their names. In the place of sqlx's derive, for
-//! which SQLite would be built a second time, as a part of the compiler's plug-in.
+//! Defines `from_row!`, which reads the columns of a row into the fields of the same names. It replaces sqlx's derive
+//! macro, for which SQLite would be built a second time, as a part of the compiler's plug-in.
 
 macro_rules! from_row {
     ($row:ident$(<$life:lifetime>)? { $($column:ident),+ }) => {

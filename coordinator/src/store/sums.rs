@@ -1,4 +1,4 @@
-//! Table `sums`: blocks of divided jobs, merged in their order as they come in.
+//! Stores the blocks of divided jobs (table `sums`), and merges them in their order as they arrive.
 
 use std::collections::BTreeSet;
 
@@ -12,11 +12,11 @@ use super::{Result, Store, StoreError, doing};
 /// Point, block, sums and their digest.
 type BlockRow = (i64, i64, Vec<u8>, Vec<u8>);
 
-/// Adds a block's sums. When all blocks are there, returns their total and forgets them.
+/// Adds a block's sums. When all blocks are present, returns their total and deletes them.
 ///
 /// Blocks that follow each other from the first on are merged into one row at once, so that a job of many blocks
 /// takes little room; since they are always added from left to right the total has the same bits in whatever order they
-/// came in.
+/// arrived.
 pub(super) async fn add(
     tx: &mut SqliteConnection,
     point: i64,
@@ -57,7 +57,7 @@ pub(super) async fn add(
     Ok(None)
 }
 
-/// Batches of the first blocks.
+/// Number of batches of the first `blocks` blocks.
 fn batches_before(job: &JobSpec, blocks: u32) -> u64 {
     (0..blocks).map(|block| job.walks().batches_of_block(block)).sum()
 }
@@ -66,7 +66,7 @@ fn decode(job: &JobSpec, batches: u64, point: i64, bytes: &[u8]) -> Result<Sums>
     Sums::from_le_bytes(job, batches, bytes).map_err(|error| corrupt(point, error.to_string()))
 }
 
-/// How many blocks are merged, and their sums.
+/// The number of merged blocks, and their sums.
 async fn merged(tx: &mut SqliteConnection, point: i64) -> Result<Option<(u32, Vec<u8>)>> {
     let row: Option<(i64, Vec<u8>, Vec<u8>)> =
         sqlx::query_as("SELECT block, sums, digest FROM sums WHERE point_id = ? AND block < 0")
@@ -100,7 +100,7 @@ fn corrupt(point: i64, why: String) -> StoreError {
     StoreError::Corrupt { table: "sums", row: point, column: "sums", why }
 }
 
-/// What is there already stays: it may be what is being checked.
+/// Stores a block's sums. A block that is stored already stays: it may be the subject of a check.
 async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8]) -> Result<()> {
     sqlx::query("INSERT OR IGNORE INTO sums (point_id, block, sums, digest) VALUES (?, ?, ?, ?)")
         .bind(point)
@@ -114,7 +114,7 @@ async fn insert(tx: &mut SqliteConnection, point: i64, block: i64, bytes: &[u8])
 }
 
 impl Store {
-    /// What is wrong with the stored blocks of a divided job, read through a connection of its own; None if nothing is.
+    /// The damage of the stored blocks of a divided job, read on a separate connection; None if they are intact.
     pub async fn damaged_blocks(&self, job: &JobSpec) -> Result<Option<String>> {
         let mut connection = self.fresh_connection().await?;
         let rows: Result<Vec<BlockRow>> = sqlx::query_as(
@@ -125,7 +125,7 @@ impl Store {
         .fetch_all(&mut connection)
         .await
         .map_err(doing("reading blocks once more"));
-        // It has only read.
+        // The connection has only read: an error in closing it does no harm.
         let _ = connection.close().await;
         let damage = |(point, block, sums, digest): BlockRow| {
             let batches = match u32::try_from(block) {

@@ -92,7 +92,7 @@ fn done(job: u32, records: Digest) -> EndedJob {
     }
 }
 
-/// Everything that was committed is there after reopening.
+/// Everything that was committed is present after reopening.
 #[tokio::test]
 async fn committed_rows_survive_reopening() {
     let dir = tempfile::tempdir().unwrap();
@@ -166,7 +166,7 @@ async fn simultaneous_results_share_one_commit() {
     assert_eq!(commits.try_iter().collect::<Vec<_>>(), [3]);
 }
 
-/// It is no error, and leaves no records behind that would never be deleted.
+/// A result of a deleted dictionary is no error, and leaves no records behind that would never be deleted.
 #[tokio::test]
 async fn result_of_deleted_dictionary_is_ignored() {
     let dir = tempfile::tempdir().unwrap();
@@ -192,7 +192,7 @@ pub(super) async fn overlapping(store: &Store, name: &str, albedo: Vec<f64>) -> 
     store.create_dictionary(DictionaryName::new(name).unwrap(), grid, 0, "", 8).await.unwrap()
 }
 
-/// Jobs that need no computing.
+/// Ends the jobs that need no computing; returns their number.
 async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
     let jobs = (0..2).map(|job| (job, JobSpec::of(&dictionary.grid, job as usize).identity()));
     let jobs: Vec<_> = jobs.collect();
@@ -200,7 +200,7 @@ async fn reuse(store: &Store, dictionary: &StoredDictionary) -> usize {
     store.ledger().shared().await.reuse(dictionary.id, &dictionary.grid, &jobs, &grids).await.unwrap().len()
 }
 
-/// A dictionary that overlaps another one uses the records that are there.
+/// A dictionary that overlaps another one reuses the stored records.
 #[tokio::test]
 async fn overlapping_dictionary_reuses_records() {
     let dir = tempfile::tempdir().unwrap();
@@ -209,7 +209,7 @@ async fn overlapping_dictionary_reuses_records() {
     let d = dictionary(&store).await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
-    // sigma_t 2 is shared, 3 is new; of the albedos one is asked for, or one that is not there.
+    // sigma_t 2 is shared, 3 is new; the one albedo is stored in the first case, and not in the second.
     let finer = overlapping(&store, "e", vec![0.9]).await;
     assert_eq!(reuse(&store, &finer).await, 1);
     let reused = all_records(&store, &finer).await;
@@ -278,7 +278,7 @@ async fn data_folder_has_one_coordinator() {
     assert!(error.contains("in use by another coordinator (at 127.0.0.1:7)"), "{error}");
 }
 
-/// A database as the first version of this program left it.
+/// A database of the first version of this program keeps its records.
 #[tokio::test]
 async fn first_schema_keeps_its_records() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Table `workers`: machines that workers came from, and those that are fenced off.
+//! Stores and reads the machines of workers, and which of them are fenced off (table `workers`).
 
 use farm_proto::ids::DictionaryId;
 
@@ -24,7 +24,7 @@ impl From<MachineRow> for KnownMachine {
 }
 
 impl Store {
-    /// Row of a machine, made if it is the first time. One that is fenced off is still known as it was.
+    /// Row of a machine, inserted if there is none. A machine that is fenced off keeps its label and host.
     pub async fn register_worker(&self, machine: &Machine, label: &str) -> Result<Origin> {
         let (id,): (i64,) = sqlx::query_as(
             "INSERT INTO workers (identity, label, token, address, host) VALUES (?, ?, ?, ?, ?) \
@@ -43,7 +43,7 @@ impl Store {
         Ok(Origin(id))
     }
 
-    /// All machines that something is known of.
+    /// All machines in the table.
     pub async fn machines(&self) -> Result<Vec<KnownMachine>> {
         let rows: Vec<MachineRow> =
             sqlx::query_as("SELECT id, label, token, address, host, fenced FROM workers ORDER BY id")
@@ -53,7 +53,7 @@ impl Store {
         Ok(rows.into_iter().map(Into::into).collect())
     }
 
-    /// Notes that a machine, too, has computed the records that a job has.
+    /// Notes that a machine has confirmed the records of a job.
     pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, machine: Origin) -> Result<()> {
         sqlx::query(
             "INSERT OR IGNORE INTO contributions (point_id, worker_id, confirmed) \
@@ -68,7 +68,7 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets machines of which nothing is left. One that is still there registers again under a new number.
+    /// Deletes machines to which no record, vote or fence refers. One that still exists registers again under a new number.
     pub(super) async fn forget_useless_workers(&self) -> Result<()> {
         sqlx::query(
             "DELETE FROM workers WHERE fenced IS NULL AND id NOT IN (SELECT worker_id FROM contributions) \

@@ -1,8 +1,7 @@
-//! Group commit: results that come in while others are written are committed together.
+//! Commits results in groups: those that arrive while others are written share one commit.
 //!
 //! A commit with `synchronous=FULL` waits for the disk; with one commit per job that wait would bound the farm. The
-//! writer takes all results that are there, up to a bound, writes them in one transaction, and only then tells those
-//! who sent them.
+//! writer takes all results that wait, up to a bound, writes them in one transaction, and only then acknowledges them.
 
 use std::future::poll_fn;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -17,14 +16,14 @@ use tokio::sync::{mpsc, oneshot};
 use super::{Place, Result, Shared, StoreError, batch, doing};
 use crate::stored::{Completion, Outcome};
 
-/// Results of one transaction.
+/// Most results of one transaction.
 const BATCH: usize = 1024;
 /// Bytes after which a transaction takes no more results.
 const BATCH_BYTES: usize = 32 << 20;
 /// Results that may wait for the writer.
 const QUEUE: usize = 4096;
 
-/// How a commit went, for the metrics.
+/// The size and duration of a commit, for the metrics.
 #[derive(Debug, Clone, Copy)]
 pub struct Commit {
     pub results: usize,
@@ -79,13 +78,13 @@ pub(super) async fn run(
         let records = completions.iter().zip(&results).map(finished).sum();
         committed(Commit { results: completions.len(), records, took: start.elapsed() });
         for (sender, result) in senders.into_iter().zip(results) {
-            // Whoever asked may have gone; the result is stored nevertheless.
+            // The caller may have gone; the result is stored nevertheless.
             let _ = sender.send(result);
         }
     }
 }
 
-/// All in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
+/// Writes all results in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
 async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Outcome>> {
     match guarded(write(pool, completions)).await {
         Ok(stored) => return stored.into_iter().map(Ok).collect(),
@@ -114,8 +113,8 @@ async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
     .await
 }
 
-/// Whether the database takes nothing at all at present: locked, read-only, disk full, reading or writing fails.
-/// Then each result by itself would only wait as long again.
+/// Whether the database accepts no write at present: locked, read-only, disk full, reading or writing fails. Then each
+/// result by itself would only wait as long again.
 fn concerns_all(error: &StoreError) -> bool {
     const BUSY: i32 = 5;
     const LOCKED: i32 = 6;

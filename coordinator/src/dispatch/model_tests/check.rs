@@ -1,4 +1,4 @@
-//! What must hold after every step.
+//! Checks the invariants that must hold after every step.
 
 use std::collections::BTreeSet;
 
@@ -22,7 +22,7 @@ impl World {
         if let Some(complaint) = &self.complaint {
             return Err(complaint.clone());
         }
-        // All that needs no model.
+        // The invariants that need no model.
         self.farm.check(self.now)?;
         let farm = &self.farm;
         for held in farm.schedule.leases().iter() {
@@ -83,7 +83,7 @@ impl World {
         Ok(())
     }
 
-    /// With every result checked, what is left is right.
+    /// Checks that no wrong result is left, if every result is verified.
     pub fn check_digests(&self) -> Result<(), String> {
         let checked = self.settings.check_share >= 1.0;
         for ((id, job), done) in &self.store.done {

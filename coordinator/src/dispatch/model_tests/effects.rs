@@ -1,4 +1,4 @@
-//! What the dispatcher decides, done to the model's store.
+//! Applies the dispatcher's effects to the model's store.
 
 use farm_proto::ids::DictionaryId;
 
@@ -40,12 +40,12 @@ impl World {
                 }
                 Effect::LiftFence { .. } => unreachable!("nobody asks for that"),
             }
-            // What the effect has brought about.
+            // Applies the effects that this one has caused.
             self.settle();
         }
     }
 
-    /// Forgets a job's records. They lie at the walks that they are of, so that other jobs for these lose them too.
+    /// Deletes a job's records. Records are stored by their walks, so other jobs with the same walks lose them too.
     pub fn recompute(&mut self, id: DictionaryId, job: u32) {
         for (id, job) in self.same_walks(id, job) {
             self.store.done.remove(&(id, job));
@@ -54,7 +54,7 @@ impl World {
         self.find_blocks();
     }
 
-    /// Jobs that are done with the same walks as one that is.
+    /// The finished jobs with the same walks as a finished job, which is among them.
     fn same_walks(&self, id: DictionaryId, job: u32) -> Vec<(DictionaryId, u32)> {
         let Some(walks) = self.store.done.get(&(id, job)).map(|done| done.walks) else { return Vec::new() };
         let kind = self.store.kind(id);
@@ -70,7 +70,7 @@ impl World {
         self.farm.reopen(id, &[job]);
     }
 
-    /// Tells the dispatcher which blocks there are.
+    /// Reports the stored blocks to the dispatcher.
     pub fn find_blocks(&mut self) {
         for id in self.store.dictionaries.keys().copied().collect::<Vec<_>>() {
             for (job, spec) in self.farm.schedule.by_id(id).unwrap().divided_jobs() {

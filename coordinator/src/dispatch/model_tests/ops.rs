@@ -1,8 +1,8 @@
-//! What may happen, in which mixture.
+//! Generates random operations, each with its relative frequency.
 
 use proptest::prelude::*;
 
-/// Numbers choose among what there is at that moment.
+/// An operation. Its numbers select among the items that exist at that moment.
 #[derive(Debug, Clone)]
 pub enum Op {
     Register(usize),
@@ -10,13 +10,13 @@ pub enum Op {
         worker: usize,
         max: usize,
     },
-    /// Renews what the bits choose; those of the other bits are running.
+    /// Renews the leases that the bits of `which` select; those that the bits of `running` select are reported as running.
     Renew {
         worker: usize,
         which: u8,
         running: u8,
     },
-    /// Claims leases with keys that were never given out so.
+    /// Claims leases with keys that were never granted in this form.
     Forge {
         worker: usize,
         lease: usize,
@@ -32,9 +32,9 @@ pub enum Op {
         worker: usize,
         lease: usize,
     },
-    /// One that was admitted reaches the store.
+    /// An admitted result reaches the store.
     End(usize),
-    /// A result reaches the store and differs from a job's that asked for the same walks.
+    /// A result reaches the store and differs from the records of a job with the same walks.
     Clash {
         which: usize,
         with: usize,
@@ -44,7 +44,7 @@ pub enum Op {
         worker: usize,
         lease: usize,
     },
-    /// A result whose identity is another.
+    /// A result with a different identity.
     DeliverAlien {
         worker: usize,
         lease: usize,
@@ -61,9 +61,9 @@ pub enum Op {
     Drain(usize),
     /// The process dies, and another begins in its place.
     Die(usize),
-    /// Looks for silent workers after so many tenths of a second.
+    /// Looks for silent workers after this many tenths of a second.
     Expire(u64),
-    /// So many seconds pass in which the coordinator does nothing.
+    /// The coordinator does nothing for this many seconds.
     Stall(u64),
     Pause(usize),
     Resume(usize),

@@ -1,4 +1,4 @@
-//! Results that reach the store.
+//! Delivers results to the model's store.
 
 use std::collections::BTreeSet;
 
@@ -48,7 +48,7 @@ impl World {
         }
     }
 
-    /// A result that reaches the store differs from the records of a job that asked for the same walks.
+    /// A result that reaches the store differs from the records of a job with the same walks.
     pub fn clash(&mut self, which: usize, with: usize) {
         let last = self.arriving.len().saturating_sub(1);
         let Some(other) = self.store.done.keys().nth(with).copied() else { return };

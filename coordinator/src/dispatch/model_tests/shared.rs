@@ -1,4 +1,4 @@
-//! Dictionaries that ask for the same walks.
+//! Models dictionaries with the same walks, whose records are shared.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
@@ -21,7 +21,7 @@ impl World {
         self.farm.taken_over(place, done.walks, done.records, by);
     }
 
-    /// Ends the open jobs of a dictionary with records that others have.
+    /// Ends the open jobs of a dictionary with the records of others.
     pub fn take_over_done(&mut self, id: DictionaryId) {
         for job in self.farm.schedule.done_elsewhere(id) {
             let kind = self.store.kind(id);

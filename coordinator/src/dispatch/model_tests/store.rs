@@ -13,7 +13,7 @@ use crate::stored::{
     DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Origin, Outcome, StoredDictionary,
 };
 
-/// Blocks of a job with so many walks, and who computed them.
+/// Blocks of a job with a certain number of walks, and the machines that computed them.
 type Blocks = BTreeMap<u32, Origin>;
 
 #[derive(Debug, Clone)]
@@ -21,7 +21,7 @@ pub struct DoneJob {
     pub walks: Walks,
     pub records: Digest,
     pub by: BTreeSet<Origin>,
-    /// Workers that have found the same.
+    /// Machines that have confirmed the records.
     pub confirmed: BTreeSet<Origin>,
 }
 
@@ -38,7 +38,7 @@ pub struct ModelStore {
     last_id: i64,
 }
 
-/// How many walks the jobs of a kind of dictionary end with; the others need no more than they begin with.
+/// The final number of walks of the jobs of a kind of dictionary; None if the initial number suffices.
 fn walks_needed(kind: u64) -> Option<Walks> {
     let walks = match kind {
         2 => 500_000,
@@ -49,13 +49,14 @@ fn walks_needed(kind: u64) -> Option<Walks> {
 }
 
 impl ModelStore {
-    /// One of five kinds: undivided, divided, begun with too few walks (twice), and of an older physics version.
+    /// Creates a dictionary of one of five kinds: undivided, divided, begun with too few walks (twice), and of an older
+    /// physics version.
     pub fn create(&mut self, kind: usize) -> DictionaryId {
         self.last_id += 1;
         let id = DictionaryId(self.last_id);
         let axes = Axes {
             sigma_t_per_mm: if kind == 0 { vec![1.0, 2.0, 30.0] } else { vec![1.0, 2.0] },
-            // Those of every other dictionary of the first kind are among those of the others.
+            // Every other dictionary of the first kind has a subset of the albedos.
             albedo: if kind == 0 && self.last_id % 2 == 0 { vec![0.5, 0.9] } else { vec![0.5] },
             g: vec![0.0],
             thickness_mm: vec![1.0],
@@ -100,7 +101,7 @@ impl ModelStore {
         }
     }
 
-    /// What is known of the machines.
+    /// The known machines.
     pub fn machines(&self) -> impl Iterator<Item = KnownMachine> {
         self.met.iter().map(|(origin, machine)| KnownMachine {
             origin: *origin,
@@ -127,7 +128,7 @@ impl ModelStore {
         done.chain(given_up).collect()
     }
 
-    /// The digest of what these workers compute together.
+    /// The digest of a result to which these machines have contributed.
     pub fn digest(
         &self,
         dictionary: DictionaryId,
@@ -141,8 +142,8 @@ impl ModelStore {
         Digest::of_bytes(format!("{kind:?} {job} {walks} {wrong:?}").as_bytes())
     }
 
-    /// Dictionaries of the same kind have the same walks at the jobs that both have. How many it will be is not known of
-    /// those that go on to a target error: each is of a kind of its own.
+    /// The kind of a dictionary: dictionaries of one kind have the same walks in the jobs that both have. Each dictionary
+    /// with a target error is a kind of its own, since its final number of walks is not known in advance.
     pub fn kind(&self, dictionary: DictionaryId) -> Option<u64> {
         let stored = self.dictionaries.get(&dictionary)?;
         Some(if stored.grid.quality().is_some() { 1000 + dictionary.0 as u64 } else { stored.grid.seed() })
@@ -160,7 +161,7 @@ impl ModelStore {
         self.blocks.get(&(id, job, walks.get())).map(|b| b.keys().copied().collect()).unwrap_or_default()
     }
 
-    /// Stores a result as the real one does; None if its dictionary is gone.
+    /// Stores a result like the real store; None if its dictionary is gone.
     pub fn complete(&mut self, id: DictionaryId, job: u32, spec: &JobSpec, by: Origin) -> Option<Outcome> {
         let dictionary = self.dictionaries.get(&id)?;
         if self.fenced.contains_key(&by) {
@@ -191,7 +192,7 @@ impl ModelStore {
         Some(Outcome::Finished { records })
     }
 
-    /// Forgets a machine's part in everything, but for what others have confirmed: the jobs to be computed again.
+    /// Removes the results of a machine, except those that others have confirmed. Returns the jobs to be computed again.
     pub fn fence(&mut self, machine: Origin, reason: String) -> Vec<(DictionaryId, u32)> {
         self.fenced.insert(machine, reason);
         self.blocks.retain(|_, blocks| !blocks.values().any(|by| *by == machine));

@@ -1,4 +1,4 @@
-//! What workers do, as they should and otherwise.
+//! Performs the operations of workers, correct and incorrect ones.
 
 use std::collections::BTreeSet;
 
@@ -41,7 +41,7 @@ impl World {
         self.origins.insert(id, origin);
     }
 
-    /// What a worker makes of an answer: None if it has to begin again.
+    /// Handles an answer to a worker; None if the worker has to register again or was refused.
     fn answer<T>(&mut self, worker: usize, answer: Result<T, DispatchError>) -> Option<T> {
         match answer {
             Err(DispatchError::UnknownWorker(_)) => {
@@ -61,7 +61,7 @@ impl World {
         }
     }
 
-    /// A process has been heard of: nothing is blamed on its silence any more.
+    /// Withdraws the strikes for the silence of a process that has made contact.
     fn forgive(&mut self, worker: usize) {
         let instance = &self.processes[worker].instance;
         for strikes in self.strikes.values_mut() {
@@ -72,7 +72,7 @@ impl World {
     pub fn acquire(&mut self, worker: usize, max: usize) {
         let Process { id, origin, .. } = self.processes[worker].clone();
         let paused = self.farm.roster.pause_left(self.now, origin).is_some();
-        // Of a divided job that was under way before another one was, the rest may be given out.
+        // The remaining parts of a divided job may be granted if it was under way before the other job.
         let place = |key: &LeaseKey| (key.dictionary, key.job);
         let held = self.farm.schedule.leases().iter().filter(|held| held.purpose != Purpose::Check);
         let under_way: BTreeSet<_> = held.map(|held| place(&held.key)).collect();
@@ -112,7 +112,7 @@ impl World {
         }
     }
 
-    /// What a machine has failed at goes to others first, as long as there are any.
+    /// Checks that a job at which this machine has failed goes to other machines first, as long as there are any.
     fn check_struck(&mut self, key: &LeaseKey, origin: Origin) {
         let strikes = self.strikes.get(&(key.dictionary, key.job)).cloned().unwrap_or_default();
         let struck = |machine: Origin| strikes.iter().any(|(by, _)| *by == machine);
@@ -160,7 +160,7 @@ impl World {
         }
     }
 
-    /// Keys as nobody got them: of another's lease, with another token, job, part, attempt or identity.
+    /// Uses forged keys: of another worker's lease, or with a changed token, job, attempt or part.
     pub fn forge(&mut self, worker: usize, lease: usize, how: u8) {
         let other = (worker + 1) % WORKERS;
         let from = if how == 0 { other } else { worker };
@@ -177,7 +177,7 @@ impl World {
         let id = self.processes[worker].id.clone();
         let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
         if let Some((lost, _)) = self.answer(worker, answer) {
-            // Another's lease may be right, for all that the coordinator knows after a restart.
+            // After a restart the coordinator may accept another worker's lease, since it has no record of the holder.
             let kept = before.is_some_and(|held| held.worker != id) || in_use || how > 0;
             self.insist(!kept || !lost.is_empty(), || format!("{key:?} was forged and is renewed"));
             if lost.is_empty() {
@@ -188,7 +188,7 @@ impl World {
         let answer = self.farm.admit(self.now, &id, &key, job.identity());
         self.insist(answer.is_err() || how == 0, || format!("{key:?} was forged and its result is taken"));
         self.answer(worker, answer);
-        // It may be another process by now.
+        // The worker may be another process by now.
         let id = self.processes[worker].id.clone();
         let answer = self.farm.failed(self.now, &id, &key, "sabotage");
         self.insist(answer.is_err(), || format!("{key:?} was forged and has failed"));

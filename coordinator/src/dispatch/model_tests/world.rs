@@ -1,4 +1,4 @@
-//! The farm around the dispatcher: its store, its workers, and what a step does.
+//! Models the farm around the dispatcher: its store, its workers, and the steps.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub const MAX_ATTEMPTS: u32 = 2;
 pub const WORKERS: usize = 5;
 const DICTIONARIES: usize = 4;
 
-/// The machine of a failed attempt, and the process if it was for its silence.
+/// The machine of a failed attempt, and the process if its silence was the reason.
 pub type Struck = (Origin, Option<String>);
 
 /// A worker's process.
@@ -32,7 +32,7 @@ pub struct Process {
     pub origin: Origin,
     pub id: WorkerId,
     pub held: Vec<Lease>,
-    /// Leases that it holds no more, whose results may still come.
+    /// Leases that it no longer holds, whose results may still arrive.
     pub old: Vec<Lease>,
     pub wrong: bool,
 }
@@ -64,9 +64,9 @@ pub struct World {
     pub draining: BTreeSet<WorkerId>,
     last_look: Option<Duration>,
     pub numbers: i64,
-    /// Whether workers that wait were woken in this step, and people who watch.
+    /// Whether waiting workers were woken in this step, and watching clients.
     pub woken: (bool, bool),
-    /// What went wrong within a step.
+    /// The first violation within a step.
     pub complaint: Option<String>,
 }
 
@@ -105,7 +105,7 @@ impl World {
         world
     }
 
-    /// A new process, on a machine that is there or on a new one.
+    /// A new process, on the given machine or on a new one.
     pub fn process(&mut self, wrong: bool, on: Option<Origin>) -> Process {
         self.numbers += 1;
         let origin = on.unwrap_or(Origin(self.numbers));
@@ -123,19 +123,20 @@ impl World {
         }
     }
 
-    /// What a worker that waits could get: parts, and checks.
+    /// The numbers of parts and of checks that a waiting worker could get.
     fn offers(&self) -> (usize, usize) {
         let checks =
             self.farm.verification.open_to(|_| false).filter(|part| self.farm.schedule.may_check(*part));
         (self.farm.schedule.load().0, checks.count())
     }
 
-    /// What people see of the dictionaries.
+    /// The states of the dictionaries as clients see them.
     fn seen(&self) -> Vec<(DictionaryId, DictionaryState, (usize, usize))> {
         self.farm.schedule.dictionaries().map(|d| (d.id(), d.state(), d.ended())).collect()
     }
 
-    /// Whoever waits for work or news must be woken when there is some, since nobody asks again before.
+    /// Performs a step, and checks the wake-ups: calls that wait for work or changes must be woken when there are some,
+    /// since they are not repeated before.
     pub fn step(&mut self, op: &Op) {
         let (offers, seen) = (self.offers(), self.seen());
         self.woken = (false, false);
@@ -213,12 +214,12 @@ impl World {
         self.origins.get(id).copied()
     }
 
-    /// Takes a process's place with a new one on another machine; its leases are left as they are.
+    /// Replaces a process by a new one on another machine; the leases of the old one are not ended.
     pub fn replace(&mut self, worker: usize, wrong: bool) {
         self.processes[worker] = self.process(wrong, None);
     }
 
-    /// The same on the same machine.
+    /// Replaces a process by a new one on the same machine.
     pub fn begin_anew(&mut self, worker: usize) {
         let Process { origin, wrong, .. } = self.processes[worker];
         self.processes[worker] = self.process(wrong, Some(origin));
@@ -287,7 +288,7 @@ impl World {
         self.farm.remove_dictionary(id);
     }
 
-    /// A new coordinator on the same store.
+    /// Restarts the coordinator on the same store.
     fn restart(&mut self) {
         self.farm = Dispatcher::new(self.settings);
         for known in self.store.machines() {
@@ -310,7 +311,7 @@ impl World {
         }
     }
 
-    /// Three honest workers finish what is left.
+    /// Lets three honest workers finish the remaining work.
     pub fn finish_all(&mut self) -> Result<(), String> {
         while !self.arriving.is_empty() {
             self.end(0);
@@ -320,7 +321,7 @@ impl World {
             self.replace(worker, false);
         }
         for _ in 0..300 {
-            // One that was done may be open again, for a worker that was fenced off, and still be paused.
+            // A dictionary that was done may be open again because a worker was fenced off, and still be paused.
             for at in 0..self.store.dictionaries.len() {
                 self.set_desire(at, DesiredState::Run);
             }

@@ -1,5 +1,5 @@
-//! The machines that workers run on. Keeps which of them share a vote, which are fenced off, and which are suspended since
-//! they fail one job after the other.
+//! Keeps the machines that workers run on: which of them share a vote, which are fenced off, and which are suspended
+//! because they fail one job after the other.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -13,7 +13,7 @@ const IN_A_ROW: usize = 3;
 const FIRST_PAUSE: Duration = Duration::from_secs(10);
 const LONGEST_PAUSE: Duration = Duration::from_mins(10);
 
-/// What a machine has failed at since its last success.
+/// The failures of a machine since its last success.
 #[derive(Debug, Default)]
 struct Failures {
     jobs: BTreeSet<JobRef>,
@@ -30,12 +30,12 @@ pub(super) struct Machines {
 }
 
 impl Machines {
-    /// Takes up a machine as the store knows it.
+    /// Adds a machine from the store.
     pub fn remember(&mut self, known: KnownMachine) {
         self.known.insert(known.origin, known);
     }
 
-    /// Notes that a machine is there. Its fence stays.
+    /// Notes that a machine has connected. Its fence stays.
     pub fn met(&mut self, origin: Origin, machine: Machine, label: &str) {
         let fenced = self.known.remove(&origin).and_then(|known| known.fenced);
         self.known.insert(origin, KnownMachine { origin, machine, label: label.to_owned(), fenced });
@@ -80,7 +80,7 @@ impl Machines {
         self.known.values().filter(|known| known.fenced.is_some())
     }
 
-    /// Why a machine is fenced off, if it is, itself or under another address.
+    /// The reason why a machine is fenced off, itself or under another address; None if it is not.
     pub fn fence_of(&self, machine: &Machine) -> Option<&str> {
         let fenced = self.fenced().find(|known| known.machine.is_same(machine))?;
         fenced.fenced.as_deref()
@@ -94,7 +94,7 @@ impl Machines {
         self.known.get(&origin)?.fenced.as_deref()
     }
 
-    /// Notes that a job came to nothing on a machine. The length of its pause, if it gets one now; `alone`: no other
+    /// Notes that a job has failed on a machine. Returns the length of its pause, if it gets one now. `alone`: no other
     /// machine could do its work meanwhile, so that a long pause would only cost time.
     pub fn failed(&mut self, now: Duration, origin: Origin, job: JobRef, alone: bool) -> Option<Duration> {
         let failures = self.failures.entry(origin).or_default();
@@ -109,7 +109,7 @@ impl Machines {
         Some(pause)
     }
 
-    /// Others fail at a job, too: it is the job's fault. True if that ends a pause.
+    /// Removes a job at which several machines fail from their failures: the fault is the job's. True if that ends a pause.
     pub fn exonerate(&mut self, now: Duration, job: JobRef) -> bool {
         let mut ended = false;
         for failures in self.failures.values_mut() {
@@ -121,18 +121,18 @@ impl Machines {
         ended
     }
 
-    /// Notes that a machine has succeeded at something.
+    /// Notes a success of a machine, which clears its failures.
     pub fn succeeded(&mut self, origin: Origin) {
         self.failures.remove(&origin);
     }
 
-    /// How long a machine gets no jobs.
+    /// Time until the pause of a machine ends; None if it has none.
     pub fn pause_left(&self, now: Duration, origin: Origin) -> Option<Duration> {
         let until = self.failures.get(&origin)?.until;
         until.checked_sub(now).filter(|left| !left.is_zero())
     }
 
-    /// Whether a machine has had a pause and no success since: it is tried with one job at a time.
+    /// Whether a machine has had a pause and no success since: it gets only one job at a time.
     pub fn is_on_trial(&self, origin: Origin) -> bool {
         self.failures.get(&origin).is_some_and(|failures| failures.pauses > 0)
     }
@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(machines.pause_left(Duration::ZERO, A), None);
     }
 
-    /// A vote is that of a machine, by address and host, or that of a token if votes are counted by token.
+    /// A vote belongs to a machine, by address and host, or to a token if votes are counted by token.
     #[test]
     fn votes_are_per_machine_or_token() {
         let mut machines = Machines::default();

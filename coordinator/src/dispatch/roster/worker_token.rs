@@ -1,11 +1,12 @@
-//! Tokens of workers. A worker's public id, with a code keyed by the secret, authenticates it in its calls.
+//! Issues and verifies the tokens of workers. A worker's public id, with a code keyed by the secret, authenticates it in
+//! its calls.
 
 use farm_proto::ids::WorkerId;
 
 use super::super::mac::hasher;
 use crate::stored::Secret;
 
-/// The token that authenticates a worker in its calls: its public id and the code of that.
+/// The token that authenticates a worker in its calls: its public id and the keyed code of the id.
 pub(super) fn issue(secret: &Secret, id: &WorkerId) -> String {
     format!("{id}.{}", mac(secret, id).to_hex())
 }

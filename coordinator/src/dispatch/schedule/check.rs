@@ -1,4 +1,4 @@
-//! Invariants of the schedule, checked after every transition of a debug build.
+//! Checks the invariants of the schedule, after every transition of a debug build.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -8,8 +8,8 @@ use super::super::roster::Roster;
 use super::job::{Job, Stage};
 use super::{Dictionary, OpenLease, Schedule};
 
-/// Dictionaries of more parts are not looked at, nor are the leases if there are more: a check after every transition
-/// must stay cheap when a test has a million jobs.
+/// Dictionaries with more jobs or parts are skipped, and so are the leases if there are more: a check after every
+/// transition must stay cheap when a test has a million jobs.
 const MOST: usize = 1000;
 
 macro_rules! must {
@@ -21,7 +21,7 @@ macro_rules! must {
 }
 
 impl Schedule {
-    /// What is wrong with the schedule, if anything is.
+    /// Checks the invariants of the schedule; the error describes the first violation.
     pub fn check(&self, now: Duration, roster: &Roster) -> Result<(), String> {
         if self.leases.len() <= MOST {
             self.check_leases(now, roster)?;
@@ -64,7 +64,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// A part waits if it is open and not leased, and all counts agree with the states of the jobs.
+    /// Checks that a part waits if it is open and not leased, and that all counts agree with the states of the jobs.
     fn check_parts(&self, dictionary: &Dictionary) -> Result<(), String> {
         let id = dictionary.id();
         let leased = self.leases.of_dictionary(id).filter(|(_, purpose)| *purpose != Purpose::Check);
@@ -95,7 +95,7 @@ impl Schedule {
 }
 
 impl Dictionary {
-    /// Parts of all jobs.
+    /// Number of parts of all jobs.
     fn blocks(&self) -> u64 {
         self.jobs.iter().map(|job: &Job| u64::from(job.walks.blocks())).sum()
     }

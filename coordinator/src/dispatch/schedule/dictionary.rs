@@ -1,4 +1,4 @@
-//! The jobs of one dictionary and their states.
+//! Keeps the jobs of one dictionary and their states.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use super::job::{Job, Part, Stage, Strike};
 use super::plan::{self, Plan};
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
-/// Numbers that change with every job, kept so that they need not be counted.
+/// Counts that change with every job, kept so that they need not be computed anew.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub(super) struct Counts {
     pub done: usize,
@@ -31,27 +31,27 @@ pub(super) struct Counts {
 pub struct Dictionary {
     pub(super) stored: StoredDictionary,
     pub(super) outdated: bool,
-    /// Why it is not worked on: its grid is one that is not taken any more.
+    /// The reason why it is not worked on: its grid exceeds the limits that now apply.
     pub(super) too_large: Option<Invalid>,
-    /// Dictionaries of the same have the same walks at the same points.
+    /// Dictionaries of one family have the same walks at the same points.
     pub(super) family: Option<Digest>,
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pub(super) pending: BTreeSet<(u32, u32, u32)>,
     pub(super) counts: Counts,
-    /// Parts that are leased; the schedule keeps the leases.
+    /// Number of leased parts; the schedule keeps the leases.
     leased: usize,
     /// The machines that have confirmed stored results, until they are taken out.
     confirmed: Vec<(u32, Vec<Origin>)>,
 }
 
 impl Dictionary {
-    /// Takes up a dictionary as the store has it: what has not ended is pending.
+    /// Builds a dictionary from the store: the jobs that have not ended are pending.
     pub fn new(stored: StoredDictionary, ended: &[EndedJob]) -> Self {
         Self::planned(Plan::new(&stored.grid), stored, ended)
     }
 
-    /// The same with the plan of its grid.
+    /// Builds a dictionary from the store with the plan of its grid.
     pub fn planned(plan: Plan, stored: StoredDictionary, ended: &[EndedJob]) -> Self {
         let Plan { mut jobs, mut pending, too_large } = plan;
         for end in ended {
@@ -91,7 +91,7 @@ impl Dictionary {
         }
     }
 
-    /// Takes out which machines have confirmed the result of which job, as the store has it.
+    /// Takes out the machines that have confirmed the result of each job, as recorded in the store.
     pub fn take_confirmed(&mut self) -> Vec<(u32, Vec<Origin>)> {
         std::mem::take(&mut self.confirmed)
     }
@@ -125,7 +125,7 @@ impl Dictionary {
         &self.stored.owner
     }
 
-    /// Jobs and waiting parts, which take memory.
+    /// Number of jobs and waiting parts, which take memory.
     pub fn entries(&self) -> usize {
         self.jobs.len() + self.pending.len()
     }
@@ -139,12 +139,12 @@ impl Dictionary {
         self.jobs.len()
     }
 
-    /// Jobs that are done, and that were given up.
+    /// Numbers of jobs that are done and that were given up.
     pub fn ended(&self) -> (usize, usize) {
         (self.counts.done, self.counts.given_up)
     }
 
-    /// Parts that are leased.
+    /// Number of leased parts.
     pub fn leased(&self) -> usize {
         self.leased
     }
@@ -154,12 +154,12 @@ impl Dictionary {
         self.leased += 1;
     }
 
-    /// Notes that a part is not leased any more.
+    /// Notes that a part is no longer leased.
     pub(super) fn lease_ended(&mut self) {
         self.leased = self.leased.saturating_sub(1);
     }
 
-    /// Whether results are wanted. What was leased before a pause may still be finished.
+    /// Whether results are accepted. Parts that were leased before a pause may still be finished.
     pub(super) fn takes_results(&self) -> bool {
         self.stored.desire != DesiredState::Cancel && self.is_workable()
     }
@@ -169,12 +169,12 @@ impl Dictionary {
         self.stored.desire == DesiredState::Run && self.is_workable()
     }
 
-    /// Whether its jobs could be worked on, whatever people want of it.
+    /// Whether its jobs could be worked on, whatever its desired state.
     pub(super) fn is_workable(&self) -> bool {
         !self.outdated && self.too_large.is_none()
     }
 
-    /// Whether every record is there.
+    /// Whether all records are present.
     pub fn is_complete(&self) -> bool {
         self.state() == DictionaryState::Done
     }
@@ -207,7 +207,7 @@ impl Dictionary {
         open.map(|(_, index)| (index, self.spec(index, 0))).collect()
     }
 
-    /// What a worker needs to compute a part.
+    /// The specification from which a worker computes a part.
     pub fn spec(&self, index: u32, part: u32) -> JobSpec {
         let job = &self.jobs[index as usize];
         let spec = JobSpec::of(self.grid(), index as usize).with_walks(job.walks);
@@ -222,13 +222,13 @@ impl Dictionary {
             Stage::Open { parts } => {
                 parts.get_mut(part as usize).is_some_and(|p| std::mem::replace(p, Part::Stored) == Part::Open)
             }
-            // It is there when the job is tried again.
+            // The block is available when the job is tried again.
             Stage::GivenUp { .. } => true,
             Stage::Done { .. } => false,
         }
     }
 
-    /// Notes that a block of a divided job is not stored, or not any more; it waits unless it is held. True if it did
+    /// Notes that a block of a divided job is not stored, or no longer stored; it waits unless it is held. True if it did
     /// not wait before.
     pub(super) fn part_missing(&mut self, index: u32, part: u32, held: bool) -> bool {
         let job = &mut self.jobs[index as usize];
@@ -237,7 +237,8 @@ impl Dictionary {
         !held && self.pending.insert((job.rank, index, part))
     }
 
-    /// Notes that a job's records are stored, of this many walks; or that they were there, or came for another dictionary.
+    /// Notes that a job's records, of this many walks, are stored. `reused`: they came for another dictionary, or had
+    /// been set aside.
     pub(super) fn finish(
         &mut self,
         index: u32,
@@ -252,7 +253,7 @@ impl Dictionary {
             Stage::GivenUp { .. } => self.counts.given_up -= 1,
             Stage::Open { .. } => {}
         }
-        // Since the result was admitted the job may have been begun again with other walks.
+        // The job may have been begun again with other walks since the result was admitted.
         self.begin_again(index, walks);
         let job = &mut self.jobs[index as usize];
         for part in job.open_parts() {
@@ -262,7 +263,7 @@ impl Dictionary {
         self.counts.add_done(job, reused);
     }
 
-    /// Begins jobs again.
+    /// Begins jobs again, with the walks of the grid.
     pub(super) fn reopen(&mut self, jobs: &[u32]) {
         for index in jobs {
             if (*index as usize) < self.jobs.len() {
@@ -273,12 +274,12 @@ impl Dictionary {
         self.count();
     }
 
-    /// Begins a job that is open again with more walks.
+    /// Restarts an open job with more walks.
     pub(super) fn prolong(&mut self, index: u32, walks: Walks) {
         self.begin_again(index, walks);
     }
 
-    /// All parts of a job wait; none is leased.
+    /// Restarts a job, none of whose parts is leased: all of them wait.
     fn begin_again(&mut self, index: u32, walks: Walks) {
         let job = &mut self.jobs[index as usize];
         for part in job.open_parts() {
@@ -307,8 +308,8 @@ impl Dictionary {
         self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
     }
 
-    /// Counts an attempt that came to nothing. It is given up if `max` machines have failed at it, or if as many
-    /// attempts have failed and no other machine is there that might try (`no_other`): all reasons, and whether silence was
+    /// Counts a failed attempt at a job. The job is given up if `max` machines have failed at it, or if as many attempts
+    /// have failed and no other machine is available (`no_other`). Returns all reasons then, and whether silence was
     /// among them.
     pub(super) fn strike(
         &mut self,
@@ -335,21 +336,21 @@ impl Dictionary {
         Some((reason, quarantined))
     }
 
-    /// Takes back the blame for silence: the process has been heard of again.
+    /// Withdraws the blame for the silence of a process that has made contact again.
     pub(super) fn forgive(&mut self, index: u32, process: &str) {
         if let Some(job) = self.jobs.get_mut(index as usize) {
             job.strikes.retain(|s| s.silent.as_deref() != Some(process));
         }
     }
 
-    /// The stored result of a job is credited to another machine, which has found the same.
+    /// Credits the stored result of a job to another machine, which has confirmed it.
     pub(super) fn set_producer(&mut self, index: u32, machine: Origin) {
         if let Some(Job { stage: Stage::Done { by, .. }, .. }) = self.jobs.get_mut(index as usize) {
             *by = Some(machine);
         }
     }
 
-    /// Gives the jobs that were given up another chance; their numbers.
+    /// Retries the jobs that were given up; returns their indices.
     pub(super) fn retry(&mut self) -> Vec<u32> {
         let given_up = |job: &Job| matches!(job.stage, Stage::GivenUp { .. });
         let again: Vec<u32> =

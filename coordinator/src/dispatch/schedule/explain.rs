@@ -1,4 +1,4 @@
-//! Why a dictionary is not done yet.
+//! Explains why a dictionary is not done yet.
 
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ impl Reason {
 }
 
 impl Schedule {
-    /// Why a dictionary is not done, the most important first. `checks`: what there is to say about its checks.
+    /// The reasons why a dictionary is not done, the most important first. `checks`: the reasons that concern its checks.
     pub fn explain(
         &self,
         now: Duration,

@@ -13,22 +13,22 @@ use super::super::{Settings, TokenSource};
 use super::{Dictionary, OpenLease, Schedule, lease_token};
 use crate::stored::Origin;
 
-/// Most parts that come with another because they share its walks, and how much their records may take.
+/// Most parts that are granted with another because they share its walks, and the most bytes that their records may take.
 const MOST_COMPANIONS: usize = 15;
 const MOST_BYTES: usize = 32 << 20;
-/// Leases of a grant from which on none come on top.
+/// Number of leases in a grant from which on no more are added on top.
 const MOST_LEASES: usize = 256;
 
 /// The leases that a worker requests.
 #[derive(Debug, Clone, Copy)]
 pub struct LeaseRequest {
     pub parts: usize,
-    /// It traces parts that share their walks together.
+    /// The worker traces parts that share their walks together.
     pub whole_sets: bool,
 }
 
 impl From<usize> for LeaseRequest {
-    /// Each part by itself.
+    /// Requests each part by itself.
     fn from(parts: usize) -> Self {
         Self { parts, whole_sets: false }
     }
@@ -43,7 +43,7 @@ pub struct Requester<'a> {
     pub roster: &'a Roster,
 }
 
-/// One answer to a worker that asks for leases.
+/// One answer to a request for leases.
 struct Round<'a> {
     schedule: &'a mut Schedule,
     now: Duration,
@@ -54,9 +54,9 @@ struct Round<'a> {
 }
 
 impl Schedule {
-    /// Grants as many parts as are wished: first `checks`, then the costliest of the dictionary that is served first, and
+    /// Grants as many parts as requested: first `checks`, then the costliest of the dictionary that is served first, and
     /// when nothing waits any more, second copies of those that take too long. With whole sets, parts that share their
-    /// walks with one that was granted come on top of that.
+    /// walks with a granted one are added on top of that.
     pub fn grant(
         &mut self,
         now: Duration,
@@ -84,8 +84,8 @@ impl Schedule {
         self.by_id(part.dictionary).is_some_and(serves) && !self.leases.is_checked(part)
     }
 
-    /// Parts that are to be granted together with one: they share its walks, and none of them was tried before, so that
-    /// none is blamed for another.
+    /// Parts that are to be granted together with a part: they share its walks, and none of them was tried before, so
+    /// that none is blamed for another.
     fn companions(&self, part: PartId) -> Vec<PartId> {
         let Some(dictionary) = self.by_id(part.dictionary) else { return Vec::new() };
         let bytes = dictionary.grid().albedo().len() * dictionary.grid().record_bytes();
@@ -95,10 +95,10 @@ impl Schedule {
         own.map(|job| PartId { job, ..part }).take(most).collect()
     }
 
-    /// A part that takes too long, and is not this worker's own.
+    /// Takes a part that takes too long, and that another worker holds.
     fn next_late(&mut self, worker: &WorkerId) -> Option<PartId> {
         let fits = |part: &PartId| {
-            // A part whose result is only checked any more is not late.
+            // A part that is leased only for a check is not late.
             let mut holders = self.leases.of_part(*part);
             self.by_id(part.dictionary).is_some_and(Dictionary::is_active)
                 && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
@@ -144,11 +144,12 @@ impl Schedule {
 impl Round<'_> {
     /// Grants parts that wait, and then copies of those that are late.
     fn grant_waiting(&mut self, request: LeaseRequest) {
-        // Those that come with others do not count.
+        // Parts that are added on top do not count.
         let mut companions = 0;
         let order: Vec<DictionaryId> = self.schedule.order().map(|(_, id)| id).collect();
         for id in order {
-            // Workers that outlived a restart may have the costliest of these in hand, and have not renewed them yet.
+            // Workers that outlived a restart may hold the costliest of these parts, and may not have renewed their
+            // leases yet.
             let returning = self.now < self.schedule.settings.lease && self.schedule.taken_up.contains(&id);
             while self.leases.len() - companions < request.parts
                 && let Some(part) = self.schedule.next_part_for(self.now, self.requester, id, returning)

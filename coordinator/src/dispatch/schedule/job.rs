@@ -1,10 +1,10 @@
-//! One job of a dictionary and how far it is.
+//! Keeps the state of one job of a dictionary.
 
 use optics_model::{Digest, Walks};
 
 use crate::stored::{EndedJob, Origin};
 
-/// A block of a divided job, or the whole of one that is not.
+/// The state of a block of a divided job, or of the whole of an undivided one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Open,
@@ -18,7 +18,7 @@ pub enum Stage {
     GivenUp { reason: String, quarantined: bool },
 }
 
-/// Why an attempt came to nothing.
+/// A failed attempt, with its reason.
 #[derive(Debug, Clone)]
 pub struct Strike {
     pub machine: Origin,
@@ -36,14 +36,14 @@ pub struct Job {
     pub strikes: Vec<Strike>,
     /// Place in the order of work.
     pub rank: u32,
-    /// First place of the jobs that share its walks, and the one behind their last.
+    /// The half-open range of ranks of the jobs that share its walks.
     pub set: [u32; 2],
     /// Expected time of the whole job, in scatterings.
     pub cost: f64,
 }
 
 impl Job {
-    /// A job of which nothing is done; `parts` of it are to be computed.
+    /// A job without results; `parts` is the number of parts to compute.
     pub fn new(walks: Walks, parts: u32, cost_per_walk: f64) -> Self {
         Self {
             stage: open(parts),
@@ -88,7 +88,7 @@ impl Job {
         self.strikes.iter().any(|strike| strike.machine == machine)
     }
 
-    /// How many machines have failed at it.
+    /// Number of machines that have failed at it.
     pub fn machines_struck(&self) -> usize {
         let first = |(i, strike): &(usize, &Strike)| {
             !self.strikes[..*i].iter().any(|before| before.machine == strike.machine)
@@ -96,7 +96,7 @@ impl Job {
         self.strikes.iter().enumerate().filter(first).count()
     }
 
-    /// Takes up how the job ended, as the store has it.
+    /// Sets the end of the job, as recorded in the store.
     pub fn end(&mut self, end: &EndedJob) {
         self.stage = match end {
             EndedJob::Done { walks, records, by, reused, .. } => {
@@ -109,7 +109,7 @@ impl Job {
         };
     }
 
-    /// Begins again, with as many walks and parts as given.
+    /// Restarts the job with these numbers of walks and parts.
     pub fn reopen(&mut self, walks: Walks, parts: u32) {
         self.set_walks(walks);
         self.stage = open(parts);

@@ -1,4 +1,4 @@
-//! How far each job of a dictionary is.
+//! Reports the state of each job of a dictionary.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState;

@@ -1,4 +1,4 @@
-//! Leases that time ends, and parts that take too long.
+//! Finds leases that never end and parts that take too long.
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use super::super::outbox::Outbox;
 use super::super::part::{PartId, Purpose};
 use super::{Job, OpenLease, Schedule};
 
-/// A look that comes this much later than the last was itself held up: no worker is to blame for that.
+/// If a look comes this much later than the last one, the coordinator itself was held up: no worker is to blame for that.
 pub const STALL: Duration = Duration::from_secs(5);
 
 impl Schedule {
-    /// Begins a look at all that time changes; returns the time of the last one. Moves all deadlines if the coordinator
-    /// itself was held up.
+    /// Begins a look at everything that depends on time; returns the time of the last one. Moves all deadlines if the
+    /// coordinator itself was held up.
     pub fn begin_look(&mut self, now: Duration) -> Duration {
         let last = self.last_look.replace(now);
         if let Some(last) = last
@@ -22,7 +22,8 @@ impl Schedule {
         last.unwrap_or_default()
     }
 
-    /// Leases that their workers renew and never end. A copy may be under way, but that could be held for ever, too.
+    /// Leases that their workers keep renewing without ever delivering a result. A copy may be under way, but it could be
+    /// held for ever, too.
     pub fn endless(&self, now: Duration) -> Vec<OpenLease> {
         let is_endless = |held: &&OpenLease| {
             let cost = self.job(PartId::from(&held.key)).map_or(0.0, Job::part_cost);
@@ -31,7 +32,7 @@ impl Schedule {
         self.leases.iter().filter(is_endless).cloned().collect()
     }
 
-    /// Whether parts were kept for other machines than those that asked since the last call.
+    /// Whether parts were reserved since the last call, for other machines than those that requested work.
     pub fn take_kept_for_others(&mut self) -> bool {
         std::mem::take(&mut self.kept_for_others)
     }

@@ -1,5 +1,5 @@
-//! Tokens of leases. They verify that this coordinator granted the lease, before or after a restart, to the holder of
-//! one access token.
+//! Issues and verifies the tokens of leases. A token proves that this coordinator granted the lease, before or after a
+//! restart, to the holder of one access token.
 
 use farm_proto::ids::Token;
 use farm_proto::lease::LeaseKey;

@@ -1,4 +1,4 @@
-//! The leases that are out, with their holders and deadlines. They are found by token, deadline, part and worker.
+//! Keeps the open leases with their holders and deadlines, indexed by token, deadline, part and worker.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -16,11 +16,11 @@ pub struct OpenLease {
     pub purpose: Purpose,
     pub since: Duration,
     pub deadline: Duration,
-    /// The worker has reported that it traces it now.
+    /// The worker has reported that it is tracing the part.
     pub running: bool,
 }
 
-/// All leases that are out, found by token, deadline, part and worker.
+/// All open leases, indexed by token, deadline, part and worker.
 #[derive(Debug, Default)]
 pub struct Leases {
     all: BTreeMap<Token, OpenLease>,
@@ -96,7 +96,7 @@ impl Leases {
         self.of_parts.range(PartId::range_of(job)).map(|(part, _)| *part).collect()
     }
 
-    /// Whether a part of a job is leased, for more than a check.
+    /// Whether a part of a job is leased to be computed, not only to be checked.
     pub fn is_held(&self, job: JobRef) -> bool {
         let tokens = self.of_parts.range(PartId::range_of(job)).flat_map(|(_, tokens)| tokens);
         tokens.filter_map(|token| self.all.get(token)).any(|held| held.purpose != Purpose::Check)
@@ -112,7 +112,7 @@ impl Leases {
         self.of_part(part).any(|held| held.purpose == Purpose::Check)
     }
 
-    /// What the leases of a dictionary were given out for.
+    /// The leased parts of a dictionary, with the purposes of their leases.
     pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, Purpose)> {
         let first = PartId { dictionary: id, job: 0, part: 0 };
         let of_it = self.of_parts.range(first..).take_while(move |(part, _)| part.dictionary == id);
@@ -150,7 +150,7 @@ impl Leases {
         self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|(_, token)| *token).collect()
     }
 
-    /// Moves all deadlines.
+    /// Moves all deadlines, and the times of the grants.
     pub fn postpone(&mut self, by: Duration) {
         self.deadlines = self.deadlines.iter().map(|(deadline, token)| (*deadline + by, *token)).collect();
         for held in self.all.values_mut() {

@@ -1,34 +1,36 @@
-//! How fast the farm works: for the time that is left, and for parts that take too long.
+//! Measures the pace of the farm, to estimate the remaining time and to find parts that take too long.
 
 use std::time::Duration;
 
-/// Completions fade out of the pace over this time at least,
+/// Shortest time constant with which completions fade out of the pace.
 const MEMORY_S: f64 = 30.0;
-/// and over this many times what a part takes: otherwise the pace would fall between completions and leap with each.
+/// The time constant is at least this many times the time of a part: otherwise the pace would fall between completions
+/// and leap with each.
 const PARTS_REMEMBERED: f64 = 3.0;
-/// Completions that are needed at least before there is a pace.
+/// Fewest completions from which a pace is computed.
 const FEWEST: usize = 3;
-/// After this time without work the pace is measured again: the workers may be others.
+/// After this time without work the pace is measured anew: the workers may have changed.
 const FORGOTTEN: Duration = Duration::from_mins(10);
-/// Share of the newest completion in the typical time of a part.
+/// Weight of the newest completion in the typical time of a part.
 const NEWEST: f64 = 0.05;
-/// A part is a straggler after this many times what is typical for its cost.
+/// A part is a straggler after this many times the typical time for its cost.
 const PATIENCE: f64 = 3.0;
-/// A part that takes this many times as long as is usual is not computed any more, however slow the machine.
+/// After this many times the typical time a part is considered abandoned by its worker, however slow the machine.
 const ENDLESS: f64 = 30.0;
-/// But not before this: machines are put to sleep, and programs stopped for a while.
+/// No part is considered abandoned before this: machines are put to sleep, and programs stopped for a while.
 const LEAST_ENDLESS: Duration = Duration::from_hours(1);
-/// While it is not known what is usual.
+/// Time after which a part is considered abandoned while the typical time is not known.
 const LONGEST_UNKNOWN: Duration = Duration::from_hours(24);
-/// No part is a straggler before,
+/// No part is a straggler before this.
 const LEAST: Duration = Duration::from_secs(2);
-/// nor before this, while it is not known what is usual: a worker that sits on all jobs must not keep others idle.
+/// Time after which a part is a straggler while the typical time is not known: a worker that holds all jobs must not keep
+/// others idle.
 const LEAST_UNKNOWN: Duration = Duration::from_mins(1);
 
 /// Exponential averages of the cost finished per second in which there was work, and of the time from lease to result.
 #[derive(Debug, Default)]
 pub(super) struct Pace {
-    /// Cost finished, and the seconds of work in which it was, both faded to the time `at`.
+    /// Finished cost, and the seconds of work that it took, both faded to the time `at`.
     finished: f64,
     worked_s: f64,
     at: Duration,
@@ -40,7 +42,7 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    /// From now on leases are out, or none.
+    /// Sets whether leases are out from now on.
     pub fn working(&mut self, now: Duration, working: bool) {
         if working && !self.working && now.saturating_sub(self.at) > FORGOTTEN {
             (self.finished, self.worked_s, self.completions) = (0.0, 0.0, 0);
@@ -64,14 +66,14 @@ impl Pace {
         self.seconds_per_cost = average(self.seconds_per_cost, took_s / cost);
     }
 
-    /// Cost finished and seconds of work, as they count now.
+    /// Finished cost and seconds of work, both faded to `now`.
     fn faded(&self, now: Duration) -> (f64, f64) {
         if !self.working {
             return (self.finished, self.worked_s);
         }
         let passed_s = now.saturating_sub(self.at).as_secs_f64();
         if self.completions == 0 {
-            // How long a part takes is not known yet, and so not how long to remember.
+            // The time of a part is not known yet, and so neither is the time constant.
             return (0.0, self.worked_s + passed_s);
         }
         let memory_s = MEMORY_S.max(PARTS_REMEMBERED * self.seconds_per_part.unwrap_or(0.0));
@@ -79,8 +81,8 @@ impl Pace {
         (self.finished * kept, self.worked_s * kept + memory_s * (1.0 - kept))
     }
 
-    /// Cost finished per second of late. None before each of the parts that are out can have been given out in the
-    /// place of one that is finished: what is under way counts for nothing yet.
+    /// Recently finished cost per second. None until at least as many parts are finished as are out, so that each of
+    /// these can have replaced a finished one: parts under way do not count yet.
     pub fn rate(&self, now: Duration, out: usize) -> Option<f64> {
         let (finished, worked_s) = self.faded(now);
         let rate = finished / worked_s;
@@ -108,11 +110,11 @@ mod tests {
         Duration::from_secs_f64(s)
     }
 
-    /// Parts of cost 1 on `slots` slots, each of which begins the next when one is finished; the pace is asked for just
-    /// before and after each completion from the time `from_s` on.
+    /// The pace just before and just after each completion, from the time `from_s` on, for parts of cost 1 on `slots`
+    /// slots that each begin the next part when one is finished.
     fn rates(pace: &mut Pace, slots: usize, part_s: f64, parts: usize, from_s: f64) -> Vec<f64> {
         pace.working(seconds(from_s), true);
-        // The look for what has expired.
+        // The regular look for expired leases.
         pace.working(seconds(from_s + 0.5 * part_s), true);
         let mut rates = Vec::new();
         for part in 0..parts {
@@ -131,7 +133,8 @@ mod tests {
         }
     }
 
-    /// Never before 2 s, and after a minute as long as no part was finished.
+    /// A part is late after three times the usual time, but never before 2 s, and after a minute as long as no part was
+    /// finished.
     #[test]
     fn part_is_late_after_three_usual_times() {
         let mut pace = Pace::default();
@@ -141,7 +144,8 @@ mod tests {
         assert!(!pace.is_late(0.001, seconds(1.9)) && pace.is_late(0.001, seconds(2.1)));
     }
 
-    /// There is none before. With a steady pace it is right within a factor of 2.3 at first, and within 23 % later.
+    /// There is no rate before one part per slot is finished. With a steady pace it is right within a factor of 2.3 at
+    /// first, and within 23 % later.
     #[test]
     fn rate_needs_one_part_per_slot() {
         let mut pace = Pace::default();
@@ -167,7 +171,7 @@ mod tests {
     fn long_parts_do_not_disturb_the_pace() {
         let mut pace = Pace::default();
         let seen = rates(&mut pace, 4, 120.0, 40, 0.0);
-        // Just before the second round is finished, what is known is four parts in twice the time.
+        // Just before the second round is finished, the measurement covers four parts in twice the time.
         assert_near(&seen, 4.0 / 120.0, 0.85);
     }
 

@@ -1,4 +1,4 @@
-//! How much was done in the last hour, period by period.
+//! Records the work that was done in the last hour, period by period.
 
 use std::time::Duration;
 
@@ -7,30 +7,30 @@ pub const PERIOD: Duration = Duration::from_secs(10);
 /// Periods that are kept: an hour, and the one that is not over.
 const KEPT: usize = 361;
 
-/// What was finished in a period.
+/// The work that was finished in a period.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Period {
     pub jobs: u32,
-    /// Expected scatterings of what was finished.
+    /// Expected scatterings of the finished parts.
     pub cost: f64,
 }
 
-/// The periods of the last hour, from the start at most.
+/// The periods of the last hour, but none from before the start.
 #[derive(Debug, Default)]
 pub(super) struct PaceHistory {
-    /// The last of them holds the time of the last call.
+    /// The last period contains the time of the last completion.
     periods: Vec<Period>,
     /// Number of the last period, from the start.
     last: u64,
 }
 
 impl PaceHistory {
-    /// A part of this cost was finished.
+    /// Records that a part of this cost was finished.
     pub fn part_done(&mut self, now: Duration, cost: f64) {
         self.at(now).cost += cost;
     }
 
-    /// All of a job was finished.
+    /// Records that a whole job was finished.
     pub fn job_done(&mut self, now: Duration) {
         self.at(now).jobs += 1;
     }

@@ -1,4 +1,4 @@
-//! The jobs of a grid: how long they take, and the order that follows from it.
+//! Plans the jobs of a grid: estimates their costs, and orders them by cost.
 
 use std::collections::BTreeSet;
 
@@ -7,23 +7,23 @@ use optics_model::{Digest, Grid, Invalid, TransportPoint, Walks};
 
 use super::job::Job;
 
-/// All that a dictionary's grid makes the coordinator hold, with nothing done.
+/// The jobs and parts that the coordinator holds for a dictionary's grid, with nothing done.
 #[derive(Debug)]
 pub struct Plan {
     pub(super) jobs: Vec<Job>,
     /// Parts that wait, as (rank, job, part).
     pub(super) pending: BTreeSet<(u32, u32, u32)>,
-    /// Why the grid is too large to be worked on.
+    /// The reason why the grid is too large to be worked on.
     pub(super) too_large: Option<Invalid>,
 }
 
 impl Plan {
-    /// Jobs, and parts that wait.
+    /// Number of jobs and waiting parts.
     pub fn entries(&self) -> usize {
         self.jobs.len() + self.pending.len()
     }
 
-    /// Plans a grid. If it is too large, its jobs are held and none of their parts.
+    /// Plans a grid. If it is too large, the plan holds its jobs and none of their parts.
     pub fn new(grid: &Grid) -> Self {
         let too_large = grid.check_parts().err();
         let mut jobs: Vec<Job> = (0..grid.job_count())
@@ -46,8 +46,8 @@ impl Plan {
     }
 }
 
-/// What the walks of a grid depend on besides the transport point. None if it asks for a target error: then it is not
-/// known before with how many walks a job ends.
+/// A digest of everything besides the transport point that the walks of a grid depend on. None if the grid has a target
+/// error: then the final number of walks of a job is not known in advance.
 pub(super) fn family(grid: &Grid) -> Option<Digest> {
     if grid.quality().is_some() {
         return None;
@@ -55,7 +55,7 @@ pub(super) fn family(grid: &Grid) -> Option<Digest> {
     // Any point will do, as long as it is the same for all.
     let point = TransportPoint::new(1.0, 0.0, 1.0, 1.5).ok()?;
     let (scene, albedo) = (grid.shared_scene().clone(), vec![0.5]);
-    // With a level of noise the walks differ from point to point: jobs are compared by theirs, too.
+    // With a level of noise the number of walks differs from point to point: jobs are compared by their number, too.
     let walks = grid.effort().walks(&point);
     let job = JobSpec::new(scene, point, albedo, walks, grid.seed(), grid.derivatives()).ok()?;
     Some(job.identity())
@@ -69,15 +69,15 @@ pub(super) fn parts_of(walks: Walks, too_large: Option<&Invalid>) -> u32 {
 /// Expected time of a walk, in scatterings.
 ///
 /// The mean length of a walk in the slab is proportional to its thickness, whatever σ_t and g, so the number of
-/// scatterings is proportional to the optical thickness: about 4 n² = 9.4 per unit over a bright base. To that come
-/// some 18 interface crossings and the scoring, which take as long as 50 (g 0.8) to 150 (g 0) scatterings: from the times
-/// of whole points in `docs/measured.md`.
+/// scatterings is proportional to the optical thickness: about 4 n² = 9.4 per unit over a bright base. Some 18 interface
+/// crossings and the scoring add as much time as 50 (g 0.8) to 150 (g 0) scatterings, according to the times of whole
+/// points in `docs/measured.md`.
 pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
     80.0 + 9.4 * point.optical_thickness()
 }
 
-/// Jobs of a grid by the walks that they share, the costliest first, so that none of the long ones is left over at the
-/// end.
+/// Jobs of a grid, grouped by the walks that they share, the costliest first, so that none of the long ones is left over
+/// at the end.
 pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
     let walks = |job: u32| {
         let slab = grid.point(job as usize).walked_slab();

@@ -1,4 +1,4 @@
-//! How far a dictionary is, as people see it.
+//! Reports the progress of a dictionary to clients.
 
 use std::ops::Range;
 
@@ -27,7 +27,7 @@ impl Dictionary {
         }
     }
 
-    /// How many of the records of a range are done.
+    /// Number of finished records in a range.
     pub fn finished_records(&self, range: Range<usize>) -> usize {
         let albedos = self.grid().albedo().len();
         let finished = |job: usize| {
@@ -38,7 +38,7 @@ impl Dictionary {
         (range.start / albedos..range.end.div_ceil(albedos)).map(finished).sum()
     }
 
-    /// Work that is left, in scatterings.
+    /// Remaining work, in scatterings.
     pub fn cost_left(&self) -> f64 {
         (self.counts.cost - self.counts.cost_done).max(0.0)
     }
@@ -87,7 +87,7 @@ impl Dictionary {
         self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)
     }
 
-    /// Jobs that were given up, from one on, `most` at most.
+    /// Jobs that were given up, from the index `from` on, `most` at most.
     pub fn given_up(&self, from: u32, most: usize) -> Vec<FailedJob> {
         if self.counts.given_up == 0 {
             return Vec::new();

@@ -1,4 +1,4 @@
-//! Results: whether one is wanted, and how far its job is once it is stored.
+//! Admits results, and updates the states of their jobs once they are stored.
 
 use std::time::Duration;
 
@@ -17,8 +17,8 @@ use crate::stored::Origin;
 pub type Producer = Option<Origin>;
 
 impl Schedule {
-    /// Whether a result is wanted. `holder` is the access token of its worker, by name. `checked`: the stored result of a
-    /// part that is being checked.
+    /// Decides whether a result is accepted. `holder` is the access token of its worker, by name. `checked`: the stored
+    /// result of a part that is being checked.
     pub fn admit(
         &self,
         key: &LeaseKey,
@@ -59,7 +59,7 @@ impl Schedule {
         }
     }
 
-    /// Notes that a result for a part came: its leases end, and the pace is measured.
+    /// Notes that a result for a part has arrived: its leases end, and the pace is measured.
     pub fn result_came(&mut self, now: Duration, arrived: &Arrived, outbox: &mut Outbox) {
         let (key, part) = (arrived.key, arrived.part());
         let cost = self.job(part).map(Job::part_cost);
@@ -71,7 +71,7 @@ impl Schedule {
                 self.pace_history.part_done(now, cost);
             }
         }
-        // A check, if the job was begun again in the meantime.
+        // The lease of a check, if the job was begun again in the meantime.
         if self.leases.get(key).is_some() {
             self.leases.remove(key.token);
             outbox.work = true;
@@ -121,7 +121,7 @@ impl Schedule {
         self.by_id(id).is_some_and(|d| d.too_large.is_none()) && self.has_walks((id, job), walks)
     }
 
-    /// Notes that the store holds a block; false if that was known.
+    /// Notes that the store holds a block; false if that was noted before.
     pub fn part_found(&mut self, part: PartId, outbox: &mut Outbox) -> bool {
         outbox.changed |= !self.end_leases(part).is_empty();
         let is_news = self.part_stored(part);
@@ -129,7 +129,7 @@ impl Schedule {
         is_news
     }
 
-    /// Notes that the store does not hold a block, or not any more.
+    /// Notes that the store does not hold a block, or no longer holds it.
     pub fn part_missing(&mut self, part: PartId, outbox: &mut Outbox) {
         let held = self.leases.is_part_held(part);
         if let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
@@ -161,7 +161,7 @@ impl Schedule {
         self.by_id(id).is_some_and(|d| d.is_open(job) && d.open_parts(job).is_empty())
     }
 
-    /// Ends the lease of a check; whether the result was one that its worker was asked for.
+    /// Ends the lease of a check. Returns whether the worker held such a lease for the result.
     pub fn end_check(&mut self, arrived: &Arrived, outbox: &mut Outbox) -> bool {
         let held = self.leases.held_by(arrived.key, arrived.worker);
         let own = held.is_some_and(|held| held.purpose == Purpose::Check);

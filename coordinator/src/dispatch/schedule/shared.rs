@@ -1,7 +1,7 @@
-//! Jobs of several dictionaries that ask for the same walks: one of them is computed, and its records serve all.
+//! Shares records between jobs of several dictionaries with the same walks: one job is computed, and its records serve all.
 //!
-//! Nothing of this is kept. Which job is computed is decided at each grant, from the present states of the dictionaries:
-//! when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
+//! No state is kept for this. Which job is computed is decided at each grant, from the present states of the
+//! dictionaries: when one is paused, cancelled or deleted, or its job given up, the others compute for themselves.
 
 use std::cmp::Reverse;
 use std::time::Duration;
@@ -13,14 +13,14 @@ use super::super::part::{JobRef, PartId};
 use super::{Dictionary, Requester, Schedule};
 use crate::stored::Vote;
 
-/// Whether all of `some` are there; both rise.
+/// Whether `all` contains all of `some`; both are in ascending order.
 fn holds(all: &[f64], some: &[f64]) -> bool {
     some.iter().all(|albedo| all.binary_search_by(|there| there.total_cmp(albedo)).is_ok())
 }
 
 impl Schedule {
-    /// Jobs of other dictionaries that ask for the same walks as a job, for whatever albedos. Those of responses are shared
-    /// with none while they are computed: their scenes differ.
+    /// Jobs of other dictionaries with the same walks as a job, for whatever albedos. Jobs of responses are not shared
+    /// while they are computed: their scenes differ.
     fn kin(&self, (id, job): JobRef) -> impl Iterator<Item = (&Dictionary, u32)> {
         let of_axes = |own: &&Dictionary| own.grid().response_of(job as usize).is_none();
         let own = self.dictionaries.get(&id).filter(of_axes).and_then(|own| {
@@ -37,10 +37,10 @@ impl Schedule {
         })
     }
 
-    /// The job whose records will serve a job that waits, if that is not to be computed itself.
+    /// The job whose records will serve a waiting job, if the waiting job is not to be computed itself.
     ///
-    /// It is the one for the most albedos; of equals one that is held goes first, then the oldest dictionary's. So all
-    /// jobs for the same walks find the same, and it finds none.
+    /// It is the job with the most albedos; among equals a leased one goes first, then the one of the oldest dictionary.
+    /// So all jobs with the same walks find the same job, and this one finds none.
     pub(super) fn computed_by(&self, (id, job): JobRef) -> Option<JobRef> {
         let own = &self.dictionaries[&id];
         let rank = |dictionary: &Dictionary, job| {
@@ -60,7 +60,7 @@ impl Schedule {
         self.next_part_that(id, cheapest, |_| true)
     }
 
-    /// The same for a machine: what it has failed at goes to others first.
+    /// The next part to be given out to a machine: parts at which it has failed go to others first.
     pub(super) fn next_part_for(
         &mut self,
         now: Duration,
@@ -105,7 +105,7 @@ impl Schedule {
         self.order.iter().any(|(_, id)| self.next_part(*id, false).is_some())
     }
 
-    /// A dictionary that computes what this one waits for, if it waits for nothing else.
+    /// The dictionary that computes the records for which this one waits, if it waits for nothing else.
     pub(super) fn waits_for_other(&self, id: DictionaryId) -> Option<&Dictionary> {
         let (job, _) = self.dictionaries.get(&id)?.waiting(false).next()?;
         if self.next_part(id, false).is_some() {
@@ -140,14 +140,14 @@ impl Schedule {
         wanted.map(|(part, first, _)| (part, first)).collect()
     }
 
-    /// Another job that is done with the walks of an undivided one, and the digest of its records.
+    /// A finished job of another dictionary with the same walks as an undivided job, and the digest of its records.
     pub fn heir(&self, part: PartId) -> Option<(PartId, Digest)> {
         self.job(part).filter(|job| !job.is_divided())?;
         self.kin(part.job_ref())
             .find_map(|(other, job)| Some((PartId::first_of((other.id(), job)), other.records_of(job)?)))
     }
 
-    /// Open jobs of a dictionary that ask for the same walks as some that are done.
+    /// Open jobs of a dictionary with the same walks as finished jobs of other dictionaries.
     pub fn done_elsewhere(&self, id: DictionaryId) -> Vec<u32> {
         let Some(own) = self.dictionaries.get(&id).filter(|d| d.takes_results()) else { return Vec::new() };
         let is_done = |job: &u32| self.kin((id, *job)).any(|(other, job)| other.is_done(job));

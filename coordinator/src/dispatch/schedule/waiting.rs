@@ -1,10 +1,10 @@
-//! The parts of a dictionary that wait for a worker.
+//! Keeps the parts of a dictionary that wait for a worker.
 
 use super::Dictionary;
 use super::job::{Job, Part, Stage};
 
 impl Dictionary {
-    /// Parts that wait for a worker.
+    /// Number of parts that wait for a worker.
     pub fn pending(&self) -> usize {
         self.pending.len()
     }
@@ -31,14 +31,15 @@ impl Dictionary {
         })
     }
 
-    /// Other jobs of which the same part waits and is given out for the first time, and that share their walks with a job.
+    /// Other jobs that share their walks with a job, whose part of the same number waits and is given out for the first
+    /// time.
     pub(super) fn companions(&self, index: u32, part: u32) -> Vec<u32> {
         let job = &self.jobs[index as usize];
         if !job.is_untried() {
             return Vec::new();
         }
         let [first, end] = job.set;
-        // From job to job: a divided one may have very many parts.
+        // One look-up per job, since a divided one may have very many parts.
         let at_rank = |rank| self.pending.range((rank, 0, 0)..(rank + 1, 0, 0)).next();
         let others = (first..end)
             .filter_map(at_rank)
@@ -59,14 +60,14 @@ impl Dictionary {
         self.attempt(index)
     }
 
-    /// Counts one more attempt at a job; its number.
+    /// Counts one more attempt at a job; returns its number.
     pub(super) fn attempt(&mut self, index: u32) -> u32 {
         let job = &mut self.jobs[index as usize];
         job.attempts = job.attempts.saturating_add(1);
         job.attempts
     }
 
-    /// Whether a part was given out before and came to nothing.
+    /// Whether a part of the job was given out before without a result.
     pub(super) fn is_retry(&self, index: u32) -> bool {
         let job = &self.jobs[index as usize];
         job.attempts > job.walks.blocks()
@@ -82,7 +83,7 @@ impl Dictionary {
         waits
     }
 
-    /// A part that is not leased any more waits again, if it is still to be done.
+    /// A part that is no longer leased waits again, if it is still to be done.
     pub(super) fn put_back(&mut self, index: u32, part: u32) {
         let job = &self.jobs[index as usize];
         if matches!(&job.stage, Stage::Open { parts } if parts.get(part as usize) == Some(&Part::Open)) {

@@ -1,4 +1,4 @@
-//! Machines that fail at whatever they are given, and workers that never end.
+//! Tests machines that fail at every job, and workers that never deliver a result.
 
 use farm_proto::ids::WorkerId;
 use farm_proto::status::WorkerState;
@@ -8,7 +8,7 @@ use crate::dispatch::DispatchError;
 use crate::stored::{KnownMachine, Origin};
 
 impl Bench {
-    /// Fails at all that a worker is given at a moment; how many jobs.
+    /// Fails at every job that a worker is given at a moment; returns their number.
     fn fail_all(&mut self, at: u64, name: &str) -> usize {
         let mut failed = 0;
         loop {
@@ -30,7 +30,7 @@ impl Bench {
     }
 }
 
-/// Its failures alone give up no job while other machines are connected.
+/// A machine that fails at every job is suspended. Its failures alone give up no job while other machines are connected.
 #[test]
 fn failing_machine_is_suspended() {
     let mut bench = Bench::new(&[]);
@@ -49,7 +49,7 @@ fn failing_machine_is_suspended() {
 fn suspended_machine_is_tried_with_one_job() {
     let mut bench = Bench::new(&[]);
     bench.fail_all(0, "a");
-    // Nobody else is heard of any more.
+    // The other workers are silent from now on.
     bench.farm.take_outbox();
     for second in (0..=40).step_by(4) {
         bench.farm.look_over(seconds(second));
@@ -63,7 +63,7 @@ fn suspended_machine_is_tried_with_one_job() {
     assert_eq!(bench.acquire(41, "a", 9).len(), 2);
 }
 
-/// As long as other machines are connected that could try the job.
+/// Failures on one machine count once, as long as other machines are connected that could try the job.
 #[test]
 fn failures_on_one_machine_count_once() {
     let mut bench = Bench::new(&[]);
@@ -122,7 +122,7 @@ fn endless_renewal_loses_the_lease() {
     assert!(bench.reasons(day + 4).contains(&"RETRYING"), "it counts as a failure");
 }
 
-/// A suspended machine that finds a stored result to be right is suspended no more.
+/// A suspended machine that confirms a stored result is no longer suspended.
 #[test]
 fn right_check_ends_a_suspension() {
     let mut bench = Bench::with_checks(&[], 1.0);
@@ -135,7 +135,7 @@ fn right_check_ends_a_suspension() {
     assert_eq!(bench.acquire(41, "b", 9).len(), 2);
 }
 
-/// A machine that was fenced off before a restart stays so until it is let in by name.
+/// A machine that was fenced off before a restart stays so until it is readmitted by name.
 #[test]
 fn fence_survives_a_restart() {
     let mut bench = Bench::new(&[]);

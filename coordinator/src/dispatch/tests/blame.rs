@@ -1,4 +1,4 @@
-//! Failed attempts count against the right machine.
+//! Tests that failed attempts count against the right job and machine.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::{DictionaryState, MachineFacts};
@@ -7,7 +7,7 @@ use super::{Bench, DIGEST, about, job_of, origin, seconds, worker};
 use crate::dispatch::{Effect, EventKind, Registration};
 use crate::stored::Origin;
 
-/// It is given up after the allowed number of failures, and a retry puts it back into the queue.
+/// A job is given up after the allowed number of failures, and a retry puts it back into the queue.
 #[test]
 fn given_up_job_keeps_all_reasons() {
     let mut bench = Bench::new(&[]);
@@ -33,12 +33,12 @@ fn given_up_job_keeps_all_reasons() {
     assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
 }
 
-/// A host that is preempted lets a worker know, and kills it when its time is up.
+/// A worker that was asked to stop before its host was preempted is not blamed for its silence.
 #[test]
 fn silence_after_preemption_has_no_blame() {
     let mut bench = Bench::new(&[]);
     let mut at = 0;
-    // More often than a job may fail.
+    // More rounds than a job may have failures.
     for round in 0..5 {
         let id = format!("a{round}");
         bench.farm.register(seconds(at), worker(&id), origin("a"), about(&id)).unwrap();

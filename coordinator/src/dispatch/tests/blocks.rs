@@ -1,4 +1,4 @@
-//! Divided jobs, and jobs that go on to a target error.
+//! Tests divided jobs, and jobs that go on to a target error.
 
 use std::sync::Arc;
 
@@ -48,7 +48,7 @@ fn divided_job_is_leased_by_blocks() {
     assert_eq!(bench.state(), DictionaryState::Done);
 }
 
-/// The blocks of a divided job cost as much together as the job: what is late depends on it.
+/// The blocks of a divided job cost as much together as the job: the limit for late parts depends on it.
 #[test]
 fn blocks_share_the_cost_of_their_job() {
     let bench = divided(0.0);
@@ -69,7 +69,7 @@ fn more_walks_restart_the_job() {
     assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
 }
 
-/// Two workers compute the same job and both ask for more walks: the second request changes nothing.
+/// Two workers compute the same job and both results need more walks: the second result changes nothing.
 #[test]
 fn only_the_first_copy_adds_walks() {
     let mut bench = Bench::new(&[]);
@@ -98,7 +98,7 @@ fn blocks_lost_by_the_store_are_recomputed() {
 fn missing_shared_blocks_are_computed_again() {
     let mut bench = divided(0.0);
     let blocks = |left: &[Lease]| left.iter().map(|l| l.key.part).collect::<Vec<_>>();
-    // Blocks 0 and 1 were there, from the other one; then it ended, and they are gone with it.
+    // Blocks 0 and 1 were stored by the other dictionary; its job has ended, and they are gone with it.
     let walks = bench.farm.schedule.by_id(DictionaryId(1)).unwrap().spec(0, 0).walks();
     bench.farm.parts_stored((DictionaryId(1), 0), walks, &[0, 1].into());
     let last = bench.acquire(0, "a", 9);
@@ -110,7 +110,7 @@ fn missing_shared_blocks_are_computed_again() {
     assert_eq!(blocks(&bench.acquire(2, "b", 9)), [0, 1]);
 }
 
-/// Blocks that the store holds are news, if they are of the job's number of walks.
+/// Stored blocks are reported as a change only if they are of the job's number of walks.
 #[test]
 fn stored_blocks_count_for_their_walks_only() {
     let mut bench = divided(0.0);

@@ -1,4 +1,4 @@
-//! Leases of parts: their holders and their ends.
+//! Tests the leases of parts: their holders and their ends.
 
 use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::LeaseKey;

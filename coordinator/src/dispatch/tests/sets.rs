@@ -1,4 +1,4 @@
-//! Jobs that share their walks, given out together.
+//! Tests that jobs that share their walks are given out together.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use optics_model::{Digest, Grid, Scene, Walks};
 use super::{Bench, job_of, seconds, stored, worker};
 use crate::dispatch::{Dictionary, LeaseRequest};
 
-/// Optical thicknesses 2 (twice), 4 and 1; with the jobs' numbers: 2, 0 and 3, 1.
+/// A dictionary whose jobs 0 to 3 have the optical thicknesses 1, 2, 2 and 4.
 fn bench(walks: u64) -> Bench {
     let mut two_thick = stored();
     let axes = Axes {
@@ -44,7 +44,7 @@ fn shared_walks_come_on_top() {
     assert!(sets(&mut bench, 0, "c", 9).is_empty());
 }
 
-/// A worker that does not ask for sets gets exactly the number of jobs it asks for.
+/// A worker that does not request sets gets exactly the number of jobs that it requests.
 #[test]
 fn sets_are_leased_only_on_request() {
     let mut bench = bench(5000);
@@ -52,7 +52,7 @@ fn sets_are_leased_only_on_request() {
     assert_eq!(job_of(&sets(&mut bench, 0, "b", 1)), [2], "the other of its set is out");
 }
 
-/// One that kills its worker must not drag others down a second time.
+/// A failed job is retried alone: one that kills its worker must not drag others down a second time.
 #[test]
 fn failed_job_is_retried_alone() {
     let mut bench = bench(5000);
@@ -66,7 +66,7 @@ fn failed_job_is_retried_alone() {
     assert_eq!((job_of(&other), other[0].key.attempt), (vec![2], 2), "by which a worker knows");
 }
 
-/// One job at a time, to see whether it does any better.
+/// A machine on trial gets one job at a time, and no set.
 #[test]
 fn machine_on_trial_gets_no_set() {
     let mut bench = bench(5000);

@@ -1,4 +1,4 @@
-//! Dictionaries that ask for the same walks.
+//! Tests dictionaries with the same walks, whose records are shared.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::stored::{DesiredState, StoredDictionary};
 const FIRST: DictionaryId = DictionaryId(1);
 const SECOND: DictionaryId = DictionaryId(2);
 
-/// The bench's dictionary of three points, and one with two of these, and others between.
+/// The bench's dictionary of three points, and a second one with two of these and another between them.
 fn overlapping(albedo: Vec<f64>) -> Bench {
     overlapping_with_checks(albedo, 0.0)
 }
@@ -78,7 +78,7 @@ fn other_albedos_are_computed_separately() {
     assert_eq!(bench.acquire(0, "a", 9).len(), 6);
 }
 
-/// The second dictionary computes them when the first is paused, cancelled or deleted, or gives up the job.
+/// The second dictionary computes the shared walks when the first is paused, cancelled or deleted, or gives up the job.
 #[test]
 fn stopped_shared_walks_are_taken_over() {
     for how in 0..4 {
@@ -112,7 +112,7 @@ fn first_waits_for_walks_of_the_second() {
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 
-/// It goes on in the other dictionary that has the records: otherwise they would never be checked.
+/// The check of a removed dictionary goes on in another one that has the records: otherwise they would never be checked.
 #[test]
 fn check_outlives_its_dictionary() {
     for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
@@ -148,7 +148,7 @@ fn shared_straggler_gets_a_second_copy() {
     assert_eq!(places(&bench.acquire(18, "b", 9)), [(FIRST, 2)]);
 }
 
-/// A worker that asks in vain does not make the time without work count: the expected end stays where it was.
+/// A request in vain does not make the time without work count: the expected end stays the same.
 #[test]
 fn requests_in_vain_keep_the_pace() {
     let mut bench = overlapping(vec![0.9, 0.95]);

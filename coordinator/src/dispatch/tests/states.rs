@@ -1,4 +1,4 @@
-//! How far each job is told to be.
+//! Tests the reported states of jobs, dictionaries and workers.
 
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState::{Checked, Computing, Done, Failed, Waiting};
@@ -25,13 +25,13 @@ fn job_states_follow_its_life() {
     assert_eq!(states(&bench), with(Computing, Computing));
     bench.finish(1, "a", &leases[0]);
     assert_eq!(states(&bench), with(Done, Computing));
-    // A check is no computing, and agreement of another machine's result is more than done.
+    // A check does not count as computing, and a result that another machine has confirmed is checked, not only done.
     let check = bench.acquire(2, "b", 1).remove(0);
     assert_eq!(check.key.job as usize, one);
     assert_eq!(states(&bench), with(Done, Computing));
     bench.compare("b", &check, DIGEST, DIGEST);
     assert_eq!(states(&bench), with(Checked, Computing));
-    // What is tried again is computed, until it is given up.
+    // A job whose attempt failed waits again, until it is given up.
     bench.fail(3, "a", &leases[1]);
     assert_eq!(states(&bench), with(Checked, Waiting));
     let again = bench.acquire(4, "c", 3);
@@ -41,7 +41,8 @@ fn job_states_follow_its_life() {
     assert!(bench.farm.job_states(DictionaryId(9)).is_empty());
 }
 
-/// Records that came from other dictionaries are counted, and those of a range that are done: jobs 0 and 2, of two each.
+/// Records that came from other dictionaries are counted, and so are the finished ones of a range: jobs 0 and 2 are done,
+/// with two records each.
 #[test]
 fn finished_and_reused_records_are_counted() {
     let done = |job| EndedJob::Done {
@@ -58,7 +59,7 @@ fn finished_and_reused_records_are_counted() {
     assert_eq!([0..6, 1..5, 2..4].map(|range| dictionary.finished_records(range)), [4, 2, 0]);
 }
 
-/// What is done to a dictionary, and its end, are recorded as its events.
+/// Changes of a dictionary's desired state, and its end, are recorded as its events.
 #[test]
 fn dictionary_events_are_recorded_in_order() {
     let mut bench = Bench::new(&[]);
@@ -82,7 +83,7 @@ fn cancellation_is_explained_with_its_reason() {
     assert!(reasons[0].code == "CANCELLED" && reasons[0].text.contains("enough"), "{reasons:?}");
 }
 
-/// A worker is listed as silent once it has missed its heartbeats, until it is heard of again.
+/// A worker is listed as silent once it has missed its heartbeats, until its next call.
 #[test]
 fn unheard_workers_are_listed_as_silent() {
     let mut bench = Bench::new(&[]);

@@ -1,4 +1,4 @@
-//! Checks, disputes, and fenced-off machines.
+//! Tests checks, disputes, and fenced-off machines.
 
 use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
@@ -39,7 +39,7 @@ fn worker_that_contradicts_itself_is_fenced() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1);
     bench.finish(1, "a", &lease[0]);
-    // Its own repetition.
+    // The machine repeats its own result.
     bench.compare("a", &lease[0], DIGEST, DIGEST);
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
@@ -77,7 +77,7 @@ fn open_checks_are_resumed_after_restart() {
         confirmed: vec![],
         reused,
     };
-    // One computed it alone; two agreed; it came for a dictionary that is gone.
+    // One machine computed job 0 alone; two agreed on job 1; the records of job 2 came for a dictionary that is gone.
     let ended = [done(0, Some(Origin(1)), false), done(1, None, false), done(2, Some(Origin(1)), true)];
     let mut bench = Bench::with_checks(&ended, 1.0);
     assert!(bench.acquire(0, "a", 9).is_empty(), "not its own result");
@@ -85,7 +85,7 @@ fn open_checks_are_resumed_after_restart() {
     assert!(Bench::with_checks(&ended, 0.0).acquire(0, "b", 9).is_empty());
 }
 
-/// Jobs of two dictionaries with different records for the same walks are checked, even where no share is drawn.
+/// Jobs of two dictionaries with different records for the same walks are checked, even if no results are sampled.
 #[test]
 fn conflicting_shared_records_are_always_checked() {
     let mut bench = Bench::with_checks(&[], 0.0);
@@ -102,7 +102,7 @@ fn conflicting_shared_records_are_always_checked() {
     assert_eq!(job_of(&bench.acquire(6, "b", 1)), [0], "so does the other one");
 }
 
-/// A result was admitted while the job had other records than now: it accuses no machine.
+/// A result that was admitted while the job had other records than now accuses no machine.
 #[test]
 fn results_are_not_compared_with_replaced_records() {
     let mut bench = Bench::with_checks(&[], 0.0);
@@ -147,7 +147,7 @@ fn blocked_checks_are_explained() {
     assert_eq!(bench.reasons(3), ["DONE"]);
 }
 
-/// The workers of one token leave room for those of others, and what was registered can register again.
+/// The workers of one token leave room for those of others, and a registered process can register again.
 #[test]
 fn workers_per_token_are_limited() {
     use crate::dispatch::roster::WORKERS_OF_ONE;

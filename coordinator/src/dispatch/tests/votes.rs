@@ -1,4 +1,4 @@
-//! Which votes about results count, and which of them survive a restart.
+//! Tests which votes about results count, and which of them survive a restart.
 
 use farm_proto::ids::{DictionaryId, Token};
 use farm_proto::lease::{Lease, LeaseKey};
@@ -11,7 +11,7 @@ use crate::stored::{EndedJob, OpenCheck, Origin, Vote};
 
 const WRONG: Digest = Digest::from_bytes([9; 32]);
 
-/// Machine a has computed a job rightly.
+/// Machine a has computed a job correctly.
 fn computed() -> (Bench, Lease) {
     let mut bench = Bench::with_checks(&[], 1.0);
     let lease = bench.acquire(0, "a", 1).remove(0);
@@ -125,7 +125,7 @@ fn confirmed_records_survive_a_fence() {
     assert_eq!(bench.acquire(3, "c", 1)[0].key.job, lease.key.job);
 }
 
-/// The votes are restored, and the dispute is shown for a dictionary that is otherwise done.
+/// After a restart the votes are restored, and the dispute is shown for a dictionary that is otherwise done.
 #[test]
 fn dispute_survives_a_restart() {
     let (mut bench, lease) = computed();
@@ -153,7 +153,7 @@ fn dispute_survives_a_restart() {
     assert!(fenced.iter().any(|e| matches!(e, Effect::Fence { machine: Origin(1), .. })), "{fenced:?}");
     let over = OpenCheck { votes: vec![], ..noted[0].clone() };
     assert!(fenced.contains(&Effect::NoteCheck(over)), "{fenced:?}");
-    // It is about records that are not there any more.
+    // The check is about records that no longer exist.
     let mut later = Bench::new(&[]);
     later.farm.remember_check(noted[0].clone());
     assert_eq!((later.status().jobs_disputed, notes(&mut later).len()), (0, 1));
@@ -166,7 +166,7 @@ fn block(bench: &mut Bench, name: &str, lease: &Lease, digest: Digest) {
     bench.farm.part_finished(seconds(1), &arrived);
 }
 
-/// Also once the job is done. A dispute about one block leaves the others alone.
+/// Blocks are checked one by one, also once the job is done. A dispute about one block leaves the others alone.
 #[test]
 fn blocks_are_checked_one_by_one() {
     let mut bench = divided(1.0);
@@ -207,7 +207,7 @@ fn more_walks_end_the_old_block_checks() {
     assert_eq!(bench.farm.verification.counts(), (0, 0, 0));
 }
 
-/// It is there when the job is tried again.
+/// A block that arrives after its job was given up is checked, since it is used when the job is tried again.
 #[test]
 fn late_block_of_abandoned_job_is_checked() {
     let mut bench = divided(1.0);

@@ -1,9 +1,9 @@
-//! Which transitions wake workers that wait and people who watch, and what is counted.
+//! Tests which transitions wake waiting workers and watching clients, and which are counted.
 
 use super::{Bench, seconds};
 use crate::dispatch::{Count, Purpose};
 
-/// A lease is news, and counted as the first of its part or as a retry. A result counts as a job.
+/// A lease is reported as a change, and counted as the first of its part or as a retry. A result counts as a job.
 #[test]
 fn granted_leases_are_counted_by_purpose() {
     let mut bench = Bench::new(&[]);

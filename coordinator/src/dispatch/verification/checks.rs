@@ -1,4 +1,4 @@
-//! Open checks: the votes of machines about results, and the verdicts that follow from them.
+//! Keeps the open checks: the votes of machines about results, and the verdicts that follow from them.
 //!
 //! Results are deterministic, so of two that differ one is wrong. A third machine decides: the result with most votes is
 //! right, if it has at least two. A machine has one vote, and only for a check that it was given.
@@ -14,7 +14,7 @@ use crate::stored::{Origin, Vote};
 /// Checks that may wait; when there are more, the oldest are dropped.
 const MOST: usize = 1000;
 
-/// What a vote led to.
+/// The outcome of a vote.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// All agree.
@@ -23,24 +23,24 @@ pub(super) enum Verdict {
     NotCounted,
     /// No result has more votes than the others: another machine is needed.
     Disputed,
-    /// Most agree on `right`; the machines that found something else.
+    /// Most agree on `right`; `wrong` are the machines with another result.
     Wrong { right: Digest, wrong: Vec<Option<Origin>> },
 }
 
 #[derive(Debug)]
 struct Open {
     votes: Vec<Vote>,
-    /// The store has it too.
+    /// The store holds the check too.
     stored: bool,
 }
 
 #[derive(Debug, Default)]
 pub struct Checks {
     open: BTreeMap<PartId, Open>,
-    /// Votes about blocks of jobs that have no such blocks at present: after a restart a job begins with as many walks as at
-    /// first, and finds its blocks again when it goes on to more. The store has them too.
+    /// Votes about blocks of jobs that have no such blocks at present: after a restart a job begins with its initial
+    /// number of walks, and finds its blocks again when it goes on to more. The store holds these votes too.
     aside: BTreeMap<PartId, Vec<Vote>>,
-    /// Those that the store has yet to note.
+    /// Checks that the store has yet to note.
     changed: BTreeMap<PartId, Vec<Vote>>,
     pub agreed: u64,
     pub disputed: u64,
@@ -54,7 +54,7 @@ impl Checks {
             return;
         }
         if self.open.len() >= MOST {
-            // A dispute must be settled; what merely waits for a first comparison can be let go.
+            // A dispute must be settled; a check that merely waits for a first comparison can be dropped.
             let waiting = self.open.iter().find(|(_, open)| !is_disputed(&open.votes)).map(|(part, _)| *part);
             if let Some(part) = waiting {
                 self.settle(part);
@@ -66,17 +66,17 @@ impl Checks {
         self.open.insert(part, Open { votes, stored: lasting });
     }
 
-    /// Takes up a check that the store remembers.
+    /// Restores a check from the store.
     pub fn remember(&mut self, part: PartId, votes: Vec<Vote>) {
         self.open.insert(part, Open { votes, stored: true });
     }
 
-    /// Keeps a check that the store remembers until the block that it is about is there again.
+    /// Keeps a check from the store until its block exists again.
     pub fn put_aside(&mut self, part: PartId, votes: Vec<Vote>) {
         self.aside.insert(part, votes);
     }
 
-    /// The block is there again; whether it is to be checked.
+    /// Resumes the check of a block that exists again; false if there is none to resume.
     pub fn take_up(&mut self, part: PartId) -> bool {
         let votes = self.aside.remove(&part).filter(|_| !self.open.contains_key(&part));
         votes.is_some_and(|votes| {
@@ -85,7 +85,7 @@ impl Checks {
         })
     }
 
-    /// The blocks of a job will not come again.
+    /// Drops the checks that were put aside for a job, whose blocks will not exist again.
     pub fn forget_aside(&mut self, job: JobRef) {
         let gone: Vec<PartId> = self.aside.range(PartId::range_of(job)).map(|(part, _)| *part).collect();
         for part in gone {
@@ -93,7 +93,7 @@ impl Checks {
         }
     }
 
-    /// A dictionary is gone.
+    /// Drops all checks of a dictionary.
     pub fn forget_dictionary(&mut self, id: DictionaryId) {
         let gone: Vec<PartId> = self.aside.keys().filter(|part| part.dictionary == id).copied().collect();
         for part in gone {
@@ -125,7 +125,7 @@ impl Checks {
         of_it.map(|(part, open)| (*part, &open.votes[..]))
     }
 
-    /// Parts that a machine may check: no vote is its own, as `is_own` decides.
+    /// Parts that a machine may check: those without a vote of its own, as `is_own` decides.
     pub fn open_to(&self, is_own: impl Fn(Origin) -> bool) -> impl Iterator<Item = PartId> {
         let unseen = move |open: &Open| !open.votes.iter().any(|vote| vote.by.is_some_and(&is_own));
         self.open.iter().filter(move |(_, open)| unseen(open)).map(|(part, _)| *part)
@@ -173,7 +173,7 @@ impl Checks {
         let has_voted = |open: &Open| open.votes.iter().any(|vote| vote.by == Some(machine));
         let of_it: Vec<PartId> =
             self.open.iter().filter(|(_, open)| has_voted(open)).map(|(part, _)| *part).collect();
-        // Its blocks are gone.
+        // The blocks of the machine are gone.
         let begun_by = |votes: &[Vote]| votes.first().is_some_and(|first| first.by == Some(machine));
         let gone: Vec<PartId> =
             self.aside.iter().filter(|(_, votes)| begun_by(votes)).map(|(part, _)| *part).collect();
@@ -195,7 +195,7 @@ impl Checks {
         }
     }
 
-    /// Forgets checks whose subject is gone.
+    /// Drops the checks whose subject is gone.
     pub fn retain(&mut self, keep: impl Fn(PartId) -> bool) {
         let gone: Vec<PartId> = self.open.keys().filter(|part| !keep(**part)).copied().collect();
         for part in gone {
@@ -203,7 +203,7 @@ impl Checks {
         }
     }
 
-    /// The check of a part is over.
+    /// Ends the check of a part.
     pub fn settle(&mut self, part: PartId) {
         if self.open.remove(&part).is_some_and(|open| open.stored) {
             self.changed.insert(part, Vec::new());

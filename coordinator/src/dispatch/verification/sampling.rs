@@ -1,4 +1,4 @@
-//! Which results a second machine verifies: a share of them, chosen by a keyed hash.
+//! Selects the results that a second machine verifies: a share of them, sampled by a keyed hash.
 
 use optics_model::Digest;
 
@@ -7,7 +7,7 @@ use super::super::part::PartId;
 use crate::stored::Secret;
 
 /// Whether a result is in the sampled share that is verified. Unpredictable without the secret, so a worker cannot
-/// know which of its results will be verified.
+/// predict which of its results will be verified.
 pub(super) fn is_sampled(secret: &Secret, part: PartId, result: Digest, share: f64) -> bool {
     let mut hasher = hasher(secret, "draw");
     write_part(&mut hasher, part);

@@ -1,4 +1,4 @@
-//! Comparisons with stored results, and the verdicts that follow: confirmations, disputes, and fences.
+//! Compares results with stored ones, and acts on the verdicts: confirmations, disputes, and fences.
 
 use optics_model::Digest;
 
@@ -11,7 +11,7 @@ use super::{Context, Verification};
 use crate::stored::{Origin, Vote};
 
 impl Verification {
-    /// Compares a result with the one that is stored. It is a vote if its worker was given it to check.
+    /// Compares a result with the one that is stored. It is a vote if its worker held the lease of a check.
     pub fn compare(&mut self, arrived: &Arrived, stored: Digest, new: Digest, mut context: Context<'_>) {
         let part = arrived.part();
         let was_asked = context.schedule.end_check(arrived, context.outbox);
@@ -19,7 +19,8 @@ impl Verification {
             return;
         }
         let Some(StoredBy(first)) = self.producer(part, stored, context.schedule) else {
-            // What it was compared with is not what is there now: either not noted yet, or forgotten meanwhile.
+            // The result was compared with records that are not the present ones: either they are not noted yet, or they
+            // were dropped meanwhile.
             if stored != new && context.schedule.job(part).is_some() {
                 self.suspects.insert(arrived.job());
             }
@@ -40,12 +41,12 @@ impl Verification {
             Stage::Done { records, by, .. } if !job.is_divided() => {
                 (*records == stored).then_some(StoredBy(*by))
             }
-            // Of blocks only those that are being checked are still known.
+            // The digest of a block is known only while the block is being checked.
             _ => (job.is_divided() && self.checks.subject(part) == Some(stored)).then_some(StoredBy(None)),
         }
     }
 
-    /// Records the vote of a machine that was asked to check, and acts on the verdict.
+    /// Records the vote of a machine that held a check, and acts on the verdict.
     fn record_vote(
         &mut self,
         arrived: &Arrived,
@@ -93,7 +94,8 @@ impl Verification {
         }
     }
 
-    /// A machine has found what is stored of a job. Of a divided one that is known of the block alone.
+    /// Notes that a machine has confirmed the stored result of a job. In a divided job only a block is confirmed, which
+    /// is not noted.
     fn confirm(&mut self, part: PartId, first: Option<Origin>, by: Origin, context: &mut Context<'_>) {
         let divided = context.schedule.job(part).is_none_or(Job::is_divided);
         if divided || first == Some(by) {
@@ -107,8 +109,8 @@ impl Verification {
         }
     }
 
-    /// Opens a check, since a result that was not asked for differs from the stored one. A machine that contradicts its own
-    /// result is fenced off.
+    /// Opens a check, since an unrequested result differs from the stored one. A machine that contradicts its own result
+    /// is fenced off.
     fn open_dispute(
         &mut self,
         arrived: &Arrived,
@@ -137,8 +139,8 @@ impl Verification {
         context.outbox.work = true;
     }
 
-    /// A result differs from the records of other jobs for the same walks. If they are confirmed it is not taken. If not,
-    /// which is wrong is not known: all are computed again, and then checked.
+    /// Handles a result that differs from the records of other jobs with the same walks. If these are confirmed, the
+    /// result is rejected. If not, it is not known which is wrong: all are computed again, and then checked.
     pub fn contradict(
         &mut self,
         arrived: &Arrived,
@@ -163,7 +165,7 @@ impl Verification {
         what
     }
 
-    /// Fences a machine off that has computed wrongly.
+    /// Fences off a machine that has computed a wrong result.
     fn fence(&mut self, part: PartId, machine: Origin, context: &mut Context<'_>) {
         let name = context.schedule.by_id(part.dictionary).map(|d| d.name().to_string()).unwrap_or_default();
         let reason = format!(
@@ -182,7 +184,8 @@ impl Verification {
         self.rely_on_others(machine, context);
     }
 
-    /// What others have confirmed stays when a machine is fenced off, credited to them.
+    /// Credits the results of a fenced-off machine to the machines that have confirmed them. Results that rest on a
+    /// single machine now are sampled for a check.
     fn rely_on_others(&mut self, machine: Origin, context: &mut Context<'_>) {
         let schedule = &mut *context.schedule;
         let mut alone: Vec<(JobRef, Origin)> = Vec::new();

@@ -1,4 +1,4 @@
-//! Memory for dictionaries that are fitted with, and questions that nobody waits for.
+//! Tests the memory for dictionaries that are used in fits, and questions whose answer is no longer awaited.
 
 use std::time::Duration;
 
@@ -8,7 +8,7 @@ use optics_model::{MeasuredProfile, Measurement};
 
 use super::*;
 
-/// A farm with a dictionary that is done, and memory for so many of its channels.
+/// A farm with a dictionary that is done, and memory for this many of its channels.
 async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
     let (farm, dir) = done().await;
     let mut farm = Arc::into_inner(farm).expect("nobody else has the farm");
@@ -16,20 +16,20 @@ async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
     (Arc::new(farm), dir)
 }
 
-/// Which channels a question about some meets.
+/// The channels of the dictionary that a question about some channels receives.
 async fn met(farm: &Farm, names: &[&str]) -> Result<Vec<usize>, FarmError> {
     let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
     let question = |d: &optics_fit::FitDictionary| Ok(d.channels().map(|(index, _)| index).collect());
     farm.ask(&name(), &names, question).await
 }
 
-/// Where there is no room for all, a fit reads its own channels only, and those that are in memory are not read again.
+/// If there is no room for all channels, a fit reads its own only, and those that are in memory are not read again.
 #[tokio::test]
 async fn recent_channels_stay_in_memory() {
     let (farm, dir) = with_room_for(2).await;
     assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
     assert_eq!(met(&farm, &["R", "G"]).await.unwrap(), [0, 1]);
-    // The green channel was asked for last, so it is there; blue takes red's place.
+    // The green channel was used last, so it is in memory; blue takes red's place.
     assert_eq!(met(&farm, &["G"]).await.unwrap(), [1]);
     assert_eq!(met(&farm, &["B"]).await.unwrap(), [2]);
     change(&dir, "DELETE FROM records").await;
@@ -48,7 +48,7 @@ async fn dictionary_that_fits_is_read_whole() {
     }
 }
 
-/// The message gives the number of channels and the option that sets the limit.
+/// A fit beyond the memory limit is refused. The message gives the number of channels and the option that sets the limit.
 #[tokio::test]
 async fn fit_beyond_the_memory_limit_is_refused() {
     let (farm, _dir) = with_room_for(2).await;
@@ -59,14 +59,14 @@ async fn fit_beyond_the_memory_limit_is_refused() {
     assert_eq!(met(&farm, &["R", "B"]).await.unwrap(), [0, 2]);
 }
 
-/// The cores go to those who wait.
+/// A question whose answer is no longer awaited is stopped, so that others get the cores.
 #[tokio::test]
 async fn abandoned_question_ends() {
     let (farm, _dir) = with_room_for(3).await;
     let (begun, has_begun) = tokio::sync::oneshot::channel();
     let (left, ended) = tokio::sync::oneshot::channel::<()>();
     let question = move |d: &optics_fit::FitDictionary| {
-        // Dropped when the question is left, whichever way.
+        // Dropped when the question ends, in whatever way.
         let _left = left;
         let x: Vec<f64> = (0..16).map(|i| (f64::from(i) - 7.5) * 10.0 / 16.0).collect();
         let profile =
@@ -75,7 +75,7 @@ async fn abandoned_question_ends() {
         let measurement = Measurement::new("m", vec![profile]).unwrap();
         let fit = || optics_fit::fit(d, &measurement, &FitOptions::default()).unwrap();
         begun.send(fit()).unwrap();
-        // Minutes of work, but no endless loop: the runtime waits for what it has begun.
+        // Minutes of work, but no endless loop: the runtime waits for work that has begun.
         (0..100_000).for_each(|_| drop(fit()));
         Ok(())
     };

@@ -1,4 +1,4 @@
-//! Streams of results, good and bad.
+//! Tests streams of valid and invalid results.
 
 use bytes::Bytes;
 use farm_proto::lease::{Lease, LeaseKey};
@@ -36,7 +36,7 @@ async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Result<Outc
     farm.receive(&machine, tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
 
-/// The other results of the stream are stored. A worker that contradicts itself loses all its records.
+/// If one result is refused, the others of its stream are stored. A worker that contradicts itself loses all its records.
 #[tokio::test]
 async fn refused_result_does_not_end_its_stream() {
     let (farm, worker, leases, _dir) = begun().await;
@@ -60,7 +60,7 @@ async fn refused_result_does_not_end_its_stream() {
     assert_eq!(jobs_done(&farm), 0, "who contradicts itself is believed in nothing");
 }
 
-/// Nothing of them is stored.
+/// Malformed results are refused with the name of the field, and nothing of them is stored.
 #[tokio::test]
 async fn malformed_results_are_refused_with_field() {
     let (farm, worker, leases, _dir) = begun().await;

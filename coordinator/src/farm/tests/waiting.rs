@@ -1,4 +1,4 @@
-//! Whoever waits for work, for news or for the disk.
+//! Tests calls that wait for work, for changes or for the disk.
 
 use std::time::Duration;
 
@@ -85,7 +85,7 @@ async fn watch_reports_every_change() {
     assert!(late.next().await.unwrap().is_none());
 }
 
-/// It has the finished records from an index on, or those that are requested, in the order of the request.
+/// An export has the finished records from an index on, or those that are requested, in the order of the request.
 #[tokio::test]
 async fn export_is_ordered_and_announces_length() {
     let (farm, _dir) = done().await;
@@ -110,7 +110,7 @@ async fn export_is_ordered_and_announces_length() {
     assert_eq!(refused(0, &[5, 80]), "indices[1]");
 }
 
-/// A decision that cannot be stored is not forgotten.
+/// A decision that cannot be stored is retried.
 #[tokio::test]
 async fn failed_write_is_retried() {
     let (farm, dir) = empty().await;
@@ -153,7 +153,7 @@ async fn watch_follows_a_dictionary_not_a_name() {
     assert!(matches!(watch.next().await, Err(FarmError::Deleted { .. })));
 }
 
-/// A watch without changes repeats the last state every 15 seconds.
+/// A watch without changes repeats the last state within 15 seconds.
 #[tokio::test]
 async fn quiet_watch_repeats_every_15_seconds() {
     let (farm, _dir) = empty().await;
@@ -165,7 +165,7 @@ async fn quiet_watch_repeats_every_15_seconds() {
         let start = tokio::time::Instant::now();
         assert_eq!(watch.next().await.unwrap().unwrap(), first);
         assert!(start.elapsed() <= Duration::from_secs(15), "{:?}", start.elapsed());
-        // Part of what was told before, so that it changes nothing for a client that takes it for news.
+        // A part of the states that were sent before, so that it changes nothing for a client that takes it for a change.
         let (start, again) = (tokio::time::Instant::now(), jobs.next().await.unwrap().unwrap());
         assert!(start.elapsed() <= Duration::from_secs(15), "{:?}", start.elapsed());
         assert_eq!((again.first, again.states.as_slice()), (of_jobs.first, &of_jobs.states[..1]));

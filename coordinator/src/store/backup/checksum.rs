@@ -1,4 +1,4 @@
-//! BLAKE3 of files, and the file next to a backup that holds it.
+//! Computes BLAKE3 digests of files, and reads and writes the file next to a backup that holds its digest.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -29,7 +29,7 @@ pub(super) fn write(sidecar: &Path, file: &Path, digest: blake3::Hash) -> Result
         .map_err(failed(sidecar, "writing to disk"))
 }
 
-/// As b3sum has it, a backslash in front marks an escaped name.
+/// As in b3sum, a backslash in front marks an escaped name.
 fn line(name: &str, digest: blake3::Hash) -> String {
     let escaped = name.replace('\\', "\\\\").replace('\n', "\\n").replace('\r', "\\r");
     let mark = if escaped == name { "" } else { "\\" };

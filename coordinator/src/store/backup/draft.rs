@@ -1,4 +1,4 @@
-//! Files that get their name only when they are complete.
+//! Writes files that get their name only when they are complete.
 
 use std::ffi::OsString;
 use std::fs::{File, TryLockError};
@@ -35,7 +35,7 @@ pub(super) struct Draft {
 }
 
 impl Draft {
-    /// Removes what an earlier draft of the same target has left behind.
+    /// Creates a draft, and removes an earlier draft of the same target that was left behind.
     pub(super) fn create(target: &Path) -> Result<Self> {
         refuse_existing(target)?;
         let path = with_suffix(target, ".draft");
@@ -83,7 +83,7 @@ impl Drop for Draft {
     }
 }
 
-/// A draft whose lock is free has no writer any more: locks end with their process.
+/// Removes a draft that was left behind. If its lock is free it has no writer any more: locks end with their process.
 fn remove_leftover(path: &Path, target: &Path) -> Result<()> {
     let leftover = match File::options().write(true).open(path) {
         Ok(file) => file,
@@ -97,7 +97,8 @@ fn remove_leftover(path: &Path, target: &Path) -> Result<()> {
     }
 }
 
-/// Where a filesystem has no locks, two backups to one file cannot be distinguished from one: the second to end is refused.
+/// Locks a draft. On a filesystem without locks, two backups to one file are not detected here: the second to end is
+/// refused.
 fn lock(file: &File, target: &Path) -> Result<()> {
     match file.try_lock() {
         Ok(()) | Err(TryLockError::Error(_)) => Ok(()),

@@ -12,7 +12,7 @@ use sqlx::{AssertSqlSafe, SqlitePool};
 use super::*;
 
 const PAGE_BYTES: usize = super::super::PAGE_BYTES as usize;
-/// Stands in a profile, to be found again in the file.
+/// A part of a profile, to be found again in the file.
 const MARK: &[u8] = b"a mark that no page holds by chance";
 
 fn newest() -> i64 {
@@ -114,7 +114,8 @@ fn without_checksum(file: &Path) {
     std::fs::remove_file(checksum::sidecar(file)).unwrap();
 }
 
-/// Both must refuse it in the same words, and the data directory must stay empty.
+/// The error of a file that is refused. Restoring and verifying must give the same message, and the data directory must
+/// stay empty.
 async fn refusal(file: &Path) -> BackupError {
     let home = tempfile::tempdir().unwrap();
     let dir = DataDir::lock(home.path()).unwrap();
@@ -144,7 +145,7 @@ async fn backup_is_restored_byte_for_byte() {
     pool.close().await;
 }
 
-/// It has every transaction that was committed before the call, and none in part.
+/// A backup contains every transaction that was committed before the call, and none in part.
 #[tokio::test]
 async fn backups_of_a_busy_database_are_complete() {
     let dir = tempfile::tempdir().unwrap();
@@ -179,7 +180,7 @@ async fn backups_of_a_busy_database_are_complete() {
 
 #[tokio::test]
 async fn changed_page_header_is_refused() {
-    // The page's kind, and its count of stray bytes: no query stumbles over the latter.
+    // The page's kind, and its count of stray bytes: no query fails because of the latter.
     for (offset, message) in [(0, ""), (7, "ragmentation")] {
         let (_dir, copy) = with_backup().await;
         change(&copy, 3 * PAGE_BYTES + offset, |byte| byte ^ 0x1F);
@@ -292,7 +293,7 @@ async fn application_id_survives_a_backup() {
     verify(&copy, newest()).await.unwrap();
 }
 
-/// A database with a newer schema is refused, and the message asks for the newer version.
+/// A database with a newer schema is refused, and the message requests a newer version of the program.
 #[tokio::test]
 async fn newer_schema_asks_for_newer_version() {
     let (_dir, copy) = with_backup().await;
@@ -376,7 +377,7 @@ async fn drafts_of_killed_backups_are_removed() {
     let error = backup(&pool, &copy, newest()).await.unwrap_err();
     assert!(matches!(error, BackupError::Busy { .. }), "{error}");
     assert!(leftover.exists());
-    // A killed process unlocks, but does not remove.
+    // A killed process releases its lock, but does not remove its draft.
     std::fs::copy(&leftover, dir.path().join("kept")).unwrap();
     drop(running);
     std::fs::rename(dir.path().join("kept"), &leftover).unwrap();
@@ -406,7 +407,7 @@ async fn abandoned_backup_leaves_nothing() {
     assert!(given_up > 0, "no backup was given up");
 }
 
-/// SQLite does not create a draft again that was removed.
+/// SQLite does not recreate a draft that was removed.
 #[tokio::test]
 async fn removed_draft_is_not_recreated() {
     let dir = tempfile::tempdir().unwrap();

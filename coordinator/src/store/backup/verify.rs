@@ -1,4 +1,4 @@
-//! Tells whether a file is a whole database of a farm that this program can read.
+//! Checks whether a file is a whole database of a farm that this program can read.
 
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -12,12 +12,12 @@ use super::{APPLICATION_ID, BackupError, Result, blocking, draft, failed};
 
 const HEADER_BYTES: usize = 100;
 const MAGIC: &[u8] = b"SQLite format 3\0";
-/// More messages do not help.
+/// Most messages of SQLite that are reported.
 const MOST_MESSAGES: usize = 5;
 const SQLITE_CORRUPT: i32 = 11;
 const SQLITE_NOTADB: i32 = 26;
 
-/// How much a database holds, and in which form.
+/// The schema version and the row counts of a database.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BackupCounts {
     pub schema_version: i64,
@@ -30,7 +30,7 @@ pub struct BackupCounts {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Checksum {
     Agrees,
-    /// Then a changed bit within a record would not be seen.
+    /// Then a changed bit within a record would not be found.
     Absent,
 }
 
@@ -89,7 +89,7 @@ fn check_header(path: &Path, header: &[u8], file_bytes: u64) -> Result<()> {
         1 => 65_536,
         bytes => u64::from(bytes),
     };
-    // The count of pages holds if the same change wrote both counters.
+    // The count of pages is valid if the same change wrote both counters.
     let counted = word(24) == word(92);
     let expected = u64::from(word(28)) * page_bytes;
     if counted && file_bytes < expected {
@@ -219,7 +219,7 @@ impl Reader<'_> {
         Ok(rows as u64)
     }
 
-    /// SQLite notices some damage only by stumbling over it.
+    /// Maps an error of SQLite, which detects some damage only when a query reads it.
     fn outcome<T>(&self, what: &'static str, result: sqlx::Result<T>) -> Result<T> {
         result.map_err(|source| {
             let database = source.as_database_error();

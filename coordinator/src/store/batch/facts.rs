@@ -1,4 +1,4 @@
-//! What the store knows of the jobs and points of some results, in one query.
+//! Looks up the stored facts about the jobs and points of some results, in one query.
 
 use std::collections::{HashMap, HashSet};
 
@@ -16,11 +16,11 @@ pub(super) struct Facts {
     /// Workers that are fenced off.
     pub fenced: HashSet<Origin>,
     pub ended: HashMap<(DictionaryId, u32), Ended>,
-    /// Rows of the points that the store has.
+    /// Rows of the points that are stored.
     pub points: HashMap<Digest, i64>,
 }
 
-/// How a job ended: with these records, of this many walks; with none if it was given up.
+/// The end of a job, with its records and number of walks; without records if it was given up.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ended {
     pub records: Option<Digest>,
@@ -32,7 +32,7 @@ const FENCED: i64 = 1;
 const ENDED: i64 = 2;
 const POINT: i64 = 3;
 
-/// One fact; what its columns are depends on the kind.
+/// One fact; the meaning of its columns depends on the kind.
 struct FactRow {
     kind: i64,
     id: i64,

@@ -1,4 +1,4 @@
-//! Statements that go to SQLite together.
+//! Sends several statements to SQLite together.
 
 use sqlx::query_builder::Separated;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
@@ -6,7 +6,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 use super::super::{Result, doing};
 use super::ROWS;
 
-/// Most rows of a script that is likely to come again: a job of the paper's grid has 43.
+/// Most rows of a script that is likely to recur: a job of the paper's grid has 43.
 const SMALL: usize = 64;
 
 /// Gathers rows to be inserted, for several tables, and writes many of them at once.
@@ -21,7 +21,7 @@ impl<'c> Script<'c> {
         Self { tx, query: QueryBuilder::new(""), rows: 0 }
     }
 
-    /// Inserts rows; `into` is the statement up to its values, `bind` gives those of a row.
+    /// Inserts rows; `into` is the statement up to its values, `bind` binds the values of a row.
     pub(super) async fn insert<T: Sync>(
         &mut self,
         into: &str,
@@ -40,7 +40,7 @@ impl<'c> Script<'c> {
         Ok(())
     }
 
-    /// Writes what is left.
+    /// Writes the remaining rows.
     pub(super) async fn finish(mut self) -> Result<()> {
         self.write().await
     }
@@ -49,7 +49,7 @@ impl<'c> Script<'c> {
         if self.rows > 0 {
             let mut query = std::mem::replace(&mut self.query, QueryBuilder::new(""));
             let rows = std::mem::take(&mut self.rows);
-            // What repeats is small or full; others, each of another length, would only fill the memory for statements.
+            // Scripts that recur are small or full; others, each of another length, would only fill the statement cache.
             query
                 .build()
                 .persistent(rows <= SMALL || rows == ROWS)

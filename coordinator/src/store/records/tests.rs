@@ -19,7 +19,7 @@ async fn change(store: &Store, query: &'static str) {
     assert_ne!(sqlx::query(query).execute(&store.write).await.unwrap().rows_affected(), 0, "{query}");
 }
 
-/// What is wrong with job 0, as every way of reading tells it; job 1 is intact.
+/// The damage of job 0, as every way of reading reports it; job 1 is intact.
 async fn damage(store: &Store, d: &StoredDictionary) -> String {
     let finished = store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap();
     assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), finished);
@@ -44,7 +44,7 @@ async fn stored_jobs_are_read_back_in_order() {
     assert_eq!(store.finished_jobs(d.id, &d.grid, 0..9).await.unwrap().len(), 2, "the grid has two jobs");
 }
 
-/// A point may hold more albedos than one of the dictionaries asks for.
+/// A point may hold more albedos than one of the dictionaries needs.
 #[tokio::test]
 async fn records_of_other_albedos_are_skipped() {
     let dir = tempfile::tempdir().unwrap();
@@ -128,7 +128,7 @@ async fn record_of_another_length_is_damage() {
     assert!(damage(&store, &d).await.contains("row 1"));
 }
 
-/// Even if the digest says that it was stored so.
+/// An impossible number is damage, whatever the digest.
 #[tokio::test]
 async fn impossible_number_is_damage() {
     let dir = tempfile::tempdir().unwrap();
@@ -161,7 +161,7 @@ async fn missing_end_is_damage_in_finished_jobs() {
     assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), [missing(0), missing(1)]);
 }
 
-/// The records lie in the database's log, which is cut short.
+/// A read error is not damage: here the database's log, which holds the records, is cut short.
 #[tokio::test]
 async fn read_error_is_not_damage() {
     let dir = tempfile::tempdir().unwrap();

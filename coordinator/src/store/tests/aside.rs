@@ -1,4 +1,4 @@
-//! What is not believed any more, and what becomes of it.
+//! Tests results that are set aside, and how they are replaced or restored.
 
 use optics_model::Walks;
 
@@ -37,7 +37,7 @@ async fn behind(store: &Store, d: &StoredDictionary) -> Vec<(u32, Option<Origin>
         .collect()
 }
 
-/// Its token and address identify it. Its label and host name stay as they were first.
+/// Its token and address identify a machine. While it is fenced off, its label and host name do not change.
 #[tokio::test]
 async fn machine_keeps_row_and_fence_when_renamed() {
     let dir = tempfile::tempdir().unwrap();
@@ -54,7 +54,7 @@ async fn machine_keeps_row_and_fence_when_renamed() {
     assert_eq!(known, KnownMachine { origin: bad, machine, label, fenced }, "it is still known as it was");
 }
 
-/// They are set aside and not read, and go when other records take their place.
+/// The records of a fenced machine are set aside and not read, and are deleted when other records take their place.
 #[tokio::test]
 async fn fenced_records_are_kept_until_recomputed() {
     let dir = tempfile::tempdir().unwrap();
@@ -75,7 +75,7 @@ async fn readmitted_machine_restores_its_records() {
     let (store, d) = good_and_bad(&dir).await;
     let before = all_records(&store, &d).await;
     store.ledger().exclusive().await.fence(BAD, "wrong").await.unwrap();
-    // A restart forgets neither.
+    // A restart keeps the fence and the records.
     store.close().await;
     drop(store);
     let store = open(dir.path()).await;
@@ -121,7 +121,7 @@ async fn deletion_includes_records_set_aside() {
     assert!(store.faults().await.unwrap().is_empty());
 }
 
-/// Machines are forgotten only if no record, vote or fence refers to them.
+/// Machines are deleted only if no record, vote or fence refers to them.
 #[tokio::test]
 async fn only_unused_machines_are_forgotten() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Jobs divided into blocks.
+//! Tests jobs that are divided into blocks.
 
 use farm_proto::DictionaryName;
 use optics_model::grid::Axes;
@@ -22,7 +22,7 @@ fn block_sums(job: &JobSpec, block: u32) -> Sums {
     Sums::from_le_bytes(job, job.walks().batches_of_block(block), &sums.to_le_bytes()).unwrap()
 }
 
-/// The bytes are the same, also with a restart in between.
+/// The blocks sum to the same bytes in any order, also with a restart in between.
 #[tokio::test]
 async fn blocks_sum_to_the_undivided_job() {
     let axes = Axes {
@@ -107,7 +107,7 @@ async fn complete_with(
     store.complete(completion).await.unwrap()
 }
 
-/// It may be what others are asked to check.
+/// The first of two copies of a block stays: it may be the subject of a check.
 #[tokio::test]
 async fn first_of_two_block_copies_stays() {
     let dir = tempfile::tempdir().unwrap();
@@ -139,7 +139,7 @@ async fn blocks_of_other_albedos_are_not_mixed() {
     assert!(matches!(complete_block(&store, &b, 0, Origin(1)).await, Outcome::Finished { .. }));
 }
 
-/// The records are of all blocks: there is nothing to compare one block with.
+/// A late block of a finished job is unwanted: its records are of all blocks, so there is nothing to compare one block with.
 #[tokio::test]
 async fn late_block_of_finished_job_is_unwanted() {
     let dir = tempfile::tempdir().unwrap();
@@ -223,7 +223,8 @@ async fn damaged_block_is_found_before_merging() {
     }
 }
 
-/// A bit that has flipped in an exponent: finite as a 64-bit float, but not as the 32-bit float of a record.
+/// Sums with a flipped bit in an exponent are refused: they are finite as 64-bit floats, but not as the 32-bit floats of
+/// a record.
 #[tokio::test]
 async fn sums_beyond_record_range_are_refused() {
     let dir = tempfile::tempdir().unwrap();

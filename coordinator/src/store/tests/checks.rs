@@ -1,4 +1,4 @@
-//! What a restart must not forget of checks.
+//! Tests that open checks and the secret survive a restart.
 
 use super::*;
 

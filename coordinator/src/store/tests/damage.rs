@@ -1,4 +1,4 @@
-//! Disks that give back other bytes than they were given, are full, or are held by others.
+//! Tests disks that return other bytes than were written or are full, and databases that are held by others or lost.
 
 use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
@@ -8,8 +8,8 @@ use super::{all_records, complete, completion, defect, dictionary, open, overlap
 use crate::store::{Commit, DataDir, Store, StoreError};
 use crate::stored::{Completion, JobResult, Machine, Origin, Outcome};
 
-/// A full disk, played by SQLite's own limit: the error tells it, nothing of the job is stored, and once there is room
-/// the same store works on.
+/// A full disk, simulated by SQLite's own limit: the error reports it, nothing of the job is stored, and once there is
+/// room the same store works on.
 #[tokio::test]
 async fn store_recovers_from_a_full_disk() {
     let dir = tempfile::tempdir().unwrap();
@@ -50,7 +50,7 @@ async fn damaged_records_are_not_reused() {
     );
 }
 
-/// Two dictionaries may ask for the same walks at once: the later records are compared, and both jobs can be done again.
+/// Two dictionaries may compute the same walks at once: the later records are compared, and both jobs can be done again.
 #[tokio::test]
 async fn conflicting_records_for_shared_walks_are_refused() {
     let dir = tempfile::tempdir().unwrap();
@@ -83,7 +83,7 @@ async fn conflicting_records_for_shared_walks_are_refused() {
     assert_eq!(rows, (3,), "each record once");
 }
 
-/// Whoever holds the database makes results wait once, not one after the other.
+/// A process that holds the database makes results wait once, not one after the other.
 #[tokio::test]
 async fn held_database_fails_all_results_at_once() {
     let dir = tempfile::tempdir().unwrap();
@@ -112,7 +112,7 @@ async fn held_database_fails_all_results_at_once() {
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }
 
-/// A defect, played by a panic before a commit: the result that brings it fails alone, and the writer goes on.
+/// A defect, simulated by a panic before a commit: only the result that causes it fails, and the writer goes on.
 #[tokio::test]
 async fn panic_while_writing_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();

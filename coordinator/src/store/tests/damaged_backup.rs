@@ -1,5 +1,5 @@
-//! Backups with random damage, as from a failing disk or by hand: restored if SQLite finds nothing wrong with them. What
-//! is read from them then is what was stored, or an error.
+//! Tests backups with random damage, as from a failing disk or by hand. They are restored if SQLite finds no fault in
+//! them; reading them then yields the stored data, or an error.
 //!
 //! `PROPTEST_CASES=20000 cargo test -p farm-coordinator --lib damaged_backup` runs more of them.
 
@@ -13,7 +13,7 @@ use super::{complete, dictionary, open, records};
 use crate::store::{DataDir, Store, backup, newest_schema};
 use crate::stored::{DesiredState, Machine, StoredDictionary};
 
-/// What happens to the bytes of a file.
+/// A change of the bytes of a file.
 #[derive(Debug, Clone)]
 enum Damage {
     /// Bits that have changed.
@@ -63,7 +63,7 @@ impl Damage {
                 let until = end(at, *bytes, file);
                 file[at..until].fill(0);
             }
-            // One byte stays, since others may damage what is left.
+            // One byte stays, since further damage may follow.
             Self::Cut { at } => file.truncate(at.index(file.len()) + 1),
         }
     }
@@ -93,7 +93,7 @@ fn wait<T>(work: impl Future<Output = T>) -> T {
     tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap().block_on(work)
 }
 
-/// How far a damaged backup came.
+/// The step that a damaged backup reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum End {
     NotRestored,
@@ -165,6 +165,6 @@ fn damage_is_refused_where_it_is_found() {
     assert_eq!(after(&|_| ()), End::Read);
     assert_eq!(after(&|bytes| bytes.truncate(5000)), End::NotRestored);
     assert_eq!(after(&|bytes| bytes[at(b"lunch")] ^= 1), End::Read);
-    // The name of a layer changes nothing that is computed, and is another grid all the same.
+    // Another name of a layer changes no result, but makes another grid all the same.
     assert_eq!(after(&|bytes| bytes[at(b"glass slip")] ^= 1), End::NotRead);
 }

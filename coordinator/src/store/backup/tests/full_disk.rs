@@ -25,7 +25,7 @@ impl Drop for SmallDisk {
 #[tokio::test]
 async fn full_disk_fails_the_backup_cleanly() {
     let Some(disk) = SmallDisk::mount() else {
-        // Past the capture of output, so that nobody takes this for a test that was run.
+        // Written past the capture of output, so that this is not taken for a test that was run.
         let _ = writeln!(std::io::stderr(), "SKIPPED: a full disk was not tested; mounting one needs root");
         return;
     };

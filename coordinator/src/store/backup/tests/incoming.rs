@@ -1,4 +1,4 @@
-//! Backups that come in from elsewhere, and their permissions.
+//! Tests backups that are received from elsewhere, and their permissions.
 
 use std::os::unix::fs::PermissionsExt;
 
@@ -60,13 +60,13 @@ async fn incomplete_incoming_backup_leaves_nothing() {
     }
 }
 
-/// Their mode is 0600, whatever the mode of the file that is restored.
+/// The mode of backups and restored databases is 0600, whatever the mode of the file that is restored.
 #[tokio::test]
 async fn backups_and_restored_databases_are_private() {
     let (dir, copy) = with_backup().await;
     let mode = |file: &Path| std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
     assert_eq!(mode(&copy), 0o600);
-    // Whatever the file's mode is that comes from elsewhere.
+    // A file that comes from elsewhere may have any mode.
     std::fs::set_permissions(&copy, std::fs::Permissions::from_mode(0o644)).unwrap();
     let data = DataDir::lock(&dir.path().join("data")).unwrap();
     let report = restore(&copy, &data, newest()).await.unwrap();
