@@ -1,4 +1,5 @@
-//! Compiles the service that `farmctl web` has for its page. What it shares with the farm's is in `farm-proto`.
+//! Compiles the service of `farmctl web` for its page. The messages that it shares with the farm's services are in
+//! `farm-proto`.
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     const PROTO: &str = "../proto/proto";

@@ -1,7 +1,7 @@
-//! Making access files: an authority of the farm's own, a certificate for the coordinator, a token for each role.
+//! Creates access files: an authority for the farm, a certificate for the coordinator, and a token for each role.
 //!
-//! The authority's private key is forgotten as soon as it has signed. So it cannot be stolen, and no certificate can be
-//! added later: for another host name, or when a member's certificate must go, a new set is made and handed out. Tokens
+//! The authority's private key is discarded after signing. It cannot be stolen, and no certificate can be added later:
+//! for another host name, or when a member's certificate must be revoked, a new set is created and distributed. Tokens
 //! are only entries in the coordinator's file, which [`members`] adds and removes.
 
 pub mod members;
@@ -23,13 +23,13 @@ use time::{Duration, OffsetDateTime};
 
 use farm_lab::whole_file::folder_of;
 
-/// How long certificates hold: ten years.
+/// Validity of certificates: ten years.
 const VALID: Duration = Duration::days(3653);
-/// They hold from before their making, since other machines' clocks may be behind.
+/// Certificates are valid from before their creation, since other machines' clocks may be behind.
 const BACKDATED: Duration = Duration::days(1);
-/// The coordinator's names on its own machine.
+/// Names of the coordinator on its machine.
 const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
-/// Stands in the coordinator's file above the tokens.
+/// Comment above the tokens in the coordinator's file.
 const TOKENS_HEAD: &str = "
 # Whom it lets in: `farmctl access add` and `farmctl access revoke`, or by hand, with the hash of a random token
 # (`printf %s TOKEN | b3sum`). A running coordinator reads it again.
@@ -55,21 +55,21 @@ pub enum CreateError {
     Random(getrandom::Error),
 }
 
-/// What has been made.
+/// The files of a new set, and the URL and validity of its certificate.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Created {
     /// The coordinator's file.
     pub coordinator: PathBuf,
     /// The files of the roles.
     pub members: Vec<(Role, PathBuf)>,
-    /// The URL that they hold: the first host's.
+    /// The URL in these files, that of the first host.
     pub server: String,
     pub valid_until_unix_s: i64,
 }
 
-/// Makes the folder `dir` (mode 0700) with `coordinator.toml`, `worker.toml`, `client.toml` and `admin.toml` (mode
-/// 0600), all or none. The coordinator's certificate holds for `hosts` and for its own machine; the URL in the files is
-/// that of the first host. With `mutual`, clients get certificates and the coordinator asks for them.
+/// Creates the folder `dir` (mode 0700) with `coordinator.toml`, `worker.toml`, `client.toml` and `admin.toml` (mode
+/// 0600), all or none. The coordinator's certificate is valid for `hosts` and for its own machine; the URL in the files
+/// is that of the first host. With `mutual`, clients get certificates and the coordinator requires them.
 pub fn create(
     dir: &Path,
     hosts: &[String],
@@ -77,7 +77,7 @@ pub fn create(
     mutual: bool,
     now_unix_s: i64,
 ) -> Result<Created, CreateError> {
-    // Asked first, so that nothing is made in vain; the renaming at the end never replaces a folder with content.
+    // Checked first, before anything is created; the final rename never replaces a folder with content.
     if fs::symlink_metadata(dir).is_ok() {
         return Err(CreateError::Exists(dir.to_owned()));
     }
@@ -111,7 +111,7 @@ fn is_host(host: &str) -> bool {
             && !label.starts_with('-')
             && !label.ends_with('-')
     };
-    // What consists of digits and dots alone and is no address is a mistyped one.
+    // Digits and dots that are no address are a mistyped address.
     let is_name = host.len() <= 253
         && host.split('.').all(is_label)
         && !host.bytes().all(|b| b.is_ascii_digit() || b == b'.');
@@ -142,7 +142,7 @@ impl Validity {
     }
 }
 
-/// Signs certificates while it lives.
+/// Signs certificates; its key exists only in memory.
 struct Authority {
     issuer: Issuer<'static, KeyPair>,
     certificate_pem: String,
@@ -158,7 +158,7 @@ struct Identity {
 impl Authority {
     fn make(validity: Validity) -> Result<Self, CreateError> {
         let key = KeyPair::generate()?;
-        // A name of its own, so that a mixture of two sets is seen for what it is.
+        // A unique name, so that a mixture of two sets is recognisable.
         let mut params = params(&format!("farm authority {}", &random_hex()?[..8]), vec![], validity)?;
         params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
         params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
@@ -188,7 +188,7 @@ fn params(
     names: Vec<String>,
     validity: Validity,
 ) -> Result<CertificateParams, rcgen::Error> {
-    // It distinguishes names from addresses.
+    // Distinguishes names from addresses.
     let mut params = CertificateParams::new(names)?;
     params.distinguished_name.push(DnType::CommonName, common_name);
     params.not_before = validity.start;
@@ -203,7 +203,7 @@ fn random_hex() -> Result<String, CreateError> {
     Ok(bytes.iter().map(|b| format!("{b:02x}")).collect())
 }
 
-/// Names and content of the files.
+/// Names and contents of the files.
 fn file_texts(
     authority: &Authority,
     names: &[String],
@@ -272,7 +272,7 @@ fn put_text(text: &mut String, field: &str, value: &str) {
     let _ = write!(text, "{field} = '''\n{}\n'''\n", value.trim_end());
 }
 
-/// Writes the folder under another name, makes sure that it is on the disk, and then gives it its name.
+/// Writes the folder under a temporary name, syncs it to the disk, and renames it.
 fn write_folder(dir: &Path, files: &[(String, String)]) -> Result<(), CreateError> {
     let parent = folder_of(dir);
     let failed = |doing, path: &Path| {
@@ -290,7 +290,7 @@ fn write_folder(dir: &Path, files: &[(String, String)]) -> Result<(), CreateErro
     }
     sync_folder(draft.path()).map_err(failed("writing", draft.path()))?;
     fs::rename(draft.path(), dir).map_err(failed("making", dir))?;
-    // It has moved: there is nothing left to tidy up.
+    // The draft was renamed and must not be removed.
     let _ = draft.keep();
     sync_folder(parent).map_err(failed("writing", parent))
 }

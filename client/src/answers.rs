@@ -1,4 +1,4 @@
-//! Answers of the fit as people and programs read them.
+//! Formats answers of the fit as text and as JSON.
 
 mod bound;
 mod budget;

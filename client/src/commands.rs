@@ -1,4 +1,4 @@
-//! The verbs of `farmctl`, by subject: each has one module with its arguments, examples and work.
+//! The verbs of `farmctl`, by subject: each module has the arguments, the examples and the work of one verb.
 
 mod completions;
 mod dictionaries;

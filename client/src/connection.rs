@@ -1,4 +1,4 @@
-//! A farm to talk to: a server's, or one that lives in this process.
+//! Connects to a farm: a server's, or one that runs in this process.
 
 pub(crate) mod outage;
 pub(crate) mod records;
@@ -23,12 +23,12 @@ use tokio_util::sync::CancellationToken;
 
 use crate::cli::Global;
 
-/// What a command wants of a farm.
+/// The purpose for which a command opens a farm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Purpose {
-    /// To ask: there must be one.
+    /// Queries an existing farm.
     Ask,
-    /// To compute: a local one is made if need be, with a worker.
+    /// Computes; a local farm is created if necessary, with a worker.
     Compute,
 }
 
@@ -39,22 +39,22 @@ pub(crate) struct Connection {
     host: Host,
 }
 
-/// The process that the farm runs in.
+/// The process that runs the farm.
 #[derive(Debug)]
 enum Host {
     Server,
-    /// In another process that holds the data directory, and may end at any moment.
+    /// Another process that holds the data directory, and may end at any moment.
     Neighbour,
     Embedded(Embedded),
 }
 
-/// How long to wait for a data directory that is held by a process which does not answer.
+/// How long to wait for a data directory that an unresponsive process holds.
 const HELD: Duration = Duration::from_secs(15);
-/// Pause before another look at it.
+/// Pause before the next attempt.
 const LOOK_AGAIN: Duration = Duration::from_millis(100);
 
-/// Does some work with a farm. If the farm was a neighbour's and has ended, the work is done again with the next, which
-/// may be one of our own.
+/// Does some work with a farm. If the farm ran in a neighbouring process that has ended, the work is repeated with the
+/// next farm, which may run in this process.
 pub(crate) async fn with_farm<T>(
     global: &Global,
     purpose: Purpose,
@@ -72,19 +72,19 @@ pub(crate) async fn with_farm<T>(
     }
 }
 
-/// A request whose answer may take as long as a large database takes to be read through, or a million pixels to be fitted.
+/// A request whose answer may take as long as reading through a large database, or fitting a million pixels.
 pub(crate) fn patient<T>(message: T) -> tonic::Request<T> {
     let mut request = tonic::Request::new(message);
     request.set_timeout(Duration::from_hours(12));
     request
 }
 
-/// The message when the transport fails.
+/// The error of a failed transport.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Unreachable(String);
 
-/// The error of a call to a server; if the transport failed, why, in plain words.
+/// The error of a call to a server; if the transport failed, with the reason in plain words.
 pub(crate) fn in_plain_words(error: anyhow::Error, url: &str) -> anyhow::Error {
     let status = error.chain().find_map(|cause| cause.downcast_ref::<tonic::Status>());
     match status.and_then(|status| failure(status, url)) {
@@ -93,15 +93,15 @@ pub(crate) fn in_plain_words(error: anyhow::Error, url: &str) -> anyhow::Error {
     }
 }
 
-/// Whether a call failed because the other end is gone.
+/// Whether a call failed because the coordinator is gone.
 fn is_gone(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.downcast_ref().is_some_and(is_broken) || cause.is::<Unreachable>())
 }
 
-/// Whether a call was ended by the connection or the end of the coordinator.
+/// Whether a call was ended by a broken connection or the end of the coordinator.
 pub(crate) fn is_broken(status: &tonic::Status) -> bool {
     use std::error::Error;
-    // A status that came over the wire has no source; one that the transport made has.
+    // A status received from the coordinator has no source; one that the transport made has one.
     status.code() == tonic::Code::Unavailable || status.source().is_some()
 }
 
@@ -114,14 +114,14 @@ struct Embedded {
     stop_worker: CancellationToken,
 }
 
-/// The kernel that FARM_KERNEL names, as for `farm-worker`.
+/// The kernel in FARM_KERNEL, as for `farm-worker`.
 pub(crate) fn kernel_name() -> Option<String> {
     std::env::var("FARM_KERNEL").ok().filter(|name| !name.is_empty())
 }
 
-/// Settings of the coordinator that `farmctl` runs itself.
+/// Settings of the embedded coordinator.
 fn coordinator(data: &Path) -> Result<Config> {
-    // No other process need be spared.
+    // No limit on a question's pixels: it would protect other users.
     let mut config = Config { question_pixels: usize::MAX, ..Config::new(data) };
     if let Some(given) = std::env::var_os("FARM_FIT_MEMORY").filter(|given| !given.is_empty()) {
         let mib = given.to_str().and_then(|given| given.parse::<usize>().ok());
@@ -190,7 +190,7 @@ impl Connection {
                 data.display()
             );
         }
-        // One that lives for a question alone is nothing to remember.
+        // Starting a coordinator only for a query is not recorded as an event.
         let config = Config { start_is_event: purpose == Purpose::Compute, ..coordinator(data)? };
         let start = tokio::time::Instant::now();
         loop {
@@ -199,7 +199,7 @@ impl Connection {
                 Err(Error::Store(StoreError::InUse { .. })) if start.elapsed() < HELD => {}
                 Err(error) => return Err(error.into()),
             }
-            // The holder may have started a moment ago and not listen yet, or be about to end.
+            // The holder may have just started and not listen yet, or be about to end.
             if let Some(address) = DataDir::address(data)
                 && let Ok(connection) = Self::remote(&loopback(&address)?).await
             {
@@ -209,7 +209,7 @@ impl Connection {
         }
     }
 
-    /// A worker on all cores.
+    /// Settings of a worker on all cores.
     fn worker(coordinator: Target) -> farm_worker::Config {
         farm_worker::Config { kernel: kernel_name(), ..farm_worker::Config::new(coordinator) }
     }
@@ -236,7 +236,7 @@ impl Connection {
         match Self::remote(&target).await {
             Ok(connection) => Ok(Self { host: Host::Embedded(embedded), ..connection }),
             Err(error) => {
-                // Why it does not answer is the better explanation.
+                // The coordinator's own error is the better explanation.
                 embedded.close().await?;
                 Err(error)
             }
@@ -251,22 +251,22 @@ impl Connection {
         &self.address
     }
 
-    /// Whether the farm lives in this process and ends with it.
+    /// Whether the farm runs in this process and ends with it.
     pub(crate) fn is_embedded(&self) -> bool {
         matches!(self.host, Host::Embedded(_))
     }
 
-    /// Whether the farm lived in this process and has ended by itself.
+    /// Whether the farm ran in this process and has ended by itself.
     pub(crate) fn has_ended(&self) -> bool {
         matches!(&self.host, Host::Embedded(embedded) if embedded.coordinator.is_finished())
     }
 
-    /// Whether the farm goes on when this process ends.
+    /// Whether the farm continues when this process ends.
     pub(crate) fn is_server(&self) -> bool {
         matches!(self.host, Host::Server)
     }
 
-    /// The error of a call; if it is the connection to a server that failed, why, in plain words.
+    /// The error of a call; if the connection to a server failed, with the reason in plain words.
     pub(crate) fn in_plain_words(&self, error: anyhow::Error) -> anyhow::Error {
         if self.is_server() { in_plain_words(error, &self.address) } else { error }
     }
@@ -275,12 +275,13 @@ impl Connection {
         DictionariesClient::new(self.link.clone()).max_decoding_message_size(RequestLimits::MESSAGE_BYTES)
     }
 
-    /// Answers are as long as the question makes them: with curves, ten times as long.
+    /// A client without a limit on the size of answers, which depends on the question: with curves it is ten times as
+    /// large.
     pub(crate) fn fits(&self) -> FitsClient<Link> {
         FitsClient::new(self.link.clone()).max_decoding_message_size(usize::MAX)
     }
 
-    /// For a question about measurements, which is refused here if a coordinator would refuse their number of pixels.
+    /// A client for a question about measurements. More pixels than a coordinator accepts are refused here.
     pub(crate) fn fits_of(
         &self,
         field: &str,
@@ -290,7 +291,8 @@ impl Connection {
         Ok(self.fits())
     }
 
-    /// Most pixels of one question. In this process memory alone sets a limit; a neighbour has its own.
+    /// Largest number of pixels of one question. In this process only memory is the limit; a neighbour checks its own
+    /// limit.
     fn question_pixels(&self) -> usize {
         if self.is_server() { FitLimits::QUESTION_PIXELS } else { usize::MAX }
     }
@@ -303,7 +305,7 @@ impl Connection {
         FarmClient::new(self.link.clone())
     }
 
-    /// Stops what lives in this process: the worker hands its leases back, the coordinator closes its database.
+    /// Stops the embedded farm: the worker returns its leases, the coordinator closes its database.
     pub(crate) async fn close(self) -> Result<()> {
         drop(self.link);
         match self.host {
@@ -313,7 +315,7 @@ impl Connection {
     }
 }
 
-/// A farm of this machine that is open to every user on it.
+/// The address of a farm of this machine, without TLS and token.
 fn loopback(address: &str) -> Result<Target> {
     Ok(Target::new(None, Some(&format!("http://{address}")))?)
 }

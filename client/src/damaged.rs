@@ -1,7 +1,8 @@
-//! Everything that comes from outside and is parsed, with damage: an error in plain words or an answer, never a panic.
+//! Tests all parsers of external input with damaged data: the result is an error in plain words or an answer, never a
+//! panic.
 //!
-//! Sound files and messages are changed at random as editors, transfers and attackers change them. Each test tries
-//! 300 cases by default; `PROPTEST_CASES=100000 cargo test --release -p farmctl damaged` tries more.
+//! Sound files and messages are changed at random, as editors, transfers and attackers might change them. Each test
+//! tries 300 cases by default; `PROPTEST_CASES=100000 cargo test --release -p farmctl damaged` tries more.
 
 use std::path::Path;
 use std::sync::OnceLock;
@@ -24,7 +25,7 @@ use prost::Message;
 
 use crate::output::sentence;
 
-/// Pieces that parsers have stumbled over.
+/// Byte sequences that are critical for parsers.
 const PIECES: [&[u8]; 25] = [
     b"nan",
     b"-inf",
@@ -53,7 +54,7 @@ const PIECES: [&[u8]; 25] = [
     b"1_000_000",
 ];
 
-/// One change at a place.
+/// One change at a position.
 #[derive(Debug, Clone)]
 enum Change {
     Cut(Index),
@@ -106,7 +107,7 @@ fn damaged(sound: &[u8], changes: &[Change]) -> Vec<u8> {
     bytes
 }
 
-/// What is said of a file: something, in plain text, and not the whole file.
+/// Checks that an error message is not empty, is plain text, and does not quote the whole file.
 fn is_plain(shown: &str) -> Result<(), TestCaseError> {
     prop_assert!(!shown.trim().is_empty(), "an error says something");
     prop_assert!(
@@ -131,7 +132,7 @@ fn read<T>(bytes: &[u8], name: &str, read: impl Fn(&Path) -> anyhow::Result<T>) 
     }
 }
 
-/// A grid that may stand in a request, and a job of it.
+/// A valid grid for requests and jobs.
 fn small_grid() -> Grid {
     let axes = Axes {
         sigma_t_per_mm: vec![1.0, 2.0],
@@ -144,7 +145,7 @@ fn small_grid() -> Grid {
     Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
 }
 
-/// Access files of a farm that shows certificates: of the coordinator and of a worker.
+/// Access files of a farm with certificates: of the coordinator and of a worker.
 fn access_files() -> &'static [String; 2] {
     static FILES: OnceLock<[String; 2]> = OnceLock::new();
     FILES.get_or_init(|| {
@@ -156,7 +157,7 @@ fn access_files() -> &'static [String; 2] {
     })
 }
 
-/// Long words of a text, as tokens and keys are.
+/// Long words of a text, such as tokens and keys.
 fn secrets(text: &str) -> impl Iterator<Item = &str> {
     text.split(|c: char| !c.is_ascii_alphanumeric() && !b"+/".contains(&(c as u8)))
         .filter(|word| word.len() >= 40)
@@ -205,7 +206,7 @@ proptest! {
         }
     }
 
-    /// Nor do errors contain a token or a key.
+    /// Damaged access files cause an error without a token or a key in it, and no panic.
     #[test]
     fn damaged_access_files_cause_no_panic(which in 0..2_usize, changes in prop::collection::vec(change(), 1..5)) {
         let sound = &access_files()[which];
@@ -226,7 +227,7 @@ proptest! {
         read(&bytes, "access.toml", reader)?;
     }
 
-    /// Messages of requests, down to the values of the model.
+    /// Damaged messages of requests, including the values of the model, cause an error and no panic.
     #[test]
     fn damaged_messages_cause_no_panic(kind in 0..5_usize, changes in prop::collection::vec(change(), 1..5)) {
         let shown = match kind {
@@ -244,7 +245,7 @@ proptest! {
         }
     }
 
-    /// Results of workers, whose bytes are kept as they come.
+    /// Damaged results of workers are refused, or contain only finite numbers.
     #[test]
     fn accepted_records_contain_only_numbers(
         changes in prop::collection::vec(change(), 1..5),
@@ -269,17 +270,17 @@ proptest! {
     }
 }
 
-/// `PROPTEST_CASES`, or a few.
+/// `PROPTEST_CASES`, or 300.
 fn cases() -> u32 {
     std::env::var("PROPTEST_CASES").map_or(300, |cases| cases.parse().expect("a number of cases"))
 }
 
-/// A message that was changed on its way: why it is refused, if it is.
+/// Converts a damaged message, and returns the reason if the model refuses it.
 fn asked<M: Message + Default, T: TryFrom<M, Error = optics_model::Invalid>>(
     sound: &M,
     changes: &[Change],
 ) -> Option<String> {
-    // What is no message at all is refused by the library.
+    // Bytes that are no message are refused by the library.
     let message = M::decode(damaged(&sound.encode_to_vec(), changes).as_slice()).ok()?;
     T::try_from(message).err().map(|invalid| invalid.to_string())
 }

@@ -8,18 +8,18 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 pub(crate) const FAILED: u8 = 3;
 /// Some jobs were given up: workers died while they computed them.
 pub(crate) const QUARANTINED: u8 = 4;
-/// Cancelled, or of another physics version: it does not go on.
+/// Cancelled, or of another physics version: it will not be continued.
 pub(crate) const CANCELLED: u8 = 5;
-/// The time to wait was over.
+/// The timeout has passed.
 pub(crate) const TIMEOUT: u8 = 6;
-/// All jobs are done, and machines disagree about some of them: which result is right is not known yet.
+/// All jobs are done, but machines disagree about some of them: the correct result is not known yet.
 pub(crate) const DISPUTED: u8 = 7;
-/// Deleted, and perhaps replaced by another one of its name, while it was waited for.
+/// Deleted, and perhaps replaced by another dictionary of the same name, while the command waited.
 pub(crate) const DELETED: u8 = 8;
 /// Stopped by a signal.
 pub(crate) const INTERRUPTED: u8 = 130;
 
-/// How a dictionary has ended.
+/// The exit code for the state of a dictionary.
 pub(crate) fn code_of(status: &DictionaryStatus) -> ExitCode {
     ExitCode::from(number_of(status))
 }

@@ -1,4 +1,4 @@
-//! Figures as files: the extension of a path selects SVG or PNG, and several figures get distinct names.
+//! Writes figures to files: the extension of a path selects SVG or PNG, and several figures get distinct names.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ enum FileFormat {
     Png,
 }
 
-/// Checks, before any long work, that a figure can be written to a path.
+/// Checks that a figure can be written to a path, before any long work.
 pub(crate) fn check_path(path: &Path) -> Result<()> {
     format_of(path)?;
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty());
@@ -24,7 +24,7 @@ pub(crate) fn check_path(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Writes SVG or PNG, by the extension. The file is whole or not there.
+/// Writes SVG or PNG, by the extension. The file is written atomically.
 pub(crate) fn write(picture: &Picture, path: &Path) -> Result<()> {
     let bytes = match format_of(path)? {
         FileFormat::Svg => picture.svg().as_bytes().to_vec(),
@@ -59,12 +59,12 @@ pub(crate) fn write_maps(maps: &[(&str, &DistanceMap)], path: &Path) -> Result<(
     Ok(())
 }
 
-/// A line for each picture that was drawn.
+/// A line for each picture.
 pub(crate) fn drawn<P: AsRef<Path>>(pictures: impl IntoIterator<Item = P>) -> String {
     pictures.into_iter().map(|path| format!("\ndrawn: {}", path.as_ref().display())).collect()
 }
 
-/// The path itself for one picture; otherwise a path for each name, all different, also where case does not count.
+/// The path itself for one picture; otherwise a path for each name, all distinct even without regard to case.
 fn paths(path: &Path, names: impl ExactSizeIterator<Item = String>) -> Vec<PathBuf> {
     if names.len() == 1 {
         return vec![path.to_owned()];
@@ -79,14 +79,14 @@ fn paths(path: &Path, names: impl ExactSizeIterator<Item = String>) -> Vec<PathB
     names.map(distinct).collect()
 }
 
-/// `dir/name-SUFFIX.ext`, with what does not belong in a file name replaced.
+/// `dir/name-SUFFIX.ext`, with unsuitable characters of the suffix replaced.
 fn named(path: &Path, suffix: &str) -> PathBuf {
     let safe = file_name(suffix);
     let (stem, extension) = (path.file_stem().unwrap_or_default(), path.extension().unwrap_or_default());
     path.with_file_name(format!("{}-{safe}.{}", stem.to_string_lossy(), extension.to_string_lossy()))
 }
 
-/// Text with what does not belong in a file name replaced.
+/// Text with all characters replaced that are unsuitable for file names.
 pub(crate) fn file_name(text: &str) -> String {
     text.chars().map(|c| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' }).collect()
 }
@@ -139,7 +139,7 @@ mod tests {
     #[test]
     fn nothing_half_written_stays() {
         let dir = tempfile::tempdir().unwrap();
-        // A directory in the place of the file makes the renaming fail.
+        // A directory at the path of the file makes the rename fail.
         let taken = dir.path().join("a.svg");
         std::fs::create_dir(&taken).unwrap();
         std::fs::write(taken.join("inside"), "").unwrap();

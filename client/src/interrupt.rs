@@ -1,13 +1,13 @@
-//! Ctrl-C, SIGTERM and SIGHUP, for the commands that have something to clean up.
+//! Handles Ctrl-C, SIGTERM and SIGHUP for commands that need to clean up.
 
 use farm_link::signals::termination;
 
-/// The command was stopped by a signal before it had done its work.
+/// A signal stopped the command before its work was done.
 #[derive(Debug, thiserror::Error)]
 #[error("interrupted")]
 pub(crate) struct Interrupted;
 
-/// Ends when the process is asked to stop. Who asks a second time does not want to wait for what is then cleaned up.
+/// Ends when the process is requested to stop. A second signal exits immediately, without waiting for the clean-up.
 pub(crate) async fn interrupted() {
     termination().await;
     tokio::spawn(async {

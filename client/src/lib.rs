@@ -1,4 +1,4 @@
-//! `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or against a farm.
+//! Implements `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or with a farm.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
@@ -24,11 +24,11 @@ pub use commands::Cli;
 use commands::DictionaryDeleted;
 use output::Output;
 
-/// Runs a command. Errors are printed on standard error (or, with `--json`, as an object on standard output) and by the
-/// exit code, see `exit`.
+/// Runs a command. Errors are printed on standard error (or, with `--json`, as an object on standard output) and
+/// reported by the exit code, see `exit`.
 ///
-/// It brings its own runtime: a future that is handed to another crate is compiled there once more, with all that it
-/// waits for.
+/// It contains the runtime: a future that is passed to another crate would be compiled there again, with all its
+/// dependencies.
 #[tokio::main]
 pub async fn run(cli: Cli) -> ExitCode {
     let output = Output::new(cli.global.json);

@@ -1,4 +1,4 @@
-//! `farmctl`: parses the command line and calls the library.
+//! Parses the command line of `farmctl` and calls the library.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 

@@ -1,4 +1,4 @@
-//! What people and programs read: tables, and JSON in one stable envelope.
+//! Prints results: tables for people, and JSON in one stable envelope for programs.
 
 mod status;
 mod terminal;
@@ -27,7 +27,7 @@ struct Envelope<'a, T> {
     data: T,
 }
 
-/// Where and how results are printed.
+/// The format of results: text or JSON.
 #[derive(Debug)]
 pub(crate) struct Output {
     json: bool,
@@ -42,7 +42,7 @@ impl Output {
         self.json
     }
 
-    /// Prints `data` in the envelope, or the text if JSON is not wanted.
+    /// Prints `data` in the envelope with `--json`, else the text.
     pub(crate) fn print<T: Serialize>(
         &self,
         kind: &str,
@@ -60,7 +60,7 @@ impl Output {
         Ok(file)
     }
 
-    /// Prints notes on a file on standard error, unless the answer, as JSON, holds them.
+    /// Prints notes on a file on standard error, unless the answer is JSON, which contains them.
     pub(crate) fn notes(&self, notes: &[Note], path: &Path) {
         if !self.json {
             for note in notes {
@@ -85,7 +85,7 @@ impl Output {
 /// One line: the envelope with its data.
 pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<String> {
     let text = serde_json::to_string(&Envelope { api: API, kind, data })?;
-    // What is left of these stands in strings, where JSON has an escape for it.
+    // All remaining invisible characters are within strings, where JSON has an escape for them.
     Ok(with_escapes(&text, |c| format!("\\u{:04x}", c as u32)))
 }
 
@@ -111,14 +111,14 @@ pub(crate) fn sentence(error: &anyhow::Error) -> String {
 }
 
 /// Whether the reader of standard output has gone, as in `farmctl export … | head`. A broken connection to a farm has
-/// the same error at its root and is none of that.
+/// the same error at its root, but does not count.
 pub(crate) fn is_closed_pipe(error: &anyhow::Error) -> bool {
     let ours = error.chain().take_while(|c| !c.is::<tonic::Status>() && !c.is::<tonic::transport::Error>());
     ours.filter_map(|cause| cause.downcast_ref::<std::io::Error>())
         .any(|io| io.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
-/// A text in yellow, where a terminal shows it; what is printed to a file or a pipe has no colours.
+/// A text in yellow on a terminal; output to a file or a pipe has no colours.
 pub(crate) fn warning(text: &str) -> String {
     format!("\u{1b}[33m{text}\u{1b}[0m")
 }
@@ -166,7 +166,7 @@ pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item
     for row in rows {
         table.add_row(row);
     }
-    // Two columns of space between cells: tables are to fit a terminal of 80.
+    // Two columns of space between cells: tables must fit a terminal of 80 columns.
     table.column_iter_mut().for_each(|column| {
         column.set_padding((0, 1));
     });
@@ -178,7 +178,7 @@ pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item
     without_margins(&table.to_string())
 }
 
-/// The table without the blank columns at its sides, rules as wide as what is between them.
+/// The table without the blank columns at its sides; rules are as wide as the remaining text.
 fn without_margins(table: &str) -> String {
     let is_rule = |line: &str| line.starts_with('─');
     let row = |line: &str| line.strip_prefix(' ').unwrap_or(line).trim_end().to_owned();
@@ -212,21 +212,21 @@ pub(crate) fn duration(d: std::time::Duration) -> String {
     }
 }
 
-/// Share of a dictionary's work that is done, as in "36.2 % of the work". Work is what takes time, so that the time
-/// left goes with it; records differ in that.
+/// Share of a dictionary's work that is done, as in "36.2 % of the work". Work is proportional to time, unlike the
+/// number of records, so that it determines the remaining time.
 pub(crate) fn share_of_work(work_done: f64) -> String {
-    // Nothing is called done that is not.
+    // Rounded down, so that unfinished work is never shown as done.
     let tenths = (1000.0 * work_done).floor();
     format!("{:.1} %", tenths / 10.0)
 }
 
-/// A moment as "2026-11-21T09:30:00Z".
+/// A time as "2026-11-21T09:30:00Z".
 pub(crate) fn utc(unix_ms: u64) -> String {
     jiff::Timestamp::from_second((unix_ms / 1000) as i64)
         .map_or_else(|_| unix_ms.to_string(), |t| t.to_string())
 }
 
-/// As in "1 worker" and "1,000 workers".
+/// A count with its noun, as in "1 worker" and "1,000 workers".
 pub(crate) fn counted(n: u64, what: &str) -> String {
     format!("{} {what}{}", grouped(n), if n == 1 { "" } else { "s" })
 }
@@ -238,7 +238,7 @@ pub(crate) fn now_unix_s() -> i64 {
     since.map_or(0, |d| d.as_secs() as i64)
 }
 
-/// The state of a dictionary, as "done, 2 disputed".
+/// The state of a dictionary, as in "done, 2 disputed".
 pub(crate) fn state(status: &DictionaryStatus) -> String {
     match (status.state().as_str(), status.jobs_disputed) {
         (state, 0) => state.to_owned(),

@@ -1,4 +1,4 @@
-//! Progress of a dictionary on standard error: a bar on a terminal, with the jobs as cells if they are asked for; plain
+//! Shows the progress of a dictionary on standard error: a bar on a terminal, optionally with the jobs as cells; plain
 //! lines elsewhere.
 
 mod cells;
@@ -18,10 +18,10 @@ pub(crate) use cells::Cells;
 /// Time between plain lines.
 const LINE: Duration = Duration::from_secs(10);
 
-/// Parts of a bar.
+/// Resolution of the bar.
 const STEPS: u64 = 10_000;
 
-/// Whether standard error is a terminal that lines can be written over on.
+/// Whether standard error is a terminal on which lines can be overwritten.
 pub(crate) fn has_bars() -> bool {
     std::io::stderr().is_terminal() && moves_cursor(std::env::var_os("TERM").as_deref())
 }
@@ -30,7 +30,7 @@ fn moves_cursor(term: Option<&OsStr>) -> bool {
     term.is_some_and(|term| !term.is_empty() && term != "dumb")
 }
 
-/// Prints the share of the work that is done, and when the rest will be done at the farm's pace.
+/// Prints the done share of the work, and the remaining time at the farm's current pace.
 #[derive(Debug)]
 pub(crate) struct Progress {
     look: BarLook,
@@ -38,7 +38,7 @@ pub(crate) struct Progress {
 
 #[derive(Debug)]
 enum BarLook {
-    /// With what stands below it.
+    /// A bar, and the text below it.
     Bar(ProgressBar, String),
     Lines {
         last: Option<tokio::time::Instant>,
@@ -67,7 +67,7 @@ impl Progress {
         matches!(self.look, BarLook::Nothing)
     }
 
-    /// Whether there is a place for cells.
+    /// Whether cells can be shown.
     pub(crate) fn has_room(&self) -> bool {
         matches!(self.look, BarLook::Bar(..))
     }
@@ -100,7 +100,7 @@ impl Progress {
         }
     }
 
-    /// A line on standard error, above the bar. It is printed without progress as well.
+    /// Prints a line on standard error, above the bar; also without progress.
     pub(crate) fn print(&self, line: &str) {
         match &self.look {
             BarLook::Bar(bar, _) => bar.suspend(|| to_stderr(line)),
@@ -108,7 +108,7 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(crate) fn end(&self) {
         if let BarLook::Bar(bar, _) = &self.look {
             bar.finish_and_clear();
@@ -116,7 +116,7 @@ impl Progress {
     }
 }
 
-/// Share of the work, records, and what is known of the rest.
+/// Share of the work, number of records, and the remaining time if it is known.
 fn text(status: &DictionaryStatus) -> String {
     let (done, total) = (status.records_done(), status.records_total());
     let mut text = format!(

@@ -1,4 +1,4 @@
-//! Measured media as text for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
+//! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
 //!
 //! Both renderers describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
 //! one Henyey–Greenstein g. A material becomes one medium where its channels are R, G and B or wavelengths in nm and
@@ -15,13 +15,13 @@ use optics_model::fit::{ChannelFit, MaterialFit, Refined};
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
 
-/// What a measurement determines of a channel's medium.
+/// Whether a measurement determines a channel's medium.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ChannelState {
     Resolved,
-    /// σ_t and the albedo together with this g only.
+    /// σ_t and the albedo are valid together with this g only.
     GOpen,
-    /// The values are the best ones found.
+    /// The values are only the best ones found.
     Unresolved,
 }
 
@@ -37,7 +37,7 @@ impl ChannelState {
     }
 }
 
-/// One channel of a measured material, refined.
+/// One refined channel of a measured material.
 #[derive(Debug)]
 struct RenderedChannel<'a> {
     /// R, G or B, a wavelength in nm, or any name.
@@ -53,14 +53,13 @@ impl<'a> RenderedChannel<'a> {
     }
 }
 
-/// Renderers sample these wavelengths, and take a spectrum for zero where it has no values: a medium would vanish
-/// there.
+/// Wavelengths that renderers sample. They take a spectrum for zero outside its values, where a medium would vanish.
 const RENDERED_NM: (f64, f64) = (360.0, 830.0);
 
 /// Numbers outside of this range are names of channels, not wavelengths.
 const WAVELENGTHS_NM: std::ops::RangeInclusive<f64> = 100.0..=20_000.0;
 
-/// Names that mean something else among the keys of a scene.
+/// Names with another meaning among the keys of a scene.
 const RESERVED: [&str; 2] = ["id", "type"];
 
 /// One medium of a renderer.
@@ -78,7 +77,7 @@ struct MediumBlock {
 enum Values {
     /// In the order R, G, B.
     Rgb([Medium; 3]),
-    /// By wavelength in nm, increasing, from end to end of what renderers sample.
+    /// By increasing wavelength in nm, over the whole range that renderers sample.
     Spectrum(Vec<(f64, Medium)>),
     Scalar(Medium),
 }
@@ -113,14 +112,14 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
     blocks
 }
 
-/// The values of exactly R, G and B, and what to call them.
+/// The values of exactly R, G and B, and their description.
 fn rgb(channels: &[RenderedChannel]) -> Option<(Values, String)> {
     let find = |name| channels.iter().find(|c| c.name == name).map(|c| c.medium);
     let values = [find("R")?, find("G")?, find("B")?];
     (channels.len() == values.len()).then(|| (Values::Rgb(values), "R, G, B".to_owned()))
 }
 
-/// The values of channels that are all distinct wavelengths, and what to call them.
+/// The values of channels that are all distinct wavelengths, and their description.
 fn spectrum(channels: &[RenderedChannel]) -> Option<(Values, String)> {
     let sample = |c: &RenderedChannel| {
         let nm = c.name.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
@@ -144,7 +143,7 @@ fn spectrum(channels: &[RenderedChannel]) -> Option<(Values, String)> {
     Some((Values::Spectrum(samples), what))
 }
 
-/// What the measurement does not determine.
+/// Notes on values that the measurement does not determine.
 fn doubts(channels: &[RenderedChannel]) -> Vec<String> {
     let names = |state: ChannelState| {
         let names = channels.iter().filter(|c| c.state == state).map(|c| format!("{:?}", c.name));
@@ -161,12 +160,12 @@ fn doubts(channels: &[RenderedChannel]) -> Vec<String> {
     doubts
 }
 
-/// The names that a file has given to its media.
+/// The names of the media in a file.
 #[derive(Debug, Default)]
 struct Names(HashSet<String>);
 
 impl Names {
-    /// An identifier like `wanted` that has not been taken before.
+    /// A new identifier like `wanted`.
     fn take(&mut self, wanted: &str) -> String {
         let base = identifier(wanted);
         let mut name = base.clone();
@@ -213,7 +212,7 @@ mod tests {
         MaterialFit { material: material.to_owned(), channels }
     }
 
-    /// One of each kind: colours in any order of which one is unresolved, wavelengths, and a name.
+    /// One medium of each kind: unsorted colours of which one is unresolved, wavelengths, and a name.
     pub(super) fn three_kinds() -> Vec<MaterialFit> {
         let mut green = channel("G", 5.0, 0.99);
         let refined = green.refined.as_mut().unwrap();
@@ -282,7 +281,7 @@ mod tests {
         }
     }
 
-    /// Channels that differ in g become media of their own.
+    /// Channels that differ in g become separate media.
     #[test]
     fn channels_with_other_g_are_separate_media() {
         let mut media = three_kinds();

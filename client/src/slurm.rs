@@ -1,4 +1,4 @@
-//! Job scripts for Slurm: an array of workers that stop before the walltime.
+//! Writes job scripts for Slurm: an array of workers that stop before the walltime.
 
 pub(crate) mod queue;
 mod quote;
@@ -13,10 +13,10 @@ use farm_link::walltime::{Walltime, span_text};
 use quote::sbatch_quoted;
 pub(crate) use quote::shell_quoted;
 
-/// What a worker needs after its grace to deliver finished records and hand the other leases back.
+/// Time that a worker needs after its grace to deliver finished records and return the other leases.
 const HAND_BACK: Duration = Duration::from_secs(15);
 
-/// Options that farmctl sets by itself, with what to use instead.
+/// Options that farmctl sets by itself, with their alternatives.
 const OWN_OPTIONS: [(&str, &str); 11] = [
     ("--array", "--workers and --at-once"),
     ("--time", "--time of farmctl"),
@@ -35,7 +35,7 @@ const OWN_OPTIONS: [(&str, &str); 11] = [
 #[derive(Debug)]
 pub(crate) struct Submission {
     pub(crate) workers: NonZeroU32,
-    /// How many of them may run at the same time.
+    /// Largest number of workers that run at the same time.
     pub(crate) at_once: Option<NonZeroU32>,
     pub(crate) walltime: Walltime,
     pub(crate) threads: u16,
@@ -50,7 +50,7 @@ pub(crate) struct Submission {
     pub(crate) coordinator: CoordinatorAddress,
 }
 
-/// How the workers find the coordinator and are let in; at least one of them is there.
+/// URL of the coordinator and access file of the workers; at least one of them is given.
 #[derive(Debug)]
 pub(crate) struct CoordinatorAddress {
     pub(crate) server: Option<String>,
@@ -102,7 +102,7 @@ impl FromStr for OneLine {
     }
 }
 
-/// A log file's name, with a part that differs between tasks.
+/// The name of a log file, with a part that differs between tasks.
 #[derive(Debug, Clone)]
 pub struct LogPattern(String);
 
@@ -111,7 +111,7 @@ impl LogPattern {
         &self.0
     }
 
-    /// The file of one task.
+    /// The log file of one task.
     pub(crate) fn of_task(&self, job: u64, task: u32) -> String {
         self.0.replace("%A", &job.to_string()).replace("%a", &task.to_string())
     }
@@ -131,12 +131,12 @@ impl FromStr for LogPattern {
     }
 }
 
-/// A further option for sbatch, as it stands in an `#SBATCH` line.
+/// A further option for sbatch, as written in an `#SBATCH` line.
 #[derive(Debug, Clone)]
 pub struct SbatchOption(String);
 
 impl SbatchOption {
-    /// Whether it is the option of this name, or its beginning, which sbatch takes for the whole.
+    /// Whether it is the option of this name, or a prefix of it, which sbatch accepts as an abbreviation.
     pub(crate) fn begins(&self, name: &str) -> bool {
         let key = self.0.split(['=', ' ']).next().unwrap_or_default();
         name.starts_with(key)
@@ -152,7 +152,7 @@ impl FromStr for SbatchOption {
         if name.len() < 3 || !name.starts_with("--") {
             return Err(InvalidOption::NotLong(text));
         }
-        // sbatch takes the beginning of an option's name for the whole.
+        // sbatch accepts a prefix of an option's name as an abbreviation.
         match OWN_OPTIONS.iter().find(|(own, _)| own.starts_with(name)) {
             Some((_, instead)) => Err(InvalidOption::Own { option: name.to_owned(), instead }),
             None => Ok(Self(text)),
@@ -161,7 +161,7 @@ impl FromStr for SbatchOption {
 }
 
 impl Submission {
-    /// How long before the walltime Slurm sends SIGTERM: it holds even if the worker's own clock were wrong.
+    /// Time before the walltime at which Slurm sends SIGTERM: this works even if the worker's clock is wrong.
     pub(crate) fn warning(&self) -> Duration {
         self.grace + HAND_BACK
     }
@@ -181,7 +181,7 @@ impl Submission {
             format!("--cpus-per-task={}", self.threads),
             format!("--signal=B:TERM@{}", self.warning().as_secs()),
             format!("--output={}", sbatch_quoted(&self.log.0)),
-            // A task that is requeued goes on in the same file.
+            // A requeued task continues in the same file.
             "--open-mode=append".to_owned(),
             "--requeue".to_owned(),
         ];
@@ -212,7 +212,7 @@ impl Submission {
     }
 }
 
-/// Leaves in `left` what remains of the walltime, in a form that `--time-limit` reads.
+/// Sets `left` to the remaining walltime, in a form that `--time-limit` accepts.
 const TIME_LEFT: &str = r#"# The options below count; the submitter's environment, which sbatch hands on, does not.
 unset FARM_SERVER FARM_ACCESS FARM_TIME_LIMIT FARM_GRACE
 

@@ -1,7 +1,7 @@
-//! `farmctl web`: a page in the browser, for the farm that `farmctl` would talk to.
+//! Implements `farmctl web`: a page in the browser, for the farm that `farmctl` would connect to.
 //!
-//! One small server shows the page's files, hands its calls on to the farm (`forward`, `farm`), answers what concerns
-//! people's files itself (`desk`), and admits requests with the token (`gate`). The page's source is in `web/`.
+//! One small server serves the page's files, forwards its calls to the farm (`forward`, `farm`), answers calls about
+//! local files itself (`desk`), and authenticates requests by a token (`gate`). The page's source is in `web/`.
 
 mod assets;
 mod behind;
@@ -110,7 +110,7 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     served.and(closed)
 }
 
-/// The given address; otherwise the default, or any other port if that is taken.
+/// The given address; otherwise the default, or any free port if that is taken.
 async fn listen(given: Option<SocketAddr>) -> Result<TcpListener> {
     if let Some(address) = given {
         return TcpListener::bind(address).await.with_context(|| format!("--listen {address}"));

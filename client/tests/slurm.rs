@@ -1,4 +1,4 @@
-//! `farmctl slurm submit` with a stand-in for sbatch on PATH.
+//! Tests `farmctl slurm submit` with a stand-in for sbatch on PATH.
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 type Result<T = ()> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// A folder with an sbatch that keeps its input and its environment, and then does as `body` says.
+/// A folder with an sbatch that keeps its input and its environment, and then runs `body`.
 struct Cluster {
     dir: tempfile::TempDir,
 }
@@ -130,7 +130,7 @@ fn missing_sbatch_is_reported() -> Result {
     Ok(())
 }
 
-/// The access file of workers is searched next to that of the client.
+/// The access file of workers is looked up next to that of the client.
 #[test]
 fn worker_file_is_searched_beside_the_client() -> Result {
     let cluster = Cluster::new("echo 17")?;

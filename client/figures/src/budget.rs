@@ -27,7 +27,7 @@ pub struct ChannelBudget {
     pub shares: String,
 }
 
-/// None if no channel has a budget.
+/// The error budget of all fits; `None` if no channel has one.
 pub fn error_budget(fits: &[MaterialFit]) -> Option<ErrorBudget> {
     let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| (&fit.material, c)));
     let with_budget: Vec<(String, &Refined)> = channels
@@ -59,7 +59,7 @@ pub fn error_budget(fits: &[MaterialFit]) -> Option<ErrorBudget> {
 fn shares(budget: &[SourceShare]) -> String {
     let mut large: Vec<&SourceShare> = budget.iter().filter(|s| s.sigma_t >= LEAST).collect();
     large.sort_by(|a, b| b.sigma_t.total_cmp(&a.sigma_t));
-    // Rounded to the next whole numbers that add up to 100: largest remainders first.
+    // Rounded to neighbouring whole numbers that add up to 100: the largest remainders are rounded up.
     let rest = 1.0 - large.iter().map(|s| s.sigma_t).sum::<f64>();
     let named = large.iter().map(|s| (name(s), s.sigma_t)).chain([("rest", rest.max(0.0))]);
     let named: Vec<(&str, f64)> = named.map(|(name, share)| (name, 100.0 * share)).collect();

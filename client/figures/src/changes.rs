@@ -1,4 +1,4 @@
-//! Fig. 3: what small changes of one parameter do to a profile.
+//! Draws Fig. 3: the effect of small changes of one parameter on a profile.
 
 use optics_model::fit::Curve;
 

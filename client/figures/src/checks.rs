@@ -1,4 +1,4 @@
-//! What tests ask of every figure.
+//! Checks that tests apply to every figure.
 
 use optics_model::fit::Curve;
 use resvg::usvg::{Group, Node, Rect};
@@ -10,7 +10,7 @@ pub(super) fn x_mm() -> Vec<f64> {
     (0..360).map(|i| (f64::from(i) + 0.5) / 36.0 - 5.0).collect()
 }
 
-/// A blurred edge there.
+/// A blurred edge at the positions of `x_mm`.
 pub(super) fn edge(dark: f64, light: f64, width_mm: f64) -> Curve {
     let x_mm = x_mm();
     let values = x_mm.iter().map(|x| dark + (light - dark) * 0.5 * (1.0 + (x / width_mm).tanh()));
@@ -27,7 +27,7 @@ pub(super) fn texts(picture: &Picture) -> Vec<String> {
         .collect()
 }
 
-/// Nothing is cut off, and no text lies upon another.
+/// Asserts that nothing is cut off and that no texts overlap.
 pub(super) fn assert_well_laid_out(picture: &Picture) {
     let tree = picture.tree().unwrap();
     let (mut inked, mut texts) = (Vec::new(), Vec::new());

@@ -1,4 +1,4 @@
-//! How well sets of slabs would determine a medium: half-widths of intervals, a row for each set.
+//! Draws how well sets of slabs would determine a medium: half-widths of intervals, one row per set.
 
 use anyhow::ensure;
 use optics_model::Medium;
@@ -20,7 +20,7 @@ const BETWEEN: f64 = 22.0;
 const ROW: f64 = 19.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const RADIUS: f64 = 3.4;
-/// By the number of photographs; used again if there are more.
+/// Colours by the number of photographs, repeated if there are more.
 const COLOURS: [Rgb; 5] = [Rgb::BLUE, Rgb::ORANGE, Rgb::GREEN, Rgb::VERMILLION, Rgb::PURPLE];
 
 /// Half-width of a quantity relative to its value.
@@ -33,7 +33,8 @@ const QUANTITIES: [(&str, QuantityShare); 4] = [
     ("σ_a", HalfWidths::of_absorption),
 ];
 
-/// A panel for each quantity, a row for each set of slabs, a colour for each number of photographs; g held and free.
+/// Draws a panel for each quantity, a row for each set of slabs and a colour for each number of photographs; g held and
+/// free.
 pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
     let rows = DesignRows::of(design);
     let panels: Vec<DesignPanel> =
@@ -63,7 +64,7 @@ pub fn design_figure(design: &Design) -> anyhow::Result<Picture> {
     Ok(canvas.finish())
 }
 
-/// What the rows and the colours stand for.
+/// The sets of slabs, one per row, and the numbers of photographs, one per colour.
 struct DesignRows {
     /// Name of each set, and whether it is the best.
     slabs: Vec<(String, bool)>,
@@ -91,7 +92,7 @@ impl DesignRows {
         if best { text.bold() } else { text }
     }
 
-    /// Down to the axis of the first panel.
+    /// Width of the column of names, up to the first panel.
     fn width(&self) -> f64 {
         let names = self.slabs.iter().map(|(name, best)| Self::name(name, *best).width());
         names.fold(Text::new("slabs in mm", SMALL).width(), f64::max) + 10.0
@@ -136,7 +137,7 @@ impl DesignRows {
     }
 }
 
-/// Half-width in per cent, in its row.
+/// The half-width in per cent, and its row.
 struct Dot {
     row: usize,
     percent: f64,
@@ -153,7 +154,7 @@ struct DesignPanel {
 }
 
 impl DesignPanel {
-    /// None if there is nothing to draw.
+    /// `None` if no half-width can be drawn.
     fn new(name: &'static str, share: QuantityShare, design: &Design, rows: &DesignRows) -> Option<Self> {
         let of_set = |set: &SlabSet| {
             let dot = |widths: &HalfWidths, filled: bool| Dot {
@@ -162,7 +163,7 @@ impl DesignPanel {
                 colour: rows.colour(set),
                 filled,
             };
-            // What is held lies upon what is free.
+            // Dots with g held are drawn above those with g free.
             let free = set.g_free.as_ref().map(|w| dot(w, false));
             free.into_iter().chain([dot(&set.g_held, true)]).collect::<Vec<_>>()
         };
@@ -224,7 +225,7 @@ mod tests {
             assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
         }
         assert!(texts.iter().any(|text| text == "beyond 100 %: not drawn"), "{texts:?}");
-        // A row is one set, whatever the photographs.
+        // Sets that differ only in the number of photographs share a row.
         assert_eq!(texts.iter().filter(|text| *text == "0.5").count(), 1);
     }
 

@@ -1,4 +1,4 @@
-//! Profiles across one edge, a curve for each channel, with their random errors as bands.
+//! Draws profiles across one edge, a curve for each channel, with their random errors as bands.
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
@@ -11,9 +11,9 @@ use crate::drawing::text::{Anchor, LABEL, Text};
 
 const WIDTH: f64 = 620.0;
 const HEIGHT: f64 = 230.0;
-/// Half the width of a band, in standard errors.
+/// Half-width of a band, in standard errors.
 const WIDE: f64 = 2.0;
-/// Red, green and blue; channels beyond these begin again.
+/// Red, green and blue; further channels repeat these.
 const COLOURS: [Rgb; 3] = [Rgb::VERMILLION, Rgb::GREEN, Rgb::BLUE];
 
 /// The profile of one channel; pixels without a value hold NaN.
@@ -25,7 +25,7 @@ pub struct EdgeCurve<'a> {
     pub std_errors: &'a [f64],
 }
 
-/// Draws the curves over the same axes.
+/// Draws all curves on common axes.
 pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     let pen = |i: usize| Stroke::solid(COLOURS[i % COLOURS.len()], 1.4);
     let keys: Vec<Key> =

@@ -1,5 +1,5 @@
-//! Estimates of a scene's uncertain quantities as rows of text, for the terminal's table, the report and the page. Rows are
-//! marked where the data contradict a prior or lead beyond the responses.
+//! Formats estimates of a scene's uncertain quantities as rows of text, for the terminal's table, the report and the
+//! page. Rows are marked where the data contradict a prior or an estimate lies at an end of the responses.
 
 use std::collections::BTreeMap;
 
@@ -8,27 +8,27 @@ use optics_model::scene::Scope;
 
 use crate::numbers::{minus, with_error};
 
-/// How far the standard errors of the rows hold.
+/// Limits of the standard errors in the rows.
 pub const NOTE: &str = "the noise of the dictionary's responses makes errors of what a session shares too small, by a \
                         factor of up to 1.2 in tests";
 
-/// Estimate and prior of one quantity, for what shares it.
+/// Estimate and prior of one quantity, and the profiles that share it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EstimateRow {
-    /// As `gel thickness`.
+    /// For example `gel thickness`.
     pub quantity: String,
-    /// `all` for the session, a material, or a slab as `white 0.5 mm`.
+    /// The profiles that share the quantity: `all` for the session, a material, or a slab as in `white 0.5 mm`.
     pub of: String,
-    /// With its standard error and unit, as `0.024 ± 0.002 mm`.
+    /// With its standard error and unit, for example `0.024 ± 0.002 mm`.
     pub estimate: String,
     pub prior: String,
-    /// Why the estimate is in doubt.
+    /// The reason why the estimate is doubtful, if it is.
     pub warning: Option<String>,
 }
 
-/// One row for each quantity and what shares it; none if the scene was taken as exact.
+/// One row for each quantity and each set of profiles that shares it; empty if the scene was taken as exact.
 ///
-/// Channels of a set share estimates; where they differ by what each channel adds, the best determined one is shown.
+/// Channels of a set share estimates; where they differ by the data of each channel, the best determined one is shown.
 pub fn estimate_rows(fits: &[MaterialFit]) -> Vec<EstimateRow> {
     let mut all: BTreeMap<(&str, String), &SceneEstimate> = BTreeMap::new();
     for fit in fits {
@@ -67,7 +67,7 @@ fn row(of: String, e: &SceneEstimate) -> EstimateRow {
 fn warning(of: &str, e: &SceneEstimate) -> Option<String> {
     let quantity = &e.quantity;
     let with_error = with_error(e.value, e.std_error);
-    // As many digits as the error has meaning for.
+    // As many digits as the standard error justifies.
     let found = with_unit(with_error.split(' ').next().unwrap_or_default(), e);
     if e.at_end {
         return Some(format!(

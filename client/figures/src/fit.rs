@@ -1,4 +1,4 @@
-//! Fig. 7: measured profiles with the best fits.
+//! Draws Fig. 7: measured profiles with the best fits.
 
 use optics_model::Medium;
 use optics_model::fit::{ChannelFit, FitCurves, MaterialFit};
@@ -16,7 +16,7 @@ const NEIGHBOUR: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.6);
 const GRID: Stroke = Stroke::solid(Rgb::BLUE, 1.3);
 const REFINED: Stroke = Stroke::dashed(Rgb::VERMILLION, 1.3, "5 3");
 
-/// Fits of one material: channels in columns, thicknesses in rows.
+/// Draws the fits of one material: channels in columns, thicknesses in rows.
 pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
     let curves = || fit.channels.iter().flat_map(|channel| &channel.curves);
     let mut legend = vec![Key::line(MEASURED, "measured"), Key::line(GRID, "best record of the dictionary")];
@@ -32,7 +32,7 @@ pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
     Sheet { title: &fit.material, legend, cells: cells.collect(), alike: false }.draw()
 }
 
-/// None without a record to compare with.
+/// The panel of one measured profile; `None` without a record to compare with.
 fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<SheetCell<'a>> {
     let (best, neighbours) = compared.candidates.split_first()?;
     let mut keys = vec![Key::line(GRID, label(&channel.candidates.first()?.medium))];

@@ -1,8 +1,8 @@
-//! Figures for people: the paper's Figs. 6, 7 and 9 of answers as they are, Figs. 3 and 5 of plain data, as SVG or PNG; and
-//! the texts of tables that terminal, report and page share.
+//! Draws the paper's Figs. 6, 7 and 9 from answers, and Figs. 3 and 5 from plain data, as SVG or PNG; and formats the
+//! texts of tables that terminal, report and page share.
 //!
-//! A figure function checks its data, lays panels out on a canvas in CSS pixels and gives a [`Picture`]. The same data
-//! gives the same bytes. Values that are not finite are left out.
+//! A figure function checks its data, lays panels out on a canvas in CSS pixels and returns a [`Picture`]. Equal data
+//! give equal bytes. Values that are not finite are left out.
 
 mod budget;
 mod changes;

@@ -1,4 +1,5 @@
-//! Fig. 9: maps over co-albedo and extinction, one for each g: of the distance to a measurement, or of records' noise.
+//! Draws Fig. 9: maps over co-albedo and extinction, one for each g: of the distance to a measurement, or of records'
+//! noise.
 
 mod nodes;
 mod overlay;
@@ -18,7 +19,7 @@ use plan::MapPlan;
 struct MapLabels {
     title: String,
     value: &'static str,
-    /// Marked in all maps together, and in each.
+    /// Labels of the marks of the best node over all maps, and of the best in each map.
     mark_of_all: &'static str,
     mark: &'static str,
 }
@@ -33,7 +34,8 @@ pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> 
     figure(&words, map)
 }
 
-/// The noise of a dictionary's records in the place of distances, and the noisiest in the place of the best.
+/// A map of the noise of a dictionary's records instead of distances; the marks show the noisiest record instead of the
+/// best.
 pub fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
     let words = MapLabels {
         title: format!("Dictionary {dictionary}: noise of its records"),

@@ -1,13 +1,13 @@
-//! How well a fit explains its measurement, in a few words.
+//! States in a few words how well a fit explains its measurement.
 
 use optics_model::fit::{Cause, Likelihood, Refined};
 
 use crate::numbers::significant;
 
-/// Probability of χ² below which noise and what is known of the set-up do not explain a measurement.
+/// Probability of χ² below which noise and the uncertainty of the set-up do not explain a measurement.
 const UNLIKELY: f64 = 1e-3;
 
-/// Whether χ² is too large to come from noise and what is known of the set-up.
+/// Whether χ² is too large to be caused by noise and the uncertainty of the set-up.
 pub fn is_unlikely(l: &Likelihood) -> bool {
     l.probability < UNLIKELY
 }
@@ -22,7 +22,7 @@ pub fn goodness(l: &Likelihood) -> String {
     format!("χ² {:.0} of {:.0}, {p}", l.chi2, l.degrees_of_freedom)
 }
 
-/// Goodness of fit and most likely cause in few words, for figures; none if noise explains the fit.
+/// Goodness of fit and most likely cause in few words, for figures; `None` if noise explains the fit.
 pub fn misfit_short(refined: &Refined) -> Option<String> {
     let likelihood = &refined.likelihood;
     let (goodness, s) = match &refined.suspicion {

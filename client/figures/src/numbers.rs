@@ -1,4 +1,4 @@
-//! Numbers as people read them: with the digits that mean something.
+//! Formats numbers with their meaningful digits only.
 
 use optics_model::fit::{Interval, SlabSet};
 
@@ -30,17 +30,17 @@ pub fn with_error(value: f64, std_error: f64) -> String {
     }
     let decimals = (-std_error.log10().floor()).clamp(0.0, 12.0) as usize;
     let value = format!("{value:.decimals$}");
-    // Minus nothing is nothing.
+    // Zero has no minus sign.
     let value = if value.contains(|c| ('1'..='9').contains(&c)) { value } else { value.replace('-', "") };
     format!("{} ± {std_error:.decimals$}", minus(&value))
 }
 
-/// A number with the minus sign of typesetters.
+/// A number with the typographic minus sign.
 pub fn minus(number: &str) -> String {
     number.replace('-', "−")
 }
 
-/// An albedo with so many digits that 1 − α has three.
+/// An albedo with enough digits that 1 − α has three.
 pub fn albedo(value: f64) -> String {
     let co_albedo = 1.0 - value;
     if co_albedo <= 0.0 {
@@ -51,7 +51,7 @@ pub fn albedo(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// An albedo with so many digits that 1 − α has two, for the ends of intervals.
+/// An albedo with enough digits that 1 − α has two, for the ends of intervals.
 pub fn albedo_end(value: f64) -> String {
     let co_albedo = 1.0 - value;
     let decimals = if co_albedo <= 0.0 { 2 } else { (1 - co_albedo.log10().floor() as i32).clamp(2, 6) };

@@ -1,4 +1,4 @@
-//! Fig. 5: small multiples of a part of the dictionary.
+//! Draws Fig. 5: small multiples of a part of the dictionary.
 
 use anyhow::ensure;
 
@@ -12,13 +12,13 @@ use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
 use crate::drawing::text::{Anchor, HEADING, LABEL, TICK, Text};
 
-/// Blocks stand side by side as long as they are together no wider.
+/// Largest width of a figure; blocks that exceed it are placed in the next row.
 const MOST_WIDTH: f64 = 1500.0;
 const BETWEEN_BLOCKS: f64 = 26.0;
 const GAP: (f64, f64) = (7.0, 10.0);
 const NAME: f64 = 18.0;
 const HEADING_HEIGHT: f64 = 20.0;
-/// For the names of the columns and their values.
+/// Height of the names of the columns and their values.
 const ABOVE: f64 = 2.0 * 15.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const EDGE: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.8);
@@ -63,13 +63,13 @@ pub fn overview_figure(figure: &OverviewFigure) -> anyhow::Result<Picture> {
     Ok(canvas.finish())
 }
 
-/// Where everything goes.
+/// Positions and sizes of the blocks and cells.
 struct OverviewLayout<'a> {
     figure: &'a OverviewFigure,
     x: Axis,
     y: Axis,
     cell: (f64, f64),
-    /// From a block's left to its first cell, and from its last cell to its right.
+    /// Distances from a block's left edge to its first cell, and from its last cell to its right edge.
     sides: (f64, f64),
     /// Blocks side by side.
     across: usize,

@@ -1,4 +1,4 @@
-//! Profiles that a dictionary predicts, a panel for each channel, with what the records' noise does to them.
+//! Draws profiles that a dictionary predicts, a panel for each channel, with intervals due to the records' noise.
 
 use optics_model::fit::{Curve, PredictedChannel, PredictedProfiles};
 
@@ -15,7 +15,7 @@ const BAND: Stroke = Stroke::dashed(Rgb::ORANGE, 1.0, "3 2");
 /// Half-width of an interval of 95 %, in standard errors.
 const WIDE: f64 = 1.96;
 
-/// Gradients are drawn by pixels of the paper's, 10 mm / 360, as in the figures of fits.
+/// Pixel pitch of the gradients: the paper's 10 mm / 360, as in the figures of fits.
 const PAPERS_PITCH_MM: f64 = 10.0 / 360.0;
 
 pub fn profile_figure(profiles: &PredictedProfiles) -> anyhow::Result<Picture> {

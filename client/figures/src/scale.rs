@@ -1,4 +1,5 @@
-//! Fig. 6: over the scaling factor μ the error of the best records (Eq. 3); over g the objective of refined media.
+//! Draws Fig. 6: the error of the best records (Eq. 3) over the scaling factor μ, and the objective of refined media
+//! over g.
 
 use anyhow::ensure;
 use optics_model::fit::{Common, Objective, ScaleCurve};
@@ -23,8 +24,8 @@ const LINE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
 const REFINED: Stroke = Stroke::dashed(Rgb::GREEN, 1.2, "5 3");
 const BAND: Rgb = Rgb(0xf8, 0xe2, 0xd2);
 
-/// How well all materials together fit when measurements are scaled by μ, and with each g. These may be two quantities:
-/// the first is the paper's distance, the second the objective of the fit.
+/// Draws how well all materials together fit when measurements are scaled by μ, and with each g. The ordinates may be
+/// two quantities: the paper's distance over μ, the objective of the fit over g.
 pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -> anyhow::Result<Picture> {
     ensure!(!curve.points.is_empty(), "no errors to draw");
     let mut panels = vec![over_mu(curve, common)];
@@ -55,7 +56,7 @@ pub fn scale_figure(curve: &ScaleCurve, common: &Common, objective: Objective) -
 struct ScalePanel {
     frame: AxesFrame,
     name: &'static str,
-    /// The quantity that is drawn.
+    /// Name of the ordinate.
     error: &'static str,
     keys: Vec<Key>,
     x: Vec<f64>,
@@ -63,7 +64,7 @@ struct ScalePanel {
     dots: bool,
     /// The best value and its standard error.
     best: Option<(f64, Option<f64>)>,
-    /// The value that the answer has, if another than the best.
+    /// The answer's value if it differs from the best.
     refined: Option<f64>,
 }
 
@@ -112,7 +113,7 @@ impl ScalePanel {
         canvas.text_upwards(at(area.left - tick_width(&frame.y_ticks()) - 6.0, middle.y), &name);
     }
 
-    /// The curve's height at a place, between the points on both sides.
+    /// The curve's height at a position, interpolated between the points on both sides.
     fn error_at(&self, place: f64) -> Option<f64> {
         let points = self.x.iter().copied().zip(self.y.iter().copied()).filter(|(_, y)| y.is_finite());
         let below = points.clone().filter(|(x, _)| *x <= place).max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -150,7 +151,7 @@ fn over_g(common: &Common, objective: Objective) -> ScalePanel {
     };
     let mut panel = ScalePanel::new("anisotropy g", name, G_WIDTH, g, error);
     panel.dots = true;
-    // One that was given is no minimum.
+    // A given anisotropy is no minimum.
     if let Some(g) = common.g_interval.and(common.g) {
         panel.keys.push(Key::mark(Mark::Dot, format!("minimum: g = {}", number(g, 4))));
         panel.best = Some((g, None));

@@ -1,4 +1,4 @@
-//! Answers as tests want them.
+//! Builds answers for tests.
 
 use optics_model::Medium;
 use optics_model::fit::{
@@ -12,7 +12,7 @@ use optics_model::scene::Scope;
 /// Two sets at σ_t = 6 / mm and 1 − α = 0.001: 0.5 mm, photographed once, and 0.5 and 1 mm, photographed twice.
 pub fn design() -> Design {
     let medium = Medium::new(6.0, 0.999, 0.4).unwrap();
-    // In per cent of σ_t, 1 − α, σ_s(1 − g), σ_a.
+    // Half-widths in per cent of σ_t, 1 − α, σ_s(1 − g), σ_a.
     let widths = |[s, a, r, b]: [f64; 4], g: f64| HalfWidths {
         sigma_t_per_mm: 0.01 * s * medium.sigma_t_per_mm(),
         albedo: 0.01 * a * (1.0 - medium.albedo()),
@@ -53,7 +53,7 @@ pub fn design() -> Design {
     Design { channel: "R".to_owned(), medium, sample_ior: 1.53, pixels, sets: vec![one, two] }
 }
 
-/// From 0 open below, beyond 1 open above.
+/// An interval that is open below if it begins at 0, and open above if it ends beyond 1.
 pub fn interval(low: f64, high: f64) -> Interval {
     Interval { low, high, open_low: low == 0.0, open_high: high > 1.0 }
 }
@@ -63,8 +63,8 @@ pub fn candidate(sigma_t_per_mm: f64) -> Candidate {
     Candidate { medium, sample_ior: 1.53, error: 0.0626, thicknesses: Vec::new() }
 }
 
-/// A channel whose σ_t is this, and that of its best record a whole number; with a suspicion and an unlikely χ² if
-/// the misfit is above 2.
+/// A channel with this σ_t; that of its best record is a whole number. If the misfit is above 2, it has a suspicion and
+/// an unlikely χ².
 pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
     let closed = |low, high| Interval { low, high, open_low: false, open_high: false };
     let suspicion =

@@ -1,4 +1,4 @@
-//! Reading whole files, up to a size.
+//! Reads whole files up to a size.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::{Result, bail};
 
-/// All bytes of a file. One without a size of its own, such as a pipe or a device, is read as far as it may go.
+/// All bytes of a file. A pipe or a device, whose size is unknown, is read up to the limit; more bytes are an error.
 pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>> {
     let file = File::open(path)?;
     let size = file.metadata()?.len();
@@ -18,7 +18,7 @@ pub fn read(path: &Path, most_bytes: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// All bytes that come from a source, at most so many.
+/// Appends all bytes of a source; more than `most_bytes` in total are an error.
 pub fn fill(bytes: &mut Vec<u8>, from: impl Read, most_bytes: u64) -> Result<()> {
     from.take(most_bytes + 1).read_to_end(bytes)?;
     if bytes.len() as u64 > most_bytes {

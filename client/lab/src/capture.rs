@@ -1,4 +1,4 @@
-//! From a session's photographs to its profiles: reads the files, runs the steps of `optics_capture`, writes the results.
+//! Turns a session's photographs into profiles: reads the files, runs the steps of `optics_capture`, writes the results.
 
 mod board_sheet;
 mod budget;

@@ -1,4 +1,4 @@
-//! Grid and scene files from disk.
+//! Reads grid and scene files.
 
 use std::path::{Path, PathBuf};
 
@@ -14,13 +14,13 @@ use crate::measurement_file::plain;
 /// Largest grid or scene file that is read, in bytes.
 const LARGEST: u64 = 16 << 20;
 
-/// The grid that a TOML file describes. Scene files it names are looked for next to it.
+/// The grid that a TOML file describes. Paths of scene files are relative to its folder.
 pub fn read_grid(path: &Path) -> Result<Grid> {
     let folder = path.parent().unwrap_or(Path::new("."));
     grid_of(&read_text(path, "grid file")?, path, |name| named_scene(name, folder))
 }
 
-/// The grid that the text of a file describes, with the scenes of names.
+/// The grid that the text of a file describes; `scene` resolves the names of scenes.
 pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -> Result<Grid> {
     let file: GridFile = from_toml(text, path, "grid file")?;
     if DeTable::parse(text).is_ok_and(|table| table.get_ref().is_empty()) {
@@ -39,7 +39,7 @@ pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -
     file.into_grid(scene).and_then(with_responses).map_err(|e| in_file(e, text, path, "grid file"))
 }
 
-/// The grid with responses of its scene's uncertain quantities, if there are some.
+/// The grid with responses of its scene's uncertain quantities, if there are any.
 pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
     let base = SeenBase::of(grid.scene());
     let responses = Responses::of(grid.scene(), grid.axes(), |varied| base.through(varied)).map_err(|e| {
@@ -55,12 +55,12 @@ pub fn with_responses(grid: Grid) -> Result<Grid, Invalid> {
     }
 }
 
-/// The scene of a name ([`Scene::NAMES`]), or of a TOML file.
+/// The scene with a name of [`Scene::NAMES`], or of a TOML file.
 pub fn read_scene(name: &str) -> Result<Scene> {
     named_scene(name, Path::new("."))
 }
 
-/// The same for a name in a file that is in `folder`.
+/// The same for a name in a file of `folder`.
 pub fn read_scene_in(name: &str, folder: &Path) -> Result<Scene> {
     named_scene(name, folder)
 }
@@ -79,7 +79,7 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
     Scene::try_from(scene).map_err(|e| in_file(e, &text, &path, "scene file"))
 }
 
-/// The grid that has a name: the paper's, or `lab`, the same axes in the scene of a laboratory with its responses.
+/// The grid with a name: `paper`, or `lab` with the same axes in the scene of a laboratory and its responses.
 pub fn named_grid(name: &str) -> Option<Grid> {
     let paper = Grid::paper();
     match name {
@@ -113,7 +113,7 @@ pub fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: 
     })
 }
 
-/// A hint about a number with a decimal comma in the line of a place, if there is one.
+/// A hint about a number with a decimal comma in the line of an offset, if there is one.
 fn decimal_comma(text: &str, at: usize) -> Option<String> {
     let before = text.get(..at)?;
     let line = before.matches('\n').count();
@@ -136,7 +136,7 @@ pub fn in_file(invalid: Invalid, text: &str, path: &Path, what: &str) -> anyhow:
     anyhow::Error::new(invalid).context(format!("{what} {}{line}", path.display()))
 }
 
-/// The line of a field such as `layer[2].ior`, or of the innermost part of the path that is there; None if nothing is.
+/// The line of a field such as `layer[2].ior`, or of the innermost existing part of its path; `None` if no part exists.
 fn line_of(text: &str, field: &str) -> Option<usize> {
     let table = DeTable::parse(text).ok()?;
     let mut parts = field.split(['.', '[']).map(|part| part.trim_end_matches(']'));
@@ -156,7 +156,7 @@ fn line_of(text: &str, field: &str) -> Option<usize> {
 mod tests {
     use super::*;
 
-    /// It would be computed as the paper's grid, under another name.
+    /// An empty grid file is refused: it would be computed as the paper's grid under another name.
     #[test]
     fn empty_grid_file_is_refused() {
         for text in ["", "\n", "# sigma_t_per_mm = [1]\n"] {

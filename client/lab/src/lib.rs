@@ -1,7 +1,6 @@
-//! What a laboratory keeps in files: photographs and sessions, measurements, grids, scenes and mixtures.
+//! Reads and writes a laboratory's files: photographs and sessions, measurements, grids, scenes and mixtures.
 //!
-//! Reads these files, checks them, runs `optics_capture` on photographs, and writes what it found. It uses no network and
-//! no runtime.
+//! Checks them, runs `optics_capture` on photographs, and writes the results. It uses no network and no async runtime.
 
 mod bounded_file;
 pub mod capture;

@@ -1,6 +1,6 @@
-//! Measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for what is known of a
-//! profile's set-up; lines beginning with # are comments. What people's programs write instead is read too, with a note
-//! of what was assumed; what can be read in two ways is refused.
+//! Reads and writes measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for a
+//! profile's set-up; lines beginning with # are comments. Common variants of the format are read with a note of each
+//! assumption; ambiguous files are refused.
 
 mod columns;
 mod names;
@@ -27,12 +27,12 @@ use table::Table;
 pub use text::plain;
 pub use write::{MeasurementWriter, check_name};
 
-/// What a file holds.
+/// The contents of a measurement file.
 #[derive(Debug)]
 pub struct MeasurementFile {
-    /// One per material, in the order of their first rows.
+    /// One measurement per material, in the order of their first rows.
     pub materials: Vec<Measurement>,
-    /// What was assumed in reading, and what looks suspicious; none for a sound file in the strict format.
+    /// Assumptions made in reading, and suspicious data; empty for a sound file in the strict format.
     pub notes: Vec<Note>,
 }
 

@@ -1,4 +1,4 @@
-//! Which materials are mixtures of which, from a TOML file.
+//! Reads from a TOML file which materials are mixtures of which inks.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,7 +34,7 @@ pub fn read_mixtures(path: &Path) -> Result<Mixtures> {
 }
 
 fn mixtures(file: File) -> optics_model::Result<Mixtures> {
-    // Names as measurements have them.
+    // Names are normalised as in measurements.
     let mixture = |entry: MixtureEntry| {
         let parts = entry.parts.into_iter().map(|(ink, share)| (normal(&ink).into_owned(), share));
         Mixture::new(normal(&entry.material), parts)

@@ -1,7 +1,7 @@
-//! Photographs as numbers: files of cameras and raw converters, decoded without a change to any sample.
+//! Reads photographs as numbers: files of cameras and raw converters, decoded without a change to any sample.
 //!
-//! What does not hold linear values of more than 8 bits is refused, with what to do instead. Sizes are checked against the
-//! file before memory is taken, so that a damaged file costs no more than a sound one.
+//! Files without linear values of more than 8 bits are refused, with a remedy. Sizes are checked against the file before
+//! memory is allocated, so that a damaged file costs no more than a sound one.
 
 mod about;
 mod chunks;
@@ -26,20 +26,20 @@ pub use unreadable::UnreadablePhotograph;
 
 use crate::bounded_file;
 
-/// Most pixels of a photograph.
+/// Largest number of pixels of a photograph.
 pub const MOST_PIXELS: usize = 150_000_000;
-/// Most directories of a TIFF that are looked at; a loop of them ends there.
+/// Largest number of directories of a TIFF that are read; a loop of them ends there.
 const MOST_DIRECTORIES: usize = 64;
 
-/// Largest file that is read, in bytes: three samples of 16 bits for each pixel, and something for the rest.
+/// Largest file that is read, in bytes: three samples of 16 bits for each pixel, and some margin.
 const LARGEST: u64 = 1_000_000_000;
 
-/// What the samples of a photograph are.
+/// Arrangement of a photograph's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SampleLayout {
-    /// One sample a pixel, its colour by row and column modulo 2; none if the file does not state it.
+    /// One sample per pixel, its colour by row and column modulo 2; `None` if the file does not state it.
     Mosaic(Option<[Colour; 4]>),
-    /// Three samples a pixel.
+    /// Three samples per pixel.
     Rgb,
 }
 
@@ -76,11 +76,11 @@ pub fn read(path: &Path) -> Result<(Photograph, blake3::Hash)> {
     Ok((photograph, digest))
 }
 
-/// Most samples that are zero, as a share, of a picture that ends in zeros because its copy was interrupted. Where
-/// light and dark shots have their black level subtracted, zeros are many.
+/// Rows of zeros at the end mean an interrupted copy if the share of zeros before them is below this. Shots whose black
+/// level is subtracted have many zeros.
 const FEW_ZEROS: f64 = 0.1;
 
-/// Refuses what ends in rows of exact zeros.
+/// Refuses photographs that end in rows of exact zeros.
 fn whole(photograph: Photograph) -> Result<Photograph, UnreadablePhotograph> {
     let samples = &photograph.samples;
     let row = photograph.width * photograph.layout.samples_per_pixel();
@@ -92,7 +92,7 @@ fn whole(photograph: Photograph) -> Result<Photograph, UnreadablePhotograph> {
     Err(UnreadablePhotograph::ZeroRows { from: there.div_ceil(row) + 1, to: photograph.height })
 }
 
-/// Decodes a file of any format that is known, recognised by its first bytes.
+/// Decodes a file of any known format, recognised by its first bytes.
 pub fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     match bytes {
         [] => Err(UnreadablePhotograph::Empty),
@@ -115,12 +115,12 @@ pub fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     }
 }
 
-/// Samples of a photograph hold noise, so that none is compressed to so small a part of its two bytes a sample. Small ones
-/// are made by programs, and may be.
+/// Largest ratio of the samples' size, two bytes each, to the file's: noise prevents a higher compression. Samples up to
+/// `SMALL_BYTES` may exceed it, since programs generate small files.
 const MOST_COMPRESSED: u64 = 64;
 const SMALL_BYTES: u64 = 64 << 20;
 
-/// Refuses more samples than a photograph's file can hold, before memory is taken.
+/// Refuses more samples than the file can hold, before memory is allocated.
 fn checked_samples(file_bytes: usize, samples: u64) -> Result<(), UnreadablePhotograph> {
     let most = MOST_COMPRESSED.saturating_mul(file_bytes as u64).max(SMALL_BYTES);
     if samples.saturating_mul(2) > most {
@@ -129,7 +129,7 @@ fn checked_samples(file_bytes: usize, samples: u64) -> Result<(), UnreadablePhot
     Ok(())
 }
 
-/// Refuses sizes that no photograph has, before memory is taken.
+/// Refuses sizes that no photograph has, before memory is allocated.
 fn checked_size(width: u64, height: u64) -> Result<(usize, usize), UnreadablePhotograph> {
     let pixels = width.checked_mul(height).filter(|n| (1..=MOST_PIXELS as u64).contains(n));
     match pixels {

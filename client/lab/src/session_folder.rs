@@ -1,4 +1,4 @@
-//! The folder of a session: its files as the inputs of a measurement, and the results that are added to it.
+//! Reads the files of a session's folder as inputs of a measurement, and adds the results to it.
 
 use std::path::{Path, PathBuf};
 
@@ -46,21 +46,21 @@ impl SessionFolder {
         let grid = read_grid(&self.path.join("grid.toml"))?;
         let mut hasher = blake3::Hasher::new();
         for name in ["grid.toml", "scene.toml"] {
-            // The grid may hold its scene.
+            // The grid file may contain its scene, so that scene.toml may be absent.
             hasher.update(&std::fs::read(self.path.join(name)).unwrap_or_default());
         }
         let digest = hasher.finalize().to_hex();
         Ok((format!("session-{}", &digest[..12]), grid))
     }
 
-    /// The scene of the session's dictionary; None without a grid file.
+    /// The scene of the session's dictionary; `None` without a grid file.
     pub fn scene(&self) -> Result<Option<Scene>> {
         let path = self.path.join("grid.toml");
         if path.exists() { Ok(Some(read_grid(&path)?.scene().clone())) } else { Ok(None) }
     }
 
-    /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path; none
-    /// if the folder holds no data of a report.
+    /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path;
+    /// `None` if the folder has no data of a report.
     pub fn complete(&self, fits: &[MaterialFit], mu: f64, text: String) -> Result<Option<PathBuf>> {
         if let Some(session) = self.session() {
             add_to_session(&session, fits)?;
@@ -99,7 +99,7 @@ impl<'a> MediumErrors<'a> {
     }
 }
 
-/// Writes the media's errors into the session's file, in addition to what `capture` wrote.
+/// Writes the media's errors into the session's file, in addition to the data from `capture`.
 fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
     let place = || format!("session file {}", path.display());
     let text = std::fs::read_to_string(path).with_context(place)?;
@@ -118,7 +118,7 @@ fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
     write_whole(path, text.as_bytes()).with_context(place)
 }
 
-/// Simulated profiles of a material that has red, green and blue, for each slab.
+/// Simulated profiles of a material for each slab; empty unless it has red, green and blue.
 fn simulated(fit: &MaterialFit, mu: f64) -> Vec<Simulated> {
     let curves = |name: &str| fit.channels.iter().find(|c| c.channel == name).map(|c| c.curves.as_slice());
     let (Some(red), Some(green), Some(blue)) = (curves("R"), curves("G"), curves("B")) else {

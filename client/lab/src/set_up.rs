@@ -1,5 +1,5 @@
-//! Quantities of a set-up. A profile's own values in the measurement win over the command line, and this over the
-//! session file. For the rest defaults are used, and reported as assumed.
+//! Combines the quantities of a set-up. A profile's values in the measurement take precedence over the command line, and
+//! this over the session file. For other quantities defaults are used, and reported as assumed.
 
 mod assumed;
 mod of_channel;
@@ -16,14 +16,14 @@ use optics_model::quantities::Form;
 pub use assumed::Assumed;
 pub use session::{ByChannel, Session};
 
-/// The values of command line and session file together.
+/// The combined values of command line and session file.
 #[derive(Debug, Default)]
 pub struct SetUp {
     values: Session,
 }
 
 impl SetUp {
-    /// Reads the session file, if there is one. The values of the command line go before its.
+    /// Reads the session file, if there is one. The values of the command line take precedence over it.
     pub fn new(file: Option<&Path>, given: Session) -> Result<Self> {
         let session = file.map(Session::read).transpose()?.unwrap_or_default();
         Ok(Self { values: given.or(session) })
@@ -42,7 +42,7 @@ impl SetUp {
         settings
     }
 
-    /// The measurements with the values of their channels where their file has none.
+    /// The measurements, with the values of their channels where their file contains none.
     pub fn apply_to(&self, materials: Vec<Measurement>) -> Result<Vec<Measurement>> {
         if !self.values.values().any(|(_, given)| matches!(given, Some(ByChannel::Named(_)))) {
             return Ok(materials);

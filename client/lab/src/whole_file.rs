@@ -1,4 +1,4 @@
-//! Files that are whole or not there, and devices and pipes, which are written to and never replaced.
+//! Writes files atomically, and writes to devices and pipes without replacing them.
 
 use std::ffi::OsString;
 use std::fs::{File, Permissions};
@@ -8,19 +8,18 @@ use std::path::{Path, PathBuf};
 
 use tempfile::{Builder, NamedTempFile};
 
-/// What a new file may be used for, before the process's mask.
+/// Permissions of a new file, before the process's umask.
 const NEW_FILE: u32 = 0o666;
 
-/// A file that is written next to its place under a name of its own, and gets its name by
-/// [`DraftFile::finish`]. Dropped before, it leaves nothing. What goes to a device or a pipe is collected in a temporary
-/// file.
+/// A file that is written in the destination's folder under a temporary name; [`DraftFile::finish`] renames it. Dropped
+/// before, it leaves nothing. Output to a device or a pipe is collected in a temporary file.
 #[derive(Debug)]
 pub struct DraftFile {
     file: BufWriter<NamedTempFile>,
     place: Destination,
 }
 
-/// Where a draft goes when it is whole.
+/// The destination of a finished draft.
 #[derive(Debug)]
 enum Destination {
     Name(PathBuf),
@@ -33,7 +32,7 @@ impl DraftFile {
             let file = BufWriter::new(NamedTempFile::new()?);
             return Ok(Self { file, place: Destination::Node(node) });
         }
-        // What a link leads to is replaced, not the link.
+        // The target of a link is replaced, not the link.
         let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
         let Some(name) = path.file_name() else {
             return Err(io::Error::new(io::ErrorKind::IsADirectory, "this is no name for a file"));
@@ -51,14 +50,14 @@ impl DraftFile {
         Ok(Self { file: BufWriter::new(file), place: Destination::Name(path) })
     }
 
-    /// Gives the file its name, when all of it is on the disk.
+    /// Renames the file to its destination, after all of it is synced to the disk.
     pub fn finish(self) -> io::Result<()> {
         let mut file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
         match self.place {
             Destination::Name(path) => {
                 file.as_file().sync_all()?;
                 file.persist(&path).map_err(|error| error.error)?;
-                // The name is on the disk when its folder is.
+                // The rename is on the disk once the folder is synced.
                 sync_folder(folder_of(&path))
             }
             Destination::Node(mut node) => {
@@ -85,15 +84,15 @@ impl Seek for DraftFile {
     }
 }
 
-/// Writes a file as a whole.
+/// Writes a file atomically.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut draft = DraftFile::create(path)?;
     draft.write_all(bytes)?;
     draft.finish()
 }
 
-/// Opens a character device or a pipe for what is written to it; None if a regular file is there, or nothing. Block
-/// devices, sockets and folders are refused.
+/// Opens a character device or a pipe for writing; `None` if the path is a regular file or absent. Block devices,
+/// sockets and folders are refused.
 pub fn open_node(path: &Path) -> io::Result<Option<File>> {
     let Ok(found) = std::fs::metadata(path) else { return Ok(None) };
     let kind = found.file_type();
@@ -121,8 +120,8 @@ pub fn open_node(path: &Path) -> io::Result<Option<File>> {
     Ok(Some(node))
 }
 
-/// Puts the names in a folder on the disk. Network filesystems and those in user space may answer EINVAL or ENOTSUP for
-/// every folder: there is nothing to sync.
+/// Syncs the names in a folder to the disk. Network filesystems and those in user space may return EINVAL or ENOTSUP for
+/// every folder: these errors are ignored.
 pub fn sync_folder(folder: &Path) -> io::Result<()> {
     let synced = File::open(folder)?.sync_all();
     match synced.as_ref().map_err(io::Error::kind) {
@@ -131,7 +130,7 @@ pub fn sync_folder(folder: &Path) -> io::Result<()> {
     }
 }
 
-/// The folder that a file or folder is in.
+/// The folder that contains a file or folder.
 pub fn folder_of(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -179,7 +178,7 @@ mod tests {
         });
         let mut draft = DraftFile::create(&path).unwrap();
         draft.write_all(b"?irst").unwrap();
-        // As for the directory of a ZIP archive, which no pipe could go back for.
+        // Writers seek back, for example for the directory of a ZIP archive; a pipe cannot.
         draft.rewind().unwrap();
         draft.write_all(b"f").unwrap();
         draft.finish().unwrap();
@@ -197,7 +196,7 @@ mod tests {
             let made = std::process::Command::new("mknod").arg(path).args(numbers).output().unwrap();
             made.status.success() && File::options().write(true).open(path).is_ok()
         };
-        // Of the kind of /dev/null, and of a disk that there is none of. Only root can make and open them.
+        // A device like /dev/null, and a disk that does not exist. Only root can create and open them.
         if !mknod(&null, ["c", "1", "3"]) {
             return;
         }
@@ -237,7 +236,7 @@ mod tests {
         assert_eq!(names(folder.path()), ["out.csv"]);
     }
 
-    /// A new file has those of any new file.
+    /// A replaced file keeps its permissions; a new one has the usual ones.
     #[test]
     fn replaced_file_keeps_its_permissions() {
         let folder = tempfile::tempdir().unwrap();

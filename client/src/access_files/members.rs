@@ -1,7 +1,7 @@
-//! Adds a holder to a set of access files that exists, or revokes the access of one.
+//! Adds a member to an existing set of access files, or revokes a member's access.
 //!
-//! The authority's key is gone, so a new holder gets the certificates of its role's first file, if there are any: they
-//! certify that their holder belongs to the farm. Its token has its name and permissions.
+//! The authority's key is discarded, so a new member gets the certificates of its role's first file, if there are any:
+//! they certify that their holder belongs to the farm. Its token has its own name and permissions.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Read as _, Write as _};
@@ -16,9 +16,9 @@ use super::{CreateError, random_hex, write_secret};
 
 /// The coordinator's file in a set's folder.
 const COORDINATOR: &str = "coordinator.toml";
-/// A change of the set holds a lock on this.
+/// Changes of the set lock this file.
 const LOCK: &str = ".farm-access.lock";
-/// The longest that a coordinator reads.
+/// Largest file that a coordinator reads.
 const LONGEST_BYTES: u64 = 1 << 20;
 
 #[derive(Debug, thiserror::Error)]
@@ -41,7 +41,7 @@ pub enum MemberError {
     Random(#[from] CreateError),
 }
 
-/// Lets in one more: writes `FOLDER/NAME.toml` after the model of `FOLDER/ROLE.toml`, and an entry into the coordinator's
+/// Adds a member: writes `FOLDER/NAME.toml` after the model of `FOLDER/ROLE.toml`, and an entry into the coordinator's
 /// file, which a running coordinator reads again.
 pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError> {
     if !is_token_name(name) {
@@ -68,13 +68,13 @@ pub fn add(folder: &Path, role: Role, name: &str) -> Result<PathBuf, MemberError
     entries(&mut coordinator, &coordinator_file)?.push(entry);
     write_secret(&member_file, &member.to_string()).map_err(failed("writing", &member_file))?;
     replace(&coordinator_file, &coordinator.to_string()).inspect_err(|_| {
-        // No coordinator would accept it.
+        // Without the entry, no coordinator would accept the file.
         let _ = fs::remove_file(&member_file);
     })?;
     Ok(member_file)
 }
 
-/// Revokes the access of a name.
+/// Revokes the access of a member.
 pub fn revoke(folder: &Path, name: &str) -> Result<(), MemberError> {
     let file = folder.join(COORDINATOR);
     let _alone = alone(folder)?;
@@ -91,7 +91,7 @@ pub fn revoke(folder: &Path, name: &str) -> Result<(), MemberError> {
     replace(&file, &coordinator.to_string())
 }
 
-/// Roles and names of those who are let in.
+/// Roles and names of all members.
 pub fn list(folder: &Path) -> Result<Vec<(String, String)>, MemberError> {
     let file = folder.join(COORDINATOR);
     let mut coordinator = read(&file)?;
@@ -99,9 +99,9 @@ pub fn list(folder: &Path) -> Result<Vec<(String, String)>, MemberError> {
     Ok(entries(&mut coordinator, &file)?.iter().map(|e| (text(e, "role"), text(e, "name"))).collect())
 }
 
-/// Waits until no other process changes the set, so that what is read is still there when it is replaced.
+/// Waits for an exclusive lock on the set, so that it does not change between reading and replacing.
 fn alone(folder: &Path) -> Result<File, MemberError> {
-    // A folder without a set is left as it is.
+    // No lock file is created in a folder without a set.
     fs::metadata(folder.join(COORDINATOR)).map_err(failed("reading", &folder.join(COORDINATOR)))?;
     let path = folder.join(LOCK);
     let lock = || {
@@ -120,7 +120,7 @@ fn read(path: &Path) -> Result<DocumentMut, MemberError> {
         let problem = format!("it is longer than {LONGEST_BYTES} bytes");
         return Err(MemberError::Content { path: path.to_owned(), problem });
     }
-    // The parser's message shows the line, which may be a secret.
+    // The parser's message is omitted: it quotes the line, which may be a secret.
     let wrong =
         |_| MemberError::Content { path: path.to_owned(), problem: "it is not valid TOML".to_owned() };
     text.parse().map_err(wrong)
@@ -143,8 +143,8 @@ fn failed(doing: &'static str, path: &Path) -> impl FnOnce(io::Error) -> MemberE
     move |source| MemberError::File { doing, path, source }
 }
 
-/// Puts a text in the place of a secret file, whole, with the same owner and permissions: a coordinator of another user
-/// must still be able to read it.
+/// Replaces a secret file atomically, with the same owner and permissions: a coordinator of another user must still be
+/// able to read it.
 fn replace(path: &Path, text: &str) -> Result<(), MemberError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || -> io::Result<()> {

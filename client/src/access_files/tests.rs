@@ -88,7 +88,7 @@ fn failed_creation_leaves_nothing() {
     let dir = place.path().join("missing").join("access");
     let error = create(&dir, &hosts(&["a"]), 7700, false, NOW_UNIX_S).unwrap_err();
     assert!(error.to_string().starts_with("making a folder in"), "{error}");
-    // A folder that somebody else makes meanwhile is not replaced, and the draft is removed.
+    // A folder that is created in the meantime is not replaced, and the draft is removed.
     let taken = place.path().join("taken");
     fs::create_dir(&taken).unwrap();
     fs::write(taken.join("file"), "theirs").unwrap();

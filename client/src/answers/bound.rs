@@ -1,4 +1,4 @@
-//! Intervals next to the least that the pixels allow.
+//! Formats intervals next to the Cramér–Rao bound of the pixels.
 
 use farm_figures::estimates::estimate_rows;
 use farm_figures::numbers::{short, significant};
@@ -6,7 +6,7 @@ use optics_model::fit::{Ends, Interval, MaterialFit, Refined};
 
 use crate::output::{table, wrapped};
 
-/// One row a quantity: half-widths of the interval and of the Cramér–Rao bound, in per cent of it, and their ratio.
+/// One row per quantity: half-widths of the interval and of the Cramér–Rao bound, in per cent of it, and their ratio.
 pub(super) fn bounds(fits: &[MaterialFit]) -> String {
     let mut rows = Vec::new();
     for fit in fits {
@@ -73,7 +73,7 @@ mod tests {
 
     use super::*;
 
-    /// Half widths are in per cent of the quantity, and their ratio to the bound is given.
+    /// Half-widths are in per cent of the quantity, followed by their ratio to the bound.
     #[test]
     fn half_widths_are_in_per_cent() {
         let interval = |low, high| Interval { low, high, open_low: false, open_high: false };
@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(nothing[1..], ["–", "–", "–"]);
     }
 
-    /// Every refined channel has its rows; what the bound assumes of the scene follows.
+    /// Every refined channel has its rows; the bound's assumption about the scene follows.
     #[test]
     fn every_refined_channel_has_its_rows() {
         let record = ChannelFit { refined: None, ..channel("G", 9.0, 1.0) };

@@ -1,4 +1,4 @@
-//! Which slabs are worth photographing, for people.
+//! Formats a comparison of sets of slabs to photograph.
 
 use farm_figures::numbers::{albedo, significant, slabs};
 use optics_model::Medium;
@@ -6,7 +6,7 @@ use optics_model::fit::{Design, DesignQuestion, HalfWidths, Improvement, Limitat
 
 use crate::output::{table, wrapped};
 
-/// Two tables, g held and g free, and what limits the best set.
+/// Two tables, g held and g free, and the limits of the best set.
 pub(crate) fn design_text(design: &Design, question: &DesignQuestion) -> String {
     let mut parts = vec![head(design, question), held(design)];
     if design.sets.iter().any(|set| set.g_free.is_some()) {
@@ -88,7 +88,7 @@ fn percent(share: f64) -> String {
     }
 }
 
-/// For how many photographs a set is the best.
+/// The number of photographs for which a set is the best.
 fn best_for(set: &SlabSet) -> String {
     match (set.best, set.best_of_its_effort) {
         (true, _) => "any".to_owned(),
@@ -100,7 +100,7 @@ fn best_for(set: &SlabSet) -> String {
 /// Half-width of a quantity relative to its value.
 type RelativeShare = fn(&HalfWidths, &Medium) -> f64;
 
-/// The improvement that takes most from a half-width.
+/// The improvement that reduces a half-width most.
 fn limit<'a>(set: &'a SlabSet, medium: &Medium, share: RelativeShare) -> Option<&'a Improvement> {
     let left = |i: &Improvement| share(&i.best(), medium);
     let finite = set.improvements.iter().filter(|i| left(i).is_finite());
@@ -121,7 +121,7 @@ fn name(improvement: &Improvement) -> &str {
     }
 }
 
-/// What would help the best set most, or that there is none.
+/// The most effective improvements of the best set, or a message that no set determines the medium.
 fn limits(design: &Design) -> String {
     let Some(best) = design.sets.iter().find(|set| set.best) else {
         return wrapped("No set determines σ_t and the albedo, even with g held.");
@@ -143,7 +143,7 @@ fn limits(design: &Design) -> String {
     lines.join("\n")
 }
 
-/// Which quantities of the scene are worth measuring, the best first. None if the scene is exact.
+/// The scene's quantities in the order in which to measure them, the most effective first. `None` if the scene is exact.
 fn scene(set: &SlabSet, medium: &Medium) -> Option<String> {
     let mut known: Vec<(&str, f64)> = set
         .improvements
@@ -182,7 +182,7 @@ fn what_limits(
     text + "."
 }
 
-/// A standard error in the unit in which it is given.
+/// A standard error in the unit of its quantity.
 fn with_unit(improvement: &Improvement, std_error: f64) -> String {
     let number = |factor: f64| significant(factor * std_error, 3);
     match improvement.limitation {

@@ -1,4 +1,4 @@
-//! Fits as people read them.
+//! Formats fits as tables and remarks.
 
 use farm_figures::numbers::short;
 use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
@@ -8,10 +8,10 @@ use super::scene::{exact_scene, scene_text};
 use super::summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
 use crate::output::{table, warning, wrapped};
 
-/// Fits, and how they are to be printed.
+/// Fits, and options of their printing.
 pub(crate) struct FitsReport<'a> {
     pub(crate) fits: &'a [MaterialFit],
-    /// What was assumed of the set-up, as one line.
+    /// Assumptions about the set-up, in one line.
     pub(crate) assumed: Option<String>,
     /// Print the Cramér–Rao bound next to the intervals.
     pub(crate) bound: bool,
@@ -55,7 +55,7 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
     std::iter::once("objective: likelihood".to_owned()).chain(assumed).chain(exact_scene(fits)).collect()
 }
 
-/// One row a channel: σ_s(1 − g) and σ_a, which similar media share.
+/// One row per channel: σ_s(1 − g) and σ_a, which similar media share.
 fn known(fits: &[MaterialFit]) -> String {
     let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit"];
     let row = |material: &str, channel: &ChannelFit| {
@@ -77,7 +77,7 @@ fn known(fits: &[MaterialFit]) -> String {
     format!("what similar media share, whatever g is\n{}", table(&head, &[2, 4, 6], rows))
 }
 
-/// One row a channel: σ_t, α and g with their intervals; without refinement, those of the best record.
+/// One row per channel: σ_t, α and g with their intervals; without refinement, those of the best record.
 fn media(fits: &[MaterialFit]) -> String {
     let refined = fits.iter().flat_map(|f| &f.channels).any(|c| c.refined.is_some());
     let mut head = vec!["material", "ch", "σ_t\n/mm", "\n95 %", "α", "\n95 %", "g", "\n95 %"];

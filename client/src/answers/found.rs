@@ -1,4 +1,4 @@
-//! The answer to a measurement, checked, and the files of its media.
+//! Checks the answer to a measurement, and formats its media as files.
 
 use anyhow::{Context, Result};
 use farm_proto::wire::MeasureResponse;
@@ -7,18 +7,18 @@ use optics_model::fit::{Common, MaterialFit, ScaleCurve, Unmixed};
 use super::table::table_csv;
 use crate::renderers;
 
-/// The error if an answer lacks what this program shows.
+/// The error if an answer lacks required values.
 pub(crate) const OLDER: &str =
     "the coordinator is too old: its answer lacks the values common to all channels; upgrade it";
 
 /// A checked answer.
 #[derive(Debug)]
 pub(crate) struct MeasureAnswer {
-    /// The paper's curve; none if the scale factor was given or the likelihood was maximised.
+    /// The paper's curve; `None` if the scale factor was given or the likelihood was maximised.
     pub(crate) scale: Option<ScaleCurve>,
     pub(crate) common: Common,
     pub(crate) materials: Vec<MaterialFit>,
-    /// None if no mixtures were given.
+    /// `None` if no mixtures were given.
     pub(crate) unmixed: Option<Unmixed>,
 }
 

@@ -1,4 +1,4 @@
-//! The inks that were found from mixtures, as tables and sentences.
+//! Formats inks estimated from mixtures as tables and sentences.
 
 use farm_figures::numbers::{albedo, albedo_end, interval, short, significant};
 use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
@@ -6,7 +6,8 @@ use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
 use super::scale::common_text;
 use crate::output::{table, warning, wrapped};
 
-/// A mixture that lies off its inks by more than so many errors was mixed wrongly, or measured so.
+/// Number of standard errors above which a mixture's deviation from its inks means that it was mixed or measured
+/// wrongly.
 const PULL: f64 = 3.0;
 
 /// The inks, and the mixtures that do not agree with them.
@@ -64,7 +65,7 @@ fn media(unmixed: &Unmixed) -> String {
     format!("{}\n{note}", table(&head, &[2, 4, 6], rows(unmixed, cells)))
 }
 
-/// Mixtures that their inks do not explain, and those that were left out.
+/// Mixtures that their inks do not explain, and mixtures that were left out.
 fn disagreements(mixtures: &[MixtureFit]) -> Vec<String> {
     let line = |m: &MixtureFit| {
         let who = format!("{} {}", m.material, m.channel);
@@ -82,7 +83,7 @@ fn disagreements(mixtures: &[MixtureFit]) -> Vec<String> {
     mixtures.iter().filter_map(line).collect()
 }
 
-/// The mixture that agrees least, so that a reader sees how well all do.
+/// The mixture with the largest deviation, which shows how well all agree.
 fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
     let pull =
         |m: &'_ MixtureFit| m.agreement.map(|a: Agreement| (format!("{} {}", m.material, m.channel), a.pull));

@@ -1,15 +1,15 @@
-//! Goodness of fit, nuisances and left-out pixels of a likelihood fit, as sentences.
+//! Formats goodness of fit, nuisances and left-out pixels of a likelihood fit as sentences.
 
 use optics_model::fit::{Nuisance, NuisanceEstimate, OutlierPixel, Refined, Stretch};
 
 use farm_figures::misfit::{goodness, is_unlikely};
 use farm_figures::numbers::{minus, significant, with_error};
 
-/// Most pixels, and most stretches, that are listed one by one.
+/// Largest number of pixels, and of stretches, that are listed individually.
 const MOST: usize = 6;
 
-/// Share of the degrees of freedom below which χ² shows that the given errors are no noise of single pixels, and from how
-/// many of these on.
+/// χ² below this share of the degrees of freedom, if there are at least `QUIET_FROM`, shows that the given errors are no
+/// noise of single pixels.
 const QUIET: f64 = 0.5;
 const QUIET_FROM: f64 = 100.0;
 
@@ -35,7 +35,7 @@ pub(super) fn findings(refined: &Refined) -> Vec<String> {
     first.into_iter().chain(outliers(&l.outliers)).chain(stretches(&l.stretches)).collect()
 }
 
-/// Whether the data add to the prior of a nuisance.
+/// Whether the data add information to the prior of a nuisance.
 fn moved(n: &NuisanceEstimate) -> bool {
     (n.value - n.prior).abs() > n.prior_std_error || n.std_error < 0.5 * n.prior_std_error
 }
@@ -58,7 +58,7 @@ fn nuisance(n: &NuisanceEstimate) -> String {
     text + &of
 }
 
-/// A variance in mm² as a standard deviation in µm, d√v = dv / (2√v). Near 0 that is no error: then only the upper end
+/// A variance in mm² as a standard deviation in µm, d√v = dv / (2√v). Near 0 this is not valid: then only the upper end
 /// of its 95 % interval is printed.
 fn blur(variance: f64, std_error: f64) -> String {
     if variance > 2.0 * std_error {
@@ -69,7 +69,7 @@ fn blur(variance: f64, std_error: f64) -> String {
     }
 }
 
-/// Deviation in σ below which a pixel was left out for its neighbours: it may be the rim of a speck.
+/// Deviation in σ below which a pixel was left out because of its neighbours: it may be the rim of a speck.
 const RIM: f64 = 3.5;
 
 /// `4 pixels left out: 0.5 mm at x = −1.23, 0.48, 0.51 mm; 1 mm at x = 2.1 mm; and 2 at their rims`.
@@ -114,9 +114,9 @@ fn more(count: usize) -> String {
     if count > MOST { format!("; and {} more", count - MOST) } else { String::new() }
 }
 
-/// A place along x, to a micrometre.
+/// A position along x, rounded to a micrometre.
 fn position(x_mm: f64) -> String {
-    // Minus nothing is nothing.
+    // Adding 0 turns −0 into 0.
     let rounded = (1e3 * x_mm).round() / 1e3 + 0.0;
     minus(&rounded.to_string())
 }
@@ -178,7 +178,7 @@ mod tests {
         }
     }
 
-    /// Outliers are named by x, and the rest is counted.
+    /// Outliers are named by x; beyond the limit they are counted.
     #[test]
     fn outliers_are_named_by_x() {
         let pixel = |profile_mm, x_mm| OutlierPixel { profile_mm, x_mm, deviation: 9.0 };
@@ -196,7 +196,8 @@ mod tests {
         assert!(outliers(&[rim(0.9), many[0], many[1]]).unwrap().ends_with("; and 1 at their rims"));
     }
 
-    /// Also the pixels left out and runs of too bright or too dark ones. A warning has χ² itself, so it is not repeated.
+    /// The findings are goodness of fit, nuisances, left-out pixels and runs of too bright or too dark ones. A warning
+    /// reports χ² itself, so the findings do not repeat it.
     #[test]
     fn findings_give_goodness_of_fit_and_nuisances() {
         let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();

@@ -1,10 +1,10 @@
-//! Warnings about fits that noise does not explain.
+//! Formats warnings about fits that noise does not explain.
 
 use farm_figures::misfit::{goodness, is_unlikely};
 use farm_figures::numbers::significant;
 use optics_model::fit::{Cause, Refined, Suspicion};
 
-/// `χ² 1130 of 716, …` with the likeliest reason; none if noise explains the fit.
+/// `χ² 1130 of 716, …` with the most likely reason; `None` if noise explains the fit.
 pub(crate) fn misfit(refined: &Refined) -> Option<String> {
     let suspicion = refined.suspicion.as_ref();
     if !is_unlikely(&refined.likelihood) {

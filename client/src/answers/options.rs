@@ -1,4 +1,4 @@
-//! The settings that an answer came by, as programs read them.
+//! The settings of an answer as JSON.
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Objective, Wavelet};
 use serde::{Serialize, Serializer};
@@ -16,7 +16,7 @@ impl Serialize for SetUpJson<'_> {
     }
 }
 
-/// Settings of a fit, as they were used.
+/// Settings used for a fit.
 #[derive(Debug, Serialize)]
 pub(crate) struct UsedOptions<'a> {
     dictionary: &'a str,
@@ -30,11 +30,11 @@ pub(crate) struct UsedOptions<'a> {
     albedo_range: Bounds,
     wavelet: Wavelet,
     level: u32,
-    /// Null stands for the likelihood.
+    /// Null for the likelihood.
     objective: Option<Objective>,
     #[serde(flatten)]
     set_up: SetUpJson<'a>,
-    /// The quantities of the set-up without a value, for one profile at least.
+    /// The quantities of the set-up without a value for at least one profile.
     assumed: Vec<&'static str>,
 }
 
@@ -45,7 +45,7 @@ pub(crate) struct MeasurementAnswer<'a, T> {
     pub(crate) options: UsedOptions<'a>,
     #[serde(flatten)]
     pub(crate) answer: T,
-    /// What was assumed when the file was read, and what looks suspicious in it.
+    /// Assumptions made in reading the file, and suspicious data in it.
     pub(crate) notes: &'a [Note],
 }
 

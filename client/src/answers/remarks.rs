@@ -1,4 +1,4 @@
-//! Remarks that restrict how the numbers of a fit may be used.
+//! Lists remarks that restrict the use of a fit's numbers.
 
 use farm_figures::numbers::significant;
 use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
@@ -6,7 +6,7 @@ use optics_model::fit::{ChannelFit, Interval, Outside, Refined};
 use super::likelihood::{findings, too_quiet};
 use super::misfit::misfit;
 
-/// A remark on the numbers.
+/// All remarks on a channel's numbers, the warnings first.
 pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let valley = channel.refined.as_ref().is_some_and(|r| r.valley);
     let findings = channel.refined.as_ref().map(findings).unwrap_or_default();
@@ -16,7 +16,7 @@ pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     warnings(channel).into_iter().chain(findings).chain(open).chain(advice).collect()
 }
 
-/// Why the numbers may not be trusted.
+/// Reasons why the numbers may be wrong.
 pub(super) fn warnings(channel: &ChannelFit) -> Vec<String> {
     let mut warnings = Vec::new();
     if let Some(r) = &channel.refined {
@@ -38,7 +38,7 @@ pub(super) fn warnings(channel: &ChannelFit) -> Vec<String> {
     warnings
 }
 
-/// Why a channel is unresolved: the data, or a dictionary that ends where they would go on.
+/// The reason why a channel is unresolved: the data, or the end of the dictionary.
 fn unresolved(sigma_t: &Interval) -> String {
     let narrow = sigma_t.high <= 2.0 * sigma_t.low && (sigma_t.open_low != sigma_t.open_high);
     if !narrow {

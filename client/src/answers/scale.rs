@@ -1,11 +1,11 @@
-//! What all channels share, as people read it: scale factor and anisotropy.
+//! Formats the scale factor and the anisotropy that all channels share.
 
 use farm_figures::numbers::{interval, significant, with_error};
 use optics_model::fit::{Common, GError, ScaleCurve};
 
 use crate::output::{table, wrapped};
 
-/// What was chosen for all channels, or given.
+/// Scale factor and anisotropy, and whether they were given or fitted.
 pub(crate) fn common_text(common: &Common) -> String {
     let i = &common.mu_interval;
     let mut lines = Vec::new();
@@ -45,7 +45,7 @@ pub(crate) fn common_text(common: &Common) -> String {
     lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
 }
 
-/// The paper's search of Eq. 3, by the errors of the best records.
+/// The paper's search for the scale factor (Eq. 3), by the errors of the best records.
 pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     let error = scale.std_error.map_or(String::new(), |e| format!(" ± {}", significant(e, 1)));
     let mut text = format!(
@@ -75,7 +75,7 @@ pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
     text
 }
 
-/// A scale factor that was given, with what the data make of it where it has an error.
+/// A given scale factor, updated by the data if it has a standard error.
 fn given_text(common: &Common) -> String {
     if common.mu_std_error == 0.0 {
         return format!("scale factor μ = {}, as given", common.mu);
@@ -89,7 +89,8 @@ mod tests {
     use super::*;
     use optics_model::fit::{GError, Interval};
 
-    /// The curve around its minimum is printed as it is.
+    /// An undetermined scale factor is reported as such, a given one as given, and the curvature of its error only if
+    /// positive.
     #[test]
     fn open_scale_factor_is_reported() {
         let open = Interval { low: 0.8, high: 1.1, open_low: true, open_high: true };

@@ -1,11 +1,11 @@
-//! The uncertain quantities of the scene in the terminal, and what is printed where the scene was taken as exact.
+//! Formats the estimates of a scene's uncertain quantities for the terminal, and the assumption of an exact scene.
 
 use farm_figures::estimates::{self, estimate_rows};
 use optics_model::fit::{Common, MaterialFit};
 
 use crate::output::{table, warning, wrapped};
 
-/// A row for every estimate. None if the scene was taken as exact.
+/// A row for every estimate. `None` if the scene was taken as exact.
 pub(super) fn scene_text(fits: &[MaterialFit]) -> Option<String> {
     let rows = estimate_rows(fits);
     if rows.is_empty() {
@@ -20,7 +20,7 @@ pub(super) fn scene_text(fits: &[MaterialFit]) -> Option<String> {
     Some(text)
 }
 
-/// What is assumed where the dictionary's scene has no standard errors.
+/// The assumption if the dictionary's scene has no standard errors.
 pub(super) fn exact_scene(fits: &[MaterialFit]) -> Option<String> {
     estimate_rows(fits).is_empty().then(|| {
         "scene: taken as exact (roughness, refractive indices, gel, lamps); a dictionary of a scene with their standard \
@@ -29,10 +29,10 @@ pub(super) fn exact_scene(fits: &[MaterialFit]) -> Option<String> {
     })
 }
 
-/// The warning about a scale factor so low that the dictionary's surfaces are the likeliest cause. None if its scene is
-/// uncertain: such scenes conserve light, and have the remaining causes in their estimates.
+/// The warning about a scale factor so low that the dictionary's surfaces are the most likely cause. `None` if its scene
+/// is uncertain: such scenes conserve light, and their estimates contain the remaining causes.
 pub(crate) fn low_scale(common: &Common, fits: &[MaterialFit]) -> Option<String> {
-    /// Scale factors that a white reference, or exposure, hardly explains.
+    /// Scale factors below this are hardly explained by a white reference or by exposure.
     const LOW: f64 = 0.95;
     let low =
         common.mu_chosen && common.mu + 2.0 * common.mu_std_error < LOW && estimate_rows(fits).is_empty();

@@ -5,14 +5,14 @@ use optics_model::fit::{MaterialFit, Refined};
 
 use super::remarks::{remarks, warnings};
 
-/// A number with as many digits as mean something, and its interval of 95 %.
+/// A number with its meaningful digits, and its interval of 95 %.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct NumberWithInterval {
     pub(crate) value: String,
     pub(crate) interval: String,
 }
 
-/// The numbers of a channel that was refined.
+/// The numbers of a refined channel.
 #[derive(Debug, Clone)]
 pub(crate) struct ChannelSummary {
     pub(crate) reduced_scattering_per_mm: NumberWithInterval,
@@ -46,10 +46,10 @@ impl ChannelSummary {
 /// A remark on some channels.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Remark {
-    /// Material and channel of each.
+    /// Material and channel of each channel concerned.
     pub(crate) about: Vec<String>,
     pub(crate) text: String,
-    /// Why the numbers may not be trusted.
+    /// Whether the remark means that the numbers may be wrong.
     pub(crate) warning: bool,
 }
 

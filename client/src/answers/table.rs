@@ -1,4 +1,4 @@
-//! The table of a measurement as CSV.
+//! Writes the table of a measurement as CSV.
 
 use std::borrow::Cow;
 
@@ -6,7 +6,7 @@ use optics_model::fit::{Interval, MaterialFit};
 
 use super::remarks::remarks;
 
-/// The table as CSV: one row a channel.
+/// The table as CSV: one row per channel.
 pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record([
@@ -70,8 +70,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
     Ok(String::from_utf8(writer.into_inner()?)?)
 }
 
-/// A cell as spreadsheets show it: one that begins like a formula and is no number would be computed there, whoever wrote
-/// it.
+/// A cell that spreadsheets show as text: one that begins like a formula and is no number would be evaluated there,
+/// although its content is not trusted.
 fn as_text(cell: &str) -> Cow<'_, str> {
     let is_formula = cell.starts_with(['=', '+', '-', '@', '\t', '\r']) && cell.parse::<f64>().is_err();
     if is_formula { format!("'{cell}").into() } else { cell.into() }

@@ -1,4 +1,4 @@
-//! Bounds on the command line: `0.4`, `0.2..0.6`, `4..`, `..8`.
+//! Parses bounds on the command line: `0.4`, `0.2..0.6`, `4..`, `..8`.
 
 use std::str::FromStr;
 

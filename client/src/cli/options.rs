@@ -1,4 +1,4 @@
-//! Options of fits, which several verbs have.
+//! Options of fits that several verbs share.
 
 use clap::{Args, ValueEnum};
 use farm_lab::set_up::SetUp;
@@ -77,7 +77,7 @@ impl Default for OptionArgs {
 }
 
 impl OptionArgs {
-    /// `set_up` combines its arguments with the session file.
+    /// The settings of the fit; `set_up` combines the arguments with the session file.
     pub(crate) fn settings(&self, set_up: &SetUp) -> optics_model::Result<FitSettings> {
         let settings = FitSettings {
             lambda: self.lambda,

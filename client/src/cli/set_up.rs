@@ -31,8 +31,8 @@ macro_rules! arguments {
         }
 
         impl SetUpArgs {
-            /// These values, and those of the session file where none is given here: of the one that is named, or else of
-            /// `session`.
+            /// These values, and those of the session file for quantities without a value here: of the file given by
+            /// --session, or else of `session`.
             pub(crate) fn read(&self, session: Option<&Path>) -> anyhow::Result<SetUp> {
                 let given = Session { mu_std_error: None, $($name: self.$name.map(ByChannel::All)),+ };
                 SetUp::new(self.session.as_deref().or(session), given)

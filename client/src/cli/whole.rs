@@ -1,6 +1,6 @@
-//! Whole numbers on the command line: `1000000`, `1_000_000`, `1e6`.
+//! Parses whole numbers on the command line: `1000000`, `1_000_000`, `1e6`.
 
-/// Reads a whole number as people write large ones.
+/// Parses a whole number with underscores or an exponent.
 pub(crate) fn whole_number(text: &str) -> Result<u64, String> {
     let plain = text.trim().replace('_', "");
     let number = plain.parse().ok().or_else(|| plain.parse().ok().and_then(optics_model::whole));

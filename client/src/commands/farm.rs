@@ -1,4 +1,4 @@
-//! Commands that run, watch and look after a farm.
+//! Commands that run, watch and maintain a farm.
 
 pub(crate) mod access;
 pub(crate) mod backup;

@@ -1,4 +1,4 @@
-//! `farmctl manual`: man pages of all three programs.
+//! Implements `farmctl manual`: writes man pages of all three programs.
 
 use std::path::{Path, PathBuf};
 
@@ -29,10 +29,10 @@ pub(crate) fn run(args: &ManualArgs) -> Result<()> {
     pages(&farm_worker::cli::Args::command(), "farm-worker", folder)
 }
 
-/// Writes the page of a command, and of those below it: `farmctl-slurm-submit.1`.
+/// Writes the page of a command, and the pages of its subcommands: `farmctl-slurm-submit.1`.
 fn pages(command: &Command, name: &str, folder: &Path) -> Result<()> {
     let mut page = Vec::new();
-    // clap accepts names of verbs as literals alone.
+    // clap accepts only static strings as names of commands.
     let named: &'static str = name.to_owned().leak();
     Man::new(command.clone().name(named)).source("resin-farm").manual("resin-farm").render(&mut page)?;
     let file = folder.join(format!("{name}.1"));

@@ -1,4 +1,4 @@
-//! `farmctl slurm`: workers on a Slurm cluster, once or as many as there is work for.
+//! Implements `farmctl slurm`: submits workers to a Slurm cluster, once or according to the farm's demand.
 
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf, absolute};
@@ -109,12 +109,12 @@ fn at_most_a_million(text: &str) -> Result<NonZeroU32, String> {
     number.ok_or_else(|| "a whole number from 1 to 1000000 is allowed".to_owned())
 }
 
-/// Name of jobs that are given none.
+/// Default name of jobs.
 const JOB_NAME: &str = "farm-worker";
 
 #[derive(Debug, Serialize)]
 struct SubmittedJson {
-    /// None for a dry run.
+    /// `None` for a dry run.
     job_id: Option<u64>,
     workers: u32,
     script: String,
@@ -172,7 +172,7 @@ fn submission(
         log: args.log,
         options: args.sbatch_option,
     };
-    // Slurm takes no more than 65535 seconds here, and would send the signal at once if it were not before the end.
+    // Slurm accepts at most 65535 seconds here, and would send the signal immediately if it were not before the end.
     let (warning, walltime) = (submission.warning(), submission.walltime.rounded_to_minutes());
     ensure!(
         warning < walltime && warning.as_secs() <= 65_535,
@@ -185,7 +185,7 @@ fn submission(
 }
 
 fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<CoordinatorAddress> {
-    // Clients' tokens open nothing for workers; `farmctl access create` writes the files side by side.
+    // Clients' tokens do not authorise workers; `farmctl access create` writes the files side by side.
     let shared = global.access.as_ref().map(|client| client.with_file_name("worker.toml"));
     let access = match worker_access.or(shared) {
         Some(file) => Some(access_file(&file).context("the workers' access file (--worker-access)")?),
@@ -198,7 +198,7 @@ fn coordinator(global: &Global, worker_access: Option<PathBuf>) -> Result<Coordi
     Ok(CoordinatorAddress { server: global.server.clone(), access })
 }
 
-/// The absolute path of a file that is there and that others cannot read.
+/// The absolute path of an existing file that other users cannot read.
 fn access_file(file: &Path) -> Result<String> {
     use std::os::unix::fs::PermissionsExt;
     let path = shared_path(file)?;
@@ -210,7 +210,7 @@ fn access_file(file: &Path) -> Result<String> {
     Ok(path)
 }
 
-/// A name without a slash is looked up on the nodes; a path must be there.
+/// The worker's program: a name without a slash is looked up on the nodes; a path must exist.
 fn program(worker: Option<PathBuf>) -> Result<String> {
     let Some(worker) = worker else { return Ok(beside_this_program().unwrap_or("farm-worker".to_owned())) };
     if worker.components().count() == 1 && worker.is_relative() && !worker.starts_with(".") {

@@ -1,4 +1,4 @@
-//! What programs read: the JSON of `farmctl/1`, byte by byte.
+//! Tests the JSON of `farmctl/1`, byte by byte.
 
 mod examples;
 
@@ -32,11 +32,11 @@ use super::measurements::simulate;
 use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::output::envelope;
 
-/// One answer a line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may only
-/// grow.
+/// One answer per line, as `--json` prints it. Fields may be added to a version, never changed or removed: a line may
+/// only grow.
 const EXPECTED: &str = include_str!("tests/farmctl-1.jsonl");
 
-/// The output that other programs read is unchanged; `FARM_TEST_ACCEPT=1` writes the file with the output of today.
+/// The JSON output is unchanged; `FARM_TEST_ACCEPT=1` writes the file with the current output.
 #[test]
 fn machine_readable_output_is_stable() {
     let answers = answers();

@@ -1,4 +1,4 @@
-//! A server that does not answer for a while is waited for, with a word when that begins and one when it ends.
+//! Waits for a server that temporarily does not answer, with a message at the beginning and at the end of the outage.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use tonic::Status;
 use crate::connection::Connection;
 use crate::output::sentence;
 
-/// Pause before the next attempt, first and longest.
+/// First and longest pause before the next attempt.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
 
 #[derive(Debug)]
@@ -20,13 +20,13 @@ pub(crate) struct Outage<'a> {
 }
 
 impl<'a> Outage<'a> {
-    /// There is none so far.
+    /// No outage so far.
     pub(crate) fn new(connection: &'a Connection) -> Self {
         Self { connection, pause: PAUSE.0, reported: false }
     }
 
-    /// Waits until it is time for another attempt. An error that waiting does not help against is handed back; so is
-    /// every error of a farm on this machine, whose folder another process can take over.
+    /// Waits until the next attempt. Permanent errors are returned; so is every error of a farm on this machine, whose
+    /// folder another process can take over.
     pub(crate) async fn outlast(&mut self, error: anyhow::Error, print: impl FnOnce(String)) -> Result<()> {
         let status = error.chain().find_map(|cause| cause.downcast_ref::<Status>());
         let Some(status) = status.filter(|status| self.connection.is_server() && is_passing(status)) else {
@@ -41,7 +41,7 @@ impl<'a> Outage<'a> {
         Ok(())
     }
 
-    /// The server has answered.
+    /// Records that the server has answered.
     pub(crate) fn is_over(&mut self, print: impl FnOnce(String)) {
         self.pause = PAUSE.0;
         if std::mem::take(&mut self.reported) {
@@ -50,7 +50,7 @@ impl<'a> Outage<'a> {
     }
 }
 
-/// The transport's own message needs knowledge of HTTP/2.
+/// The reason of a failure; the transport's message would require knowledge of HTTP/2.
 fn why(status: &Status, error: &anyhow::Error) -> String {
     use std::error::Error as _;
     if status.source().is_some() { "the connection was cut".to_owned() } else { sentence(error) }

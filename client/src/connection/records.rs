@@ -1,8 +1,8 @@
-//! The finished records of a dictionary: all that were promised, or an error.
+//! Streams the finished records of a dictionary: all promised ones, or an error.
 //!
-//! A coordinator closes a stream that is not read, and connections break. Then the rest is asked for
-//! again, from the first record that has not come. Records that are named one by one are asked for in pieces of as many as
-//! one call may name.
+//! A coordinator closes a stream that is not read, and connections break. Then the remaining records are requested
+//! again, from the first that has not been received. Records that are listed by index are requested in batches of as
+//! many as one call may list.
 
 use std::time::Duration;
 
@@ -16,30 +16,30 @@ use tonic::{Code, Status, Streaming};
 use crate::connection::{Connection, is_broken};
 use crate::output::grouped;
 
-/// How often the rest is asked for without a record coming.
+/// Number of attempts to request the remaining records without receiving one.
 const TRIES: u32 = 10;
-/// Pause before that.
+/// Pause before an attempt.
 const PAUSE: Duration = Duration::from_secs(1);
 
-/// Records on their way, in the order of their numbers.
+/// A stream of records, in the order of their numbers.
 #[derive(Debug)]
 pub(crate) struct RecordStream<'a> {
     connection: &'a Connection,
     dictionary: &'a DictionaryStatus,
     indices: Vec<u32>,
-    /// How many of the indices have been asked for.
+    /// Number of indices that have been requested.
     asked: usize,
     stream: Streaming<wire::Record>,
-    /// Number of those that the coordinator reported as done.
+    /// Number of requested records that the coordinator reported as done.
     promised: usize,
     received: usize,
-    /// Number of the first record that has not come.
+    /// Smallest number of the records that have not been received.
     next: u32,
     tries: u32,
 }
 
 impl<'a> RecordStream<'a> {
-    /// Asks for the records of these numbers, which increase; for all if there are none.
+    /// Requests the records of these numbers, which must increase; all records if there are none.
     pub(crate) async fn ask(
         connection: &'a Connection,
         dictionary: &'a DictionaryStatus,
@@ -50,12 +50,12 @@ impl<'a> RecordStream<'a> {
         Ok(Self { connection, dictionary, indices, asked, stream, promised, received: 0, next: 0, tries: 0 })
     }
 
-    /// How many of the records asked for were done when the stream began.
+    /// Number of requested records that were done when the stream began.
     pub(crate) fn promised(&self) -> usize {
         self.promised
     }
 
-    /// The next record; None if all have come.
+    /// The next record; `None` after the last.
     pub(crate) async fn next(&mut self) -> Result<Option<Record>> {
         loop {
             match self.stream.message().await {
@@ -78,7 +78,7 @@ impl<'a> RecordStream<'a> {
         }
     }
 
-    /// Asks for the next piece of the indices.
+    /// Requests the next batch of the indices.
     async fn ask_for_more(&mut self) -> Result<()> {
         self.next = self.indices[self.asked];
         self.asked = self.indices.len().min(self.asked + RequestLimits::INDICES);
@@ -89,7 +89,7 @@ impl<'a> RecordStream<'a> {
         }
     }
 
-    /// Asks for the rest, if that may help.
+    /// Requests the remaining records, unless the error is permanent.
     async fn go_on_after(&mut self, mut status: Status) -> Result<()> {
         while may_go_on(&status) && self.tries < TRIES {
             self.tries += 1;
@@ -118,7 +118,7 @@ impl<'a> RecordStream<'a> {
         let indices = &self.indices[..self.asked];
         let begin = indices.partition_point(|n| *n < self.next);
         if begin == indices.len() && begin > 0 {
-            // All of them have come; a list of none would mean all records.
+            // All of them have been received; an empty list would mean all records.
             return Ok(());
         }
         let (stream, rest) = ask(self.connection, self.dictionary, &indices[begin..], self.next).await?;
@@ -133,12 +133,12 @@ impl<'a> RecordStream<'a> {
     }
 }
 
-/// Whether an error is of the stream or the connection and not of what was asked for.
+/// Whether an error concerns the stream or the connection, not the request.
 fn may_go_on(status: &Status) -> bool {
     matches!(status.code(), Code::DeadlineExceeded) || is_broken(status)
 }
 
-/// The stream of the records from `first` on, and how many of them are done.
+/// The stream of the records from `first` on, and the number of those that are done.
 async fn ask(
     connection: &Connection,
     dictionary: &DictionaryStatus,
@@ -152,7 +152,7 @@ async fn ask(
             let number = number.to_str().ok().and_then(|n| n.parse().ok());
             number.with_context(|| format!("{RECORDS_PROMISED}: a number is expected of the coordinator"))?
         }
-        // Coordinators did not always promise.
+        // Older coordinators do not state the number.
         None if indices.is_empty() && first == 0 => dictionary.records_done(),
         None => 0,
     };

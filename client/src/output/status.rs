@@ -1,4 +1,4 @@
-//! Dictionaries and workers as JSON.
+//! Formats dictionaries and workers as JSON.
 
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use serde::Serialize;

@@ -1,14 +1,14 @@
-//! Text on its way to a terminal. Names and reasons in it may be anybody's: nothing in them steers it.
+//! Prints text to a terminal. Names and reasons in it are untrusted: control characters are escaped.
 
 use std::io::Write;
 
 use farm_proto::is_printable;
 
-/// Most bytes of an error that are printed: it may quote a line of a file, and that may be all of it.
+/// Largest number of bytes of an error that are printed: it may quote a line of a file, which may be the whole file.
 const LONGEST_ERROR: usize = 3000;
 
-/// Prints a text on standard output, without what would steer a terminal but for our own colours: names and reasons in it
-/// may be anybody's.
+/// Prints a text on standard output. Control characters are escaped, except this program's own styles: names and reasons
+/// in the text are untrusted.
 pub(crate) fn print_line(text: &str) -> anyhow::Result<()> {
     Ok(writeln!(anstream::stdout(), "{}", shown(text.trim_end()))?)
 }
@@ -30,12 +30,12 @@ fn shown(mut rest: &str) -> String {
     shown + &steers_nothing(rest)
 }
 
-/// The text with Rust's escapes for what is not seen as it stands.
+/// The text with Rust's escapes for unprintable characters.
 fn steers_nothing(text: &str) -> String {
     with_escapes(text, |c| c.escape_unicode().to_string())
 }
 
-/// The text with escapes for what is not seen as it stands, but for line breaks and tabs.
+/// The text with escapes for unprintable characters, except line breaks and tabs.
 pub(crate) fn with_escapes(text: &str, escape: impl Fn(char) -> String) -> String {
     let mut printable = String::with_capacity(text.len());
     for c in text.chars() {
@@ -44,8 +44,8 @@ pub(crate) fn with_escapes(text: &str, escape: impl Fn(char) -> String) -> Strin
     printable
 }
 
-/// What a text quotes may come from anybody's file, so nothing in it steers a terminal or turns the direction of what
-/// follows, and its length has an end.
+/// The text of an error, which may quote an untrusted file: characters that control a terminal or turn the text
+/// direction are escaped, and its length is limited.
 pub(crate) fn harmless(text: &str) -> String {
     let mut printable = String::new();
     for c in text.chars() {

@@ -1,19 +1,19 @@
-//! The jobs of a dictionary as a grid that fills: σ_t across, everything else down.
+//! Draws the jobs of a dictionary as a grid that fills: σ_t across, all other axes down.
 
 use farm_proto::status::JobState;
 use optics_model::Grid;
 
-/// Most rows; of a grid that has more, several share one.
+/// Largest number of rows; in a larger grid, several rows of jobs share one.
 const ROWS: usize = 16;
 
-/// What the characters mean.
+/// Meaning of the characters.
 pub(super) const LEGEND: &str = "σ_t →   █ done   ▒ in part   + computing   · waiting   × failed";
 
-/// The states of the jobs of a grid's axes.
+/// The states of the jobs on a grid's axes.
 #[derive(Debug)]
 pub(crate) struct Cells {
     states: Vec<JobState>,
-    /// Values of σ_t, and jobs of each.
+    /// Number of values of σ_t (for each refractive index), and of jobs of each.
     columns: usize,
     of_column: usize,
 }
@@ -25,14 +25,14 @@ impl Cells {
         Self { states: vec![JobState::Waiting; jobs], columns, of_column: jobs / columns }
     }
 
-    /// Takes up the states from one job on; what is not of the grid is left out.
+    /// Sets the states from one job on; states beyond the grid's axes are ignored.
     pub fn set(&mut self, first: usize, states: &[JobState]) {
         for (known, state) in self.states.iter_mut().skip(first).zip(states) {
             *known = *state;
         }
     }
 
-    /// Lines of at most `width` characters, each of which stands for one job or more.
+    /// Lines of at most `width` characters, each of which represents one or more jobs.
     pub fn lines(&self, width: usize) -> Vec<String> {
         let wide = self.columns.div_ceil(width.max(1));
         let high = self.of_column.div_ceil(ROWS);
@@ -90,7 +90,7 @@ mod tests {
         assert_eq!([start(0), start(1), start(2), start(3)], ["██·", "+··", "×··", "▒··"]);
     }
 
-    /// More jobs share a cell where there is no room.
+    /// More jobs share a cell on a narrow terminal.
     #[test]
     fn small_terminals_share_cells() {
         let mut cells = Cells::new(&Grid::paper());
@@ -99,7 +99,7 @@ mod tests {
         let lines = cells.lines(20);
         assert_eq!((lines.len(), lines[0].chars().count()), (11, 19));
         assert!(lines.iter().all(|line| line.starts_with("▒·")), "{lines:#?}");
-        // What is not of the grid is left out.
+        // States beyond the grid's axes are ignored.
         cells.set(800, &[JobState::Done; 500]);
         assert!(cells.lines(10).iter().all(|line| line.chars().count() <= 10));
         assert_eq!(cells.lines(0).len(), 11, "a terminal without a width");

@@ -1,4 +1,4 @@
-//! Mitsuba 3, as a Python dictionary and as XML.
+//! Formats media for Mitsuba 3, as a Python dictionary and as XML.
 //!
 //! The plugin is `homogeneous` with a nested `hg`: σ_t is in inverse scene units and multiplied by `scale`, which is
 //! 1000 for coefficients per mm in a scene in metres. Source: Mitsuba's documentation, "Participating media"
@@ -19,7 +19,7 @@ use super::{MediumBlock, Values, blocks};
 const UNITS: &str =
     "Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.";
 
-/// A Python assignment, `media = {…}`, whose entries belong into the dictionary of a scene.
+/// A Python assignment, `media = {…}`, whose entries belong in the dictionary of a scene.
 pub(crate) fn mitsuba_dict(fits: &[MaterialFit]) -> String {
     let mut text = format!(
         "# Measured media for Mitsuba 3: {{\"type\": \"scene\", **media, …}}\n# {UNITS}\nmedia = {{\n"
@@ -42,8 +42,8 @@ pub(crate) fn mitsuba_dict(fits: &[MaterialFit]) -> String {
     text + "}\n"
 }
 
-/// A scene of nothing but media: it can be loaded as it is, and included by another scene, whose shapes then refer to the
-/// media by their ids.
+/// A scene that contains only media: it can be loaded by itself, or included by another scene, whose shapes then refer
+/// to the media by their ids.
 pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
     let mut text = format!(
         "<!-- Measured media for Mitsuba 3: put <include filename=\"media.xml\"/> into a scene, and into a shape
@@ -225,7 +225,7 @@ media = {
         assert_eq!(roxmltree::Document::parse(&empty).unwrap().root_element().tag_name().name(), "scene");
     }
 
-    /// It is a power of ten, and 1 for values that need none.
+    /// The scale is a power of ten, and 1 for values that need none.
     #[test]
     fn scale_brings_rgb_to_at_most_one() {
         let scale_for = |sigma_t: [f64; 3]| {

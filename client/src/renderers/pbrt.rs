@@ -1,4 +1,4 @@
-//! pbrt-v4: a `MakeNamedMedium` for each medium.
+//! Formats media for pbrt-v4: a `MakeNamedMedium` for each medium.
 //!
 //! σ_a = σ_t (1 − α) and σ_s = σ_t α with the albedo α, both multiplied by `scale`, which is 1 unless given; the
 //! transformation at the place of the statement does not change them. Source: "pbrt-v4 Input File Format"
@@ -7,17 +7,17 @@
 //!
 //! - There is no σ_t and no albedo: an unknown parameter stops pbrt. Without `sigma_a` or
 //!   `sigma_s` that coefficient is 1.
-//! - `preset` replaces both coefficients without a word, by measured ones of its own per mm whose scattering is the
-//!   reduced one, meant for g = 0. It must not be added to a measured medium.
-//! - pbrt renders spectrally. It makes a smooth spectrum of an rgb value, in which the channels are no more apart, and
-//!   equal values are not quite constant; so a scalar is written as a spectrum, as in pbrt's own scenes.
+//! - `preset` silently replaces both coefficients by built-in measured ones per mm, whose scattering is the reduced one,
+//!   meant for g = 0. It must not be added to a measured medium.
+//! - pbrt renders spectrally. It converts an rgb value to a smooth spectrum, in which the channels are no longer separate,
+//!   and equal values are not quite constant; so a scalar is written as a spectrum, as in pbrt's own scenes.
 
 use optics_model::Medium;
 use optics_model::fit::MaterialFit;
 
 use super::{RENDERED_NM, Values, blocks};
 
-/// Statements that may stand before or after `WorldBegin`.
+/// Statements that are valid before and after `WorldBegin`.
 pub(crate) fn pbrt(fits: &[MaterialFit]) -> String {
     let mut text = "# Measured media for pbrt-v4.\n\
         # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.\n"
@@ -42,8 +42,8 @@ pub(crate) fn pbrt(fits: &[MaterialFit]) -> String {
     text
 }
 
-/// The coefficients follow from the measured values, which leaves noise in their last digits: they are written in
-/// single precision, as pbrt reads them.
+/// The coefficients are computed from the measured values, which leaves rounding errors in their last digits: they are
+/// written in single precision, as pbrt reads them.
 fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Medium) -> f64) -> String {
     let number = |c: &Medium| format!("{:?}", coefficient(c) as f32);
     let (kind, list): (_, Vec<_>) = match values {
@@ -96,7 +96,7 @@ MakeNamedMedium "Wax_mean"
         assert_eq!(pbrt(&three_kinds()), expected);
     }
 
-    /// Names cannot end the comment or the quotes that they are in.
+    /// Names cannot end the comment or the quotes that contain them.
     #[test]
     fn names_cannot_escape_comments_or_quotes() {
         let media = [medium("a\" \"string preset\" \"Skin1\n\rShape \"x", vec![channel("c", 1.0, 0.5)])];

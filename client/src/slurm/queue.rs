@@ -1,4 +1,4 @@
-//! The commands of Slurm: `sbatch`, `squeue`, `scancel`.
+//! Runs the commands of Slurm: `sbatch`, `squeue`, `scancel`.
 
 use std::io::ErrorKind;
 use std::process::{Output, Stdio};
@@ -13,7 +13,7 @@ use tokio::time::timeout;
 use super::scaling::{TaskId, TaskState};
 use super::{OneLine, Submission};
 
-/// Variables that sbatch puts above the script's lines; the script's own lines must win.
+/// Environment variables that take precedence over the script's `#SBATCH` lines for sbatch; they are removed.
 const OVERRIDES: [&str; 9] = [
     "SBATCH_ARRAY_INX",
     "SBATCH_JOB_NAME",
@@ -25,12 +25,12 @@ const OVERRIDES: [&str; 9] = [
     "SBATCH_TIMELIMIT",
     "SBATCH_WAIT",
 ];
-/// Longest time that a command may take. Its answer is then unknown, and nothing is done.
+/// Deadline of a command. After it the result is unknown, and nothing is done.
 const PATIENCE: Duration = Duration::from_mins(3);
-/// Most tasks that one call of scancel names.
+/// Largest number of tasks in one call of scancel.
 const CANCELLED_AT_ONCE: usize = 500;
 
-/// Hands the script to sbatch and reads the job's number.
+/// Passes the script to sbatch and returns the job's number.
 pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64> {
     let mut command = Command::new("sbatch");
     command.arg("--parsable");
@@ -50,12 +50,12 @@ pub(crate) async fn submit(submission: &Submission, script: &str) -> Result<u64>
     job_id(&String::from_utf8_lossy(&output.stdout))
 }
 
-/// This user's tasks of that name that are in the queue or run.
+/// This user's tasks with this job name that are queued or running.
 pub(crate) async fn tasks(job_name: &OneLine) -> Result<Vec<(TaskId, TaskState)>> {
     let mut command = Command::new("squeue");
-    // --all: a partition may be hidden, and its jobs with it.
+    // --all includes jobs of hidden partitions.
     command.args(["--me", "--all", "--noheader", "--array", "--format=%F|%K|%T|%r|%j"]);
-    // Some of these leave jobs out.
+    // Some of these variables filter jobs out.
     for (variable, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SQUEUE_"))
     {
         command.env_remove(variable);
@@ -64,7 +64,7 @@ pub(crate) async fn tasks(job_name: &OneLine) -> Result<Vec<(TaskId, TaskState)>
     Ok(text.lines().filter_map(|line| task(line, job_name.as_str())).collect())
 }
 
-/// Takes tasks out of the queue; those that have begun meanwhile go on.
+/// Cancels tasks in the queue; those that have begun in the meantime continue.
 pub(crate) async fn cancel(tasks: &[TaskId]) -> Result<()> {
     for tasks in tasks.chunks(CANCELLED_AT_ONCE) {
         let mut command = Command::new("scancel");
@@ -104,20 +104,20 @@ async fn run(mut command: Command, input: Option<&str>, otherwise: &str) -> Resu
         bail!("{program} gave no answer in {} minutes", PATIENCE.as_secs() / 60);
     };
     let output = output.with_context(|| format!("waiting for {program}"))?;
-    // A program that ends without reading its input reports the cause by its status.
+    // If a program ends without reading its input, its exit status reports the cause.
     if output.status.success() {
         written.with_context(|| format!("handing the script to {program}"))?;
     }
     Ok(output)
 }
 
-/// `--parsable` answers "NUMBER" or "NUMBER;CLUSTER".
+/// Parses the answer of `--parsable`: "NUMBER" or "NUMBER;CLUSTER".
 fn job_id(answer: &str) -> Result<u64> {
     let number = answer.trim().split(';').next().unwrap_or_default();
     number.parse().with_context(|| format!("sbatch answered {:?}, which is no job number", answer.trim()))
 }
 
-/// A line of squeue's: the array's job, the task, its state, the reason for that, and the job's name.
+/// Parses a line of squeue: the array's job, the task, its state, the reason of the state, and the job's name.
 fn task(line: &str, job_name: &str) -> Option<(TaskId, TaskState)> {
     let mut parts = line.splitn(5, '|');
     let mut next = || parts.next();
@@ -127,15 +127,15 @@ fn task(line: &str, job_name: &str) -> Option<(TaskId, TaskState)> {
     }
     let state = match state {
         "REQUEUE_HOLD" | "SPECIAL_EXIT" | "RESV_DEL_HOLD" => TaskState::Held,
-        // JobHeldUser, JobHeldAdmin, "launch failed requeued held".
+        // The reasons are JobHeldUser, JobHeldAdmin and "launch failed requeued held".
         "PENDING" if reason.to_lowercase().contains("held") => TaskState::Held,
         "PENDING" | "REQUEUED" | "REQUEUE_FED" => TaskState::Waiting,
         "BOOT_FAIL" | "CANCELLED" | "COMPLETED" | "DEADLINE" | "FAILED" | "LAUNCH_FAILED" | "NODE_FAIL"
         | "OUT_OF_MEMORY" | "PREEMPTED" | "RECONFIG_FAIL" | "REVOKED" | "TIMEOUT" => return None,
-        // What completes may be queued again, and keeps its place until it is gone.
+        // A completing task may be queued again, and counts until it is gone. So do states of later versions of Slurm.
         _ => TaskState::Running,
     };
-    // A job that is no array has no number of a task: it is none of these workers.
+    // A job that is no array has no task number: it is none of these workers.
     Some((TaskId { job: job.parse().ok()?, task: task.parse().ok()? }, state))
 }
 

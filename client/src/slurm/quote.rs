@@ -1,6 +1,6 @@
-//! Text that two parsers read back as it was: bash, and sbatch in its `#SBATCH` lines.
+//! Quotes text for two parsers, which read it back unchanged: bash, and sbatch in its `#SBATCH` lines.
 
-/// One word of a shell command, whatever it holds.
+/// Quotes any text as one word of a shell command.
 pub(crate) fn shell_quoted(text: &str) -> String {
     let plain = |b: u8| b.is_ascii_alphanumeric() || b"@%+=:,./_-".contains(&b);
     if !text.is_empty() && text.bytes().all(plain) {
@@ -9,8 +9,8 @@ pub(crate) fn shell_quoted(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// The value of an option in an `#SBATCH` line, where unquoted blanks end a word and an unquoted `#` the line. The text
-/// must be of one line.
+/// Quotes the value of an option in an `#SBATCH` line, where unquoted blanks end a word and an unquoted `#` ends the
+/// line. The text must be one line.
 pub(crate) fn sbatch_quoted(text: &str) -> String {
     format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
 }

@@ -1,19 +1,20 @@
-//! How many workers a farm's work is worth: decided from the states of farm and queue, without a clock or a cluster.
+//! Decides how many workers a farm's work needs, from the states of farm and queue, without a clock or a cluster.
 //!
-//! Each step begins from the tasks that Slurm lists. So a lost answer or a restart submits nothing twice.
+//! Each step starts from the tasks that Slurm lists, so that a lost answer or a restart submits nothing twice.
 
 use std::collections::BTreeMap;
 use std::fmt;
 use std::num::NonZeroU32;
 use std::time::Duration;
 
-/// Pause after a failure, first and longest.
+/// First and longest pause after a failure.
 const PAUSE: (Duration, Duration) = (Duration::from_mins(1), Duration::from_mins(30));
-/// So many times in a row, without a worker that has ever reached the coordinator, and nothing but a person can help.
+/// Number of failures in a row, without a worker that has ever reached the coordinator, after which the autoscaler gives
+/// up.
 const HOPELESS: u32 = 5;
-/// Jobs that waited in vain for this many polls in a row are cancelled: gaps between dictionaries are short.
+/// Tasks that are surplus for this many polls in a row are cancelled: gaps between dictionaries are short.
 const SURPLUS_LOOKS: u32 = 2;
-/// Most tasks of an array: Slurm's default.
+/// Largest number of tasks in an array: Slurm's default.
 const MOST_TASKS: u32 = 1000;
 
 /// A task of an array job, as in 17_2.
@@ -35,17 +36,17 @@ pub(crate) enum TaskState {
     Waiting,
     /// On a node, or about to be, or about to leave it.
     Running,
-    /// In the queue until somebody releases it.
+    /// In the queue until it is released.
     Held,
 }
 
-/// What the farm has to do.
+/// The work of the farm.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Demand {
     /// Unclaimed jobs.
     pub(crate) waiting: u64,
     pub(crate) computing: u64,
-    /// Time that all of it takes at the present pace, if that is known.
+    /// Time that all work takes at the current pace, if known.
     pub(crate) left: Option<Duration>,
 }
 
@@ -54,18 +55,18 @@ pub(crate) struct ScalingLimits {
     pub(crate) most: NonZeroU32,
     /// Jobs that a worker computes at the same time.
     pub(crate) threads: u16,
-    /// Work that is done sooner anyway is not worth another worker.
+    /// Remaining time below which no further worker is submitted.
     pub(crate) worth: Duration,
 }
 
-/// Why no worker is submitted although jobs wait.
+/// The reason why no worker is submitted although jobs wait.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Hold {
-    /// What is left is done soon.
+    /// The remaining work is done soon.
     NotWorth,
     /// Workers ended without having reached the coordinator.
     Failing,
-    /// The queue took none.
+    /// The queue accepted none.
     Refused,
 }
 
@@ -73,19 +74,19 @@ pub(crate) enum Hold {
 pub(crate) enum Action {
     Nothing,
     Submit(NonZeroU32),
-    /// Tasks that wait in the queue and are not needed any more.
+    /// Cancels queued tasks that are not needed any more.
     Cancel(Vec<TaskId>),
     Hold(Hold),
-    /// Every worker ended without having reached the coordinator, again and again.
+    /// All workers ended repeatedly without having reached the coordinator.
     GiveUp,
 }
 
-/// What a look came to.
+/// The result of a poll.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Decision {
     pub(crate) wanted: u32,
     pub(crate) action: Action,
-    /// Tasks that left the queue without having reached the coordinator since the last look.
+    /// Tasks that left the queue since the last poll without having reached the coordinator.
     pub(crate) failed: Vec<TaskId>,
 }
 
@@ -110,17 +111,17 @@ impl Pause {
 #[derive(Debug)]
 pub(crate) struct Scaling {
     limits: ScalingLimits,
-    /// Tasks of the last look, and whether they have reached the coordinator.
+    /// Tasks of the last poll, and whether they have reached the coordinator.
     tasks: BTreeMap<TaskId, bool>,
     has_joined: bool,
     is_first: bool,
-    /// Looks in a row in which tasks waited in vain.
+    /// Number of polls in a row with surplus tasks.
     surplus: u32,
-    /// Since workers ended without having reached the coordinator.
+    /// Pause after workers ended without having reached the coordinator.
     deaths: Pause,
-    /// Since the queue took none.
+    /// Pause after the queue accepted none.
     refusals: Pause,
-    /// Most tasks that the queue is likely to take at once.
+    /// Largest number of tasks that the queue is likely to accept at once.
     at_once: u32,
 }
 
@@ -138,8 +139,9 @@ impl Scaling {
         }
     }
 
-    /// Decides at `now`, counted from any moment: `tasks` are in the queue, `joined` have reached the coordinator since
-    /// the last look. Who has left the queue must have had the time to be in `joined`.
+    /// Decides at the time `now`, whose zero is arbitrary: `tasks` are in the queue, `joined` have reached the
+    /// coordinator since the last poll. `joined` must have been read after `tasks`, so that it contains tasks that left
+    /// the queue.
     pub(crate) fn look(
         &mut self,
         now: Duration,
@@ -148,7 +150,7 @@ impl Scaling {
         joined: &[TaskId],
     ) -> Decision {
         if tasks.len() < self.tasks.len() {
-            // There may be a place again.
+            // The queue may accept tasks again.
             self.refusals = Pause::default();
         }
         let failed = self.compare(tasks, joined);
@@ -171,14 +173,15 @@ impl Scaling {
         Decision { wanted: running + needed, action, failed }
     }
 
-    /// Records that `count` tasks of `job` were submitted. Those that are gone at the next step count as failed.
+    /// Records that `count` tasks of `job` were submitted. Those that are gone at the next poll count as failed.
     pub(crate) fn submitted(&mut self, job: u64, count: NonZeroU32) {
         self.tasks.extend((1..=count.get()).map(|task| (TaskId { job, task }, false)));
         self.refusals = Pause::default();
         self.at_once = (2 * self.at_once).min(MOST_TASKS);
     }
 
-    /// That the queue did not take so many. There may be room for fewer; if not for one, there is a pause.
+    /// Records that the queue did not accept `count` tasks. It may accept fewer; if it does not accept one, there is a
+    /// pause.
     pub(crate) fn refused(&mut self, now: Duration, count: NonZeroU32) {
         match count.get() / 2 {
             0 => self.refusals.begin(now),
@@ -186,17 +189,17 @@ impl Scaling {
         }
     }
 
-    /// That tasks are being cancelled: nothing is wrong if they are gone.
+    /// Records that tasks are being cancelled, so that they do not count as failed.
     pub(crate) fn cancelled(&mut self, tasks: &[TaskId]) {
         self.tasks.retain(|id, _| !tasks.contains(id));
     }
 
-    /// How long nothing is submitted since workers failed.
+    /// Remaining pause after failures of workers.
     pub(crate) fn pause(&self, now: Duration) -> Duration {
         self.deaths.left(now)
     }
 
-    /// Takes up the state of the queue; returns the tasks that have left it without having reached the coordinator.
+    /// Updates the state of the queue; returns the tasks that have left it without having reached the coordinator.
     fn compare(&mut self, tasks: &[(TaskId, TaskState)], joined: &[TaskId]) -> Vec<TaskId> {
         for id in joined {
             if let Some(has_joined) = self.tasks.get_mut(id).filter(|has_joined| !**has_joined) {
@@ -205,7 +208,7 @@ impl Scaling {
                 self.deaths = Pause::default();
             }
         }
-        // Who ran before the first look may have joined before it.
+        // Tasks that ran before the first poll may have joined before it.
         let known = |id: &TaskId, state: TaskState| {
             let before = self.is_first && state == TaskState::Running;
             self.tasks.get(id).copied().unwrap_or(before) || joined.contains(id)
@@ -222,14 +225,15 @@ impl Scaling {
         self.deaths.failures >= HOPELESS && !self.has_joined && !self.tasks.values().any(|joined| *joined)
     }
 
-    /// Workers in addition to those that run, for the unclaimed jobs.
+    /// Number of workers needed for the unclaimed jobs, in addition to the running ones.
     fn needed(&self, demand: &Demand, running: u32) -> u32 {
         let room = self.limits.most.get().saturating_sub(running);
         let workers = demand.waiting.div_ceil(self.limits.threads.max(1).into());
         u32::try_from(workers).unwrap_or(room).min(room)
     }
 
-    /// At first one, then twice as many at most at each look: by the next it may be known how soon the work is done.
+    /// Submits one worker first, then at most doubles their number at each poll: by the next one the remaining time may
+    /// be known.
     fn grow(&self, now: Duration, demand: &Demand, missing: u32, have: u32) -> Action {
         let count = missing.min(have.max(1)).min(self.at_once);
         if have > 0 && demand.left.is_some_and(|left| left < self.limits.worth) {
@@ -244,7 +248,7 @@ impl Scaling {
     }
 }
 
-/// Those that wait, the newest first. Those that run end by themselves when they have had no work for a while.
+/// Cancels waiting tasks, the newest first. Running workers end by themselves after a while without work.
 fn shrink(tasks: &[(TaskId, TaskState)], count: u32) -> Action {
     let mut waiting: Vec<TaskId> =
         tasks.iter().filter(|(_, state)| *state == TaskState::Waiting).map(|(id, _)| *id).collect();

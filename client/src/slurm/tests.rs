@@ -19,7 +19,7 @@ fn submission() -> Result<Submission, Box<dyn std::error::Error>> {
     })
 }
 
-/// What the worker is called with when bash runs the script under these settings.
+/// The worker's arguments when bash runs the script with these variables.
 fn called(script: &str, settings: &[(&str, &str)]) -> Result<Vec<String>, Box<dyn std::error::Error>> {
     let dir = tempfile::tempdir()?;
     let program = dir.path().join("the worker's");
@@ -44,7 +44,7 @@ fn write_program(path: &std::path::Path, body: &str) -> std::io::Result<()> {
     std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755))
 }
 
-/// A folder with a squeue that answers so, to stand first in PATH.
+/// A folder with a squeue that gives this answer, and a PATH that begins with the folder.
 fn squeue(answer: &str) -> Result<(tempfile::TempDir, String), Box<dyn std::error::Error>> {
     let dir = tempfile::tempdir()?;
     write_program(&dir.path().join("squeue"), &format!("[[ $* == *--jobs=17_2* ]] && {answer}"))?;
@@ -81,7 +81,7 @@ fn script_head_requests_array_and_warning() -> Result<(), Box<dyn std::error::Er
     Ok(())
 }
 
-/// Their options arrive literally, whatever characters they have.
+/// The workers' options arrive unchanged, whatever characters they contain.
 #[test]
 fn workers_get_a_clean_environment() -> Result<(), Box<dyn std::error::Error>> {
     let mut submission = submission()?;
@@ -133,7 +133,7 @@ fn walltime_replaces_a_missing_answer() -> Result<(), Box<dyn std::error::Error>
 #[test]
 fn end_time_from_slurm_has_precedence() -> Result<(), Box<dyn std::error::Error>> {
     let script = submission()?.script();
-    // The year 2100: the clock of this machine is surely before it.
+    // In the year 2100, which is certainly after the current time of this machine.
     let call = called(&script, &[("SLURM_JOB_END_TIME", "4102444800")])?;
     let left = value(&call, "--time-limit").and_then(|t| t.strip_suffix('s')).ok_or("no seconds")?;
     assert!((1..4_102_444_800).contains(&left.parse::<u64>()?), "{left}");

@@ -1,4 +1,4 @@
-//! The page's files, which are part of the program.
+//! Serves the page's files, which are embedded in the program.
 
 use std::io::Write as _;
 use std::sync::LazyLock;
@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-/// Name, kind and bytes of each file, as `web/build` makes them.
+/// Name, media type and bytes of each file, as built by `web/build`.
 const FILES: [(&str, &str, &[u8]); 4] = [
     ("", "text/html; charset=utf-8", include_bytes!("../../../web/built/index.html")),
     ("page.js", "text/javascript; charset=utf-8", include_bytes!("../../../web/built/page.js")),
@@ -39,7 +39,7 @@ static ASSETS: LazyLock<Vec<Asset>> = LazyLock::new(|| {
     FILES.map(asset).into()
 });
 
-/// A file of the page. Browsers ask for it again each time, and are sent it if they have another.
+/// A file of the page. Browsers revalidate it each time, and receive it if they have another version.
 pub(super) fn asset(name: &str, headers: &HeaderMap) -> Option<Response> {
     let asset = ASSETS.iter().find(|asset| asset.name == name)?;
     let has = |header, what: &str| {
@@ -65,7 +65,7 @@ mod tests {
         HeaderMap::from_iter([(name, value.parse().unwrap())])
     }
 
-    /// The compressed files of the page have less than 150 kB.
+    /// The compressed files of the page are smaller than 150 kB.
     #[test]
     fn compressed_page_is_small() {
         let bytes: usize = ASSETS.iter().map(|asset| asset.gzipped.len()).sum();
@@ -86,7 +86,7 @@ mod tests {
         assert!(asset("page.map", &HeaderMap::new()).is_none());
     }
 
-    /// Nothing is loaded from elsewhere, and no script or style stands within the page: its policy forbids both.
+    /// Nothing is loaded from other sites, and the page has no inline script or style: its policy forbids both.
     #[test]
     fn page_needs_nothing_but_its_files() {
         let html = std::str::from_utf8(FILES[0].2).unwrap();

@@ -1,4 +1,4 @@
-//! The URL of a proxy that shows the page to others.
+//! Parses the URL of a proxy that shows the page to others.
 
 use std::str::FromStr;
 
@@ -8,7 +8,7 @@ use optics_model::Invalid;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Url {
     pub scheme: String,
-    /// Host, and port if it is not the scheme's.
+    /// Host, and port unless it is the scheme's default.
     pub authority: String,
     /// Begins and ends with a slash.
     pub path: String,
@@ -29,11 +29,11 @@ impl FromStr for Url {
         let uri: axum::http::Uri = text.parse().map_err(|_| wanted())?;
         let scheme = uri.scheme_str().filter(|s| ["http", "https"].contains(s)).ok_or_else(wanted)?;
         let authority = uri.authority().filter(|a| !a.as_str().contains('@')).ok_or_else(wanted)?;
-        // Within a cookie's attribute.
+        // The path becomes part of a cookie's attribute.
         if uri.query().is_some() || uri.path().contains([';', ',']) {
             return Err(wanted());
         }
-        // Token and cookie would go in clear text.
+        // Over http, token and cookie would be sent in clear text.
         let host = authority.host();
         if scheme == "http" && !["localhost", "127.0.0.1", "[::1]"].contains(&host) {
             return Err(wanted());

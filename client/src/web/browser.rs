@@ -4,9 +4,9 @@ use std::io::Write as _;
 
 use tempfile::NamedTempFile;
 
-/// Opens an address that holds a secret. Other users see the arguments of a process, so the browser is given a file that
-/// only this user can read, and that leads on. The file must be kept until the browser has read it. None if there is
-/// no browser here.
+/// Opens an address that contains a secret. Other users see the arguments of a process, so the browser is given a file
+/// that only this user can read, and that redirects to the address. The file must be kept until the browser has read it.
+/// `None` if there is no browser here.
 pub(super) fn open(url: &str) -> Option<NamedTempFile> {
     if cfg!(target_os = "linux")
         && !["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|v| std::env::var_os(v).is_some())

@@ -1,4 +1,4 @@
-//! Folders that `farmctl capture` has written: their reports, as they are.
+//! Serves the reports in folders that `farmctl capture` has written.
 
 use std::path::{Path, PathBuf};
 
@@ -11,12 +11,12 @@ use tonic::Status;
 
 use super::api::Capture;
 
-/// The files of a capture by which its folder is known.
+/// The files by which the folder of a capture is recognised.
 const MARKS: [&str; 2] = ["report.html", "session.json"];
-/// Largest file that is shown, in bytes.
+/// Largest file that is served, in bytes.
 const LARGEST: u64 = 256 << 20;
 
-/// Reports have their style within them and run nothing.
+/// Content security policy of reports, which have inline styles and no scripts.
 const POLICY: &str = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; \
      frame-ancestors 'self'";
 
@@ -26,7 +26,7 @@ pub(super) struct Captures {
 }
 
 impl Captures {
-    /// The given folders, or else those in the working directory.
+    /// The given folders, or else the captures in the working directory.
     pub fn new(given: Vec<PathBuf>) -> anyhow::Result<Self> {
         for folder in &given {
             anyhow::ensure!(
@@ -53,7 +53,7 @@ impl Captures {
         self.folders.iter().enumerate().map(capture).collect()
     }
 
-    /// A capture by the name that `list` gives it.
+    /// The folder of a capture by its name in `list`.
     pub fn folder(&self, name: &str) -> Result<PathBuf, Status> {
         let found = self.folders.iter().find(|folder| shown(folder) == name);
         let folder = found
@@ -67,7 +67,7 @@ impl Captures {
         }
     }
 
-    /// A file of a capture, if there is such a one.
+    /// A file of a capture; `None` if it does not exist.
     pub async fn file(&self, number: &str, name: &str) -> Option<Response> {
         let folder = self.folders.get(number.parse::<usize>().ok()?)?;
         let kind = kind(name)?;
@@ -81,8 +81,8 @@ impl Captures {
     }
 }
 
-/// Opens a file that is not too large. What a link leads to is not the capture's: whoever may write to its folder would
-/// read there what its owner may.
+/// Opens a file up to the size limit. Links are not followed: otherwise a user who may write to the folder could read
+/// the files of its owner.
 async fn open_own(path: &Path) -> Option<tokio::fs::File> {
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
     let file =
@@ -91,7 +91,7 @@ async fn open_own(path: &Path) -> Option<tokio::fs::File> {
     (about.is_file() && about.len() <= LARGEST).then_some(file)
 }
 
-/// The name of a link in a folder, if there is one.
+/// The path of a link in a folder, if there is one.
 fn link_in(folder: &Path) -> Option<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.map(|entry| entry.path()).find(|path| path.is_symlink())
@@ -106,7 +106,7 @@ fn is_capture(folder: &Path) -> bool {
     MARKS.iter().all(|name| folder.join(name).is_file())
 }
 
-/// What a file of a capture is; None for names that none of them has.
+/// Media type of a capture's file; `None` for names that no such file has.
 fn kind(name: &str) -> Option<&'static str> {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
     if name.starts_with('.') || !name.chars().all(plain) {

@@ -1,4 +1,4 @@
-//! What the page asks of `farmctl web` itself: files read and written as the other verbs do.
+//! Answers the page's calls to `farmctl web` itself: reads and writes files like the other verbs.
 
 mod colours;
 mod session;
@@ -33,7 +33,7 @@ use farm_lab::set_up::SetUp;
 use crate::figure_files::file_name;
 use crate::output::sentence;
 
-/// The measurement of the documentation, to try the page with.
+/// The measurement of the documentation, as an example in the page.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
 
 /// The service behind the page's forms.
@@ -165,27 +165,27 @@ fn note(note: measurement_file::Note) -> Note {
     Note { code: note.code.to_owned(), text: note.text }
 }
 
-/// Work that takes long enough to keep others waiting, away from them.
+/// Runs blocking work outside the async runtime, so that it does not delay other calls.
 async fn answer<T: Send + 'static>(
     work: impl FnOnce() -> Result<T> + Send + 'static,
 ) -> Result<Response<T>, Status> {
     let done = tokio::task::spawn_blocking(work).await;
     let done = done.map_err(|_| Status::internal("this question met a defect of farmctl"))?;
     done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
-        // With the field, as the coordinator reports it.
+        // Reported with its field, as by the coordinator.
         Some(invalid) if error.chain().count() == 1 => to_status(invalid),
         _ => Status::invalid_argument(sentence(&error)),
     })
 }
 
-/// The grid of this name, or that of a laboratory's own measurements.
+/// The built-in grid of this name; `lab` without a name.
 fn built_in(name: &str) -> Result<Grid> {
     let name = if name.is_empty() { "lab" } else { name };
     let grid = named_grid(name);
     grid.ok_or_else(|| Invalid::new("built_in", name, "allowed are \"lab\" and \"paper\"").into())
 }
 
-/// The grid of a file that comes from a browser: it must not name other files, which would be this machine's.
+/// The grid of a file from a browser: it must not name other files, which would be read on this machine.
 fn grid(file: &File) -> Result<Grid> {
     let text = measurement_file::plain(&file.content)
         .map_err(|_| Invalid::new("file", &file.name, "a grid file is text in UTF-8"))?;

@@ -1,4 +1,4 @@
-//! The farm that the page talks to, found again when it has gone.
+//! Connects the page to its farm, and reconnects after the farm has ended.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,18 +15,18 @@ use tonic::codegen::Service;
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose};
 
-/// Pause before another look whether calls have ended.
+/// Pause before the next check whether calls have ended.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
 
-/// A farm of our own, a neighbour's or a server's.
+/// A farm in this process, in a neighbouring process, or on a server.
 #[derive(Debug)]
 pub(super) struct FarmAccess {
     global: Global,
-    /// None while a neighbour's has ended and no other was found.
+    /// `None` after a neighbour's farm has ended, until another is opened.
     connection: Mutex<Option<Arc<Connection>>>,
-    /// Cancelled when a farm of our own has ended by itself: there is nothing left to show.
+    /// Cancelled when an embedded farm has ended by itself: there is nothing left to show.
     pub ended: CancellationToken,
-    /// Cancelled when calls under way are to end.
+    /// Cancelled when running calls are to end.
     closing: CancellationToken,
 }
 
@@ -41,7 +41,7 @@ impl FarmAccess {
         })
     }
 
-    /// The connection, opened again if need be.
+    /// The connection, opened again if necessary.
     pub async fn connection(&self) -> Result<Arc<Connection>, Status> {
         let mut connection = self.connection.lock().await;
         if let Some(connection) = &*connection {
@@ -56,7 +56,7 @@ impl FarmAccess {
         Ok(opened)
     }
 
-    /// Forwards a call. The coordinator sees our token and our address for every user of the page.
+    /// Forwards a call. The coordinator sees this program's token and address for every user of the page.
     pub async fn call(&self, request: Request<Body>) -> Result<Response<Body>, Status> {
         let connection = self.connection().await?;
         let mut link = connection.link();
@@ -79,7 +79,7 @@ impl FarmAccess {
         }
     }
 
-    /// The farm did not answer. A server may come back under its address; others do not.
+    /// Handles a lost connection. A server may return at its address; other farms do not.
     async fn lost(&self, connection: &Arc<Connection>) {
         if connection.is_embedded() {
             if connection.has_ended() {
@@ -90,14 +90,14 @@ impl FarmAccess {
         }
     }
 
-    /// Ends what lives in this process.
+    /// Closes the farm if it runs in this process.
     pub async fn close(&self) -> Result<()> {
         self.closing.cancel();
         let Some(mut connection) = self.connection.lock().await.take() else { return Ok(()) };
         loop {
             match Arc::try_unwrap(connection) {
                 Ok(connection) => return connection.close().await,
-                // A call that was just cancelled.
+                // A call that was just cancelled still holds the connection.
                 Err(held) => connection = held,
             }
             tokio::time::sleep(LOOK_AGAIN).await;
@@ -105,7 +105,7 @@ impl FarmAccess {
     }
 }
 
-/// The request without what concerns the page alone: its cookie, host and origin.
+/// The request without headers that concern the page alone: its cookie, host and origin.
 fn for_farm(request: Request<Body>) -> Request<Body> {
     let (mut parts, body) = request.into_parts();
     let kept = |name: &str| name.starts_with("grpc-") || ["content-type", "te", "user-agent"].contains(&name);
@@ -113,7 +113,7 @@ fn for_farm(request: Request<Body>) -> Request<Body> {
     for name in unwanted {
         parts.headers.remove(name);
     }
-    // The path alone: the link has the address.
+    // Only the path: the link contains the address.
     let path = parts.uri.path().parse().unwrap_or_else(|_| Uri::from_static("/"));
     parts.uri = path;
     parts.extensions.clear();

@@ -1,4 +1,4 @@
-//! Calls for the farm, handed on as they are.
+//! Forwards calls to the farm unchanged.
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -13,7 +13,7 @@ use tonic::codegen::Service;
 
 use super::farm::FarmAccess;
 
-/// A gRPC service that answers with the farm's answers.
+/// A gRPC service that returns the farm's answers.
 #[derive(Debug, Clone)]
 pub(super) struct Forward(pub Arc<FarmAccess>);
 

@@ -1,10 +1,10 @@
-//! Access to the page: requests from the page itself that carry its token.
+//! Authenticates requests to the page: they must come from the page itself and carry its token.
 //!
-//! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. So the
-//! address that is printed holds a token, which is exchanged for a cookie; and requests are taken only for the host that
-//! the page has (no name that a site has pointed at 127.0.0.1) and from pages of the same origin. Browsers send cookies
-//! to every port of a host, and another port may be another user's: so the cookie is for a folder that cannot be guessed,
-//! and all that the page has is below it.
+//! Other users of the machine can reach a port on loopback, and so can every web site in the user's browser. Therefore
+//! the printed address contains a token, which is exchanged for a cookie; and requests are accepted only for the page's
+//! own host (no name that a site has pointed at 127.0.0.1) and from pages of the same origin. Browsers send cookies to
+//! every port of a host, and another port may belong to another user: therefore the cookie is limited to an unguessable
+//! folder, which contains the whole page.
 
 use std::net::SocketAddr;
 
@@ -21,7 +21,7 @@ const TOKEN: usize = 24;
 const FOLDER: usize = 9;
 const COOKIE_NAME: &str = "farm";
 
-/// Why a request is refused.
+/// The reason why a request is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RequestRefusal {
     Host,
@@ -53,15 +53,15 @@ impl RequestRefusal {
 #[derive(Debug)]
 pub(super) struct PageGate {
     token: String,
-    /// The folder below which the page is: begins and ends with a slash.
+    /// The folder that contains the page: begins and ends with a slash.
     folder: String,
-    /// Hosts that requests may be for, with their ports.
+    /// Allowed hosts of requests, with their ports.
     hosts: Vec<String>,
-    /// Pages that requests may come from.
+    /// Allowed origins of requests.
     origins: Vec<String>,
-    /// The cookie is sent to addresses that begin with this,
+    /// Path prefix of the addresses that receive the cookie.
     path: String,
-    /// and only over TLS.
+    /// Whether the cookie is sent over TLS only.
     secure: bool,
 }
 
@@ -81,7 +81,7 @@ impl PageGate {
         if !address.ip().is_unspecified() {
             hosts.push(address.to_string());
         }
-        // Browsers leave out the port that is usual.
+        // Browsers omit the default port.
         if port == 80 {
             hosts.extend(names.map(str::to_owned));
         }
@@ -97,18 +97,18 @@ impl PageGate {
         Self { token, folder, hosts, origins, path, secure }
     }
 
-    /// Path and query of the address that lets a browser in.
+    /// Path and query of the address that authenticates a browser.
     pub fn entrance(&self) -> String {
         format!("{}?token={}", self.path, self.token)
     }
 
-    /// The same address within the page's folder; none outside it.
+    /// The same address relative to the page's folder; `None` outside it.
     pub fn within(&self, uri: &Uri) -> Option<Uri> {
         let below = uri.path_and_query()?.as_str().strip_prefix(&self.folder)?;
         Some(format!("/{below}").parse::<PathAndQuery>().ok()?.into())
     }
 
-    /// Whether a request is one from the page, by somebody who was let in.
+    /// Checks that a request comes from the page and carries the cookie.
     pub fn admit(&self, request: &Request) -> Result<(), RequestRefusal> {
         self.is_for_us(request)?;
         let cookies = request.headers().get_all(COOKIE).iter().filter_map(|v| v.to_str().ok());
@@ -117,14 +117,15 @@ impl PageGate {
         if known { Ok(()) } else { Err(RequestRefusal::Token) }
     }
 
-    /// The cookie for a request that brings the token.
+    /// The cookie for a request with the token.
     pub fn let_in(&self, request: &Request) -> Result<String, RequestRefusal> {
         self.is_for_us(request)?;
         if !self.is_token(token_of(request.uri()).unwrap_or_default()) {
             return Err(RequestRefusal::Token);
         }
         let secure = if self.secure { "; Secure" } else { "" };
-        // Links from elsewhere lead to the page and change nothing; all that does comes from the page.
+        // SameSite=Lax suffices: links from other sites open the page and change nothing; all changes come from the
+        // page.
         Ok(format!("{COOKIE_NAME}={}; Path={}; HttpOnly; SameSite=Lax{secure}", self.token, self.path))
     }
 
@@ -146,7 +147,7 @@ impl PageGate {
     }
 }
 
-/// Whether a header has one of these values; None if it is not there.
+/// Whether a header has one of these values; `None` if it is absent.
 fn one_of(headers: &HeaderMap, name: &str, allowed: &[String]) -> Option<bool> {
     let mut values = headers.get_all(name).iter().peekable();
     values.peek()?;

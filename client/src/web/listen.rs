@@ -1,4 +1,4 @@
-//! The page's connections, within bounds.
+//! Serves the page's connections within limits.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -15,12 +15,12 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::task::AbortHandle;
 use tower::{Service, ServiceExt as _};
 
-/// Connections at a time: a browser has six for a page.
+/// Largest number of connections: a browser opens six for a page.
 const CONNECTIONS: usize = 256;
-/// How long a connection may take for the head of a request, and how long it may wait for the next.
+/// Deadline for the head of a request, and for the beginning of the next one.
 const HEADER_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// A connection, and whether the page has let in somebody on it.
+/// A connection, and whether the page has authenticated a request on it.
 struct PageConnection {
     task: AbortHandle,
     is_let_in: Arc<AtomicBool>,
@@ -49,7 +49,7 @@ where
             Ok((stream, _)) => stream,
             Err(error) => {
                 to_stderr(format_args!("farmctl: a connection was not accepted: {error}"));
-                // Out of files, for example: asking again at once would only burn time.
+                // Out of file descriptors, for example: an immediate retry would only waste CPU time.
                 tokio::time::sleep(Duration::from_millis(100)).await;
                 continue;
             }
@@ -81,7 +81,7 @@ where
         .timer(TokioTimer::new())
         .header_read_timeout(header_timeout)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(service));
-    // The other end may go as it likes.
+    // Errors of the connection are ignored: the client may close it at any time.
     let _ = connection.await;
 }
 
@@ -115,7 +115,7 @@ mod tests {
         answer.split(' ').nth(1).map(str::to_owned)
     }
 
-    /// Idle connections make room for new ones with a request.
+    /// Idle connections are closed in favour of new ones with a request.
     #[tokio::test]
     async fn idle_connections_make_room_for_the_owner() {
         let address = start(8, Duration::from_mins(1)).await;

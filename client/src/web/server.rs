@@ -1,4 +1,4 @@
-//! The page's routes.
+//! Routes the page's requests.
 
 use std::future::ready;
 use std::sync::Arc;
@@ -25,12 +25,12 @@ use super::forward::Forward;
 use super::gate::{PageGate, RequestRefusal, token_of};
 use super::listen;
 
-/// What the page may load: its own files, and nothing that stands within it.
+/// Content security policy of the page: it loads its own files only, and nothing inline.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
                       connect-src 'self'; frame-src 'self'; base-uri 'none'; form-action 'none'; \
                       frame-ancestors 'self'";
 
-/// Services of the farm that people use.
+/// Services of the farm that the page may call.
 const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
 
 #[derive(Debug)]
@@ -43,13 +43,13 @@ pub(super) struct Server {
 impl Server {
     pub async fn serve(self, listener: TcpListener) -> std::io::Result<()> {
         let (gate, routes) = (Arc::clone(&self.gate), self.routes());
-        // Around all routes: what they see is the address within the page's folder.
+        // The guard wraps all routes: they see addresses relative to the page's folder.
         let guarded = from_fn_with_state(gate, guard).layer(routes);
         listen::serve(listener, guarded).await
     }
 
     fn routes(self) -> Router {
-        // A page of this process: measurements may be as long as they are for its commands.
+        // Messages are not limited: measurements may be as large as for the commands of this process.
         let desk = DeskServer::from_arc(Arc::clone(&self.desk)).max_decoding_message_size(usize::MAX);
         let web = GrpcWebLayer::new();
         let mut router = Router::new()
@@ -66,7 +66,7 @@ impl Server {
     }
 }
 
-/// Authenticates requests, and sets the security headers of every answer.
+/// Authenticates requests, and sets the security headers of every response.
 async fn guard(State(gate): State<Arc<PageGate>>, request: Request, next: Next) -> Response {
     let mut response = answer(&gate, request, next).await.unwrap_or_else(refusal);
     let headers = response.headers_mut();
@@ -86,7 +86,7 @@ async fn answer(gate: &PageGate, mut request: Request, next: Next) -> Result<Res
     *request.uri_mut() = gate.within(request.uri()).ok_or(RequestRefusal::Token)?;
     if request.uri().path() == "/" && token_of(request.uri()).is_some() {
         let cookie = gate.let_in(&request)?;
-        // Without the token in the address, where people would copy it along.
+        // The redirect removes the token from the address, so that it is not copied by accident.
         return Ok(
             (StatusCode::SEE_OTHER, [(LOCATION, "./".to_owned()), (SET_COOKIE, cookie)]).into_response()
         );

@@ -1,4 +1,4 @@
-//! Axes: from values to places, and where the ticks are.
+//! Maps values to positions on an axis, and places its ticks.
 
 use super::number::{even_label, logarithmic_label, scientific};
 use super::text::{TICK, Text};
@@ -20,14 +20,14 @@ pub(crate) struct Axis {
     logarithmic: bool,
 }
 
-/// Which way the axis runs: labels in a row need more room than labels in a column.
+/// Direction of the axis: labels in a row need more room than labels in a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum AxisDirection {
     Across,
     Up,
 }
 
-/// An axis on the canvas, and how far apart its labels should be.
+/// An axis on the canvas, and the least distance of its labels.
 #[derive(Clone, Copy)]
 struct Room {
     pixels: f64,
@@ -43,21 +43,22 @@ pub(crate) struct Tick {
 }
 
 impl Axis {
-    /// The values and nothing more; a single value is put into the middle.
+    /// An axis with exactly this range; a single value is centred.
     pub(crate) fn exact(range: Option<(f64, f64)>) -> Self {
         let (low, high) = range.unwrap_or((0.0, 1.0));
         let (low, high) = if high > low { (low, high) } else { (low - 0.5, high + 0.5) };
         Self { low, high, logarithmic: false }
     }
 
-    /// From zero to a little more than the largest value.
+    /// An axis from zero to slightly above the largest value.
     pub(crate) fn from_zero(range: Option<(f64, f64)>) -> Self {
         let high = range.map_or(0.0, |(_, high)| high);
         let high = if high > 0.0 { 1.06 * high } else { 1.0 };
         Self { low: 0.0, high, logarithmic: false }
     }
 
-    /// The values with a margin, at least `least` of the largest apart, so that noise does not look like a trend.
+    /// The range with a margin. It spans at least the share `least` of the largest value, so that noise does not look
+    /// like a trend.
     pub(crate) fn around(range: Option<(f64, f64)>, least: f64) -> Self {
         let Some((low, high)) = range else { return Self::exact(None) };
         let size = low.abs().max(high.abs());
@@ -73,7 +74,7 @@ impl Axis {
         Self { low, high, logarithmic: true }
     }
 
-    /// The place of a value: 0 at the lower end, 1 at the upper.
+    /// The position of a value: 0 at the lower end, 1 at the upper.
     pub(crate) fn fraction(&self, value: f64) -> f64 {
         if self.logarithmic {
             (value / self.low).ln() / (self.high / self.low).ln()
@@ -82,7 +83,7 @@ impl Axis {
         }
     }
 
-    /// The value at a place; the inverse of [`Axis::fraction`].
+    /// The value at a position; the inverse of [`Axis::fraction`].
     pub(crate) fn value(&self, fraction: f64) -> f64 {
         if self.logarithmic {
             self.low * (fraction * (self.high / self.low).ln()).exp()
@@ -91,9 +92,9 @@ impl Axis {
         }
     }
 
-    /// The finest ticks whose labels have room on an axis of that many pixels.
+    /// The finest ticks whose labels fit on an axis of this length in pixels.
     pub(crate) fn ticks(&self, pixels: f64, direction: AxisDirection) -> Vec<Tick> {
-        // Labels stand closer only where there would be less than two.
+        // Labels are closer only where there would be fewer than two.
         let gaps = match direction {
             AxisDirection::Up if self.logarithmic => [1.6, 1.3],
             AxisDirection::Up => [2.1, 1.3],
@@ -124,7 +125,7 @@ impl Axis {
                 break;
             }
         }
-        // Where no round step has room, every second or third tick of a step keeps its label.
+        // Where the labels of no round step fit, only every n-th tick of a step keeps its label.
         for stride in 1..50 {
             let thinned = too_dense.iter().map(|(n, tick)| {
                 let label = tick.label.clone().filter(|_| n % stride == 0);

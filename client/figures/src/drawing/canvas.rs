@@ -1,4 +1,4 @@
-//! A drawing as SVG text, element by element.
+//! Writes a drawing as SVG text, element by element.
 
 use std::fmt::Write as _;
 
@@ -10,14 +10,14 @@ use super::picture::Picture;
 use super::rgb::Rgb;
 use super::text::{Anchor, Level, SCRIPT, Text, spans};
 
-/// A place on the canvas: pixels to the right and down.
+/// A point on the canvas: pixels to the right and down.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct CanvasPoint {
     pub(crate) x: f64,
     pub(crate) y: f64,
 }
 
-/// A place, as short as it is needed often.
+/// A point of the canvas; the name is short because it is used often.
 pub(crate) const fn at(x: f64, y: f64) -> CanvasPoint {
     CanvasPoint { x, y }
 }
@@ -74,7 +74,7 @@ impl Stroke {
     }
 }
 
-/// A drawing under way. What is drawn later lies above.
+/// A drawing under construction. Later elements are drawn above earlier ones.
 #[derive(Debug)]
 pub(crate) struct Canvas {
     width: f64,
@@ -231,7 +231,7 @@ fn path(points: &[CanvasPoint]) -> String {
     path
 }
 
-/// Very short dashes, which round caps make dots.
+/// Very short dashes, which round caps turn into dots.
 fn dots(points: &[CanvasPoint]) -> String {
     points.iter().map(|point| format!("M{} {}h0.01", short(point.x), short(point.y))).collect()
 }

@@ -1,11 +1,11 @@
-//! The polylines that show profiles.
+//! Simplifies the polylines of profiles.
 
 use super::canvas::{CanvasPoint, at};
 
 /// Points nearer than this to the line between their neighbours are not drawn, in pixels.
 const TOLERANCE: f64 = 0.05;
 
-/// The pieces of a curve between values that are not finite, without the points that would be invisible.
+/// The pieces of a curve between values that are not finite, without points that would be invisible.
 pub(crate) fn pieces(points: impl IntoIterator<Item = CanvasPoint>) -> Vec<Vec<CanvasPoint>> {
     let mut pieces = vec![Vec::new()];
     for point in points {
@@ -21,7 +21,7 @@ pub(crate) fn pieces(points: impl IntoIterator<Item = CanvasPoint>) -> Vec<Vec<C
     pieces.iter().map(|piece| simplified(piece)).collect()
 }
 
-/// Douglas and Peucker's algorithm, with a stack of its own.
+/// The Douglas–Peucker algorithm with an explicit stack.
 fn simplified(points: &[CanvasPoint]) -> Vec<CanvasPoint> {
     let Some(end) = points.len().checked_sub(1) else { return Vec::new() };
     let mut kept = vec![false; points.len()];
@@ -39,7 +39,7 @@ fn simplified(points: &[CanvasPoint]) -> Vec<CanvasPoint> {
     points.iter().zip(kept).filter_map(|(point, kept)| kept.then_some(*point)).collect()
 }
 
-/// From a point to the segment between two others.
+/// Distance of a point from the segment between two others.
 fn distance(point: CanvasPoint, from: CanvasPoint, to: CanvasPoint) -> f64 {
     let along = at(to.x - from.x, to.y - from.y);
     let length = along.x.hypot(along.y);

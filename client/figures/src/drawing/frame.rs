@@ -1,4 +1,4 @@
-//! One set of axes with its curves.
+//! Draws one set of axes with its curves.
 
 use super::axis::{Axis, AxisDirection, Tick};
 use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, Style, at};
@@ -9,10 +9,10 @@ use super::text::{Anchor, TICK, Text};
 const TICK_LENGTH: f64 = 3.5;
 const GAP: f64 = 2.5;
 
-/// From the axis down to the foot of its tick labels.
+/// Distance from the axis down to the bottom of its tick labels.
 pub(crate) const TICKS_BELOW: f64 = TICK_LENGTH + GAP + TICK;
 
-/// From the widest tick label's start to the axis.
+/// Distance from the start of the widest tick label to the axis.
 pub(crate) fn tick_width(ticks: &[Tick]) -> f64 {
     let widths =
         ticks.iter().filter_map(|tick| tick.label.as_ref()).map(|label| Text::new(label, TICK).width());
@@ -26,7 +26,7 @@ pub(crate) struct AxesFrame {
     pub(crate) y: Axis,
 }
 
-/// Which axes have tick labels.
+/// Whether each axis has tick labels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Labels {
     pub(crate) x: bool,
@@ -91,7 +91,7 @@ impl AxesFrame {
         }
     }
 
-    /// A box with ticks on its right, as a colour bar has them.
+    /// A box with ticks on its right, for a colour bar.
     pub(crate) fn scale_on_the_right(&self, canvas: &mut Canvas) {
         let PlotArea { left, top, .. } = self.area;
         let (right, bottom) = (self.area.right(), self.area.bottom());

@@ -1,4 +1,4 @@
-//! What stands above the panels: the title and the legend.
+//! Draws the title and the legend above the panels.
 
 use super::canvas::{Canvas, at};
 use super::legend::{Key, LegendRow};
@@ -22,7 +22,7 @@ impl<'a> Head<'a> {
         Self { title, legend: LegendRow::new(keys, width) }
     }
 
-    /// Down to where the panels begin.
+    /// Height down to the top of the panels.
     pub(crate) fn height(&self) -> f64 {
         let legend = self.legend.height();
         self.legend_top() + if legend > 0.0 { legend + GAP } else { 0.0 }

@@ -1,4 +1,4 @@
-//! Legends: samples of what is drawn, each with its words.
+//! Draws legends: a sample of each line or mark with its label.
 
 use super::canvas::{Canvas, CanvasPoint, PlotArea, Stroke, at};
 use super::rgb::Rgb;
@@ -21,11 +21,11 @@ pub(crate) enum KeySample {
     Line(Stroke),
     Mark(Mark),
     Patch(Rgb),
-    /// Words alone.
+    /// A label without a sample.
     None,
 }
 
-/// Marks at a point, with a white rim so that they are seen on any ground.
+/// Marks at a point, with a white rim that keeps them visible on any background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mark {
     Cross,

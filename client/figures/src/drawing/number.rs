@@ -1,6 +1,6 @@
-//! Numbers for people.
+//! Formats numbers for labels.
 
-/// A number for people: at most `digits` significant digits, no trailing zeros, a real minus sign.
+/// A number with at most `digits` significant digits, no trailing zeros and a typographic minus sign.
 pub(crate) fn number(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return if value == 0.0 { "0".to_owned() } else { value.to_string() };

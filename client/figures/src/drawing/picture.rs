@@ -23,12 +23,12 @@ impl Picture {
         Self { svg, width, height }
     }
 
-    /// The drawing as it stands within a page.
+    /// The SVG, ready to be embedded in a page.
     pub fn svg(&self) -> &str {
         &self.svg
     }
 
-    /// The drawing as resvg understands it, text laid out.
+    /// The drawing parsed by usvg, with its text laid out.
     pub(crate) fn tree(&self) -> anyhow::Result<usvg::Tree> {
         static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
             let mut fonts = fontdb::Database::new();
@@ -57,7 +57,7 @@ mod tests {
     use super::super::text::Text;
     use super::*;
 
-    /// A PNG has twice the size of the drawing in pixels, and ink.
+    /// A PNG has twice the size of the drawing in pixels, and is not empty.
     #[test]
     fn png_has_the_size_of_the_drawing() {
         let mut canvas = Canvas::new(120.0, 40.0);

@@ -1,4 +1,4 @@
-//! Colours that people with colour vision deficiencies can distinguish.
+//! Colours that are distinguishable with colour vision deficiencies.
 
 use std::fmt;
 
@@ -23,7 +23,7 @@ impl Rgb {
     pub(crate) const VERMILLION: Self = Self(0xd5, 0x5e, 0x00);
     pub(crate) const PURPLE: Self = Self(0xcc, 0x79, 0xa7);
 
-    /// Viridis, dark for 0 and bright for 1; values outside are taken to the nearer end.
+    /// Viridis, dark for 0 and bright for 1; values outside are clamped.
     pub(crate) fn viridis(t: f64) -> Self {
         let position = t.clamp(0.0, 1.0) * 255.0;
         let i = ((position / 16.0) as usize).min(VIRIDIS.len() - 2);
@@ -72,7 +72,7 @@ const VIRIDIS: [Rgb; 17] = [
 mod tests {
     use super::*;
 
-    /// Within two levels, and its luminance rises throughout.
+    /// Viridis is within two levels of the published table, and its luminance increases strictly.
     #[test]
     fn viridis_equals_the_published_table() {
         // Entries 0, 51, 102, 153, 204 and 255 of the table.

@@ -1,4 +1,4 @@
-//! Columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7.
+//! Draws columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7.
 
 use anyhow::ensure;
 use optics_model::fit::Curve;
@@ -21,9 +21,9 @@ const BETWEEN_ROWS: f64 = 16.0;
 const BETWEEN_COLUMNS: f64 = 14.0;
 const BETWEEN_BANDS: f64 = 18.0;
 const HEADING_HEIGHT: f64 = 1.6 * HEADING;
-/// For the name of the row and of the axis, both upright.
+/// Width of the names of the row and of the axis, both upright.
 const NAMES: f64 = 2.0 * 19.0;
-/// From the foot of the tick labels to that of the axis label.
+/// Distance from the bottom of the tick labels to that of the axis label.
 const X_LABEL: f64 = 1.5 * LABEL;
 
 #[derive(Debug)]
@@ -41,7 +41,7 @@ pub(crate) struct SheetCell<'a> {
     pub(crate) thickness_mm: f64,
     pub(crate) keys: Vec<Key>,
     pub(crate) x_mm: &'a [f64],
-    /// The first lies lowest.
+    /// The first is drawn lowest.
     pub(crate) curves: Vec<(Stroke, &'a Curve)>,
 }
 
@@ -68,7 +68,7 @@ struct Placed<'a> {
     gradient: Axis,
 }
 
-/// Where everything goes.
+/// Positions and sizes of the panels.
 struct SheetLayout<'a> {
     columns: Vec<&'a str>,
     rows: Vec<f64>,
@@ -77,7 +77,7 @@ struct SheetLayout<'a> {
     /// Columns of a band.
     across: usize,
     panel_width: f64,
-    /// For the tick labels next to each panel.
+    /// Width of the tick labels next to each panel.
     tick_width: f64,
     width: f64,
     alike: bool,
@@ -153,7 +153,7 @@ impl<'a> SheetLayout<'a> {
         HEADING_HEIGHT + rows + BETWEEN_ROWS * (self.rows.len() - 1) as f64 + TICKS_BELOW + X_LABEL
     }
 
-    /// Left edge of a panel by its place in the band.
+    /// Left edge of a panel by its position in the band.
     fn left(&self, across: usize) -> f64 {
         let before = if self.alike { 0.0 } else { self.tick_width };
         MARGIN + NAMES + self.tick_width + across as f64 * (self.panel_width + before + BETWEEN_COLUMNS)

@@ -1,4 +1,4 @@
-//! Text: its width, its indices and exponents, its lines.
+//! Measures text, and splits it into lines and into indices and exponents.
 
 use skrifa::instance::{LocationRef, Size};
 use skrifa::{FontRef, MetadataProvider};
@@ -12,7 +12,7 @@ pub(crate) const LABEL: f64 = 11.0;
 pub(crate) const SMALL: f64 = 10.0;
 pub(crate) const TICK: f64 = 9.5;
 
-/// Height of indices and exponents as a part of the text's.
+/// Height of indices and exponents relative to the text.
 pub(crate) const SCRIPT: f64 = 0.72;
 
 /// A line of text in one style. `σ_t` has a lower index, `10^{−3}` an exponent.
@@ -25,7 +25,7 @@ pub(crate) struct Text {
     pub(crate) anchor: Anchor,
 }
 
-/// The part of a text that stands at its place.
+/// The part of a text that is aligned with its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Anchor {
     Start,
@@ -52,7 +52,7 @@ impl Text {
 
     pub(crate) fn width(&self) -> f64 {
         let font = if self.bold { dejavu::sans::bold() } else { dejavu::sans::regular() };
-        // A font that cannot be read is measured as one of average width.
+        // An unreadable font is measured as one of average width.
         let Ok(font) = FontRef::new(font) else {
             return 0.62 * self.size * self.content.chars().count() as f64;
         };
@@ -67,12 +67,12 @@ impl Text {
         self.size * ems.sum::<f64>()
     }
 
-    /// The text cut to a width, with an ellipsis if something is lost.
+    /// The text cut to a width, with an ellipsis if anything is cut off.
     pub(crate) fn fitted(self, width: f64) -> Self {
         if self.width() <= width {
             return self;
         }
-        // No letter that is seen is narrower than a tenth of its height.
+        // No visible letter is narrower than a tenth of its height.
         let most = (10.0 * width / self.size).max(0.0) as usize;
         let mut kept: Vec<char> = self.content.chars().take(most).collect();
         while kept.pop().is_some() {
@@ -85,7 +85,7 @@ impl Text {
         Self { content: "…".into(), ..self }
     }
 
-    /// Lines no wider than `width`, broken after commas if that is enough, else at spaces.
+    /// Lines no wider than `width`, broken after commas if that suffices, else at spaces.
     pub(crate) fn wrapped(&self, width: f64) -> Vec<Self> {
         let with = |content: &str| Self { content: content.trim().to_owned(), ..self.clone() };
         let phrases = self.content.split_inclusive(", ").flat_map(|phrase| {

@@ -1,4 +1,4 @@
-//! The irregular axes of the grid.
+//! Maps the irregular axes of the grid to cells.
 
 use anyhow::bail;
 
@@ -7,7 +7,7 @@ use crate::drawing::axis::Axis;
 /// Nodes of an axis, each with its cell between the geometric midpoints to its neighbours.
 pub(super) struct Nodes {
     pub(super) axis: Axis,
-    /// Places in the data, in ascending order of the values.
+    /// Indices into the data, in ascending order of the values.
     order: Vec<usize>,
     /// Upper edges of all cells but the last, as fractions of the axis.
     edges: Vec<f64>,
@@ -31,7 +31,7 @@ impl Nodes {
         Ok(Self { axis, order, edges })
     }
 
-    /// Which value's cell covers a place on the axis.
+    /// Index of the value whose cell covers a position on the axis.
     pub(super) fn index(&self, fraction: f64) -> usize {
         self.order[self.edges.partition_point(|&edge| edge < fraction)]
     }

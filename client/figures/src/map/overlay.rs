@@ -1,4 +1,4 @@
-//! What is marked on the maps, and the legend for it.
+//! Draws the marks on the maps, and their legend.
 
 use optics_model::Medium;
 use optics_model::fit::{DistanceMap, MapLayer};
@@ -9,7 +9,7 @@ use crate::drawing::frame::AxesFrame;
 use crate::drawing::legend::{Key, KeySample, Mark};
 use crate::drawing::rgb::Rgb;
 
-/// Marks for places outside stand this far from the border.
+/// Distance from the border of marks for media outside the axes.
 const INSET: f64 = 9.0;
 
 /// The legend for the marks that occur.
@@ -58,10 +58,10 @@ fn mark(canvas: &mut Canvas, frame: &AxesFrame, mark: Mark, medium: &Medium) {
     Mark::Arrow(eighths(right, up)).draw(canvas, at(x, y));
 }
 
-/// On which side of the axes a medium lies, to the right and up: −1, 0 or 1 each.
+/// The side of the axes on which a medium lies, to the right and up: −1, 0 or 1 each.
 fn beyond(frame: &AxesFrame, medium: &Medium) -> (i8, i8) {
     let side = |fraction: f64| i8::from(fraction > 1.0) - i8::from(fraction < 0.0);
-    // The logarithm of zero is −∞, which is outside as it should be.
+    // The logarithm of zero is −∞, which is outside the axes.
     (side(frame.x.fraction(1.0 - medium.albedo())), side(frame.y.fraction(medium.sigma_t_per_mm())))
 }
 

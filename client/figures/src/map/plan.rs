@@ -1,4 +1,4 @@
-//! Where the maps and the colour bar go, and what they look like.
+//! Lays out and draws the maps and the colour bar.
 
 use anyhow::{Context as _, ensure};
 use optics_model::fit::{DistanceMap, MapLayer};
@@ -17,18 +17,18 @@ use crate::drawing::text::{Anchor, HEADING, LABEL, Text};
 const MOST_COLUMNS: usize = 4;
 const BETWEEN: f64 = 16.0;
 const HEADING_HEIGHT: f64 = 19.0;
-/// For the name of the vertical axis.
+/// Width of the name of the vertical axis.
 const NAME: f64 = 18.0;
-/// For tick labels and name of a horizontal axis.
+/// Height of the tick labels and the name of a horizontal axis.
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const BAR_GAP: f64 = 22.0;
 const BAR_WIDTH: f64 = 14.0;
-/// Image pixels for one CSS pixel: those of the PNG.
+/// Image pixels per CSS pixel, as in the PNG.
 pub(super) const FINENESS: f64 = 2.0;
-/// The colours span no more than this, however near zero the best distance is.
+/// Largest ratio that the colours span, however close to zero the best distance is.
 const MOST_CONTRAST: f64 = 1e4;
 
-/// Where everything goes.
+/// Positions and sizes of the maps and of the colour bar.
 pub(super) struct MapPlan {
     panels: usize,
     across: usize,
@@ -36,7 +36,7 @@ pub(super) struct MapPlan {
     co_albedo: Nodes,
     sigma_t: Nodes,
     colour: Axis,
-    /// Tick labels next to the first column.
+    /// Width of the tick labels next to the first column.
     tick_width: f64,
     pub(super) width: f64,
 }
@@ -61,7 +61,7 @@ impl MapPlan {
         self.panels.div_ceil(self.across)
     }
 
-    /// From one row of panels to the next.
+    /// Distance from one row of panels to the next.
     fn pitch(&self) -> f64 {
         HEADING_HEIGHT + self.size.1 + BETWEEN
     }
@@ -123,7 +123,7 @@ impl MapPlan {
         if distance.is_finite() { Rgb::viridis(self.colour.fraction(distance)) } else { Rgb::NO_DATA }
     }
 
-    /// The colour bar as a frame of its own: its area, and the distance as the vertical axis.
+    /// The frame of the colour bar; its vertical axis is the distance.
     fn bar(&self, top: f64) -> AxesFrame {
         let last = self.frame(self.across - 1, top).area;
         let panels = self.pitch() * self.rows() as f64 - BETWEEN - HEADING_HEIGHT;

@@ -1,12 +1,12 @@
-//! A board to print: squares of 40 mm around one edge.
+//! Draws a board to print: squares of 40 mm around one edge.
 
 /// An A4 sheet across, in mm.
 const SHEET_MM: [f64; 2] = [297.0, 210.0];
 
-/// Side of a square in mm: on both sides of the edge in its middle lies half a plane for light that walks 10 mm.
+/// Side of a square in mm: around the edge in the middle it is a half-plane for light that travels up to 10 mm.
 const SQUARE_MM: f64 = 40.0;
 
-/// An even number across and an odd one down, so that an edge runs through the middle of the board.
+/// An even number across and an odd number down, so that an edge runs through the middle of the board.
 const SQUARES: [usize; 2] = [4, 3];
 
 /// A black rectangle in mm from the sheet's upper left corner.
@@ -17,7 +17,7 @@ struct Rectangle {
     height: f64,
 }
 
-/// Everything black on the sheet.
+/// All black areas of the sheet.
 fn black() -> Vec<Rectangle> {
     let (left, top) = corner();
     let square = |row: usize, column: usize| Rectangle {
@@ -42,7 +42,7 @@ fn corner() -> (f64, f64) {
     (0.5 * (SHEET_MM[0] - SQUARES[0] as f64 * SQUARE_MM), 0.5 * (SHEET_MM[1] - height_mm()) - 10.0)
 }
 
-/// A scale of 100 mm with a mark every 10 mm, to measure the print by.
+/// A scale of 100 mm with a mark every 10 mm, to check the size of the print.
 fn scale(left: f64, top: f64) -> Vec<Rectangle> {
     let mark = |i: u32| Rectangle {
         x: left + 10.0 * f64::from(i) - 0.05,
@@ -64,7 +64,7 @@ fn words() -> [String; 2] {
     ]
 }
 
-/// The sheet as SVG or PDF; none for other kinds of file.
+/// The sheet as SVG or PDF; `None` for other extensions.
 pub fn board_sheet(extension: &str) -> Option<Vec<u8>> {
     match extension {
         "svg" => Some(svg().into_bytes()),
@@ -97,7 +97,7 @@ fn svg() -> String {
     )
 }
 
-/// PDF 1.4 with one page and Helvetica, which every reader has.
+/// PDF 1.4 with one page and Helvetica, which every reader contains.
 fn pdf() -> Vec<u8> {
     const POINT: f64 = 72.0 / 25.4;
     let [width, height] = SHEET_MM.map(|mm| mm * POINT);
@@ -137,7 +137,7 @@ fn pdf() -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// Black and white squares border on it, and all is within the printable area.
+    /// The middle edge separates a black from a white square of 40 mm, and all marks are within the printable area.
     #[test]
     fn middle_edge_of_board_has_40_mm() {
         let (left, top) = corner();

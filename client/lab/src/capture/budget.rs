@@ -1,12 +1,12 @@
-//! Error budgets of single profiles, and the errors that all profiles of a session share.
+//! Sums error budgets of single profiles, and the errors that all profiles of a session share.
 
 use optics_capture::{Contribution, Source};
 use serde::Serialize;
 
 use super::stage::{Captured, CapturedSample};
 
-/// Errors that all profiles of a session share, in the names of session files. The estimate from few mountings of one
-/// profile is vague, so squares are averaged over all profiles.
+/// Errors that all profiles of a session share, named as in session files. An estimate from the few mountings of one
+/// profile is uncertain, so squares are averaged over all profiles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SessionErrors {
     /// Standard error of each profile's own gain: light, mounting, linearity.
@@ -39,19 +39,19 @@ impl SessionErrors {
     }
 }
 
-/// Error of a channel by several independent sources.
+/// Standard error of a channel due to several independent sources.
 pub(super) fn sum(budget: &[Contribution], sources: &[Source], c: usize) -> f64 {
     let of = budget.iter().filter(|line| sources.contains(&line.source));
     of.map(|line| line.std_error[c].powi(2)).sum::<f64>().sqrt()
 }
 
-/// Error of a channel by one source.
+/// Standard error of a channel due to one source.
 pub fn error_of(budget: &[Contribution], source: Source, c: usize) -> f64 {
     sum(budget, &[source], c)
 }
 
-/// Error of a slab's thickness as the profile shows it: that of the slab, and that of the scale, since walks depend only on
-/// how lengths are to each other.
+/// Error of a slab's thickness as it affects the profile: that of the slab and that of the scale, since random walks
+/// depend on ratios of lengths only.
 pub(super) fn thickness_std_error_mm(sample: &CapturedSample, c: usize) -> f64 {
     let scale = sum(&sample.profile.budget, &[Source::Scale], c) * sample.about.thickness_mm;
     sample.about.thickness_std_error_mm.hypot(scale)

@@ -1,4 +1,4 @@
-//! Names of files with wildcards: `*` for any letters and `?` for one, within a folder's name or a file's.
+//! Expands file names with wildcards: `*` for any letters and `?` for one, within the name of a folder or a file.
 
 use std::ffi::OsStr;
 use std::fs::Metadata;
@@ -8,10 +8,10 @@ use std::path::{Component, Path, PathBuf};
 use optics_model::Invalid;
 use unicode_normalization::UnicodeNormalization as _;
 
-/// Most files that the patterns of one field may find.
+/// Largest number of files that the patterns of one field may match.
 const MOST_FILES: usize = 10_000;
 
-/// The files that the patterns of a field find, sorted by name; a pattern that finds none is refused.
+/// The files that match the patterns of a field, sorted by name per pattern; a pattern without a match is refused.
 pub(super) fn files_of(folder: &Path, field: &str, patterns: &[String]) -> Result<Vec<PathBuf>, Invalid> {
     let mut files = Vec::new();
     for (i, pattern) in patterns.iter().enumerate() {
@@ -39,7 +39,8 @@ fn find(folder: &Path, pattern: &Path) -> std::io::Result<Vec<PathBuf>> {
     let mut places = vec![folder.to_owned()];
     for part in pattern.components() {
         let name = composed(part.as_os_str());
-        // A name with other letters than ASCII's may be written in composed characters here and in decomposed ones there.
+        // A name with letters outside ASCII may be in composed characters in the pattern and in decomposed ones on the
+        // disk.
         let is_wild = matches!(part, Component::Normal(_)) && (name.contains(['*', '?']) || !name.is_ascii());
         let mut next = Vec::new();
         for place in places {
@@ -70,8 +71,8 @@ fn find(folder: &Path, pattern: &Path) -> std::io::Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// What is not there is nothing, but a link to what is not there, or what cannot be looked at, would be left out of the
-/// session in silence.
+/// Whether a path is of a kind. An absent path is of no kind; a broken link or an unreadable path is an error, since it
+/// would silently be left out of the session.
 fn is(path: &Path, kind: fn(&Metadata) -> bool) -> std::io::Result<bool> {
     let error = match std::fs::metadata(path) {
         Ok(metadata) => return Ok(kind(&metadata)),
@@ -87,18 +88,19 @@ fn is(path: &Path, kind: fn(&Metadata) -> bool) -> std::io::Result<bool> {
     }
 }
 
-/// A name in composed characters, whatever the filesystem makes of it.
+/// A name in composed characters, whichever form the filesystem uses.
 fn composed(name: &OsStr) -> String {
     name.to_string_lossy().nfc().collect()
 }
 
-/// Whether a name is what a pattern stands for; names that begin with a dot are hidden from wildcards.
+/// Whether a name matches a pattern; wildcards do not match names that begin with a dot.
 fn matches(pattern: &[u8], name: &[u8]) -> bool {
     if name.first() == Some(&b'.') && pattern.first() != Some(&b'.') {
         return false;
     }
     let (mut at, mut read) = (0, 0);
-    // Behind the last star, and how far that one reaches: if what follows does not fit, only that one need reach further.
+    // Index after the last star, and the end of the text that this star matches: after a mismatch only this star is
+    // extended.
     let mut star = None;
     while read < name.len() {
         match (pattern.get(at), star) {
@@ -140,7 +142,7 @@ mod tests {
         }
     }
 
-    /// Where every star was tried against every letter this took longer than anybody lives.
+    /// Many stars are matched quickly: backtracking over all of them would take exponential time.
     #[test]
     fn many_stars_take_no_time() {
         let pattern = "*a".repeat(60) + "*b";

@@ -1,4 +1,4 @@
-//! Small pictures of photographs, as people see them.
+//! Renders small pictures of photographs in sRGB.
 
 use base64::Engine as _;
 use optics_capture::{Frame, Pattern};
@@ -6,7 +6,7 @@ use optics_capture::{Frame, Pattern};
 /// Width of the pictures in the report, in pixels.
 const WIDTH: usize = 360;
 
-/// A photograph made small: mean numbers of the sensor per channel.
+/// A downscaled photograph: mean raw numbers of the sensor per channel.
 #[derive(Debug, Clone, Default)]
 pub struct Thumbnail {
     pub width: usize,
@@ -29,7 +29,7 @@ impl Thumbnail {
         Self { width, height, full: [frame.width(), frame.height()], values }
     }
 
-    /// As a picture for the eye: black is black, the brightest hundredth white, in sRGB.
+    /// An sRGB picture as a data URI: the black level is black, the brightest hundredth white.
     pub fn data_uri(&self, black: [f64; 3]) -> String {
         let above = |v: &[f32; 3], c: usize| (f64::from(v[c]) - black[c]).max(0.0);
         let mut levels: [Vec<f64>; 3] =
@@ -69,21 +69,21 @@ fn mean(frame: &Frame, left: usize, top: usize, side: usize) -> [f32; 3] {
     std::array::from_fn(|c| sums[c] as f32 / counts[c].max(1) as f32)
 }
 
-/// IEC 61966-2-1: from linear light to a byte.
+/// The sRGB byte of a linear value (IEC 61966-2-1).
 pub fn srgb(linear: f64) -> u8 {
     let v = linear.clamp(0.0, 1.0);
     let coded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
     (255.0 * coded).round() as u8
 }
 
-/// A PNG that a page holds in itself.
+/// A PNG as a data URI, to be embedded in a page.
 pub fn data_uri(width: usize, height: usize, rgb: &[u8]) -> String {
     let mut file = Vec::new();
     let mut encoder = png::Encoder::new(&mut file, width as u32, height as u32);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_compression(png::Compression::Balanced);
-    // Writing to memory fails only for sizes that do not fit, which is a picture of nothing.
+    // Writing to memory fails only for sizes that do not fit, such as an empty picture.
     let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(rgb));
     if written.is_err() {
         return "data:,".to_owned();

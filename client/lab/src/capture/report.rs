@@ -1,6 +1,6 @@
-//! The report of a session: one page that needs nothing else.
+//! Renders the report of a session as one self-contained page.
 //!
-//! `capture` keeps the sections as data, so that `measure` renders the page again, with the media that it found.
+//! `capture` keeps the sections as data, so that `measure` renders the page again with the fitted media.
 
 mod media;
 mod samples;
@@ -18,7 +18,7 @@ use samples::SlabSection;
 
 const STYLE: &str = include_str!("report/page.css");
 
-/// What `capture` contributes to the page: sections as HTML, and the slabs with their pictures.
+/// The parts of the page from `capture`: sections as HTML, and the slabs with their pictures.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct CaptureReport {
     title: String,
@@ -39,7 +39,7 @@ impl CaptureReport {
         }
     }
 
-    /// The page, with the media once they are measured.
+    /// The page; with the media once they are measured.
     pub fn page(&self, media: Option<&Media>) -> String {
         let Self { summary, set_up, inputs, .. } = self;
         let title = escaped(&self.title);

@@ -1,4 +1,4 @@
-//! What a session's folder holds: profiles, what is known of the set-up, the scene and the grid of its dictionary.
+//! Writes the folder of a session: profiles, set-up, scene, the grid of its dictionary, and the report.
 
 use std::path::Path;
 
@@ -19,11 +19,11 @@ use crate::whole_file::{folder_of, sync_folder};
 pub const FILES: [&str; 6] =
     ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html", "report.json"];
 
-/// Thicknesses that differ by less share a thickness of the dictionary: the fit allows for much more.
+/// Thicknesses that differ by less than this factor share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
 
-/// Writes the folder: nothing if anything cannot be made, and each file whole. Returns what reading its measurements
-/// notes.
+/// Writes the folder: no file unless all can be generated, and each file atomically. Returns the notes of reading its
+/// measurements back.
 pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
     let measurements = measurements(captured)?;
     let read = measurement_file::read(&measurements)
@@ -61,7 +61,7 @@ fn with_end(mut text: String) -> Vec<u8> {
     text.into_bytes()
 }
 
-/// A folder with other things in it may be a slip of the hand. Of what is to be replaced all are regular files.
+/// Refuses a folder with other files, which is probably a mistake, and files to replace that are not regular.
 fn check_folder(folder: &Path) -> Result<()> {
     for path in FILES.iter().map(|name| folder.join(name)) {
         if path.metadata().is_ok_and(|found| !found.is_file()) {
@@ -76,7 +76,7 @@ fn check_folder(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The profiles in the strict format, with what is known of each.
+/// The profiles in the strict format, with the set-up of each.
 fn measurements(captured: &Captured) -> Result<Vec<u8>> {
     let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
     rows.write_record(column_names())?;
@@ -112,8 +112,8 @@ fn cell(value: f64) -> String {
     if value == 0.0 { "0".to_owned() } else { format!("{value:.6}") }
 }
 
-/// Bins from the first to the last with a value. One between them that has none, since all its samples were rejected, gets
-/// its neighbour's value with an error so large that it has no weight: profiles have no gaps.
+/// Bins from the first to the last with a value. A bin between them whose samples were all rejected gets the value of
+/// the preceding bin and an error so large that it has no weight: profiles have no gaps.
 fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
     const NO_WEIGHT: f64 = 1.0;
     let all = profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors);
@@ -132,11 +132,11 @@ fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
     points
 }
 
-/// The session's scene with the board that was found, and as it would be under a darker white reference.
+/// The session's scene with the measured board, and with the board as it would be under a darker white reference.
 fn scene(captured: &Captured) -> Result<String> {
     let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
         let found = [rho.light.value, rho.dark.value];
-        // Where ρ is put at an end, its change is kept.
+        // Where ρ is clamped, its change is kept.
         let change = [0, 1].map(|side| rho.under_darker_white[side] - found[side]);
         let within = within_range(found);
         let [light, dark] = within_range([within[0] + change[0], within[1] + change[1]]);
@@ -175,7 +175,7 @@ fn grid(captured: &Captured) -> Result<String> {
     ))
 }
 
-/// The middles of groups of thicknesses that are nearly alike.
+/// The midpoints of groups of thicknesses that are nearly alike.
 fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     thicknesses.sort_by(f64::total_cmp);
     let mut groups: Vec<[f64; 2]> = Vec::new();
@@ -188,7 +188,7 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect()
 }
 
-/// Everything as numbers, for programs; the fit reads the fields at its head.
+/// All results as numbers, for programs; the fit reads the fields at the top level.
 pub(super) fn session(captured: &Captured) -> impl Serialize {
     #[derive(Serialize)]
     struct SessionJson {

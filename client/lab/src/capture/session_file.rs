@@ -1,4 +1,4 @@
-//! Session files: which photographs there are, and what is known of patches, board and slabs, as TOML.
+//! Reads session files in TOML: the photographs, and the known values of patches, board and slabs.
 
 mod doubts;
 
@@ -16,12 +16,12 @@ use crate::measurement_file::normal;
 
 const WHAT: &str = "session file";
 
-/// A session whose files are there and whose numbers can be.
+/// A session whose files exist and whose numbers are valid.
 #[derive(Debug)]
 pub struct CaptureSession {
     pub dark: Vec<PathBuf>,
     pub flat: Vec<PathBuf>,
-    /// For mosaics whose files do not state it.
+    /// The pattern of mosaics whose files do not state one.
     pub pattern: Option<[Colour; 4]>,
     pub neutral_shots: Vec<PathBuf>,
     pub neutral: Neutral,
@@ -29,9 +29,9 @@ pub struct CaptureSession {
     pub target: Target,
     pub samples: Vec<Sample>,
     pub scene: optics_model::Scene,
-    /// Numbers that are hardly meant.
+    /// Values that are valid but implausible.
     pub doubts: Vec<String>,
-    /// The file's own bytes.
+    /// The text of the file.
     pub text: String,
 }
 
@@ -66,7 +66,7 @@ impl CaptureSession {
         session.map_err(|wrong| in_file(wrong, &text, path, WHAT))
     }
 
-    /// All photographs, in the order in which they are used.
+    /// All photographs, in the order of their use.
     pub fn shots(&self) -> impl Iterator<Item = &PathBuf> {
         let samples = self.samples.iter().flat_map(|sample| &sample.shots);
         [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
@@ -131,7 +131,7 @@ struct SampleTable {
     shots: Vec<String>,
 }
 
-/// The squares and patches of the paper, for what a session leaves out.
+/// The squares and patches of the paper: defaults of fields that a session omits.
 const SQUARE_MM: f64 = 20.0;
 const SQUARE_STD_ERROR_MM: f64 = 0.01;
 const NEUTRAL_STD_ERROR: f64 = 0.01;
@@ -206,7 +206,7 @@ fn needed(field: &str, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, Invalid> {
     }
 }
 
-/// Each photograph is used once: one that is used twice would agree with itself.
+/// Checks that each photograph is used once: a repeated one would agree with itself.
 fn check_once(session: &CaptureSession) -> Result<(), Invalid> {
     let mut places: HashMap<PathBuf, String> = HashMap::new();
     let lists = [
@@ -228,7 +228,7 @@ fn check_once(session: &CaptureSession) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// A slab has one entry, so that its shots are one profile.
+/// Checks that each slab has one entry, so that all its shots make one profile.
 fn check_slabs(samples: &[Sample]) -> Result<(), Invalid> {
     for (i, sample) in samples.iter().enumerate() {
         let same = |s: &&Sample| s.material == sample.material && s.thickness_mm == sample.thickness_mm;
@@ -276,7 +276,7 @@ fn target(table: &TargetTable) -> Result<Target, Invalid> {
     Ok(Target { square_mm, square_std_error_mm, dark_side })
 }
 
-/// "RGGB", row by row. The pixels of a monochrome camera are shared out among three channels that are one.
+/// Parses "RGGB", row by row. "mono" distributes the pixels of a monochrome camera over three equal channels.
 pub fn pattern(text: &str) -> Result<[Colour; 4], Invalid> {
     if text.eq_ignore_ascii_case("mono") {
         return pattern("RGGB");

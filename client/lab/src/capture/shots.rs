@@ -1,4 +1,4 @@
-//! A session's photographs, read one at a time.
+//! Reads a session's photographs one at a time.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
 use super::picture::Thumbnail;
 use crate::photograph::{self, About, Photograph, SampleLayout};
 
-/// Reads photographs, refuses what does not belong to one session, and remembers what was read.
+/// Reads photographs, refuses those that do not belong to the session, and records the others.
 #[derive(Debug, Default)]
 pub struct Shots {
-    /// For files that do not state it.
+    /// The pattern of files that do not state one.
     pattern: Option<[Colour; 4]>,
     /// Folder that labels are relative to.
     folder: PathBuf,
@@ -25,9 +25,9 @@ pub struct Shots {
 pub struct Input {
     pub label: String,
     pub digest: String,
-    /// Digest of the samples, which a copy under another format's tags shares.
+    /// Digest of the samples; a copy in another format has the same.
     picture: blake3::Hash,
-    /// What the photograph is of.
+    /// The subject of the photograph.
     group: String,
     pub about: About,
     pub thumbnail: Thumbnail,
@@ -38,7 +38,7 @@ impl Shots {
         Self { pattern, folder: folder.to_owned(), ..Self::default() }
     }
 
-    /// Reads the next one, which shows the same as others of its group.
+    /// Reads the next photograph; photographs of one group show the same subject.
     pub fn read(&mut self, path: &Path, group: &str) -> Result<Photo> {
         let label = path.strip_prefix(&self.folder).unwrap_or(path).display().to_string();
         let (photograph, digest) = photograph::read(path)?;
@@ -69,7 +69,7 @@ impl Shots {
         Ok(())
     }
 
-    /// Two shots never have the same noise: such files are one photograph, which would agree with itself.
+    /// Two shots never have the same noise: files with equal samples are one photograph, which would agree with itself.
     fn check_another(&self, picture: blake3::Hash, label: &str) -> Result<()> {
         let same = self.read.iter().find(|input| input.picture == picture);
         same.map_or(Ok(()), |Input { label: other, .. }| {
@@ -111,8 +111,9 @@ impl Shots {
     }
 }
 
-/// Shots of one subject whose Orientation differs from that of the first. A viewer that turns files leaves such tags, but
-/// so does a camera that looks straight down; whether samples are turned shows in the shots' agreement.
+/// Warnings about shots whose Orientation differs from that of the first shot of the same subject. Viewers that turn
+/// files leave such tags, but so do cameras that look straight down; the agreement of the shots shows whether samples
+/// are turned.
 pub fn turned(inputs: &[Input]) -> Vec<String> {
     let stated = |input: &Input| input.about.orientation.filter(|o| !o.is_as_stored());
     let name = |input: &Input| input.about.orientation.map_or_else(|| "none".to_owned(), |o| o.to_string());

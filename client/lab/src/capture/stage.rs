@@ -1,4 +1,4 @@
-//! The steps of a session, in their order.
+//! Runs the steps of a session in their order.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ pub struct Captured {
     pub board: Board,
     pub rho: [BoardRho; 3],
     pub samples: Vec<CapturedSample>,
-    /// Every photograph, in the order of their use.
+    /// All photographs, in the order of their use.
     pub inputs: Vec<Input>,
 }
 
@@ -50,13 +50,13 @@ pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Capture
         Ok(Stages { calibration, board, rho, samples }) => {
             Ok(Captured { session, calibration, board, rho, samples, inputs })
         }
-        // They may be why.
+        // The doubtful values may be the cause.
         Err(error) if session.doubts.is_empty() => Err(error),
         Err(error) => Err(error.context(format!("doubtful: {}", session.doubts.join("; ")))),
     }
 }
 
-/// What the photographs give.
+/// Results of all steps.
 struct Stages {
     calibration: Calibration,
     board: Board,
@@ -94,7 +94,7 @@ impl SessionRun<'_> {
         for path in &session.dark {
             darks.add(self.read(path, "dark")?)?;
         }
-        // A photograph with light gives the black level of a session without dark shots.
+        // Without dark shots, the black level is taken from the file of a photograph with light.
         let (first, others) =
             session.neutral_shots.split_first().context("a session has shots of patches")?;
         let first = self.read(first, "grey patches")?;
@@ -135,9 +135,10 @@ impl SessionRun<'_> {
     }
 }
 
-/// ρ of the board, seen through the scene. A dark side below 0 is kept where the priors of the scene explain it.
+/// ρ of the board without the effect of the scene. A dark side below 0 is accepted where the priors of the scene explain
+/// it.
 fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[BoardRho; 3]> {
-    // The same light and the same coat for all channels.
+    // Light and coat are the same for all channels.
     let seen = BareBoard::of(scene).context("the session's scene")?;
     let shown = Appearance { s: seen.specular, a: seen.gain, b: seen.returned };
     let rho = board.rho(shown, gain_std_error);
@@ -155,7 +156,7 @@ fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[B
     Ok(rho)
 }
 
-/// Channels with this board. ρ outside a channel's range ends there.
+/// Channels with this board; ρ is clamped to the range of a channel.
 pub(super) fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
     let channel = |(colour, rho): (Colour, &BoardRho)| {
         let [light, dark] = within_range([rho.light.value, rho.dark.value]);
@@ -164,7 +165,7 @@ pub(super) fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invali
     Colour::ALL.into_iter().zip(rho).map(channel).collect()
 }
 
-/// ρ of the light and the dark side within the ranges of a channel.
+/// ρ of the light and the dark side, clamped to the ranges of a channel.
 pub(super) fn within_range([light, dark]: [f64; 2]) -> [f64; 2] {
     [light.clamp(0.0, 1.0), dark.clamp(LEAST_RHO_DARK, 1.0)]
 }

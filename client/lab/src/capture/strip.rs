@@ -1,16 +1,16 @@
-//! A strip across the edge as the camera saw it, for the eye: what Fig. 2 shows next to the simulation.
+//! Extracts a strip across the edge from a photograph, which Fig. 2 shows next to the simulation.
 
 use optics_capture::{Board, Colour, EdgeProfile, Frame, Pattern};
 
 use super::picture::{data_uri, srgb};
 
-/// Pixels of a strip: the profile's bins across, and as many rows along the edge.
+/// Rows of a strip along the edge; across, it has the profile's bins.
 const ROWS: usize = 72;
 
-/// Length of a row's side in mm, that of the profiles' bins.
+/// Pitch of the rows in mm, that of the profiles' bins.
 const PITCH_MM: f64 = 10.0 / 360.0;
 
-/// Numbers of the sensor at the places of a strip, row by row.
+/// Raw numbers of the sensor at the positions of a strip, row by row.
 #[derive(Debug, Clone)]
 pub struct Strip {
     numbers: Vec<[f32; 3]>,
@@ -18,7 +18,7 @@ pub struct Strip {
 }
 
 impl Strip {
-    /// `x_mm` are the places across the edge.
+    /// Samples a frame; `x_mm` are the positions across the edge.
     pub fn of(frame: &Frame, board: &Board, x_mm: &[f64]) -> Self {
         let rows = 0..ROWS;
         let y_mm = |row: usize| (row as f64 + 0.5 - 0.5 * ROWS as f64) * PITCH_MM;
@@ -27,7 +27,7 @@ impl Strip {
         Self { numbers: numbers.collect(), x_mm: x_mm.to_vec() }
     }
 
-    /// As a picture of radiance factors, which `profiles` tell for each column.
+    /// A picture of radiance factors, calibrated by `profiles`.
     pub fn data_uri(&self, profiles: &[EdgeProfile; 3]) -> String {
         let width = self.x_mm.len();
         let lines = [0, 1, 2].map(|c| self.line_to(c, &profiles[c]));
@@ -36,7 +36,7 @@ impl Strip {
         data_uri(width, ROWS, &bytes.collect::<Vec<u8>>())
     }
 
-    /// The straight line from numbers to radiance factors, by least squares over the columns.
+    /// Intercept and slope of the line from raw numbers to radiance factors, by least squares over the columns.
     fn line_to(&self, c: usize, profile: &EdgeProfile) -> (f64, f64) {
         let width = self.x_mm.len();
         let column = |i: usize| {
@@ -58,7 +58,7 @@ impl Strip {
     }
 }
 
-/// The same picture of simulated profiles, which are alike along the edge.
+/// The same picture of simulated profiles, which are constant along the edge.
 pub(super) fn simulated_uri(values: &[Vec<f64>; 3]) -> String {
     let width = values[0].len();
     let row: Vec<u8> =
@@ -66,14 +66,14 @@ pub(super) fn simulated_uri(values: &[Vec<f64>; 3]) -> String {
     data_uri(width, ROWS, &row.repeat(ROWS))
 }
 
-/// The samples of each colour that are nearest to a place.
+/// The samples of each colour that are nearest to a position.
 fn nearest(frame: &Frame, [x, y]: [f64; 2]) -> [f32; 3] {
     let clamped = |v: f64, most: usize| (v.floor().max(0.0) as usize).min(most - 1);
     let (x, y) = (clamped(x, frame.width()), clamped(y, frame.height()));
     match frame.pattern() {
         Pattern::Rgb => std::array::from_fn(|c| f32::from(frame.samples()[3 * (y * frame.width() + x) + c])),
         Pattern::Bayer(colours) => Colour::ALL.map(|colour| {
-            // The cell of the mosaic that the place is in.
+            // The cell of the mosaic that contains the position.
             let (left, top) = ((x & !1).min(frame.width() - 2), (y & !1).min(frame.height() - 2));
             let at = |i: usize| frame.samples()[(top + i / 2) * frame.width() + left + i % 2];
             let (mut sum, mut count) = (0.0, 0.0);

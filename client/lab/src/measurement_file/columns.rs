@@ -1,14 +1,14 @@
-//! Which column of a file is what.
+//! Recognises the columns of a file by their names.
 
 use anyhow::{Result, bail};
 use optics_model::quantities::{self, Quantity};
 
 use super::note::Note;
 
-/// How many quantities of a profile's set-up have a column.
+/// Number of quantities of a profile's set-up.
 pub(super) const SET_UP: usize = Quantity::OF_PROFILES.len();
 
-/// What a column of the strict format holds.
+/// A column of the strict format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ColumnField {
     Material,
@@ -17,12 +17,12 @@ pub(super) enum ColumnField {
     X,
     Value,
     StdError,
-    /// A quantity of the profile's set-up, by its place among [`Quantity::OF_PROFILES`].
+    /// A quantity of the profile's set-up, by its index in [`Quantity::OF_PROFILES`].
     SetUp(usize),
 }
 
 impl ColumnField {
-    /// Those that must be there.
+    /// The required columns.
     pub(super) const NEEDED: [Self; 5] =
         [Self::Material, Self::Channel, Self::Thickness, Self::X, Self::Value];
 
@@ -50,7 +50,7 @@ impl ColumnField {
         }
     }
 
-    /// Whether its numbers may have a unit. Pixels are understood so that they can be refused with a reason.
+    /// Whether the column's numbers may have a unit. Pixels are recognised so that they can be refused with a reason.
     fn takes(self, unit: ColumnUnit) -> bool {
         match unit {
             ColumnUnit::None => true,
@@ -64,7 +64,7 @@ impl ColumnField {
         }
     }
 
-    /// By a name in lower case without its unit, spaces and punctuation.
+    /// The column with a name, given in lower case without its unit, spaces and punctuation.
     fn of(base: &str) -> Option<Self> {
         Some(match base {
             "material" | "sample" | "specimen" | "resin" => Self::Material,
@@ -104,7 +104,7 @@ fn joined(fields: impl IntoIterator<Item = ColumnField>) -> String {
     fields.into_iter().map(ColumnField::name).collect::<Vec<_>>().join(", ")
 }
 
-/// A column's place in the rows, and the factor that makes its numbers mm or radiance factors.
+/// A column's index in the rows, and the factor that converts its numbers to mm or radiance factors.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Column {
     pub place: usize,
@@ -127,7 +127,7 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// Refuses names that are not known, that are missing, and two that mean the same.
+    /// Refuses unknown and missing names, and two with the same meaning.
     pub fn find(header: &csv::StringRecord, notes: &mut Vec<Note>) -> Result<Self> {
         let mut found: Vec<(Meaning, usize)> = Vec::new();
         let mut assumed = Vec::new();
@@ -182,19 +182,19 @@ impl Columns {
         }
     }
 
-    /// Those that hold numbers.
+    /// The columns that hold numbers.
     pub fn numbers(&self) -> impl Iterator<Item = Column> {
         let optional = [self.std_error].into_iter().chain(self.setup).flatten();
         [self.thickness, self.x, self.value].into_iter().chain(optional)
     }
 }
 
-/// How many of these names are understood.
+/// Number of names that are recognised.
 pub(super) fn understood(header: &csv::StringRecord) -> usize {
     header.iter().filter(|name| meaning(name).is_some()).count()
 }
 
-/// Whether cells hold units, or nothing, where numbers are wanted.
+/// Whether cells hold units, or nothing, where numbers are expected.
 pub(super) fn are_units(cells: &[&str]) -> bool {
     let unit =
         |cell: &str| ColumnUnit::of(&cell.trim_matches(['(', ')', '[', ']']).trim().to_lowercase()).is_some();
@@ -267,8 +267,8 @@ fn meaning(name: &str) -> Option<Meaning> {
     field.takes(unit).then_some(Meaning { field, unit })
 }
 
-/// `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm`, `thickness/mm`; None if what stands in brackets
-/// is no unit.
+/// Splits `thickness (mm)`, `thickness [mm]`, `thickness_mm`, `thickness mm` or `thickness/mm`; `None` if the text in
+/// brackets is no unit.
 fn split_unit(name: &str) -> Option<(&str, ColumnUnit)> {
     if let Some((words, rest)) = name.split_once(['(', '[']) {
         let unit = rest.trim_end().strip_suffix([')', ']'])?;
@@ -322,7 +322,7 @@ mod tests {
         assert!(notes[0].text.contains("\"thickness (\u{b5}m)\" is divided by 1000"), "{}", notes[0].text);
     }
 
-    /// Pixels and percentages are refused.
+    /// Columns of the set-up have any unit of length; pixels and percentages are refused.
     #[test]
     fn set_up_columns_take_any_length_unit() {
         let all = "material,channel,thickness_mm,x_mm,value";

@@ -1,4 +1,4 @@
-//! Names and thicknesses that look alike: joined where they are the same to the eye, noted where it is in doubt.
+//! Joins names that look identical, and notes names and thicknesses that look alike.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -7,7 +7,7 @@ use unicode_normalization::UnicodeNormalization as _;
 
 use super::note::Note;
 
-/// Thicknesses closer than this are hardly of two slabs: none is measured so well.
+/// Thicknesses closer than this are probably those of one slab: none is measured that precisely.
 const ONE_SLAB_MM: f64 = 1e-3;
 
 /// A name in composed characters, with plain blanks and without invisible characters.
@@ -26,10 +26,10 @@ pub fn normal(name: &str) -> Cow<'_, str> {
 pub(super) struct Spellings(BTreeMap<String, Vec<(String, u64)>>);
 
 impl Spellings {
-    /// The name as it is read.
+    /// The normal form of a name; records its spelling.
     pub fn read<'a>(&mut self, given: &'a str, line: u64) -> Cow<'a, str> {
         let name = normal(given);
-        // Most names are plain, or were the last row's.
+        // ASCII names need no record of their spelling.
         if !given.is_ascii() {
             let spellings = self.0.entry(name.to_string()).or_default();
             if spellings.iter().all(|(known, _)| known != given) {
@@ -41,7 +41,7 @@ impl Spellings {
 
     /// A note of the names that were joined.
     pub fn note(&self) -> Option<Note> {
-        // A plain name may have been there without being counted.
+        // An ASCII name is not recorded, so one other spelling of it suffices.
         let joined = self.0.iter().filter(|(name, spellings)| spellings.len() > 1 || name.is_ascii());
         let described = joined.map(|(name, spellings)| {
             let lines: Vec<String> = spellings.iter().map(|(_, line)| line.to_string()).collect();
@@ -56,7 +56,8 @@ impl Spellings {
     }
 }
 
-/// A note of names that differ in case or separators only; `what` they name, and each with the line of its first row.
+/// A note of names that differ in case or separators only, given with the line of their first row; `what` names their
+/// kind.
 pub(super) fn alike<'a>(what: &str, names: impl Iterator<Item = (&'a str, u64)>) -> Option<Note> {
     let mut groups: BTreeMap<String, Vec<(&str, u64)>> = BTreeMap::new();
     for (name, line) in names {
@@ -76,7 +77,7 @@ pub(super) fn alike<'a>(what: &str, names: impl Iterator<Item = (&'a str, u64)>)
     (!described.is_empty()).then(|| Note::new("ALIKE_NAMES", text))
 }
 
-/// A note on thicknesses of one material that can hardly be of two slabs, each with the line of its first row.
+/// A note on thicknesses of one material that are probably one slab, each with the line of its first row.
 pub(super) fn alike_thicknesses(thicknesses: &mut [(f64, u64)]) -> Option<String> {
     thicknesses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let close = |pair: &&[(f64, u64)]| pair[0].0 < pair[1].0 && pair[1].0 - pair[0].0 < ONE_SLAB_MM;
@@ -92,7 +93,7 @@ pub(super) fn alike_thicknesses(thicknesses: &mut [(f64, u64)]) -> Option<String
 mod tests {
     use super::*;
 
-    /// Names that look the same are the same name.
+    /// Names that look the same are read as one name.
     #[test]
     fn visually_equal_names_are_equal() {
         for spelling in ["we\u{ed}\u{df} 1", "wei\u{301}\u{df} 1", "we\u{ed}\u{200b}\u{df}\u{a0}1\u{feff}"] {

@@ -1,11 +1,11 @@
-//! What was assumed when a file was read, and what its data make suspicious.
+//! Notes of assumptions made in reading a file, and of suspicious data.
 
 use serde::Serialize;
 
-/// One assumption or warning; a file has at most one of a kind.
+/// One assumption or warning; a file has at most one of each kind.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Note {
-    /// The kind, as programs read it; never changed.
+    /// The kind, for programs; stable.
     pub code: &'static str,
     /// One sentence for people.
     pub text: String,

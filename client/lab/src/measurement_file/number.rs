@@ -1,11 +1,11 @@
-//! How a file writes its numbers.
+//! Determines the decimal sign of a file, and parses its numbers.
 
 use anyhow::{Context, Result, bail};
 
 use super::note::Note;
 use super::table::Table;
 
-/// The sign before the decimals.
+/// The decimal sign.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Decimal {
     Point,
@@ -13,7 +13,8 @@ pub(super) enum Decimal {
 }
 
 impl Decimal {
-    /// Looks at every number of a file. Commas are only taken for decimal ones if they cannot be anything else.
+    /// Examines every number of a file. Commas are taken for decimal ones only if at least one cannot separate
+    /// thousands.
     pub fn of(table: &Table, notes: &mut Vec<Note>) -> Result<Self> {
         let (mut point, mut comma): (Option<NumberCell>, Option<NumberCell>) = (None, None);
         let mut proven = false;
@@ -68,9 +69,9 @@ impl Decimal {
         Ok(Self::Comma)
     }
 
-    /// A finite number.
+    /// Parses a finite number.
     pub fn read(self, text: &str, name: &str) -> Result<f64> {
-        // Some programs write the minus sign of typesetters.
+        // Some programs write the typographic minus sign.
         let plain = text.replace('\u{2212}', "-");
         let plain = if self == Self::Comma { plain.replace(',', ".") } else { plain };
         let value: f64 = plain.parse().ok().with_context(|| format!("{name} = {text:?} is not a number"))?;
@@ -81,20 +82,20 @@ impl Decimal {
     }
 }
 
-/// Whether a cell stands for a number that is not there, as programs write masked and missing ones.
+/// Whether a cell denotes a missing number, in the words of common programs.
 pub(super) fn is_missing(text: &str) -> bool {
     ["", "nan", "na", "n/a", "null", "none", "--", "masked"]
         .iter()
         .any(|word| text.eq_ignore_ascii_case(word))
 }
 
-/// A number and where it stands.
+/// The text of a number, and its line.
 struct NumberCell {
     line: u64,
     text: String,
 }
 
-/// Whether the comma of a number could stand between thousands: 1,234 and 12,345, not 0,123 or 1,23.
+/// Whether the comma of a number could separate thousands: in 1,234 and 12,345, but not in 0,123 or 1,23.
 fn like_thousands(text: &str) -> bool {
     let Some((whole, rest)) = text.trim_start_matches(['-', '+', '\u{2212}']).split_once(',') else {
         return false;

@@ -1,25 +1,24 @@
-//! The pixels of a profile, those without a value among them.
+//! Orders the pixels of a profile, and interpolates those without a value.
 
 use anyhow::{Result, bail};
 use optics_model::MeasuredProfile;
 
 use super::note::Note;
 
-/// Share of a profile's pixels that may be without a value.
+/// Largest share of a profile's pixels that may be without a value.
 const MOST_MISSING: f64 = 0.1;
 
-/// Standard error of a value that is only there because a profile has one at every pixel. Radiance factors lie between 0
-/// and about 1, so it has no weight.
+/// Standard error of an interpolated value. Radiance factors lie between 0 and about 1, so it has no weight.
 const UNKNOWN: f64 = 1.0;
 
 /// One row of a profile.
 pub(super) struct FileRow {
     pub line: u64,
-    /// None in the one row of a patch.
+    /// `None` in the single row of a patch.
     pub x_mm: Option<f64>,
-    /// None where a pixel is masked.
+    /// `None` where a pixel is masked.
     pub value: Option<f64>,
-    /// None where it is not given.
+    /// `None` where it is not given.
     pub std_error: Option<f64>,
 }
 
@@ -35,15 +34,15 @@ impl FileRow {
 pub(super) struct Pixels {
     pub x_mm: Vec<f64>,
     pub values: Vec<f64>,
-    /// None if no row has one.
+    /// `None` if no row has one.
     pub std_errors: Option<Vec<f64>>,
     pub lines: Vec<u64>,
-    /// Line of the first pixel that had no value, and how many there are.
+    /// Line of the first pixel without a value, and the number of such pixels.
     pub missing: Option<(u64, usize)>,
 }
 
 impl Pixels {
-    /// Pixels without a value, masked or left out, are interpolated between their neighbours; at the ends they are left
+    /// Pixels without a value, masked or absent, are interpolated between their neighbours; at the ends they are left
     /// out.
     pub fn of(rows: &[FileRow]) -> Result<Self> {
         let (Some(first), Some(last)) =
@@ -64,7 +63,7 @@ impl Pixels {
                     rows.len() + ends
                 );
             }
-            // Too many are not there at all: the spacing is what is wrong.
+            // Too many rows are absent to be interpolated: the spacing is uneven, which is refused later.
             return Ok(Self::between(&rows.iter().map(PixelPlace::of).collect::<Vec<_>>(), given, masked));
         }
         Ok(Self::between(&filled, given, missing))
@@ -85,7 +84,7 @@ impl Pixels {
     }
 }
 
-/// What was assumed about the pixels of a file's profiles.
+/// Assumptions about the pixels of a file's profiles.
 #[derive(Debug, Default)]
 pub(super) struct AssumedPixels {
     /// Profiles whose x are rounded, with the line and the pitch of the first.
@@ -94,14 +93,14 @@ pub(super) struct AssumedPixels {
     /// Pixels without a value, with the line of the first.
     missing: usize,
     first_missing: Option<u64>,
-    /// Profiles with standard errors, and without, with the line of the first of these.
+    /// Profiles with and without standard errors, with the line of the first without.
     with_errors: usize,
     without_errors: usize,
     first_without: Option<u64>,
 }
 
 impl AssumedPixels {
-    /// Takes up a profile that was made of pixels at `x_mm`.
+    /// Counts a profile that was made of pixels at `x_mm`.
     pub fn add(&mut self, profile: &MeasuredProfile, x_mm: &[f64], missing: Option<(u64, usize)>, line: u64) {
         if profile.x_mm() != x_mm {
             self.rounded += 1;
@@ -151,7 +150,7 @@ fn counted(count: usize, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// Whether the rows with a value have standard errors: all of them or none.
+/// Whether the rows with a value have standard errors; they must be given in all of them or in none.
 fn with_errors(rows: &[FileRow]) -> Result<bool> {
     let mut valued = rows.iter().filter(|r| r.value.is_some());
     let with = valued.clone().find(|r| r.std_error.is_some());
@@ -180,7 +179,7 @@ impl PixelPlace {
     }
 }
 
-/// The rows with places where steps are as long as several.
+/// The rows, with empty pixels inserted where a step is a multiple of the pitch.
 fn filled(rows: &[FileRow]) -> Vec<PixelPlace> {
     let step = step(rows);
     let mut places: Vec<PixelPlace> = Vec::with_capacity(rows.len());
@@ -188,7 +187,7 @@ fn filled(rows: &[FileRow]) -> Vec<PixelPlace> {
         let here = PixelPlace::of(row);
         if let Some(before) = places.last().copied() {
             let steps = ((here.x_mm - before.x_mm) / step).round();
-            // A far jump is no gap, and would be many places.
+            // A long jump is no gap: the number of inserted pixels is limited.
             for j in 1..steps.min(rows.len() as f64) as usize {
                 let x_mm = before.x_mm + (here.x_mm - before.x_mm) * j as f64 / steps;
                 places.push(PixelPlace { x_mm, value: None, std_error: UNKNOWN, line: here.line });
@@ -199,7 +198,7 @@ fn filled(rows: &[FileRow]) -> Vec<PixelPlace> {
     places
 }
 
-/// The mean of the steps that are single ones, rounded as they may be.
+/// The pitch: the mean of the single steps, which may be rounded.
 fn step(rows: &[FileRow]) -> f64 {
     let mut steps: Vec<f64> = rows.windows(2).map(|w| w[1].x() - w[0].x()).collect();
     if steps.is_empty() {
@@ -211,7 +210,7 @@ fn step(rows: &[FileRow]) -> f64 {
     single.iter().sum::<f64>() / single.len() as f64
 }
 
-/// The value on a straight line between the neighbours that have one.
+/// Linear interpolation between the nearest neighbours with a value.
 fn interpolated(places: &[PixelPlace], i: usize) -> f64 {
     let with_value = |p: &&PixelPlace| p.value.is_some();
     let (before, after) = (places[..i].iter().rev().find(with_value), places[i..].iter().find(with_value));
@@ -228,7 +227,7 @@ fn interpolated(places: &[PixelPlace], i: usize) -> f64 {
 mod tests {
     use super::*;
 
-    /// Values 0, 1, 2 … at places of a pitch, without some.
+    /// Values 0, 1, 2 … at multiples of a pitch, with some rows left out.
     fn rows(n: u32, pitch: f64, without: &[u32]) -> Vec<FileRow> {
         let row = |i: u32| FileRow {
             line: u64::from(i),
@@ -279,7 +278,7 @@ mod tests {
         masked[10..15].iter_mut().for_each(|r| r.value = None);
         let refused = Pixels::of(&masked).unwrap_err().to_string();
         assert!(refused.starts_with("5 of 40 rows have no value; a tenth may be without"), "{refused}");
-        // Every other one is missing in half of the profile: it is not evenly spaced.
+        // Every second pixel is missing in a part of the profile: it is not evenly spaced.
         let uneven = rows(40, 0.1, &[1, 3, 5, 7, 9, 11, 13]);
         assert_eq!(Pixels::of(&uneven).unwrap().x_mm.len(), 33);
         let mut some = rows(40, 0.1, &[]);

@@ -1,4 +1,4 @@
-//! From rows to profiles.
+//! Assembles rows into profiles.
 
 use std::collections::BTreeMap;
 
@@ -29,7 +29,7 @@ pub(super) struct Profiles {
     pub lines: Vec<Vec<Vec<u64>>>,
 }
 
-/// All rows, sorted into profiles in the order of their first rows.
+/// All rows, grouped into profiles in the order of their first rows.
 pub(super) fn drafts(table: &Table, decimal: Decimal, notes: &mut Vec<Note>) -> Result<Vec<ProfileDraft>> {
     let (mut drafts, mut spellings) = (Vec::new(), Spellings::default());
     for row in table.rows() {
@@ -71,12 +71,12 @@ fn add(
     };
     let mut setup = ProfileSetup::default();
     for ((_, known), column) in setup.values_mut().zip(columns.setup) {
-        // A cell may be empty: this profile has no value.
+        // An empty cell means that this profile has no value.
         *known = column.filter(|c| !row[c.place].is_empty()).map(number).transpose()?;
     }
     let same =
         |d: &ProfileDraft| d.material == material && d.channel == channel && d.thickness_mm == thickness_mm;
-    // Rows of a profile are mostly neighbours: the last is tried first.
+    // Rows of a profile are mostly adjacent: the last draft is tried first.
     match drafts.iter().rposition(same) {
         Some(place) => {
             check_same(&drafts[place], setup)?;
@@ -93,7 +93,7 @@ fn add(
     Ok(())
 }
 
-/// A profile has one set-up.
+/// Checks that all rows of a profile have the same set-up.
 fn check_same(draft: &ProfileDraft, setup: ProfileSetup) -> Result<()> {
     for ((quantity, here), (_, before)) in setup.values().zip(draft.setup.values()) {
         if here != before {
@@ -108,7 +108,7 @@ fn check_same(draft: &ProfileDraft, setup: ProfileSetup) -> Result<()> {
     Ok(())
 }
 
-/// If all channels are colours, whatever their spelling, they become R, G and B.
+/// Renames the channels to R, G and B if all of them are colours, in any spelling.
 pub(super) fn name_colours(drafts: &mut [ProfileDraft], notes: &mut Vec<Note>) -> Result<()> {
     if drafts.iter().any(|d| colour(&d.channel).is_none()) {
         return Ok(());
@@ -141,7 +141,7 @@ pub(super) fn name_colours(drafts: &mut [ProfileDraft], notes: &mut Vec<Note>) -
     Ok(())
 }
 
-/// Notes of names and thicknesses that may be meant to be one.
+/// Notes names and thicknesses that look alike.
 pub(super) fn look_alike(drafts: &[ProfileDraft], notes: &mut Vec<Note>) {
     notes.extend(alike("materials", drafts.iter().map(|d| (d.material.as_str(), d.rows[0].line))));
     notes.extend(alike("channels", drafts.iter().map(|d| (d.channel.as_str(), d.rows[0].line))));
@@ -158,10 +158,10 @@ pub(super) fn look_alike(drafts: &[ProfileDraft], notes: &mut Vec<Note>) {
     }
 }
 
-/// Rows that do not rise in x are sorted.
+/// Sorts rows that do not increase in x.
 pub(super) fn sort(drafts: &mut [ProfileDraft], notes: &mut Vec<Note>) -> Result<()> {
     let (mut falling, mut mixed) = (0, 0);
-    // Patches are looked at when they are made.
+    // Patches are checked when they are made.
     for draft in drafts.iter_mut().filter(|d| d.rows.iter().all(|r| r.x_mm.is_some())) {
         let rows = &mut draft.rows;
         if rows.windows(2).all(|w| w[1].x() < w[0].x()) && rows.len() > 1 {
@@ -277,12 +277,12 @@ fn with_setup(profile: MeasuredProfile, setup: ProfileSetup) -> optics_model::Re
     }
 }
 
-/// The place that every message about a profile names.
+/// The position that every message about a profile reports.
 pub(super) fn place_of(line: u64, material: &str, channel: &str, thickness_mm: f64) -> String {
     format!("line {line}, material {material}, channel {channel}, {thickness_mm} mm")
 }
 
-/// The number in the field that is complained of, as in `values[12]`.
+/// The index in the field of an error, such as 12 in `values[12]`.
 fn element(invalid: &Invalid) -> Option<usize> {
     invalid.field().split_once('[')?.1.strip_suffix(']')?.parse().ok()
 }

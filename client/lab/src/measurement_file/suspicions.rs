@@ -1,4 +1,4 @@
-//! What the checks found, with the places in the file.
+//! Turns the findings of the checks into errors and notes with their position in the file.
 
 use anyhow::{Result, bail};
 use optics_model::Measurement;
@@ -8,7 +8,7 @@ use optics_model::measurement::checks::{Finding, check};
 use super::note::Note;
 use super::rows::{Profiles, place_of};
 
-/// Refuses what is certainly wrong; the rest becomes notes, one of a kind.
+/// Refuses certain errors; other findings become notes, one of each kind.
 pub(super) fn examine(profiles: &Profiles, notes: &mut Vec<Note>) -> Result<()> {
     let findings = check(&profiles.materials);
     if let Some(first) = findings.iter().find(|f| f.certain) {
@@ -25,7 +25,7 @@ pub(super) fn examine(profiles: &Profiles, notes: &mut Vec<Note>) -> Result<()> 
     Ok(())
 }
 
-/// What a question about all materials of a file would be refused for.
+/// Limits of a coordinator that a question about all materials of a file would exceed.
 pub fn beyond_limits(materials: &[Measurement]) -> Vec<Note> {
     let pixels: usize = materials.iter().flat_map(Measurement::profiles).map(|p| p.values().len()).sum();
     let (most_pixels, most_materials) = (FitLimits::QUESTION_PIXELS, FitLimits::MATERIALS);

@@ -1,24 +1,24 @@
-//! The rows of a file and what separates their cells.
+//! Splits a file into rows and cells.
 
 use anyhow::{Result, bail};
 
 use super::columns::{ColumnField, Columns, understood};
 use super::note::Note;
 
-/// Most rows of one file.
+/// Largest number of rows of one file.
 const MOST_ROWS: usize = 5_000_000;
 
-/// Lines in which a header is looked for.
+/// Number of lines that are searched for a header.
 const LONGEST_PREAMBLE: usize = 200;
 
-/// A file's text, with the places of its columns.
+/// A file's text with its recognised columns.
 #[derive(Debug)]
 pub(super) struct Table<'a> {
-    /// From the header on, or from the first row if a comment is the header.
+    /// The text from the header on, or from the first row if a comment is the header.
     body: &'a str,
-    /// Lines before that.
+    /// Number of lines before the body.
     before: u64,
-    /// Rows of the body that are the header: one or none.
+    /// Number of rows of the body that are the header: one or none.
     header_rows: usize,
     separator: u8,
     width: usize,
@@ -91,7 +91,7 @@ impl<'a> Table<'a> {
         Ok(Some((line, row)))
     }
 
-    /// How many rows have cells, but nothing in any of them.
+    /// Number of rows whose cells are all empty.
     pub fn blank_rows(&self) -> usize {
         let rows = reader(self.body, self.separator).into_records();
         rows.filter(|row| row.as_ref().is_ok_and(blank)).count()
@@ -138,7 +138,7 @@ fn header_of(text: &str) -> (&str, u64, Option<u8>) {
     (&text[start..], lines, declared)
 }
 
-/// A note of comments that hold a whole row of the table, as a material called `#2` makes them.
+/// A note of comments that hold a whole row of the table, for example of a material called `#2`.
 fn commented_rows(body: &str, before: u64, separator: u8, width: usize) -> Option<Note> {
     let is_row = |line: &str| {
         let cells: Vec<&str> = line.split(separator as char).collect();
@@ -155,7 +155,7 @@ fn commented_rows(body: &str, before: u64, separator: u8, width: usize) -> Optio
     Some(Note::new("COMMENTED_ROWS", text))
 }
 
-/// The separator that makes most of the header understood.
+/// The separator with which most names of the header are recognised.
 fn separator_of(body: &str) -> Result<(u8, csv::StringRecord)> {
     let mut best = (b',', first_row(body, b',')?);
     for separator in *b";\t| " {
@@ -179,7 +179,7 @@ fn commented_header(before: &str) -> Result<Option<(u64, (u8, csv::StringRecord)
     Ok(None)
 }
 
-/// Refuses a file whose header stands further below, or is not there.
+/// Refuses a file whose header is further below, or is missing.
 fn refuse_preamble(body: &str, before: u64, first: &csv::StringRecord) -> Result<()> {
     for (text, line) in body.lines().take(LONGEST_PREAMBLE).zip(before + 1..) {
         if separator_of(text).is_ok_and(|(_, header)| understood(&header) >= ColumnField::NEEDED.len()) {

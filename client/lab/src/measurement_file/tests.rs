@@ -12,7 +12,7 @@ fn pixels(thickness: f64) -> impl DoubleEndedIterator<Item = (f64, f64)> {
 
 fn rows(material: &str, channel: &str, thickness: f64) -> String {
     let row = |(x, v): (f64, f64)| {
-        // Channels and materials differ, as in life.
+        // Channels and materials differ, as in real measurements.
         let v = v * (0.7 + 0.01 * channel.len() as f64 + 0.001 * f64::from(channel.as_bytes()[0] % 32));
         let v = v + 0.01 * material.len() as f64;
         format!("{material},{channel},{thickness},{x:.5},{v:.5},0.002\n")
@@ -36,7 +36,8 @@ fn error(text: &str) -> String {
     format!("{:#}", read(text.as_bytes()).unwrap_err())
 }
 
-/// Reads the same as the strict file, with one note of a kind, which contains the expected text.
+/// Asserts that the bytes give the same measurements as the strict file, and notes of these codes; one contains the
+/// message.
 fn reads_the_same(bytes: &[u8], code: &str, message: &str) {
     let (found, strict) = (read(bytes).unwrap_or_else(|e| panic!("{code}: {e:#}")), parse(&strict()));
     assert_eq!(found.materials, strict.materials, "{code}");
@@ -238,7 +239,7 @@ fn row_without_x_is_a_patch() {
     let found = parse(&(strict() + "white,R,2,,0.61,0.004\n"));
     let patch = found.materials[0].profiles().last().unwrap();
     assert!(patch.thickness_mm() == 2.0 && patch.values().iter().all(|v| *v == 0.61));
-    // All its pixels together are as certain as the row.
+    // The pixels of the patch together are as certain as the row.
     let information: f64 = patch.std_errors().unwrap().iter().map(|e| e.powi(-2)).sum();
     assert!((information.powf(-0.5) - 0.004).abs() < 1e-12);
     let message = error(&(strict() + "white,R,2,,0.61,0\n"));
@@ -269,7 +270,7 @@ fn set_up_columns_may_be_empty() {
     assert_eq!(thick.setup(), &optics_model::measurement::ProfileSetup::default());
 }
 
-/// The edge is expected at origin_mm, or at zero. Elsewhere it is refused with the value that would do.
+/// The edge is expected at origin_mm, or at zero. At another position it is refused with the correct value.
 #[test]
 fn edge_away_from_zero_needs_origin_mm() {
     let shifted = |origin: &str| {

@@ -1,4 +1,4 @@
-//! From the bytes of a file to text.
+//! Decodes the bytes of a file to text.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -12,18 +12,18 @@ use crate::bounded_file;
 /// Largest file that is read, in bytes.
 const LARGEST: u64 = 1 << 30;
 
-/// Numbers as text are compressed to no smaller part; small files may be.
+/// Largest compression ratio of numbers as text; files up to `SMALL_BYTES` may exceed it.
 const MOST_COMPRESSED: u64 = 100;
 const SMALL_BYTES: u64 = 16 << 20;
 
-/// Standard input as a file's name.
+/// The file name that denotes standard input.
 pub(super) const STDIN: &str = "-";
 
-/// First bytes of compressed files, and what unpacks them.
+/// First bytes of compressed files, and the program that unpacks them.
 const PACKED: [(&[u8], &str); 3] =
     [(b"\x28\xb5\x2f\xfd", "unzstd"), (b"\xfd7zXZ", "unxz"), (b"BZh", "bunzip2")];
 
-/// The whole file, or what a pipe gives.
+/// All bytes of the file, or of standard input.
 pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
     if path != Path::new(STDIN) {
         return bounded_file::read(path, LARGEST);
@@ -33,7 +33,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// What a gzip file holds, or the bytes as they are; other packed files are refused.
+/// The contents of a gzip file, or the bytes unchanged; files of other compressors are refused.
 pub(super) fn unpacked<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'a, [u8]>> {
     if let Some((_, program)) = PACKED.iter().find(|(magic, _)| bytes.starts_with(magic)) {
         bail!("this is a compressed file: unpack it first, as with {program}");
@@ -49,7 +49,7 @@ pub(super) fn unpacked<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow
     Ok(Cow::Owned(text))
 }
 
-/// The text of a file that holds no measurement: UTF-8, with or without a byte-order mark, or UTF-16.
+/// The text of a file other than a measurement: UTF-8, with or without a byte-order mark, or UTF-16.
 pub fn plain(bytes: &[u8]) -> Result<String> {
     let decoded = match utf_16(bytes) {
         Some((encoding, rest)) => {
@@ -62,7 +62,7 @@ pub fn plain(bytes: &[u8]) -> Result<String> {
     decoded.context("the file is not text in UTF-8: save it as UTF-8")
 }
 
-/// The text of a file, with lines that end in CR alone ended in LF: comments would not end otherwise.
+/// The text of a file. Line ends of a lone CR become LF, since comments would not end otherwise.
 pub(super) fn decode<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'a, str>> {
     let text = decode_bytes(bytes, notes)?;
     let lone = |(i, _): (usize, &str)| text.as_bytes().get(i + 1) != Some(&b'\n');
@@ -72,7 +72,7 @@ pub(super) fn decode<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'
     Ok(text)
 }
 
-/// UTF-8 is read as it is; anything else with a note, if its bytes show it.
+/// Decodes UTF-8, UTF-16 and Windows-1252. A byte-order mark and any encoding other than UTF-8 cause a note.
 fn decode_bytes<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'a, str>> {
     if bytes.starts_with(b"PK\x03\x04") || bytes.starts_with(b"\xd0\xcf\x11\xe0") {
         bail!("this is a spreadsheet, not CSV: save it as CSV from the program that made it");
@@ -104,7 +104,8 @@ fn utf8_or_western<'a>(bytes: &'a [u8], notes: &mut Vec<Note>) -> Result<Cow<'a,
     Ok(WINDOWS_1252.decode_without_bom_handling(bytes).0)
 }
 
-/// The byte order of UTF-16 and the bytes after the mark. Without a mark it shows in the zeros of plain letters.
+/// The byte order of UTF-16, and the bytes after the mark. Without a mark it follows from the zero bytes of ASCII
+/// letters.
 fn utf_16(bytes: &[u8]) -> Option<(&'static Encoding, &[u8])> {
     if let Some(rest) = bytes.strip_prefix(b"\xff\xfe") {
         return Some((UTF_16LE, rest));

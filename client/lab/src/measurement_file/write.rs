@@ -1,4 +1,4 @@
-//! Simulated profiles in the strict format, so that they can be measured like photographs.
+//! Writes simulated profiles in the strict format, so that they can be measured like photographs.
 
 use std::io::Write;
 
@@ -7,7 +7,7 @@ use optics_model::{Invalid, Profile, Scene};
 
 use super::columns::{SET_UP, names};
 
-/// What is known of a simulated set-up: the thickness is exact, the edge lies at 0, no camera blurs.
+/// The set-up of a simulation: the thickness is exact, the edge lies at 0, no camera blurs.
 const EXACT: [&str; SET_UP] = ["0"; SET_UP];
 
 /// Writes the profiles of one material.
@@ -24,7 +24,7 @@ impl<W: Write> MeasurementWriter<W> {
         Ok(Self { rows, material: check_name(material)?.to_owned() })
     }
 
-    /// All channels of a scene at one thickness, but for those that only show the effect of the white reference.
+    /// Adds all channels of a scene at one thickness, except those that only show the effect of the white reference.
     pub fn add(&mut self, scene: &Scene, thickness_mm: f64, profiles: &[Profile]) -> Result<()> {
         for index in scene.seen_channels() {
             let (channel, estimate) = (&scene.channels()[index], &profiles[index].radiance_factor);
@@ -46,13 +46,13 @@ impl<W: Write> MeasurementWriter<W> {
 }
 
 impl MeasurementWriter<Vec<u8>> {
-    /// All that was written.
+    /// The written CSV.
     pub fn into_bytes(self) -> Result<Vec<u8>> {
         Ok(self.rows.into_inner()?)
     }
 }
 
-/// Refuses names that would not be read as they were written.
+/// Refuses names that would be read differently from how they were written.
 pub fn check_name(material: &str) -> Result<&str, Invalid> {
     let sound = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
     let allowed = "a material's name is wanted, without spaces at its ends and without line breaks";

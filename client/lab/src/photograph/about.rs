@@ -1,23 +1,23 @@
-//! How a photograph was taken, from its EXIF 2.3 tags.
+//! Reads from the EXIF 2.3 tags how a photograph was taken.
 
 use std::fmt;
 
 use super::directory::{Bytes, Directory, Tag};
 
-/// How a photograph was taken, as far as its file states it.
+/// Exposure, time and orientation of a photograph, as far as its file states them.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct About {
     pub camera: Option<String>,
     pub exposure_s: Option<f64>,
     pub iso: Option<f64>,
     pub f_number: Option<f64>,
-    /// Time of the shot in seconds of the camera's own clock.
+    /// Time of the shot in seconds, by the camera's clock.
     pub taken_s: Option<f64>,
-    /// How viewers are to turn the picture.
+    /// How viewers should turn the picture.
     pub orientation: Option<Orientation>,
 }
 
-/// How viewers are to turn a picture: 1 as it is stored, 3, 6 and 8 turned, others mirrored (TIFF 6.0, Sec. 8). Samples
+/// How viewers should turn a picture: 1 as it is stored, 3, 6 and 8 turned, others mirrored (TIFF 6.0, Sec. 8). Samples
 /// are used as they are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Orientation(u8);
@@ -50,7 +50,8 @@ impl fmt::Display for Orientation {
 }
 
 impl About {
-    /// From the directories of a file, the first with a value wins; which way up first from the picture's.
+    /// Reads the directories of a file; the first with a value wins. The orientation is that of the picture's directory
+    /// first.
     pub(super) fn of(bytes: Bytes, picture: &Directory, directories: &[Directory]) -> Self {
         let exif = directories.iter().filter_map(|d| {
             let at = d.whole_of(Tag::EXIF).ok()??;
@@ -58,7 +59,7 @@ impl About {
         });
         let exif: Vec<Directory> = exif.collect();
         let all = || exif.iter().chain(directories);
-        // Numbers that cannot be are as good as none.
+        // Invalid numbers count as absent.
         let positive = |tag: Tag| all().find_map(|d| d.number_of(tag).ok().flatten().filter(|v| *v > 0.0));
         let text = |tag: Tag| all().find_map(|d| d.text(tag));
         let orientation = [Some(picture), directories.first()].into_iter().flatten();
@@ -80,7 +81,7 @@ impl About {
         }
     }
 
-    /// From EXIF as other formats embed it.
+    /// Reads EXIF data that another format embeds.
     pub(super) fn of_exif(exif: &[u8]) -> Self {
         let read = || {
             let bytes = Bytes::new(exif)?;
@@ -92,7 +93,7 @@ impl About {
     }
 }
 
-/// Seconds since 1970 of "2026:11:21 09:30:00", in whatever zone.
+/// Seconds since 1970 of "2026:11:21 09:30:00", in an unknown time zone.
 fn seconds(text: &str) -> Option<f64> {
     let time = jiff::civil::DateTime::strptime("%Y:%m:%d %H:%M:%S", text).ok()?;
     let zoned = time.to_zoned(jiff::tz::TimeZone::UTC).ok()?;

@@ -1,4 +1,4 @@
-//! Strips and tiles of a TIFF: from stored bytes to samples.
+//! Decodes strips and tiles of a TIFF to samples.
 
 use std::io::Read as _;
 
@@ -12,7 +12,7 @@ use super::lossless_jpeg::LosslessJpeg;
 use super::unreadable::UnreadablePhotograph;
 use super::{checked_samples, checked_size};
 
-/// LZW makes nothing more than so many times smaller.
+/// Upper limit of the compression ratio of LZW.
 const MOST_LZW: usize = 4096;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,11 +26,11 @@ enum Compression {
 /// Decoded samples of a strip or tile.
 struct Decoded {
     samples: Vec<u16>,
-    /// Samples of a row: those of the whole tile, or of what of it is within the picture.
+    /// Samples per row: of the whole tile, or of its part within the picture.
     row: usize,
 }
 
-/// A picture's samples as they lie in a file.
+/// A picture's samples as stored in the file.
 #[derive(Debug)]
 pub(super) struct Chunks<'a> {
     width: usize,
@@ -43,7 +43,7 @@ pub(super) struct Chunks<'a> {
     differences: bool,
     chunk_width: usize,
     chunk_height: usize,
-    /// Row by row.
+    /// Strips or tiles, row by row.
     stored: Vec<&'a [u8]>,
 }
 
@@ -56,10 +56,10 @@ impl<'a> Chunks<'a> {
     ) -> Result<Self, UnreadablePhotograph> {
         let (width, height) = checked_size(picture.needed(Tag::WIDTH)?, picture.needed(Tag::HEIGHT)?)?;
         let compression = compression(picture)?;
-        // Some writers give the size of tiles in addition to the places of strips.
+        // Some writers give the size of tiles in addition to the offsets of strips.
         let tiled = picture.has(Tag::TILE_WIDTH) && picture.has(Tag::TILE_OFFSETS);
         let (chunk_width, chunk_height) = if tiled {
-            // A tile may reach beyond a small picture.
+            // A tile may extend beyond a small picture.
             let (w, h) = (picture.needed(Tag::TILE_WIDTH)?, picture.needed(Tag::TILE_HEIGHT)?);
             checked_size(w, h)?
         } else {
@@ -90,7 +90,7 @@ impl<'a> Chunks<'a> {
         self.height
     }
 
-    /// Refuses what cannot be in so few bytes, before memory is taken for it.
+    /// Refuses more samples than the file can hold, before memory is allocated.
     fn check(&self, file_bytes: usize) -> Result<(), UnreadablePhotograph> {
         let (across, down) = (self.width.div_ceil(self.chunk_width), self.height.div_ceil(self.chunk_height));
         let wanted = across * down;
@@ -102,7 +102,7 @@ impl<'a> Chunks<'a> {
                 format!("{wanted} make the picture"),
             ));
         }
-        // Tiles are decoded whole, and several may lie at one place of the file.
+        // Tiles are decoded whole, and several may share an offset in the file.
         let [width, height] = [across * self.chunk_width, down * self.chunk_height].map(|side| side as u64);
         checked_samples(
             file_bytes,
@@ -113,7 +113,7 @@ impl<'a> Chunks<'a> {
     /// All samples, row by row.
     pub(super) fn read(&self) -> Result<Vec<u16>, UnreadablePhotograph> {
         if self.compression == Compression::None {
-            // Each is looked at before memory is taken for all.
+            // Each strip or tile is checked before memory is allocated for all.
             for (chunk, stored) in self.stored.iter().enumerate() {
                 self.packing(chunk, stored)?;
             }
@@ -136,7 +136,7 @@ impl<'a> Chunks<'a> {
             }
             Ok(())
         });
-        // The first in the file is reported, in whatever order they fail.
+        // The first error in the order of the file is reported, whichever occurred first.
         bands.collect::<Vec<_>>().into_iter().collect::<Result<(), _>>()?;
         Ok(samples)
     }
@@ -151,7 +151,7 @@ impl<'a> Chunks<'a> {
         )
     }
 
-    /// A strip's or tile's missing rows as those of the picture.
+    /// Converts the missing rows of a strip or tile to those of the picture.
     fn within_picture(&self, error: UnreadablePhotograph, band: usize) -> UnreadablePhotograph {
         match error {
             UnreadablePhotograph::EndsEarly { rows, .. } => {
@@ -185,8 +185,8 @@ impl<'a> Chunks<'a> {
         2 * self.chunk_width * self.samples_per_pixel * self.chunk_height
     }
 
-    /// A tile's JPEG is as large as the tile, or as what of it is within the picture; rows of the same samples may be
-    /// arranged otherwise.
+    /// Decodes a tile's JPEG, which is as large as the tile or as its part within the picture; the same samples may be
+    /// arranged in rows of another length.
     fn unjpeg(&self, chunk: usize, stored: &[u8]) -> Result<Decoded, UnreadablePhotograph> {
         let (width, height) = self.within(chunk);
         let samples = |width: usize, height: usize| width * height * self.samples_per_pixel;
@@ -214,8 +214,8 @@ impl<'a> Chunks<'a> {
         Ok(Decoded { samples: unpacked(bytes, row, bits, self.big_endian), row })
     }
 
-    /// Samples of a row and bits of a sample as they are stored: the last tiles may be whole or cut to the picture, and
-    /// samples of 9 to 15 bits may stand in words of 16 bits, which the tags do not show.
+    /// Samples per row and bits per sample as stored: the last tiles may be whole or cut to the picture, and samples of
+    /// 9 to 15 bits may be in words of 16 bits, which the tags do not show.
     fn packing(&self, chunk: usize, bytes: &[u8]) -> Result<(usize, u32), UnreadablePhotograph> {
         let whole_row = self.chunk_width * self.samples_per_pixel;
         let (width, height) = self.within(chunk);
@@ -243,7 +243,7 @@ impl<'a> Chunks<'a> {
         self.packed(whole_row, has)
     }
 
-    /// Refuses words of 16 bits whose values need more bits than the tags give.
+    /// Refuses words of 16 bits whose values need more bits than the tags state.
     fn packed(&self, row: usize, has: usize) -> Result<(usize, u32), UnreadablePhotograph> {
         if self.bits < 16 && has >= 2 * row * self.chunk_height {
             let given = format!("{} with 16 bits stored for each sample", self.bits);
@@ -258,8 +258,8 @@ fn bytes_of_row(row: usize, bits: u32) -> usize {
     (row * bits as usize).div_ceil(8)
 }
 
-/// Samples of 16 bits in the file's order of bytes; those of fewer bits are packed, the highest bit first, and rows
-/// begin with a byte.
+/// Unpacks samples: those of 16 bits are in the file's byte order, those of fewer bits are packed, the highest bit
+/// first, and rows begin with a byte.
 fn unpacked(bytes: &[u8], row: usize, bits: u32, big_endian: bool) -> Vec<u16> {
     if bits == 16 {
         let one = if big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
@@ -338,7 +338,7 @@ fn differences(
     bits: u32,
 ) -> Result<bool, UnreadablePhotograph> {
     match picture.whole_of(Tag::PREDICTOR)?.unwrap_or(1) {
-        // Without compression, or with that of JPEG, the tag means nothing.
+        // Without compression, or with that of JPEG, the tag has no meaning.
         2 if matches!(compression, Compression::None | Compression::LosslessJpeg) => Ok(false),
         2 if bits == 16 => Ok(true),
         1 => Ok(false),

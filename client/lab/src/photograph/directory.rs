@@ -1,21 +1,21 @@
-//! Directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2, and BigTIFF).
+//! Reads directories of TIFF files: tags with their values (TIFF 6.0, Sec. 2, and BigTIFF).
 
 use super::unreadable::UnreadablePhotograph;
 
-/// Most entries and values that are looked at: a camera's file has hundreds of tags, a hundred thousand tiles at most.
+/// Largest number of values of a tag: a camera's file has a hundred thousand tiles at most.
 const MOST_VALUES: u64 = 1 << 20;
 
-/// The bytes of a TIFF file and their order.
+/// The bytes of a TIFF file and their byte order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Bytes<'a> {
     pub(super) all: &'a [u8],
     pub(super) big_endian: bool,
-    /// BigTIFF: places and counts have 64 bits.
+    /// BigTIFF: offsets and counts have 64 bits.
     big: bool,
 }
 
 impl<'a> Bytes<'a> {
-    /// None if the file does not begin as a TIFF.
+    /// `None` if the file does not begin as a TIFF.
     pub(super) fn new(all: &'a [u8]) -> Option<Self> {
         match all {
             [b'I', b'I', 42, 0, ..] => Some(Self { all, big_endian: false, big: false }),
@@ -54,12 +54,12 @@ impl<'a> Bytes<'a> {
         Ok(u64::from(high) << 32 | u64::from(low))
     }
 
-    /// A place or count.
+    /// An offset or count.
     fn word(self, what: &str, at: u64) -> Result<u64, UnreadablePhotograph> {
         if self.big { self.u64(what, at) } else { self.u32(what, at).map(u64::from) }
     }
 
-    /// Where the first directory begins.
+    /// Offset of the first directory.
     pub(super) fn first(self) -> Result<u64, UnreadablePhotograph> {
         self.word("the place of the first directory", if self.big { 8 } else { 4 })
     }
@@ -70,7 +70,7 @@ struct DirectoryEntry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// Where the values are.
+    /// Offset of the values.
     at: u64,
 }
 
@@ -95,7 +95,7 @@ impl DirectoryEntry {
 pub(super) struct Directory<'a> {
     bytes: Bytes<'a>,
     entries: Vec<DirectoryEntry>,
-    /// Where the next one begins; 0 after the last.
+    /// Offset of the next one; 0 after the last.
     pub(super) next: u64,
 }
 
@@ -117,7 +117,7 @@ impl<'a> Directory<'a> {
             let place = if inline { entry.at } else { bytes.word(WHAT, entry.at)? };
             entries.push(DirectoryEntry { at: place, ..entry });
         }
-        // Some writers leave out the end of the last directory.
+        // Some writers omit the end of the last directory.
         let next = bytes.word(WHAT, from.saturating_add(step * count)).unwrap_or(0);
         Ok(Self { bytes, entries, next })
     }
@@ -130,7 +130,7 @@ impl<'a> Directory<'a> {
         self.entries.iter().find(|entry| entry.tag == tag.number).copied()
     }
 
-    /// The values of a tag, none of them if it is not there.
+    /// The values of a tag; empty if it is absent.
     pub(super) fn numbers(&self, tag: Tag) -> Result<Vec<f64>, UnreadablePhotograph> {
         let Some(entry) = self.entry(tag) else { return Ok(Vec::new()) };
         if entry.count > MOST_VALUES {
@@ -182,7 +182,7 @@ impl<'a> Directory<'a> {
         Ok(self.numbers(tag)?.first().copied().filter(|value| value.is_finite()))
     }
 
-    /// Values that are whole numbers, as sizes and places are.
+    /// Values that must be whole numbers, such as sizes and offsets.
     pub(super) fn whole(&self, tag: Tag) -> Result<Vec<u64>, UnreadablePhotograph> {
         let whole = |value: f64| {
             let sound = value >= 0.0 && value.fract() == 0.0;
@@ -203,7 +203,7 @@ impl<'a> Directory<'a> {
         self.whole_of(tag)?.ok_or_else(|| UnreadablePhotograph::missing(tag.name, "every picture has it"))
     }
 
-    /// A text without the zero at its end; none if it is no text.
+    /// A text without the zero at its end; `None` if it is empty.
     pub(super) fn text(&self, tag: Tag) -> Option<String> {
         let bytes = self.raw(tag)?;
         let text = String::from_utf8_lossy(bytes);

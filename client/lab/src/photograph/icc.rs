@@ -1,6 +1,6 @@
-//! Whether a colour profile declares linear values (ICC.1:2010, Secs. 7.3 and 10.5).
+//! Checks whether a colour profile declares linear values (ICC.1:2010, Secs. 7.3 and 10.5).
 
-/// The tone curve of a profile, if it has one that is not straight.
+/// The tone curve of a profile, if it is not straight.
 pub(super) fn tone_curve(profile: &[u8]) -> Option<String> {
     let count = u32_at(profile, 128)?.min(100);
     (0..count as usize).find_map(|i| {
@@ -12,7 +12,7 @@ pub(super) fn tone_curve(profile: &[u8]) -> Option<String> {
     })
 }
 
-/// None if the curve is straight.
+/// Describes a curve; `None` if it is straight.
 fn described(curve: &[u8]) -> Option<String> {
     match curve.get(..4)? {
         b"curv" => match u32_at(curve, 8)? {
@@ -28,7 +28,7 @@ fn described(curve: &[u8]) -> Option<String> {
                 (!straight).then(|| "a curve in its colour profile".to_owned())
             }
         },
-        // Parametric: Y = X^g alone can be straight.
+        // Only Y = X^g can be straight among the parametric curves.
         b"para" => match curve.get(8..10)? {
             [0, 0] => gamma(f64::from(u32_at(curve, 12)?) / 65_536.0),
             _ => Some("a curve in its colour profile".to_owned()),

@@ -1,11 +1,12 @@
-//! Lossless JPEG, the usual compression of DNG (ITU-T T.81, Annex H): Huffman-coded differences from a prediction.
+//! Decodes lossless JPEG, the usual compression of DNG (ITU-T T.81, Annex H): Huffman-coded differences from a
+//! prediction.
 
 use super::unreadable::UnreadablePhotograph;
 
-/// Fewest zero bytes at the end of coded data without an end marker that are no data.
+/// Zero bytes at the end of coded data without an end marker are no data if there are at least this many.
 const SHORTEST_HOLE: usize = 16;
 
-/// One strip or tile: rows after rows, the components of a pixel side by side.
+/// One strip or tile: row by row, the components of a pixel side by side.
 #[derive(Debug)]
 pub(super) struct LosslessJpeg<'a> {
     head: JpegHead,
@@ -23,13 +24,13 @@ impl<'a> LosslessJpeg<'a> {
         self.head.width * self.head.height * self.head.components
     }
 
-    /// Samples of a row.
+    /// Samples per row.
     pub(super) fn row(&self) -> usize {
         self.head.width * self.head.components
     }
 
     pub(super) fn decode(&self) -> Result<Vec<u16>, UnreadablePhotograph> {
-        // A sample takes a bit at least.
+        // A sample takes at least one bit.
         if self.samples() > self.scan.len().saturating_mul(8) {
             let (has, wanted) = (self.scan.len(), self.samples());
             return Err(damaged(format!("{has} bytes cannot hold {wanted} samples")));
@@ -38,7 +39,8 @@ impl<'a> LosslessJpeg<'a> {
     }
 }
 
-/// Coded data without the zeros of an interrupted copy: they would decode, and coded data do not end in so many.
+/// Coded data without the zeros of an interrupted copy: zeros can be decoded, but sound data do not end in a run of that
+/// length.
 fn without_hole(scan: &[u8]) -> &[u8] {
     let data = scan.len() - scan.iter().rev().take_while(|b| **b == 0).count();
     let ends = scan[..data].ends_with(&[0xff, 0xd9]);
@@ -49,7 +51,7 @@ fn damaged(what: impl Into<String>) -> UnreadablePhotograph {
     UnreadablePhotograph::Damaged(what.into())
 }
 
-/// A Huffman code: for each 16 bits ahead, the length of the code that they begin with, and its value.
+/// A Huffman code: for each pattern of the next 16 bits, the length and the value of the code word that they begin with.
 type Code = Vec<(u8, u8)>;
 
 #[derive(Debug, Default)]
@@ -60,12 +62,12 @@ struct JpegHead {
     precision: u32,
     predictor: u8,
     shift: u32,
-    /// Restart after so many pixels; 0 for never.
+    /// Restart interval in pixels; 0 for none.
     restart: usize,
     codes: [Option<Code>; 4],
-    /// Which code a component uses.
+    /// Index of the code of each component.
     code_of: Vec<usize>,
-    /// Where the coded data begin.
+    /// Offset of the coded data.
     scan: usize,
 }
 
@@ -154,7 +156,7 @@ impl JpegHead {
         let mut bits = Bits::new(scan);
         let codes: Vec<&Code> = self.code_of.iter().filter_map(|place| self.codes[*place].as_ref()).collect();
         let start = 1_i32 << (self.precision - self.shift - 1);
-        // The first row after a restart begins again.
+        // The first row after a restart is predicted without the row above.
         let mut first_row = 0;
         for pixel in 0..self.width * self.height {
             let (y, x) = (pixel / self.width, pixel % self.width);
@@ -197,7 +199,7 @@ impl JpegHead {
     }
 }
 
-/// Table H.1: a is to the left, b above, c above to the left.
+/// Table H.1: a is the sample to the left, b above, c above to the left.
 fn predict(predictor: u8, a: i32, b: i32, c: i32) -> i32 {
     match predictor {
         1 => a,
@@ -214,7 +216,7 @@ fn byte(body: &[u8], at: usize) -> Result<u8, UnreadablePhotograph> {
     body.get(at).copied().ok_or_else(|| damaged("a lossless JPEG ends within its head"))
 }
 
-/// Codes of 1 to 16 bits, in order of their lengths (Annex C).
+/// Builds a code of 1 to 16 bits from its values in order of their lengths (Annex C).
 fn code(counts: &[u8], values: &[u8]) -> Result<Code, UnreadablePhotograph> {
     let mut table = vec![(0, 0); 1 << 16];
     let (mut next, mut values) = (0_usize, values.iter());
@@ -234,14 +236,14 @@ fn code(counts: &[u8], values: &[u8]) -> Result<Code, UnreadablePhotograph> {
     Ok(table)
 }
 
-/// Bits of coded data, the highest first; a zero byte after 0xff is stuffing. Beyond the end come zeros,
-/// to look ahead with.
+/// Bits of coded data, the highest first; a zero byte after 0xff is stuffing. Beyond the end, zeros are appended for the
+/// look-ahead.
 struct Bits<'a> {
     bytes: &'a [u8],
     at: usize,
     word: u64,
     held: u32,
-    /// How many of the bits that are held lie beyond the end.
+    /// Number of held bits that lie beyond the end.
     beyond: u32,
 }
 
@@ -257,7 +259,7 @@ impl<'a> Bits<'a> {
                     self.at += 2;
                     0xff
                 }
-                // A marker: nothing is taken beyond it.
+                // A marker ends the data.
                 (Some(0xff) | None, _) => {
                     self.beyond += 8;
                     0
@@ -295,12 +297,12 @@ impl<'a> Bits<'a> {
         })
     }
 
-    /// Whether more bits were taken than there are.
+    /// Whether more bits were read than exist.
     fn is_beyond_end(&self) -> bool {
         self.held < self.beyond
     }
 
-    /// Goes on behind the next restart marker, the one of a number; false if it is not there.
+    /// Continues after the next restart marker; false if it is missing or has another number.
     fn restart(&mut self, number: usize) -> bool {
         (self.word, self.held, self.beyond) = (0, 0, 0);
         let rest = self.bytes.get(self.at..).unwrap_or_default();

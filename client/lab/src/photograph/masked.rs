@@ -1,20 +1,22 @@
-//! Black level from the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They refine the level in the file;
-//! by themselves they could not be distinguished from margins that light reaches.
+//! Measures the black level in the margins of a sensor that no light reaches (DNG 1.4, MaskedAreas). They refine the
+//! level in the file; alone they could not be distinguished from margins that light reaches.
 
 use super::directory::Tag;
 use super::unreadable::UnreadablePhotograph;
 use super::{Photograph, SampleLayout};
 
-/// Fewest samples of each place of the mosaic that determine a level: to a sixteenth of the noise.
+/// Fewest samples per position of the mosaic that determine a level: to a sixteenth of the noise.
 const FEWEST: usize = 256;
-/// Share of samples at either end that are left out: defects of the sensor.
+/// Share of samples that are left out at either end, as defects of the sensor.
 const ODD: f64 = 0.05;
-/// Most by which the margins may differ from the level in the file, as a share of its range: else light reaches them.
+/// Largest difference between the margins and the level in the file, as a share of its range: beyond it, light reaches
+/// them.
 const LIT: f64 = 0.005;
-/// Most rectangles.
+/// Largest number of rectangles.
 const MOST_AREAS: usize = 16;
 
-/// By row and column modulo 2, from the corner of the active area. None where the margins are no use.
+/// The black level by row and column modulo 2, from the corner of the active area; `None` where the margins do not
+/// determine it.
 pub(super) fn black(
     whole: &Photograph,
     areas: &[u64],
@@ -54,7 +56,7 @@ pub(super) fn black(
     Ok(dark.then_some(levels))
 }
 
-/// Mean of the samples that are no defects.
+/// Mean of the samples without defects.
 fn middle(mut samples: Vec<u16>) -> f64 {
     samples.sort_unstable();
     let out = (ODD * samples.len() as f64) as usize;
@@ -62,8 +64,8 @@ fn middle(mut samples: Vec<u16>) -> f64 {
     kept.iter().map(|v| f64::from(*v)).sum::<f64>() / kept.len() as f64
 }
 
-/// What of a rectangle is within the picture: top, left, bottom, right. None if it reaches beyond by more than a
-/// fiftieth; cameras' files are a few pixels off.
+/// The part of a rectangle within the picture: top, left, bottom, right. `None` if it extends beyond by more than a
+/// fiftieth; rectangles in cameras' files are a few pixels off.
 pub(super) fn within([top, left, bottom, right]: [u64; 4], picture: &Photograph) -> Option<[usize; 4]> {
     let (width, height) = (picture.width as u64, picture.height as u64);
     let near =

@@ -1,4 +1,4 @@
-//! PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them, or with numbers as text.
+//! Decodes PGM and PPM, as `dcraw -E -4`, `dcraw -4` and LibRaw's `unprocessed_raw` write them, or with numbers as text.
 
 use super::unreadable::UnreadablePhotograph;
 use super::{About, Photograph, SampleLayout, checked_size};
@@ -15,7 +15,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     Ok(Photograph { width, height, layout, samples, black: None, white, about: About::default() })
 }
 
-/// Pictures may stand one after the other.
+/// Number of binary pictures in a file, which may be stored one after the other.
 fn pictures(mut rest: &[u8]) -> usize {
     let mut count = 0;
     while let [b'P', b'5' | b'6', ..] = rest.trim_ascii_start() {
@@ -27,13 +27,13 @@ fn pictures(mut rest: &[u8]) -> usize {
     count
 }
 
-/// The values of a header, and where the pixels begin.
+/// The values of a header, and the offset of the pixels.
 struct NetpbmPicture {
     layout: SampleLayout,
     width: usize,
     height: usize,
     most: u64,
-    /// Numbers in decimal digits.
+    /// Whether samples are decimal numbers.
     is_text: bool,
     from: usize,
 }
@@ -61,12 +61,12 @@ impl NetpbmPicture {
         self.width * self.height * self.layout.samples_per_pixel()
     }
 
-    /// Where binary samples end.
+    /// Offset of the end of binary samples.
     fn end(&self) -> usize {
         self.from + 2 * self.count()
     }
 
-    /// The samples, and what follows them.
+    /// The samples, and the bytes after them.
     fn binary<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), UnreadablePhotograph> {
         let cut = || UnreadablePhotograph::Truncated {
             what: "the pixels".to_owned(),
@@ -79,7 +79,7 @@ impl NetpbmPicture {
         Ok((samples, &bytes[self.end()..]))
     }
 
-    /// Nothing may follow, since only one picture of numbers as text is allowed in a file.
+    /// The samples as decimal numbers. The rest is empty, since a file holds only one picture of this kind.
     fn text<'b>(&self, bytes: &'b [u8]) -> Result<(Vec<u16>, &'b [u8]), UnreadablePhotograph> {
         let mut body = NetpbmHead { bytes, at: self.from };
         let mut samples = Vec::with_capacity(self.count().min(bytes.len()));
@@ -113,7 +113,7 @@ impl NetpbmHead<'_> {
         text.parse().map_err(|_| UnreadablePhotograph::Damaged(format!("the head has no {what}")))
     }
 
-    /// Spaces, and comments to the end of their line.
+    /// Skips white space, and comments to the end of their line.
     fn skip(&mut self) {
         while let Some(byte) = self.bytes.get(self.at) {
             match byte {

@@ -1,4 +1,4 @@
-//! PNG with 16 bits a sample.
+//! Decodes PNG with 16 bits per sample.
 
 use std::io::Cursor;
 
@@ -36,7 +36,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     Ok(Photograph { width, height, layout, samples, black: None, white: None, about })
 }
 
-/// The tone curve that the file declares; without one it is taken to be linear, which its grey patches verify.
+/// The tone curve that the file declares; without one, values are taken to be linear, which the grey patches verify.
 fn not_linear(info: &png::Info) -> Option<String> {
     if info.srgb.is_some() {
         return Some("an sRGB chunk".to_owned());

@@ -11,7 +11,7 @@ mod interrupted;
 mod pictures;
 mod storage;
 
-/// A TIFF of one strip, of which tests change the tags.
+/// A TIFF of one strip; tests change its tags.
 #[derive(Clone)]
 struct Maker {
     width: u32,
@@ -60,7 +60,7 @@ impl Maker {
         file
     }
 
-    /// The directory as it is at a place of the file, the last one.
+    /// The bytes of a directory at this offset in the file, without a next one.
     fn directory(&self, directory: usize) -> Vec<u8> {
         let short = |v: u16| if self.big_endian { v.to_be_bytes() } else { v.to_le_bytes() };
         let long = |v: u32| if self.big_endian { v.to_be_bytes() } else { v.to_le_bytes() };
@@ -122,7 +122,7 @@ fn deflated(bytes: &[u8]) -> Vec<u8> {
     encoder.finish().unwrap()
 }
 
-/// A DNG file gives its samples, its levels and how it was taken.
+/// A DNG file gives its samples, its levels and its exposure.
 #[test]
 fn dng_gives_samples_levels_and_exposure() {
     let mut dng = Maker::dng().with(34_855, &[100]);
@@ -136,7 +136,7 @@ fn dng_gives_samples_levels_and_exposure() {
     assert_eq!(photograph.about, about);
 }
 
-/// Both byte orders, deflate, horizontal differencing, and tiles.
+/// Both byte orders, deflate, horizontal differencing and tiles give the same samples.
 #[test]
 fn all_encodings_decode_to_the_same_samples() {
     let mut big = Maker::dng();
@@ -150,7 +150,7 @@ fn all_encodings_decode_to_the_same_samples() {
         (0..6).map(|i| if i == 0 { row[0] } else { row[i].wrapping_sub(row[i - 1]) }).collect::<Vec<_>>()
     });
     differences.strip = deflated(&stored.flat_map(u16::to_le_bytes).collect::<Vec<_>>());
-    // Two tiles of 4 × 4: the right one is half beyond the picture.
+    // Two tiles of 4 × 4: half of the right one is beyond the picture.
     let mut tiles = Maker::dng().with(322, &[4]).with(323, &[4]).with(324, &[8, 40]).with(325, &[32, 32]);
     let tile = |left: usize| {
         (0..16)
@@ -163,7 +163,7 @@ fn all_encodings_decode_to_the_same_samples() {
     }
 }
 
-/// With 10, 12 and 14 bits a sample.
+/// Packed samples of 10, 12 and 14 bits have the highest bit first.
 #[test]
 fn packed_samples_have_the_highest_bit_first() {
     for bits in [10_u32, 12, 14] {
@@ -233,7 +233,7 @@ fn margins_are_cut_and_companding_undone() {
     assert_eq!(refused, "tag ActiveArea = [0, 0, 5, 6] is not valid: it must lie within 6 × 4 pixels");
 }
 
-/// A mosaic of 46 × 40 pixels whose six left columns see no light, some of them broken.
+/// A mosaic of 46 × 40 pixels; its six left columns receive no light, and some of them are defective.
 fn with_masked_margin(light_in_margin: u16) -> Maker {
     let sample = |i: u16| -> u16 {
         let (x, y) = (i % 46, i / 46);
@@ -249,11 +249,11 @@ fn with_masked_margin(light_in_margin: u16) -> Maker {
     maker.with(50_714, &[505]).with(50_829, &[0, 6, 40, 46]).with(50_830, &[0, 0, 40, 6])
 }
 
-/// Unless they are too small, or light has reached them.
+/// Masked margins give the black level, unless they are too small or light has reached them.
 #[test]
 fn masked_margins_give_the_black_level() {
     let black = |maker: &Maker| maker.decode().unwrap().black.unwrap();
-    // 60 samples a place are too few to estimate it; 300 are enough.
+    // 60 samples per position are too few to estimate it; 300 are enough.
     assert_eq!(black(&with_masked_margin(0)), [505.0; 4]);
     let tall = |light: u16| {
         let one = with_masked_margin(light);
@@ -309,7 +309,7 @@ fn png_with_a_tone_curve_is_refused() {
     assert!(refused(&png(ColorType::Rgba, BitDepth::Sixteen, None)).contains("allowed are grey and RGB"));
 }
 
-/// The message gives the reason, and what to do.
+/// The message states the reason and the remedy.
 #[test]
 fn files_without_linear_radiance_are_refused() {
     for (bytes, message) in [
@@ -349,7 +349,7 @@ fn files_without_linear_radiance_are_refused() {
     );
 }
 
-/// Before memory is allocated for the 150 million pixels of their head.
+/// Files with huge sizes in their head are refused before memory is allocated for 150 million pixels.
 #[test]
 fn tiny_files_with_huge_sizes_are_refused() {
     for compression in [1, 7, 8] {
@@ -362,7 +362,8 @@ fn tiny_files_with_huge_sizes_are_refused() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Whatever is changed in a sound file: an error or a photograph with as many samples as it declares, never a panic.
+    /// Any change of a sound file causes an error or gives a photograph with as many samples as it declares, never a
+    /// panic.
     #[test]
     fn damaged_files_never_cause_a_panic(
         kind in 0..8_usize,

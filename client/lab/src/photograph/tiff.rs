@@ -1,4 +1,5 @@
-//! TIFF and DNG: which of a file's pictures is the photograph, and what its tags say (TIFF 6.0, TIFF/EP, DNG 1.4).
+//! Decodes TIFF and DNG: selects the photograph among a file's pictures, and reads its tags (TIFF 6.0, TIFF/EP, DNG
+//! 1.4).
 
 use optics_capture::Colour;
 
@@ -43,7 +44,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
         layout,
         samples,
         black: black(picture, layout)?,
-        // DNG: 2^bits − 1 where nothing is said.
+        // DNG: the default is 2^bits − 1.
         white: white.or_else(|| is_dng.then(|| [f64::from((1_u32 << bits) - 1); 4])),
         about: About::of(bytes, picture, &directories),
     };
@@ -54,7 +55,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     cropped(whole, &active)
 }
 
-/// All directories, those below others included.
+/// All directories, including subdirectories.
 fn directories(bytes: Bytes) -> Result<Vec<Directory>, UnreadablePhotograph> {
     let mut found: Vec<Directory> = Vec::new();
     let mut places = vec![bytes.first()?];
@@ -62,7 +63,7 @@ fn directories(bytes: Bytes) -> Result<Vec<Directory>, UnreadablePhotograph> {
         if at == 0 || found.len() >= MOST_DIRECTORIES {
             continue;
         }
-        // What lies after the first may be damaged without harm, if it is not the photograph.
+        // Directories after the first may be damaged, provided that they are not the photograph.
         match Directory::read(bytes, at) {
             Ok(directory) => {
                 places.push(directory.next);
@@ -76,7 +77,7 @@ fn directories(bytes: Bytes) -> Result<Vec<Directory>, UnreadablePhotograph> {
     Ok(found)
 }
 
-/// The mosaic, else the linear picture; of files that are no DNG any picture that is no preview.
+/// The mosaic, else the linear picture; in files that are no DNG, else the first picture that is no preview.
 fn photograph_of<'d, 'a>(
     all: &'d [Directory<'a>],
     is_dng: bool,
@@ -102,14 +103,14 @@ fn photograph_of<'d, 'a>(
     }
 }
 
-/// Whether a directory's picture is no preview, mask or map of another one; a page of several (2) is none of them.
+/// Whether a directory's picture is no preview, mask or map of another one; a page of several (2) counts as a picture.
 fn is_whole(directory: &Directory) -> bool {
     let kind = directory.whole_of(Tag::SUBFILE_TYPE).ok().flatten();
     directory.has(Tag::WIDTH) && matches!(kind, None | Some(0 | 2))
 }
 
-/// How many pictures could be the photograph as well as the one that was chosen: pages, and those that ImageJ writes
-/// one after the other behind a single directory.
+/// Number of pictures that could equally be the photograph: pages, and those that ImageJ writes one after the other
+/// behind a single directory.
 fn pictures(all: &[Directory], chosen: &Directory) -> usize {
     let stated = chosen.text(Tag::DESCRIPTION).filter(|text| text.starts_with("ImageJ="));
     let digits = |text: &str| text.chars().take_while(char::is_ascii_digit).collect::<String>();
@@ -119,7 +120,7 @@ fn pictures(all: &[Directory], chosen: &Directory) -> usize {
     all.iter().filter(alike).count().max(stated.unwrap_or(1))
 }
 
-/// Bits of each sample.
+/// Bits per sample.
 fn bits(picture: &Directory) -> Result<u32, UnreadablePhotograph> {
     let bits = picture.whole(Tag::BITS)?;
     let first = bits.first().copied().unwrap_or(1);
@@ -149,7 +150,7 @@ fn layout(picture: &Directory) -> Result<SampleLayout, UnreadablePhotograph> {
     let kind = picture.needed(Tag::PHOTOMETRIC)?;
     match (kind, samples) {
         (CFA, 1) => pattern(picture).map(|pattern| SampleLayout::Mosaic(Some(pattern))),
-        // Grey may be a mosaic whose colours are not in the file, or of a monochrome camera.
+        // Grey may be a mosaic whose colours are not in the file, or that of a monochrome camera.
         (1 | LINEAR_RAW, 1) => Ok(SampleLayout::Mosaic(None)),
         (2 | LINEAR_RAW, 3) => match picture.whole_of(Tag::PLANAR)? {
             None | Some(1) => Ok(SampleLayout::Rgb),
@@ -218,13 +219,13 @@ fn not_linear(picture: &Directory) -> Option<String> {
     }
     let curve = picture.numbers(Tag::TRANSFER_FUNCTION).ok().filter(|curve| curve.len() > 2)?;
     let (last, rise) = ((curve.len().min(65_536) - 1) as f64, 65_535.0);
-    // Three curves may stand one after the other.
+    // Three curves may be stored one after the other.
     let last = if curve.len().is_multiple_of(3) { (curve.len() / 3 - 1) as f64 } else { last };
     let straight = (0..=last as usize).all(|i| (curve[i] / rise - i as f64 / last).abs() < 1e-3);
     (!straight).then(|| "its TransferFunction".to_owned())
 }
 
-/// Black level by row and column modulo 2, or by colour. None where it changes within the picture.
+/// Black level by row and column modulo 2, or by colour. `None` where it varies within the picture.
 fn black(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels = picture.numbers(Tag::BLACK)?;
     let size = picture.whole(Tag::BLACK_DIM)?;
@@ -250,8 +251,8 @@ fn black(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, 
     })
 }
 
-/// Level at which the sensor is full, by row and column modulo 2, or by colour; the lowest where the tag has other
-/// counts.
+/// Level at which the sensor saturates, by row and column modulo 2, or by colour; the lowest if the tag has another
+/// number of values.
 fn white(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, UnreadablePhotograph> {
     let levels: Vec<f64> = picture.numbers(Tag::WHITE)?.into_iter().filter(|level| *level > 0.0).collect();
     Ok(match (layout, levels.as_slice()) {
@@ -262,7 +263,7 @@ fn white(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, 
     })
 }
 
-/// Companded values as what they stand for.
+/// Expands companded values by the linearisation table.
 fn linearize(samples: &mut [u16], table: &[f64]) {
     let Some(last) = table.len().checked_sub(1) else { return };
     for sample in samples {
@@ -270,7 +271,7 @@ fn linearize(samples: &mut [u16], table: &[f64]) {
     }
 }
 
-/// Without the masked margins: pattern and black level count from the active area's corner.
+/// Cuts off the masked margins: pattern and black level count from the active area's corner.
 fn cropped(whole: Photograph, area: &[u64]) -> Result<Photograph, UnreadablePhotograph> {
     let Ok(area) = <[u64; 4]>::try_from(area) else { return Ok(whole) };
     let Some([top, left, bottom, right]) = within(area, &whole).filter(|[t, l, b, r]| t < b && l < r) else {

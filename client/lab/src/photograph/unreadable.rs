@@ -1,8 +1,8 @@
-//! Why a file is no photograph that can be measured.
+//! The reasons why a file cannot be measured.
 
 use super::{MOST_COMPRESSED, MOST_DIRECTORIES, MOST_PIXELS};
 
-/// Why a file cannot be used: what was seen, and what to do.
+/// The reason why a file cannot be used, and the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnreadablePhotograph {
     #[error("the file is empty")]

@@ -1,4 +1,4 @@
-//! Set-up quantities without a value from the user, for which a default is used.
+//! Finds set-up quantities without a value from the user, for which a default is used.
 
 use optics_model::fit::FitSettings;
 use optics_model::measurement::ProfileSetup;
@@ -6,11 +6,11 @@ use optics_model::quantities::Quantity;
 
 use super::session::{ByChannel, Session};
 
-/// The options without a value, for one profile at least, in the order of their table.
+/// The options without a value for at least one profile, in the order of their table.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Assumed {
     quantities: Vec<&'static Quantity>,
-    /// Whether a profile has neither a blur nor its error.
+    /// Whether a profile has neither a blur nor the blur's error.
     blur_unknown: bool,
 }
 
@@ -33,7 +33,7 @@ impl Assumed {
         self.quantities.iter().map(|quantity| quantity.name).collect()
     }
 
-    /// One line for people: `assumed: thickness ± 0.005 mm, …`; none if nothing was assumed.
+    /// One line for people: `assumed: thickness ± 0.005 mm, …`; `None` if nothing was assumed.
     pub fn text(&self, settings: &FitSettings) -> Option<String> {
         let assumed = settings.set_up().filter(|(quantity, _)| self.quantities.contains(quantity));
         let text = |(quantity, value): (&Quantity, f64)| match quantity.name {

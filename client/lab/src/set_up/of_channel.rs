@@ -1,4 +1,4 @@
-//! Set-up quantities of one channel, for photographs that are not taken yet.
+//! Selects the set-up quantities of one channel, for future photographs.
 
 use anyhow::{Result, bail};
 use optics_model::fit::FitSettings;

@@ -1,4 +1,4 @@
-//! Session files: what all measurements of one session share, as JSON.
+//! Reads session files in JSON: the set-up that all measurements of one session share.
 
 use std::path::Path;
 
@@ -11,13 +11,13 @@ use serde_json::{Map, Value};
 use crate::bounded_file;
 use crate::measurement_file::plain;
 
-/// The `format` of the files that are understood.
+/// The supported `format` of session files.
 const FORMAT: &str = "farmctl-session/1";
 
 /// Largest file that is read, in bytes.
 const LARGEST: u64 = 1 << 20;
 
-/// A value for all channels, or one for each that is named.
+/// A value for all channels, or one for each named channel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ByChannel {
     All(f64),
@@ -33,7 +33,7 @@ impl ByChannel {
         }
     }
 
-    /// The value of a channel, whatever the spelling of its colour.
+    /// The value of a channel; colours match in any spelling.
     pub fn of(&self, channel: &str) -> Option<f64> {
         let Self::Named(values) = self else { return self.common() };
         let same_colour = |name: &str| colour(name).is_some() && colour(name) == colour(channel);
@@ -44,7 +44,7 @@ impl ByChannel {
 
 macro_rules! session {
     ($($name:ident $row:tt)+) => {
-        /// The contents of a session file, or what the command line has in their place.
+        /// The contents of a session file, or the values of the command line that replace them.
         #[derive(Debug, Clone, Default, PartialEq)]
         pub struct Session {
             /// Standard error of the gain that all profiles share: that of the white reference.
@@ -62,7 +62,7 @@ macro_rules! session {
                 Quantity::OF_OPTIONS.iter().zip([$(&mut self.$name),+])
             }
 
-            /// These values, and where there is none those of the other.
+            /// These values; those of the other where there is none.
             #[must_use]
             pub fn or(self, other: Self) -> Self {
                 Self {
@@ -85,7 +85,7 @@ impl Session {
         Self::parse(&value).with_context(place)
     }
 
-    /// Unknown fields are ignored: they are for other programs.
+    /// Unknown fields are ignored: they belong to other programs.
     fn parse(value: &Value) -> Result<Self, Invalid> {
         let Value::Object(fields) = value else {
             return Err(Invalid::new("session", kind(value), "a JSON object is wanted"));
@@ -146,7 +146,7 @@ fn read_value(quantity: &Quantity, value: &Value) -> Result<ByChannel, Invalid> 
     }
 }
 
-/// A value in few words.
+/// A short description of a value for error messages.
 fn kind(value: &Value) -> String {
     match value {
         Value::Array(_) => "a list".to_owned(),
@@ -163,7 +163,7 @@ mod tests {
         Session::parse(&serde_json::from_str(text).unwrap())
     }
 
-    /// The fields of the set-up are read. Those of other programs may be there, too.
+    /// The fields of the set-up are read; fields of other programs are ignored.
     #[test]
     fn unknown_fields_of_a_session_are_ignored() {
         let session = parse(

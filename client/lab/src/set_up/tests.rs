@@ -17,7 +17,7 @@ fn session(text: &str) -> tempfile::NamedTempFile {
 const SESSION: &str = r#"{"format": "farmctl-session/1", "gain_std_error": 0.01, "thickness_std_error_mm": 0.002,
                           "blur_mm": {"R": 0.025, "G": 0.024}, "blur_std_error_mm": 0.001}"#;
 
-/// What a measurement has of its own wins over the command line, and this over the session file.
+/// Values of a measurement take precedence over the command line, and this over the session file.
 #[test]
 fn set_up_precedence_is_measurement_first() {
     let file = session(SESSION);
@@ -41,7 +41,7 @@ fn set_up_precedence_is_measurement_first() {
     let values = set_up.apply_to(vec![measurement(&[("R", none), ("G", own), ("B", none)])]).unwrap();
     let blur: Vec<_> = values[0].profiles().iter().map(|p| p.setup().blur_mm).collect();
     assert_eq!(blur, [Some(0.025), Some(0.05), None]);
-    // The command line's blur is that of all channels.
+    // The command line's blur applies to all channels.
     let given = Session { blur_mm: Some(ByChannel::All(0.04)), ..given };
     let set_up = SetUp::new(Some(file.path()), given).unwrap();
     assert_eq!(set_up.settings(default).blur_mm, 0.04);

@@ -42,7 +42,7 @@ pub(crate) async fn run(global: &Global, name: &str, output: &Output) -> Result<
     })
 }
 
-/// A coordinator that this command has just started for itself needs no worker to be started.
+/// Replaces the reason for a coordinator that only this command has started: it needs no worker to be started.
 fn of_this_folder(name: &DictionaryName) -> String {
     let grid = if name.as_str() == "paper" { "" } else { " with the same grid file and name" };
     format!("nothing computes in this folder at the moment: `farmctl submit`{grid} goes on with {name}")

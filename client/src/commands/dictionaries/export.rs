@@ -82,7 +82,7 @@ pub(crate) async fn run(global: &Global, args: ExportArgs, output: &Output) -> R
     exported
 }
 
-/// Writes a file that is whole or not there. A device or pipe is written to as it is.
+/// Writes a file atomically. A device or pipe is written to directly.
 async fn to_file(
     connection: &Connection,
     name: &DictionaryName,
@@ -102,7 +102,7 @@ async fn to_file(
     draft.finish().with_context(place)
 }
 
-/// Writes a file of arrays that is whole or not there.
+/// Writes a file of arrays atomically.
 async fn to_arrays(
     connection: &Connection,
     name: &DictionaryName,
@@ -169,7 +169,7 @@ async fn export(
     Ok(())
 }
 
-/// A measurement of the medium that was picked; refused if there are several.
+/// A writer for the selected medium; several media are refused.
 fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<MeasurementWriter<Vec<u8>>> {
     if json {
         bail!("--measurement writes CSV: leave out --json");
@@ -235,7 +235,7 @@ fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> 
 #[derive(Debug, Serialize)]
 struct RecordJson<'a> {
     record: usize,
-    /// What is varied in a record of the responses.
+    /// The varied quantity of a record of the responses.
     #[serde(flatten)]
     variant: Option<VariedQuantity>,
     sigma_t_per_mm: f64,

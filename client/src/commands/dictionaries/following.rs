@@ -1,4 +1,4 @@
-//! Following a dictionary until it has ended, across restarts of the coordinator and cuts of the connection.
+//! Follows a dictionary until it has ended, across restarts of the coordinator and lost connections.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -17,34 +17,34 @@ use crate::connection::outage::Outage;
 use crate::interrupt::interrupted;
 use crate::progress::{Cells, Progress};
 
-/// A coordinator repeats itself every ten seconds: after this time without a message the connection leads nowhere, or
-/// the coordinator is an older one. Both are polled again.
+/// A coordinator repeats its state every ten seconds: after this time without a message the connection is dead, or the
+/// coordinator is an older one. In both cases the client subscribes again.
 const SILENCE: Duration = Duration::from_mins(1);
 
-/// After this time without a job under way it is looked whether there is a worker at all.
+/// After this time without a running job, the client checks whether any worker is connected.
 const IDLE: Duration = Duration::from_secs(10);
 
-/// How following a dictionary ended.
+/// The end of following a dictionary.
 pub(crate) enum FollowEnd {
-    /// It is done, failed or cancelled.
+    /// The dictionary is done, failed or cancelled.
     Ended(Duration),
     Interrupted,
 }
 
-/// What was waited for is not there any more.
+/// The followed dictionary does not exist any more.
 #[derive(Debug, thiserror::Error)]
 #[error("dictionary {0} was deleted, or replaced by another one of its name, while it was waited for")]
 pub(crate) struct DictionaryDeleted(DictionaryName);
 
 impl DictionaryDeleted {
-    /// The error of a call about a dictionary that was there before.
+    /// The error of a call about a dictionary that existed before.
     fn or(error: anyhow::Error, name: &DictionaryName) -> anyhow::Error {
         let is_missing = |status: &Status| status.code() == Code::NotFound;
         if error.downcast_ref().is_some_and(is_missing) { Self(name.clone()).into() } else { error }
     }
 }
 
-/// Dictionaries that are waited for: which ones is fixed by the first answer, whatever gets their names later.
+/// Dictionaries that are followed: the first answer fixes them, even if their names are reused later.
 #[derive(Debug, Default)]
 pub(crate) struct Fixed(RefCell<HashMap<DictionaryName, Digest>>);
 
@@ -73,7 +73,7 @@ pub(crate) async fn get(connection: &Connection, name: &DictionaryName) -> Resul
     Ok(answer.into_inner().try_into()?)
 }
 
-/// Shows progress until the dictionary has ended or somebody interrupts; `status` is its last state.
+/// Shows progress until the dictionary has ended or the user interrupts; `status` is its last state.
 pub(crate) async fn follow(
     connection: &Connection,
     status: &mut DictionaryStatus,
@@ -82,7 +82,7 @@ pub(crate) async fn follow(
     Following::new(connection, status, quiet, false).run().await
 }
 
-/// The same with each job's state, where there is a terminal to show them.
+/// The same with each job's state, on a terminal.
 pub(crate) async fn follow_jobs(
     connection: &Connection,
     status: &mut DictionaryStatus,
@@ -98,7 +98,7 @@ struct Following<'a> {
     /// The jobs' states, if they are shown.
     cells: Option<Cells>,
     outage: Outage<'a>,
-    /// When a job was last under way, until the lack of workers is reported.
+    /// When a job was last running; `None` once the lack of workers is reported.
     busy: Option<Instant>,
 }
 
@@ -117,7 +117,7 @@ impl<'a> Following<'a> {
 
     async fn run(mut self) -> Result<FollowEnd> {
         let start = Instant::now();
-        // Signals are caught before the first progress is shown.
+        // Signals are handled before the first progress is shown.
         let ended = tokio::select! {
             biased;
             () = interrupted() => Ok(FollowEnd::Interrupted),
@@ -136,7 +136,7 @@ impl<'a> Following<'a> {
         Ok(())
     }
 
-    /// Takes up the coordinator's updates until the dictionary has ended.
+    /// Applies the coordinator's updates until the dictionary has ended.
     async fn listen(&mut self) -> Result<()> {
         let (mut updates, mut jobs) = self.subscribe().await?;
         loop {
@@ -170,7 +170,7 @@ impl<'a> Following<'a> {
         let jobs = client.watch_jobs(WatchJobsRequest { name });
         match timeout(SILENCE, jobs).await.map_err(silent)? {
             Ok(jobs) => Ok((updates, Some(jobs.into_inner()))),
-            // An older coordinator.
+            // An older coordinator does not report the states of jobs.
             Err(error) if error.code() == Code::Unimplemented => Ok((updates, None)),
             Err(error) => Err(error.into()),
         }
@@ -227,7 +227,7 @@ async fn until(when: Option<Instant>) {
     }
 }
 
-/// The next states of jobs. At the end of the stream it waits for ever: the end of the dictionary is reported elsewhere.
+/// The next states of jobs. At the end of the stream it never returns: the end of the dictionary is reported elsewhere.
 async fn next_run(jobs: &mut Option<Streaming<JobStates>>) -> JobStates {
     if let Some(states) = jobs
         && let Ok(Some(run)) = states.message().await

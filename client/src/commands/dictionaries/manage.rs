@@ -1,4 +1,4 @@
-//! Pause, resume, cancel, retry, priority, delete.
+//! Pauses, resumes, cancels, retries, prioritises and deletes dictionaries.
 
 use anyhow::{Result, ensure};
 use clap::Args;

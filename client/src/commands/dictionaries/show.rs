@@ -70,7 +70,7 @@ struct Shown<'a, D> {
     noise: Option<&'a Noise>,
 }
 
-/// All jobs that were given up; a status has the first of them.
+/// All jobs that were given up; a status contains only the first of them.
 async fn all_failed(connection: &Connection, name: &DictionaryName) -> Result<Vec<FailedJob>> {
     let (mut failed, mut page_token) = (Vec::new(), String::new());
     loop {
@@ -97,9 +97,9 @@ pub(crate) fn data(status: &DictionaryStatus) -> impl Serialize {
     struct GridData<'a> {
         #[serde(flatten)]
         axes: &'a Axes,
-        /// The most that a point begins with.
+        /// Largest number of walks that a point begins with.
         walks: u64,
-        /// The level of noise, if the walks follow from one.
+        /// The level of noise that determines the walks, if there is one.
         #[serde(skip_serializing_if = "Option::is_none")]
         quality: Option<&'static str>,
         seed: u64,

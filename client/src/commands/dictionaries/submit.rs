@@ -87,14 +87,14 @@ fn stem(file: &Path) -> Result<String> {
 }
 
 enum SubmitEnd {
-    /// Not waited for.
+    /// The command does not wait.
     Submitted,
-    /// Not waited for any longer; another process goes on with it.
+    /// The command stopped waiting; another process continues the work.
     Left,
     Followed(following::FollowEnd),
 }
 
-/// Computes a dictionary if it is not there, and waits for it.
+/// Computes a dictionary if it does not exist, and waits for it.
 pub(crate) async fn ensure(
     connection: &Connection,
     name: &DictionaryName,

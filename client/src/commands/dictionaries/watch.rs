@@ -1,4 +1,4 @@
-//! Following dictionaries until they have ended.
+//! Waits for dictionaries until they have ended.
 
 use std::process::ExitCode;
 use std::time::Duration;
@@ -88,7 +88,7 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
     Ok(ExitCode::from(if timed_out { exit::TIMEOUT } else { worst }))
 }
 
-/// Brings a state up to date, if that can be done at once.
+/// Updates a state, unless the answer takes too long.
 async fn look_again(connection: &Connection, status: &mut DictionaryStatus) {
     const AT_ONCE: Duration = Duration::from_secs(2);
     let name = status.name.clone();
@@ -99,7 +99,7 @@ async fn look_again(connection: &Connection, status: &mut DictionaryStatus) {
     }
 }
 
-/// A coordinator that this command has just started for itself computes nothing.
+/// Refuses to wait for a coordinator that only this command has started, since it computes nothing.
 fn must_progress(connection: &Connection, status: &DictionaryStatus) -> Result<()> {
     if connection.is_embedded() && status.state().is_open() {
         bail!("nothing is running in this folder: `farmctl submit` goes on with {}", status.name);

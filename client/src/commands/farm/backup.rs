@@ -1,4 +1,4 @@
-//! Backup and restore of the whole database.
+//! Backs up and restores the whole database.
 
 use std::path::{Path, PathBuf};
 
@@ -65,7 +65,7 @@ pub(crate) async fn backup(global: &Global, args: BackupArgs, output: &Output) -
     })
 }
 
-/// Receives a backup, which gets its name and its checksum when it is whole.
+/// Receives a backup, which is renamed and gets its checksum once it is complete.
 async fn receive(connection: &Connection, file: &Path) -> Result<BackupHeader> {
     let mut incoming = backup::Incoming::create(file)?;
     let mut pieces = connection.admin().backup(patient(BackupRequest {})).await?.into_inner();

@@ -33,7 +33,7 @@ struct DoctorJson {
     findings: Vec<DoctorFinding>,
 }
 
-/// One thing that was looked at.
+/// The result of one check.
 #[derive(Debug, Serialize)]
 struct DoctorFinding {
     what: &'static str,
@@ -93,7 +93,7 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
     Ok(if healthy { ExitCode::SUCCESS } else { ExitCode::from(exit::FAILED) })
 }
 
-/// How fast this machine traces, and with what.
+/// The tracing speed and the kernel of this machine.
 fn about_this_machine() -> DoctorFinding {
     const WHAT: &str = "this machine";
     let kernel = match farm_worker::choose_kernel(kernel_name().as_deref()) {

@@ -28,7 +28,7 @@ pub(crate) struct EventsArgs {
     follow: bool,
 }
 
-/// Pause before another look for new events.
+/// Pause before the next poll for new events.
 const LOOK: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Serialize)]
@@ -112,7 +112,7 @@ async fn follow(
     }
 }
 
-/// One event a line, also as JSON.
+/// One event per line, also as JSON.
 fn show(event: &EventJson, output: &Output) -> Result<()> {
     print_line(&if output.is_json() { envelope("event", event)? } else { line(event) })
 }

@@ -1,4 +1,4 @@
-//! Asks the coordinator's health service, which needs no token.
+//! Queries the coordinator's health service, which needs no token.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::cli::Global;
 use crate::connection::in_plain_words;
 use crate::output::Output;
 
-/// A health check must answer quickly.
+/// Deadline of a health check, which must answer quickly.
 const PATIENCE: Duration = Duration::from_secs(8);
 
 #[derive(Debug, Serialize)]

@@ -1,4 +1,4 @@
-//! `farmctl serve`: the farm of a folder, kept running for other programs of the same user.
+//! Implements `farmctl serve`: keeps the farm of a folder running for other programs of the same user.
 
 use std::time::Duration;
 
@@ -24,7 +24,7 @@ pub(crate) struct ServeArgs {
     until_input_ends: bool,
 }
 
-/// Pause before another look whether a farm is still there.
+/// Pause before the next check whether a farm still exists.
 const LOOK_AGAIN: Duration = Duration::from_millis(500);
 
 #[derive(Debug, Serialize)]
@@ -56,10 +56,10 @@ pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> R
             () = &mut stopped => return connection.close().await,
         }
         if connection.is_embedded() {
-            // Its own message gives the reason.
+            // The coordinator's error states the reason.
             return connection.close().await;
         }
-        // The process that held the folder has ended: now it is ours to serve.
+        // The process that held the folder has ended: this one takes over.
         connection = tokio::select! {
             opened = Connection::open(global, Purpose::Compute) => opened?,
             () = &mut stopped => return Ok(()),
@@ -67,7 +67,7 @@ pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> R
     }
 }
 
-/// Ends when the process is asked to stop.
+/// Ends when the process is requested to stop.
 async fn stopped(until_input_ends: bool) {
     tokio::select! {
         () = interrupted() => {}
@@ -75,10 +75,10 @@ async fn stopped(until_input_ends: bool) {
     }
 }
 
-/// Ends with standard input, or with the program at the other end of it.
+/// Ends with standard input, or with the program at its other end.
 async fn input_ends() {
     let (sender, ended) = oneshot::channel::<()>();
-    // Not one of the runtime's threads: those must have ended before the process can.
+    // Not a thread of the runtime, since the runtime waits for its threads before the process can end.
     std::thread::spawn(move || {
         let _sender = sender;
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());

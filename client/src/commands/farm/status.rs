@@ -60,7 +60,7 @@ pub(crate) fn data(
 type FarmOverview = (Option<String>, StatusResponse, Vec<WorkerStatus>, Vec<DictionaryStatus>);
 
 async fn fetch(connection: &Connection) -> Result<FarmOverview> {
-    // A coordinator that this command has just started for itself is not one that runs.
+    // A coordinator that only this command has started does not count as running.
     let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
     let status = connection.farm().status(StatusRequest {}).await?.into_inner();
     Ok((address, status, workers::fetch(connection).await?, list::fetch(connection).await?))

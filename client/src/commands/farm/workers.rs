@@ -115,7 +115,7 @@ pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<WorkerStatus>> 
     }
 }
 
-/// As in `16 cores, 64 GiB, avx2`.
+/// For example `16 cores, 64 GiB, avx2`.
 fn machine(facts: &MachineFacts) -> String {
     if facts.kernel.is_empty() {
         return String::new();

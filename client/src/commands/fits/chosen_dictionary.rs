@@ -1,4 +1,4 @@
-//! The dictionary that a question goes to.
+//! Selects the dictionary of a question.
 
 use anyhow::{Result, bail};
 use farm_lab::grid_file::named_grid;
@@ -10,19 +10,19 @@ use crate::cli::Global;
 use crate::commands::dictionaries::list;
 use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
 
-/// What a question goes to where there are several, and what `measure` computes where there is none: the first, since
+/// Defaults among several dictionaries, in order of preference. `measure` computes the first if there is none, since
 /// real surfaces lose no light.
 const USUAL: [&str; 2] = ["lab", "paper"];
 
-/// Checks a name that was given, before anything is connected.
+/// Checks a given name before any connection.
 pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
     given.map_or(Ok(()), |name| {
         DictionaryName::new(name.as_str()).map(|_| ()).map_err(|e| e.within("dictionary"))
     })
 }
 
-/// Asks a dictionary of a farm that exists: the one that was named; without a name the usual one, or the only one. Returns
-/// its name with the answer.
+/// Queries a dictionary of an existing farm: the named one; without a name the default, or the only one. Returns its
+/// name with the answer.
 pub(crate) async fn ask<T>(
     global: &Global,
     given: Option<&String>,
@@ -44,7 +44,7 @@ async fn name(connection: &Connection, given: Option<&String>) -> Result<String>
     pick(&names)
 }
 
-/// A dictionary that is to be computed.
+/// A dictionary to compute.
 #[derive(Debug)]
 pub(crate) struct WantedDictionary {
     pub name: DictionaryName,
@@ -58,20 +58,20 @@ impl WantedDictionary {
     }
 }
 
-/// The dictionary of a command that computes one on this machine where there is none.
+/// The dictionary of a command that computes a missing one on this machine.
 pub(crate) enum Chosen {
     Complete(String),
     Lacking(WantedDictionary),
 }
 
-/// The built-in dictionary that was named, or the usual one without a name, for a command that computes on this machine, if
-/// its folder holds no farm yet.
+/// The built-in dictionary with the given name, or the default, for a command that computes on this machine, if its
+/// folder holds no farm yet.
 pub(crate) fn of_an_empty_folder(global: &Global, given: Option<&String>) -> Option<WantedDictionary> {
     if lacks_farm(global) { built_in(given.map_or(USUAL[0], String::as_str)) } else { None }
 }
 
-/// The dictionary that was named; without a name the usual one, or the only one. On this machine it need not be complete,
-/// and a built-in one need not be there.
+/// The named dictionary; without a name the default, or the only one. On this machine it may be incomplete, and a
+/// built-in one may be missing.
 pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) -> Result<Chosen> {
     if connection.is_server() {
         return Ok(Chosen::Complete(name(connection, given).await?));

@@ -115,7 +115,7 @@ impl FromStr for SlabList {
     }
 }
 
-/// A row of pixels, not yet checked.
+/// A row of pixels, not yet validated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PixelsArg([f64; 3]);
 
@@ -136,7 +136,7 @@ fn numbers(text: &str) -> Result<Vec<f64>, String> {
 }
 
 impl DesignArgs {
-    /// `set_up` combines its arguments with the session file.
+    /// The question; `set_up` combines the arguments with the session file.
     pub(crate) fn question(&self, set_up: &SetUp) -> anyhow::Result<DesignQuestion> {
         let known = FitSettings { mu: self.mu, mu_std_error: self.mu_std_error, ..FitSettings::default() };
         let known = set_up.settings_of(known, self.channel.as_deref())?;
@@ -156,7 +156,7 @@ impl DesignArgs {
     }
 }
 
-/// On the command line the pixels are one option.
+/// Renames the field of an error: on the command line the pixels are one option.
 fn named_as_given(error: Invalid) -> Invalid {
     let part = error.field().trim_start_matches("pixels.").to_owned();
     error.renamed(format!("pixels ({part})"))
@@ -185,14 +185,14 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
     })
 }
 
-/// What was asked, and what is answered.
+/// The question and its answer.
 #[derive(Debug, Serialize)]
 pub(crate) struct DesignJson<'a> {
     dictionary: &'a str,
     noise: f64,
     noise_floor: f64,
     mu: f64,
-    /// Null if nothing is known of μ.
+    /// Null if μ is unknown.
     mu_std_error: Option<f64>,
     #[serde(flatten)]
     set_up: SetUpJson<'a>,

@@ -115,7 +115,7 @@ async fn fit_all(
     Ok(fits)
 }
 
-/// What was found, then the best records of each channel.
+/// The fits, then the best records of each channel.
 fn text(report: &FitsReport, top: u32, pictures: &[PathBuf]) -> String {
     let mut text = fits_text(report);
     if top > 1 {

@@ -64,7 +64,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
 }
 
-/// The materials and channels that were asked for.
+/// The requested materials and channels.
 fn chosen(materials: Vec<Measurement>, args: &MapArgs) -> Result<Vec<Measurement>> {
     let names: Vec<String> = materials.iter().map(|m| m.material().to_owned()).collect();
     let wanted = |m: &Measurement| args.material.as_deref().is_none_or(|name| normal(name) == m.material());
@@ -115,7 +115,7 @@ async fn map_all(
     Ok(maps)
 }
 
-/// One row an anisotropy: its best medium, and what similarity theory predicts from the best of all.
+/// One row per anisotropy: its best medium, and the prediction of similarity theory from the best of all.
 fn text(MaterialMap { material, map }: &MaterialMap) -> String {
     let row = |(i, layer): (usize, &MapLayer)| {
         let best = &layer.best.medium;
@@ -136,7 +136,7 @@ fn text(MaterialMap { material, map }: &MaterialMap) -> String {
     format!("{material}, channel {}\n{}", map.channel, table(&head, &[0, 1, 2, 3, 4, 5], rows))
 }
 
-/// A map, and the material it is of.
+/// A map with its material.
 #[derive(Debug, Serialize)]
 pub(crate) struct MaterialMap {
     pub(crate) material: String,

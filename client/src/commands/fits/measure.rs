@@ -1,4 +1,5 @@
-//! `farmctl measure`: media of all materials of one set-up, from a measurement file or from the folder of a session.
+//! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
+//! folder of a session.
 
 #[cfg(test)]
 mod tests;
@@ -91,7 +92,7 @@ pub(crate) struct MeasureArgs {
 }
 
 impl MeasureArgs {
-    /// All arguments but the measurements at their defaults.
+    /// Default arguments for these measurements.
     pub(crate) fn new(measurements: PathBuf) -> Self {
         Self {
             measurements,
@@ -108,19 +109,19 @@ impl MeasureArgs {
     }
 }
 
-/// The inputs of a measurement, checked.
+/// The validated inputs of a measurement.
 #[derive(Debug)]
 pub(crate) struct Inputs {
     measurements: PathBuf,
-    /// The session whose folder is measured.
+    /// The session whose folder is given.
     folder: Option<SessionFolder>,
     set_up: SetUp,
     options: FitOptions,
-    /// None if the scale factor is given.
+    /// `None` if the scale factor is given.
     search_mu: Option<MuRange>,
     common_g: bool,
     dictionary: Option<String>,
-    /// The session's own dictionary, unless another was named.
+    /// The session's dictionary, unless another was named.
     own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
@@ -129,7 +130,8 @@ pub(crate) struct Inputs {
 }
 
 impl Inputs {
-    /// A session's folder has a scale factor of 1, as well known as its white reference, and a dictionary of its own.
+    /// Validates the arguments. A session's folder gives a scale factor of 1, with the standard error of its white
+    /// reference, and a dictionary.
     pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
         let folder =
             args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
@@ -170,7 +172,7 @@ impl Inputs {
     }
 }
 
-/// The paper's objective gives the best records, from which neither media nor intervals follow.
+/// Refuses the paper's objective where media or intervals are required: it gives the best records only.
 fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -> Result<()> {
     let needs = match () {
         () if objective == Objective::Likelihood => return Ok(()),
@@ -214,7 +216,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    // The report of a session has tables of the scene's estimates and of the budget.
+    // The report of a session contains the tables of the scene's estimates and of the budget, so its text omits them.
     let answer = |scene: bool| {
         let assumed = assumed.text(options.settings());
         let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound, scene };
@@ -237,22 +239,22 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 }
 
 struct Question<'a> {
-    /// The dictionary that was named.
+    /// The named dictionary.
     given: Option<&'a String>,
-    /// The session's scene, which that of a named dictionary should equal.
+    /// The session's scene, to compare with that of a named dictionary.
     session: Option<&'a Scene>,
-    /// Without the dictionary's name.
+    /// The request; the dictionary's name is set later.
     request: MeasureRequest,
 }
 
 struct Answer {
     dictionary: String,
     found: Box<MeasureAnswer>,
-    /// How the dictionary's scene differs from the session's.
+    /// A note if the dictionary's scene differs from the session's.
     note: Option<Note>,
 }
 
-/// Computes the dictionary where it is lacking, and asks.
+/// Computes the dictionary if it is missing, and measures.
 async fn ask(global: &Global, own: Option<WantedDictionary>, question: &Question<'_>) -> Result<Answer> {
     let mut wanted = own;
     if wanted.is_none() {
@@ -299,7 +301,7 @@ async fn ask_once(
         let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
             biased;
-            // The computation has taken signals over, so that they end nothing by themselves any more.
+            // The computation has installed signal handlers, so signals do not end the process by themselves any more.
             () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
             found = fits.measure(patient(request)) => found?.into_inner(),
         };
@@ -353,13 +355,13 @@ pub(crate) fn data<'a>(
     struct MeasureJson<'a> {
         #[serde(flatten)]
         options: UsedOptions<'a>,
-        /// Null if every channel has its own.
+        /// Null if every channel has a separate anisotropy.
         common_g: Option<f64>,
         common: &'a Common,
         /// Null if the scale factor was given or the likelihood was maximised.
         scale: Option<&'a ScaleCurve>,
         materials: &'a [MaterialFit],
-        /// What was assumed when the file was read, and what looks suspicious in it.
+        /// Assumptions made in reading the file, and suspicious data in it.
         notes: &'a [Note],
         #[serde(skip_serializing_if = "Option::is_none")]
         unmixed: Option<&'a Unmixed>,

@@ -1,4 +1,4 @@
-//! A note where a session is compared with a dictionary of another scene.
+//! Notes that a session is measured with a dictionary of another scene.
 
 use anyhow::Result;
 use farm_lab::measurement_file::Note;
@@ -8,14 +8,14 @@ use optics_model::Scene;
 
 use crate::connection::Connection;
 
-/// Asks for the dictionary's scene and compares it with the session's.
+/// Fetches the dictionary's scene and compares it with the session's.
 pub(super) async fn note(connection: &Connection, dictionary: &str, session: &Scene) -> Result<Option<Note>> {
     let request = GetRequest { name: dictionary.to_owned() };
     let status = connection.dictionaries().get(request).await?.into_inner();
     Ok(note_of(dictionary, session, DictionaryStatus::try_from(status)?.grid.scene()))
 }
 
-/// None if all quantities are the same.
+/// `None` if all quantities are equal.
 fn note_of(dictionary: &str, session: &Scene, other: &Scene) -> Option<Note> {
     let differences = session.differences(other);
     let list: Vec<String> =

@@ -72,7 +72,7 @@ pub(crate) struct ProfileJson<'a> {
     pub(crate) profiles: &'a PredictedProfiles,
 }
 
-/// CSV as `simulate` writes it, with the gradient.
+/// CSV in the format of `simulate`, with the gradient.
 fn table(profiles: &PredictedProfiles) -> String {
     let mut text = "channel,x_mm,value,std_error,gradient_per_mm\n".to_owned();
     for channel in &profiles.channels {

@@ -72,7 +72,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
 #[derive(Debug, Serialize)]
 pub(crate) struct ScaleJson<'a> {
     pub(crate) scale: &'a ScaleCurve,
-    /// By refined fits.
+    /// Scale factor and anisotropy by refined fits.
     pub(crate) common: &'a Common,
     pub(crate) materials: &'a [MaterialFit],
 }

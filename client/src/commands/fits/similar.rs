@@ -32,7 +32,7 @@ pub(crate) struct SimilarArgs {
     pub(crate) to: Vec<f64>,
 }
 
-/// Needs no farm: the formulas are those of the service's `Similar`.
+/// Computes locally, with the formulas of the service's `Similar`.
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     let data = data(args)?;
     output.print("similar", &data, || {
@@ -66,7 +66,7 @@ pub(crate) struct SimilarJson {
     similar: Vec<SimilarMedia>,
 }
 
-/// A medium, and what media share that are similar to it.
+/// A medium with the coefficients that similar media share.
 #[derive(Debug, Serialize)]
 struct SimilarMedia {
     #[serde(flatten)]

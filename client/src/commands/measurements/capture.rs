@@ -73,7 +73,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     let captured = captured?;
     let notes = capture::write_folder(&folder, &captured)?;
     let warnings = warnings(&captured, &folder, &notes);
-    // One object on standard output: with --measure it is that of the media.
+    // Standard output has one object: with --measure, that of the media.
     if !(args.measure && output.is_json()) {
         output
             .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
@@ -84,7 +84,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     Ok(ExitCode::SUCCESS)
 }
 
-/// Parts of a bar.
+/// Resolution of the progress bar.
 const STEPS: u64 = 1000;
 
 fn bar(quiet: bool) -> ProgressBar {
@@ -140,7 +140,7 @@ fn set_up_text(captured: &Captured) -> String {
     format!("{}\n{}", wrapped(&board), wrapped(&errors))
 }
 
-/// What was found of one channel of a sample.
+/// Results of one channel of a sample.
 #[derive(Debug, serde::Serialize)]
 struct CapturedRow {
     sample: String,
@@ -152,7 +152,7 @@ struct CapturedRow {
     light: f64,
     /// Mean random error of a bin.
     noise: f64,
-    /// Share of samples that were rejected.
+    /// Share of rejected samples.
     rejected: f64,
     blur_mm: f64,
     blur_std_error_mm: f64,
@@ -182,8 +182,7 @@ fn rows(captured: &Captured) -> Vec<CapturedRow> {
     rows.collect()
 }
 
-/// Everything doubtful: the session's numbers, the set-up's, the samples', and what the profiles show when they are read as
-/// `measure` reads them.
+/// All warnings: about the session's numbers, the set-up, the samples, and the profiles as `measure` reads them.
 fn warnings(captured: &Captured, folder: &Path, notes: &[Note]) -> Vec<String> {
     let set_up =
         captured.calibration.warnings.iter().chain(&captured.board.warnings).map(ToString::to_string);

@@ -1,4 +1,4 @@
-//! `farmctl check`: what a measurement file holds, as it is read, and what may be wrong with it.
+//! Implements `farmctl check`: prints how a measurement file is read, and what may be wrong with it.
 
 use std::path::PathBuf;
 

@@ -91,10 +91,10 @@ pub(crate) struct SimulateArgs {
     change: f64,
 }
 
-/// Most profiles of one command: more are the work of a farm.
+/// Largest number of profiles of one command; more are the work of a farm.
 const MOST_PROFILES: usize = 1000;
-/// Walks if none are given; of a measurement so many that the error of the simulation, which all pixels share, is small
-/// against what a profile's gain is not known by.
+/// Default number of walks. A measurement needs more: the error of the simulation, which all pixels share, must be small
+/// against the uncertainty of a profile's gain.
 const WALKS: u64 = 50_000;
 const MEASUREMENT_WALKS: u64 = 500_000;
 
@@ -187,14 +187,14 @@ fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
     Ok(())
 }
 
-/// What is written.
+/// The format of the output.
 enum OutputStyle {
     /// The plain table of one profile.
     One,
     /// A table that names every medium and thickness.
     Several,
     Json(JsonStyle),
-    /// A measurement of the material of this name, with the noise of a camera of this seed.
+    /// A measurement of the material with this name, with the noise of a camera with this seed.
     Measurement {
         material: String,
         noise: f64,
@@ -231,7 +231,7 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Outpu
     Ok(OutputStyle::Measurement { material: check_name(material)?.to_owned(), noise, seed })
 }
 
-/// Profile by profile as they are traced.
+/// Writes each profile as soon as it is traced.
 fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
     let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
@@ -290,7 +290,7 @@ fn write_rows(out: &mut impl Write, medium: &str, scene: &Scene, profiles: &[Pro
 
 #[derive(Debug, Serialize)]
 pub(crate) struct SimulateJson {
-    /// Set if there are several.
+    /// The medium, if there are several.
     #[serde(flatten)]
     medium: Option<MediumJson>,
     x_mm: Vec<f64>,

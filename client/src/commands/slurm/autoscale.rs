@@ -1,4 +1,4 @@
-//! `farmctl slurm autoscale`: looks at the queue and the farm in turn, and does what [`Scaling`] decides.
+//! Implements `farmctl slurm autoscale`: polls the queue and the farm, and executes the decisions of [`Scaling`].
 
 use std::collections::BTreeSet;
 use std::num::NonZeroU32;
@@ -22,10 +22,10 @@ use crate::slurm::{SbatchOption, Submission, queue, shell_quoted};
 mod ask;
 mod report;
 
-/// Looks in a row without work after which there is none: gaps between dictionaries are short.
+/// Number of polls in a row without work after which the farm counts as idle: gaps between dictionaries are short.
 const IDLE_LOOKS: u32 = 2;
 
-/// Nothing but a person can help.
+/// A failure that only the user can fix.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "workers end without having reached the coordinator, again and again: see their logs ({log}); usual causes are a \
@@ -64,7 +64,7 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
                 idle_looks = if now.demand.waiting + now.demand.computing == 0 { idle_looks + 1 } else { 0 };
                 seen = Some(now);
             }
-            // Whatever is wrong at once is wrong with the command.
+            // An error of the first poll means that the command is wrong.
             Err(error) if seen.is_none() || error.is::<Hopeless>() => return Err(error),
             Err(error) => {
                 idle_looks = 0;
@@ -81,7 +81,7 @@ pub(super) async fn run(global: &Global, args: SlurmAutoscaleArgs, output: &Outp
     }
 }
 
-/// Refuses a choice of the cluster that `squeue` and `scancel` would not follow.
+/// Refuses options and variables that select a cluster for `sbatch` but not for `squeue` and `scancel`.
 fn is_one_cluster(options: &[SbatchOption], variable: impl Fn(&str) -> Option<String>) -> Result<()> {
     let given =
         variable("SBATCH_CLUSTERS").is_some() || options.iter().any(|option| option.begins("--clusters"));
@@ -91,7 +91,7 @@ fn is_one_cluster(options: &[SbatchOption], variable: impl Fn(&str) -> Option<St
     Ok(())
 }
 
-/// The name by which the workers of this farm are known in the queue.
+/// The job name that identifies this farm's workers in the queue.
 fn job_name(global: &Global) -> Result<String> {
     ensure!(
         !global.local && (global.access.is_some() || global.server.is_some()),
@@ -109,29 +109,30 @@ struct Autoscaler<'a> {
     submission: Submission,
     scaling: Scaling,
     start: Instant,
-    /// Where the events begin that were not looked at yet.
+    /// Page token of the first event that was not read yet.
     events: Option<String>,
-    /// Whether what sbatch refuses is more likely the cluster's reason than a wrong command: after the first look, or if
-    /// such workers are in the queue.
+    /// Whether a refusal by sbatch is more likely caused by the cluster than by a wrong command: after the first poll,
+    /// or if such workers are in the queue.
     proven: bool,
-    /// Arrays that were submitted.
+    /// Submitted arrays.
     jobs: BTreeSet<u64>,
 }
 
 impl Autoscaler<'_> {
-    /// Looks once, and acts. Where an answer is missing nothing is done.
+    /// Polls once, and acts. Without all answers, nothing is done.
     async fn look(&mut self) -> Result<FarmSnapshot> {
         if self.events.is_none() {
             self.events = Some(with_farm(self.global, Purpose::Ask, newest_events).await?);
         }
-        // The queue before the farm: who has left it has had the time to reach the coordinator.
+        // The queue is polled before the farm: workers that have left the queue have had the time to reach the
+        // coordinator.
         let mut tasks = queue::tasks(&self.submission.job_name).await?;
         let since = self.events.clone().unwrap_or_default();
         let FarmState { demand, registered, joined, events } =
             with_farm(self.global, Purpose::Ask, async |connection| ask(connection, since.clone()).await)
                 .await?;
         self.events = Some(events);
-        // Some clusters list a stale or partial queue: registered workers count all the same.
+        // Some clusters list a stale or partial queue: registered workers count in any case.
         let unseen = |id: &&TaskId| self.jobs.contains(&id.job) && !tasks.iter().any(|(seen, _)| seen == *id);
         let unseen: Vec<TaskId> = registered.iter().filter(unseen).copied().collect();
         tasks.extend(unseen.into_iter().map(|id| (id, TaskState::Running)));
@@ -196,7 +197,7 @@ impl Autoscaler<'_> {
             Action::Nothing => Ok(()),
             Action::Submit(count) => self.submit(now, count, seen).await,
             Action::Cancel(tasks) => {
-                // Also if the answer is lost: who is still there at the next look is taken up again.
+                // Recorded even if the answer is lost: tasks that still exist at the next poll are counted again.
                 self.scaling.cancelled(&tasks);
                 queue::cancel(&tasks).await?;
                 let message = format!("took {} out of the queue", counted(tasks.len() as u64, "worker"));
@@ -249,7 +250,7 @@ impl Autoscaler<'_> {
 mod tests {
     use super::*;
 
-    /// Options and variables of sbatch alone are refused: squeue and scancel would ask another cluster.
+    /// Options and variables of sbatch alone are refused: squeue and scancel would use another cluster.
     #[test]
     fn clusters_are_selected_by_slurm_clusters_only() {
         let check = |option: &str, variable: (&str, &str)| {

@@ -1,4 +1,4 @@
-//! The examples in the help of every verb are accepted.
+//! Checks that the examples in the help of every verb are accepted.
 
 use clap::{Command, CommandFactory as _, Parser as _};
 
@@ -8,7 +8,7 @@ use crate::commands::Cli;
 fn examples(command: &Command) -> Vec<String> {
     let help = command.get_after_help().map(ToString::to_string).unwrap_or_default();
     let lines = help.lines().filter(|line| line.starts_with("  farmctl "));
-    // What it does stands behind two spaces.
+    // The explanation of an example follows after two spaces.
     lines.map(|line| line.trim_start().split("  ").next().unwrap_or_default().to_owned()).collect()
 }
 

@@ -1,6 +1,6 @@
 use super::*;
 
-/// The lines of `squeue` give the tasks of this farm, by the name of their job, and their states.
+/// The lines of `squeue` give the tasks of this farm, matched by job name, and their states.
 #[test]
 fn squeue_lines_are_matched_by_job_name() {
     let task = |line: &str| task(line, "farm-worker@login:7700");
@@ -16,7 +16,7 @@ fn squeue_lines_are_matched_by_job_name() {
         assert_eq!(message("PENDING", held), is(TaskState::Held), "{held}");
     }
     assert_eq!(message("SPECIAL_EXIT", "None"), is(TaskState::Held));
-    // What completes may be queued again; a state that a later Slurm has is somebody's place, too.
+    // Completing tasks may be queued again; states of later versions of Slurm count as running, too.
     for running in ["RUNNING", "CONFIGURING", "SUSPENDED", "COMPLETING", "EXPEDITING"] {
         assert_eq!(message(running, "None"), is(TaskState::Running), "{running}");
     }

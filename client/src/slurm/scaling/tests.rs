@@ -13,12 +13,12 @@ fn demand(waiting: u64, computing: u64) -> Demand {
     Demand { waiting, computing, left: None }
 }
 
-/// A cluster that starts what waits at each look, as long as there is room, and a farm that everybody reaches.
+/// A cluster that starts waiting tasks at each poll as long as there is room, and a farm that every worker reaches.
 struct Cluster {
     scaling: Scaling,
     tasks: Vec<(TaskId, TaskState)>,
     room: usize,
-    /// Most tasks that the queue takes.
+    /// Largest number of tasks that the queue accepts.
     takes: usize,
     jobs: u64,
     now: Duration,
@@ -38,7 +38,7 @@ impl Cluster {
         }
     }
 
-    /// So many jobs are left, of which each worker that runs has four.
+    /// Polls with `jobs` remaining jobs; each running worker computes four of them.
     fn look(&mut self, jobs: u64) -> Decision {
         self.look_with(jobs, None)
     }
@@ -81,7 +81,7 @@ impl Cluster {
         }
     }
 
-    /// How many run and wait.
+    /// Number of running and of waiting tasks.
     fn states(&self) -> (usize, usize) {
         let running = self.tasks.iter().filter(|(_, state)| *state == TaskState::Running).count();
         (running, self.tasks.len() - running)
@@ -97,7 +97,7 @@ fn workers_double_until_there_are_enough() {
     assert_eq!(cluster.states(), (12, 0));
 }
 
-/// A full cluster, where they wait, gets no further ones.
+/// Waiting workers count towards the limit: a full cluster gets no further ones.
 #[test]
 fn workers_never_exceed_the_limit() {
     let mut cluster = Cluster::new(6, 2);
@@ -124,11 +124,11 @@ fn short_work_starts_no_further_worker() {
     let before = cluster.submissions.len();
     assert_eq!(cluster.look_with(1000, soon).action, Action::Hold(Hold::NotWorth));
     assert_eq!(cluster.submissions.len(), before);
-    // Where there is none, one is needed however little there is to do.
+    // Without any worker, one is needed even for little work.
     assert_eq!(Cluster::new(64, 64).look_with(1, soon).action, Action::Submit(NonZeroU32::MIN));
 }
 
-/// Only after two looks in a row, the newest first, and never those that run.
+/// Surplus workers are cancelled only after two polls in a row, the newest first, and never running ones.
 #[test]
 fn unneeded_waiting_workers_are_cancelled() {
     let mut cluster = Cluster::new(8, 3);
@@ -138,7 +138,7 @@ fn unneeded_waiting_workers_are_cancelled() {
     let Action::Cancel(tasks) = cluster.look(12).action else { panic!("they are not taken back") };
     assert_eq!((tasks.len(), tasks[0].job), (5, cluster.jobs), "the newest first");
     assert_eq!(cluster.states(), (3, 0));
-    // Their leave is nobody's failure.
+    // Cancelled tasks do not count as failed.
     assert_eq!(cluster.look(12).failed, []);
 }
 
@@ -163,14 +163,14 @@ fn limited_queue_is_filled_and_refilled() {
     cluster.takes = 10;
     cluster.looks(12, 10_000);
     assert_eq!(cluster.states(), (10, 0), "{:?}", cluster.submissions);
-    // Then it is asked less and less: full is full.
+    // Then a full queue is tried less and less often.
     let before = cluster.now;
     let mut asked = 0;
     while cluster.now < before + Duration::from_hours(5) {
         asked += u32::from(matches!(cluster.look(10_000).action, Action::Submit(_)));
     }
     assert!((10..=16).contains(&asked), "{asked} in five hours, with pauses of half an hour");
-    // At their walltime workers leave: there is room at once.
+    // When workers leave at their walltime, new ones are submitted at once.
     cluster.tasks.drain(..3);
     cluster.looks(5, 10_000);
     assert_eq!(cluster.states(), (10, 0), "{:?}", cluster.submissions);
@@ -200,7 +200,7 @@ fn missing_workers_are_retried_with_growing_pauses() {
         match decision.action {
             Action::Submit(count) => {
                 tries.push(now);
-                // Gone by the next look.
+                // The task is gone by the next poll.
                 scaling.submitted(job, count);
             }
             Action::Hold(Hold::Failing) => pauses.push(scaling.pause(now)),
@@ -215,14 +215,14 @@ fn missing_workers_are_retried_with_growing_pauses() {
     assert_eq!(tries.len() as u32, HOPELESS);
 }
 
-/// As long as other workers run, those that die before they join cause pauses, but no end.
+/// As long as other workers run, workers that die before they join cause pauses, but the autoscaler does not give up.
 #[test]
 fn bad_node_slows_scaling() {
     let mut cluster = Cluster::new(4, 4);
     cluster.looks(6, 1000);
     assert_eq!(cluster.states(), (4, 0));
     let mut submitted = 0;
-    // One of four ends, and each that follows dies on a bad node before it has joined.
+    // One of four ends, and each replacement dies on a bad node before it has joined.
     let healthy = cluster.tasks[..3].to_vec();
     for look in 0..1000 {
         cluster.now += LOOK;
@@ -249,11 +249,11 @@ fn worker_that_arrives_ends_the_pause() {
     let runs = [(one, TaskState::Running)];
     let decision = scaling.look(3 * LOOK, &demand(100, 0), &runs, &[one]);
     assert_eq!(decision.action, Action::Submit(NonZeroU32::MIN));
-    // It ends after it had joined: an idle one, or one at its walltime.
+    // A task that ends after it has joined (idle, or at its walltime) does not count as failed.
     assert_eq!(scaling.look(4 * LOOK, &demand(100, 0), &[], &[]).failed, []);
 }
 
-/// They are not submitted again, and those that end later are not failures.
+/// A restarted autoscaler does not submit running workers again, and does not count them as failed when they end.
 #[test]
 fn restarted_autoscaler_adopts_running_workers() {
     let tasks = [1, 2, 3].map(|task| (TaskId { job: 7, task }, TaskState::Running));
@@ -261,7 +261,7 @@ fn restarted_autoscaler_adopts_running_workers() {
     assert_eq!(scaling.look(LOOK, &demand(1000, 12), &tasks, &[]).action, Action::Nothing);
     let decision = scaling.look(2 * LOOK, &demand(1000, 12), &tasks[..2], &[]);
     assert_eq!((decision.action, decision.failed), (Action::Submit(NonZeroU32::MIN), vec![]));
-    // As long as these work, nobody gives up, though all that follow die.
+    // As long as these work, the autoscaler does not give up, although all further ones die.
     for look in 3..2000 {
         match scaling.look(look * LOOK, &demand(1000, 8), &tasks[..2], &[]).action {
             Action::Submit(count) => scaling.submitted(look.into(), count),

@@ -1,4 +1,4 @@
-//! What thick slabs look like: the colours of materials, as an impression.
+//! Computes the colours of thick slabs, as an impression of materials.
 
 use std::sync::atomic::AtomicBool;
 
@@ -10,7 +10,7 @@ use optics_model::{Invalid, Medium, TransportPoint, Walks};
 use optics_tracer::trace;
 use rayon::prelude::*;
 
-/// Most media of one question.
+/// Largest number of media in one question.
 const MOST: usize = 256;
 /// Thickness of the slab in mm; thinner where its optical thickness would be too large to trace.
 const THICK_MM: f64 = 20.0;
@@ -18,7 +18,7 @@ const OPTICALLY_THICK: f64 = 400.0;
 const WALKS: u64 = 2000;
 const IOR: f64 = 1.5;
 
-/// Radiance factors of slabs, half of each over black and half over white: the mean over the edge.
+/// Radiance factors of slabs half over black and half over white: the mean over the edge.
 pub(super) fn radiance_factors(media: Vec<wire::Medium>) -> Result<Vec<f64>> {
     if media.len() > MOST {
         return Err(Invalid::new("media", media.len(), format!("at most {MOST} are allowed")).into());

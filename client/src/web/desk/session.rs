@@ -1,4 +1,4 @@
-//! The folder of a capture, measured in the page as `farmctl measure FOLDER` does.
+//! Opens the folder of a capture, which the page measures as `farmctl measure FOLDER` does.
 
 use std::path::Path;
 

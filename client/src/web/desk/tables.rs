@@ -1,4 +1,4 @@
-//! Rows of tables as messages of the page's service.
+//! Converts rows of tables to messages of the page's service.
 
 use farm_figures::estimates::EstimateRow;
 use farm_figures::{ChannelBudget, ErrorBudget};

@@ -1,5 +1,5 @@
-//! The section of media: the fits with the estimates of the scene and the error budget, and each photograph above its
-//! simulation, as in Fig. 2 of the paper.
+//! Renders the section of media: the fits with the estimates of the scene and the error budget, and each photograph
+//! above its simulation, as in Fig. 2 of the paper.
 
 use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
@@ -8,12 +8,12 @@ use super::super::strip::simulated_uri;
 use super::samples::SlabSection;
 use super::{escaped, warning_list};
 
-/// What `measure` contributes to the page.
+/// The parts of the page from `measure`.
 #[derive(Debug)]
 pub struct Media {
     /// The answer as it is printed, without estimates of the scene and budget.
     pub text: String,
-    /// None if the scene was taken as exact.
+    /// Empty if the scene was taken as exact.
     pub estimates: Vec<EstimateRow>,
     pub budget: Option<ErrorBudget>,
     /// Figures of the fits, as SVG.
@@ -21,7 +21,7 @@ pub struct Media {
     pub simulated: Vec<Simulated>,
 }
 
-/// Simulated profiles of one slab at its fitted medium, as the photograph would show them.
+/// Simulated profiles of one slab at its fitted medium, as seen in the photograph.
 #[derive(Debug)]
 pub struct Simulated {
     /// The sample's label.

@@ -1,4 +1,4 @@
-//! The samples: a table of all, and each with profiles, budget and photographs.
+//! Renders the samples: a table of all, and each with profiles, budget and photographs.
 
 use farm_figures::numbers::significant;
 use farm_figures::{EdgeCurve, edge_figure};
@@ -9,10 +9,10 @@ use super::super::budget::sum;
 use super::super::stage::{Captured, CapturedSample};
 use super::{escaped, shots, warnings};
 
-/// Micrometres of millimetres.
+/// Micrometres per millimetre.
 const MICROMETRES: f64 = 1000.0;
 
-/// What was found, as a sentence and a table.
+/// The results as a sentence and a table.
 pub(super) fn summary(captured: &Captured) -> String {
     let rows = captured.samples.iter().flat_map(|sample| {
         sample.profile.profiles.iter().enumerate().map(|(c, profile)| row(captured, sample, c, profile))
@@ -64,7 +64,7 @@ pub fn mean(values: &[f64]) -> f64 {
     finite.iter().sum::<f64>() / finite.len().max(1) as f64
 }
 
-/// One slab: its strip of a photograph as a data URI, and as HTML what stands before and after that.
+/// One slab: its strip of a photograph as a data URI, and the HTML before and after the strip.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) struct SlabSection {
     pub(super) label: String,

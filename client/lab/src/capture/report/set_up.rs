@@ -1,4 +1,4 @@
-//! The set-up: board, grey patches, light, noise.
+//! Renders the set-up: board, grey patches, light, noise.
 
 use farm_figures::numbers::significant;
 use optics_capture::{Calibration, Colour, Estimate};

@@ -1,4 +1,4 @@
-//! Photographs with what was found in them drawn in.
+//! Draws board, edge, crop and rejected samples into the photographs.
 
 use optics_capture::{Board, ShotReport};
 
@@ -65,11 +65,11 @@ fn overlay(board: &Board) -> String {
     )
 }
 
-/// Most dots that are drawn.
+/// Largest number of dots.
 const MOST_DOTS: usize = 2000;
 
 fn dust(shot: &ShotReport, width: usize) -> String {
-    // A dot that is seen in a picture of 360 pixels.
+    // A dot that is visible in a picture of 360 pixels.
     let side = (width as f64 / 240.0).max(2.0);
     let step = shot.rejected_px.len().div_ceil(MOST_DOTS).max(1);
     let dots = shot.rejected_px.iter().step_by(step).map(|[x, y]| {

@@ -1,20 +1,20 @@
-//! Numbers that a session may have, but hardly means.
+//! Finds values of a session that are valid but implausible.
 
 use super::{SampleTable, SessionFile};
 use crate::measurement_file::normal;
 
-/// Largest relative error of patches that are certified.
+/// Largest plausible relative error of certified patches.
 const NEUTRAL_STD_ERROR: f64 = 0.1;
-/// Squares of boards that a camera sees with a slab on them.
+/// Plausible squares of boards: with a slab on them they are still visible to a camera.
 const SQUARE_MM: std::ops::RangeInclusive<f64> = 5.0..=100.0;
-/// Thicknesses of slabs.
+/// Plausible thicknesses of slabs.
 const THICKNESS_MM: std::ops::RangeInclusive<f64> = 0.05..=20.0;
-/// Largest relative error of a thickness that was measured.
+/// Largest plausible relative error of a measured thickness.
 const THICKNESS_STD_ERROR: f64 = 0.1;
-/// Thicknesses closer than this are hardly of two slabs.
+/// Thicknesses closer than this are probably those of one slab.
 const ONE_SLAB_MM: f64 = 1e-3;
 
-/// What is suspicious, each with its field and value.
+/// All suspicious values, each with its field.
 pub(super) fn of(file: &SessionFile) -> Vec<String> {
     let mut doubts = Vec::new();
     if let Some(error) = file.neutral.std_error.filter(|error| *error > NEUTRAL_STD_ERROR) {
@@ -56,7 +56,7 @@ fn slab(sample: &SampleTable) -> Vec<String> {
     doubts
 }
 
-/// What is doubtful about two samples that may be meant to be one.
+/// A doubt about two samples that are probably one.
 fn alike(before: &SampleTable, sample: &SampleTable) -> Option<String> {
     let names = [&before.material, &sample.material].map(|name| normal(name).into_owned());
     let (one, other) = (before.thickness_mm, sample.thickness_mm);

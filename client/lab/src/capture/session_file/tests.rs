@@ -31,7 +31,7 @@ fn read(change: (&str, &str)) -> Result<CaptureSession> {
     let path = folder.path().join("session.toml");
     write(&path, SOUND.replacen(change.0, change.1, 1)).unwrap();
     let read = CaptureSession::read(&path);
-    // Paths are of the folder that is gone.
+    // The temporary folder in paths is replaced by DIR.
     read.map_err(|e| anyhow::anyhow!(format!("{e:#}").replace(&folder.path().display().to_string(), "DIR")))
 }
 
@@ -137,7 +137,7 @@ fn implausible_numbers_are_named() {
     assert_eq!(other("white", 1.0), "");
 }
 
-/// As editors of Windows, and users of decimal commas, write them.
+/// Byte-order marks, which editors of Windows write, are read; a decimal comma is reported.
 #[test]
 fn byte_order_marks_are_read() {
     assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().dark.len(), 2);

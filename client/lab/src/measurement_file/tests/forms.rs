@@ -1,4 +1,4 @@
-//! What programs write around the numbers.
+//! Tests of headers, preambles and rows of units.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Pixels that are rounded, masked or without errors.
+//! Tests of pixels that are rounded, masked or without errors.
 
 use super::*;
 

@@ -1,4 +1,4 @@
-//! Names and thicknesses that look alike.
+//! Tests of names and thicknesses that look alike.
 
 use super::*;
 

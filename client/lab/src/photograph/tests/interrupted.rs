@@ -1,4 +1,4 @@
-//! Files of which a part is missing, and how pictures are turned.
+//! Tests of truncated files, and of the orientation of pictures.
 
 use super::*;
 
@@ -39,7 +39,7 @@ pub(super) fn lossless(samples: &[u16], width: usize, components: usize) -> Vec<
     jpeg
 }
 
-/// Uneven numbers, as of noise.
+/// Irregular numbers that stand for noise.
 pub(super) fn noise(count: usize) -> Vec<u16> {
     (0..count as u32).map(|i| 1000 + (i.wrapping_mul(2_654_435_761) >> 23) as u16).collect()
 }
@@ -69,7 +69,7 @@ fn truncated_jpeg_is_refused_with_its_rows() {
     assert!(refused.contains(": 29 of its 30 rows are there"), "{refused}");
 }
 
-/// Three restart intervals of a row each.
+/// A JPEG of three restart intervals, a row each, is refused if a restart marker is missing.
 #[test]
 fn missing_restart_marker_is_refused() {
     let samples = noise(3 * 8);
@@ -110,7 +110,7 @@ fn final_zero_rows_are_refused() {
     samples[40 * 17 + 5..].fill(0);
     let refused = pgm(&samples).unwrap_err();
     assert!(refused.starts_with("rows 19 to 30, the last ones, hold nothing but zeros"), "{refused}");
-    // A dark shot whose black level was subtracted: half of its noise is cut off, and rows may be without any.
+    // A dark shot whose black level was subtracted: half of its noise is cut off, and rows may be all zero.
     let dark: Vec<u16> = noise(40 * 30).iter().map(|v| v.saturating_sub(1256)).collect();
     assert!(pgm(&[&dark[..1160], &[0; 40]].concat()).is_ok());
     assert!(pgm(&[0; 1200]).is_ok());

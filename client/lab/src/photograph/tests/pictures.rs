@@ -1,8 +1,8 @@
-//! Files of several pictures.
+//! Tests of files with several pictures.
 
 use super::*;
 
-/// The same directory again and again, as pages.
+/// A TIFF with several pages of the same picture, each modified by `change`.
 fn pages(count: usize, change: impl Fn(usize, Maker) -> Maker) -> Vec<u8> {
     let first = change(0, grey());
     let mut file = first.bytes();

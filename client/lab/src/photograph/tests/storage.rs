@@ -1,4 +1,4 @@
-//! How samples are stored: what writers do beyond the specification.
+//! Tests of stored samples, including variants beyond the specification.
 
 use super::interrupted::{lossless, noise};
 use super::*;
@@ -10,7 +10,7 @@ fn maker() -> Maker {
     Maker { width: WIDTH as u32, height: HEIGHT as u32, ..Maker::dng() }
 }
 
-/// A part of the picture, its last row and column again and again beyond.
+/// A part of the picture; beyond it, the last row and column are repeated.
 fn part(samples: &[u16], left: usize, top: usize, width: usize, height: usize) -> Vec<u16> {
     let at = |x: usize, y: usize| samples[y.min(HEIGHT - 1) * WIDTH + x.min(WIDTH - 1)];
     (0..width * height).map(|i| at(left + i % width, top + i / width)).collect()
@@ -70,7 +70,7 @@ fn last_tiles_may_be_whole_or_cut() {
             }
         }
     }
-    // As some writers arrange rows: two components, and half as many columns.
+    // Some writers arrange rows otherwise: two components, and half as many columns.
     let pairs = chunks((WIDTH, 16), true, |left, top| lossless(&part(&samples, left, top, 100, 16), 50, 2));
     assert_eq!(pairs.with(259, &[7]).decode().unwrap().samples, samples);
 }
@@ -100,7 +100,7 @@ fn words_may_be_wider_than_their_bits() {
 
 const BIG: [(u16, u64); 7] = [(256, 6), (257, 4), (258, 16), (262, 1), (273, 16), (279, 48), (274, 6)];
 
-/// The counting picture.
+/// The picture of counting samples as BigTIFF.
 pub(super) fn big_tiff() -> Vec<u8> {
     big(&BIG, &little(&counting()))
 }
@@ -179,7 +179,7 @@ fn overlapping_areas_are_cut_to_the_picture() {
     assert_eq!((photograph.width, photograph.height), (96, 58));
     assert_eq!(photograph.samples[..96], samples[204..300]);
     assert!(area([0, 0, 62, 100]).refused().starts_with("tag ActiveArea"));
-    // Rectangles of nothing, too.
+    // Empty rectangles are accepted, too.
     for masked in [[0, 0, 61, 102], [0, 0, 0, 0]] {
         let photograph = area([0, 0, 60, 100]).with(50_830, &masked).decode().unwrap();
         assert_eq!(photograph.black, Some([64.0; 4]));
@@ -195,7 +195,7 @@ fn white_level_may_differ_between_channels() {
     assert_eq!(white(Maker::dng(), &[900, 800]), [800.0; 4]);
 }
 
-/// A small file makes no large picture: compressed zeros, tiles far larger than the picture, many tiles at one place.
+/// A small file gives no large picture: compressed zeros, tiles far larger than the picture, many tiles at one offset.
 #[test]
 fn small_files_do_not_become_large_pictures() {
     let zeros = |samples: usize| deflated(&vec![0; 2 * samples]);

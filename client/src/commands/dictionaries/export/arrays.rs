@@ -1,4 +1,4 @@
-//! The arrays of a dictionary: their names, units and axes, and the records that fill them.
+//! Describes the arrays of a dictionary (names, units, axes), and reads the records that fill them.
 
 use std::collections::BTreeMap;
 
@@ -14,16 +14,16 @@ use crate::connection::Connection;
 use crate::connection::records::RecordStream;
 use crate::output::grouped;
 
-/// Axes of the arrays of records, the last one running fastest; the first one is that of the responses alone.
+/// Axes of the arrays of records, the last one running fastest; only arrays of responses have the first.
 const AXES: [&str; 8] =
     ["variant", "sample_ior", "sigma_t_per_mm", "g", "thickness_mm", "albedo", "channel", "x_mm"];
 
-/// The axes of what is chosen.
+/// The axes of the chosen records.
 pub(super) fn axes(chosen: &ChosenAxes) -> &'static [&'static str] {
     if chosen.variants().is_empty() { &AXES[1..] } else { &AXES }
 }
 
-/// An array of records: its name and unit, and which of a profile's estimates it has.
+/// An array of records: its name and unit, and the index of a profile's estimate that fills it.
 pub(super) struct Array {
     pub(super) name: &'static str,
     pub(super) unit: &'static str,
@@ -32,7 +32,7 @@ pub(super) struct Array {
 }
 
 impl Array {
-    /// Those of a grid's records.
+    /// The arrays of a grid's records.
     pub(super) fn all(grid: &Grid) -> &'static [Self] {
         if grid.derivatives() { &ARRAYS } else { &ARRAYS[..2] }
     }
@@ -40,7 +40,7 @@ impl Array {
     /// Its numbers for a profile, one for each pixel.
     ///
     /// # Panics
-    /// If the profile lacks derivatives that the grid asks for.
+    /// If the profile lacks derivatives that the grid requires.
     pub(super) fn numbers<'p>(&self, profile: &'p Profile) -> &'p [f32] {
         let estimate: &Estimate = profile.estimates().nth(self.estimate).expect("records are checked");
         if self.errors { estimate.std_errors() } else { estimate.values() }
@@ -54,7 +54,7 @@ impl Array {
 const PER_ALBEDO: &str = "radiance factor per albedo";
 const PER_SIGMA_T: &str = "radiance factor mm";
 
-/// In the order of a profile's estimates; those after the first two are there with derivatives alone.
+/// All arrays in the order of a profile's estimates; all but the first two require derivatives.
 const ARRAYS: [Array; 6] = [
     Array::of("value", "radiance factor", 0, false),
     Array::of("std_error", "radiance factor", 0, true),
@@ -75,7 +75,7 @@ pub(super) fn x_mm(grid: &Grid) -> Vec<f64> {
     (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect()
 }
 
-/// The values along each axis but that of the channels.
+/// The values along each axis except that of the channels.
 pub(super) fn numeric_axes(
     grid: &Grid,
     chosen: &ChosenAxes,
@@ -85,7 +85,7 @@ pub(super) fn numeric_axes(
     AXES[1..].iter().copied().filter(|name| *name != "channel").zip(values)
 }
 
-/// The variants along the first axis of responses; none for records of the axes.
+/// The variants along the first axis of responses; empty for records of the axes.
 pub(super) fn variants(grid: &Grid, chosen: &ChosenAxes) -> Vec<VariedQuantity> {
     chosen.variants().iter().filter_map(|variant| VariedQuantity::of(grid, *variant)).collect()
 }
@@ -126,7 +126,7 @@ pub(super) fn about(
     Ok(serde_json::to_value(&about)?)
 }
 
-/// The chosen records, all of which must be done: arrays have no place for what is missing.
+/// The chosen records, all of which must be done: arrays cannot represent missing records.
 pub(super) struct Complete<'a> {
     records: RecordStream<'a>,
     dictionary: &'a DictionaryStatus,
@@ -156,7 +156,7 @@ impl<'a> Complete<'a> {
         Ok(Self { records, dictionary, wanted: wanted.into_iter() })
     }
 
-    /// The next record, the albedo running fastest; None if all have come.
+    /// The next record, the albedo running fastest; `None` after the last.
     pub(super) async fn next(&mut self) -> Result<Option<Record>> {
         let Some(wanted) = self.wanted.next() else { return Ok(None) };
         let record = self.records.next().await?.filter(|record| record.index == wanted as usize);

@@ -1,14 +1,14 @@
-//! The records that the arguments of an export choose: places along each axis, or along those of the responses.
+//! Selects the records of an export: indices along each axis, or along those of the responses.
 
 use anyhow::{Context, Result};
 use optics_model::{Grid, Invalid};
 
 use super::ExportArgs;
 
-/// Places along each axis that the lists admit.
+/// Indices along each axis that the lists select.
 #[derive(Debug)]
 pub(super) struct ChosenAxes {
-    /// All variants of the responses and their baseline; none if records of the axes are meant.
+    /// All variants of the responses and their baseline; empty for records of the axes.
     variants: Vec<Option<usize>>,
     iors: Vec<usize>,
     sigma_ts: Vec<usize>,
@@ -42,12 +42,12 @@ impl ChosenAxes {
         [&self.iors, &self.sigma_ts, &self.gs, &self.thicknesses, &self.albedos]
     }
 
-    /// Variants of the responses and their baseline; none if records of the axes are meant.
+    /// Variants of the responses and their baseline; empty for records of the axes.
     pub(super) fn variants(&self) -> &[Option<usize>] {
         &self.variants
     }
 
-    /// Lengths of the axes: of the variants first, if there are some.
+    /// Lengths of the axes, beginning with the variants if there are any.
     pub(super) fn shape(&self) -> Vec<usize> {
         let variants = Some(self.variants.len()).filter(|n| *n > 0);
         variants.into_iter().chain(self.axes().map(<[usize]>::len)).collect()
@@ -88,7 +88,7 @@ impl ChosenAxes {
     }
 }
 
-/// Numbers of the records that the lists admit; empty for all records of the axes.
+/// Numbers of the records that the lists select; empty for all records of the axes.
 pub(super) fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>> {
     let lists = [&args.sigma_t, &args.albedo, &args.g, &args.thickness, &args.sample_ior];
     if !args.responses && lists.iter().all(|l| l.is_empty()) {
@@ -97,7 +97,7 @@ pub(super) fn selection(grid: &Grid, args: &ExportArgs) -> Result<Vec<u32>> {
     Ok(ChosenAxes::new(grid, args)?.records(grid))
 }
 
-/// Those of these places of an axis that have the wanted values; all if no value is wanted.
+/// The indices in `among` whose values are in `wanted`; all if `wanted` is empty.
 fn places(field: &str, axis: &[f64], among: Vec<usize>, wanted: &[f64]) -> Result<Vec<usize>, Invalid> {
     if wanted.is_empty() {
         return Ok(among);

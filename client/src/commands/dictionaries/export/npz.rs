@@ -1,7 +1,7 @@
-//! A dictionary as arrays for NumPy: `numpy.load` reads the file as it is.
+//! Writes a dictionary as arrays for NumPy, which `numpy.load` reads.
 //!
-//! An npz file is an archive of npy files, which are a short head before the numbers (NumPy Enhancement Proposal 1). Each
-//! array is written in a pass of its own over the records, so that none has to fit into memory.
+//! An npz file is an archive of npy files, which have a short head before the numbers (NumPy Enhancement Proposal 1).
+//! Each array is written in a separate pass over the records, so that none has to fit into memory.
 
 use std::io::{Seek, Write};
 
@@ -37,7 +37,7 @@ pub(super) async fn write(
     Ok(())
 }
 
-/// Numbers with noise hardly shrink, and as they are they can be mapped into memory.
+/// Uncompressed: noisy numbers hardly shrink, and stored arrays can be mapped into memory.
 fn stored() -> SimpleFileOptions {
     SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(true)
 }
@@ -64,7 +64,7 @@ async fn write_records(
     Ok(())
 }
 
-/// The values along each axis, and what the variants are, as arrays of their names.
+/// Writes the values along each axis, and the variants, as arrays with their names.
 fn write_axes(grid: &Grid, chosen: &ChosenAxes, archive: &mut ZipWriter<impl Write + Seek>) -> Result<()> {
     for (name, values) in numeric_axes(grid, chosen) {
         write_numbers(name, &values, archive)?;
@@ -86,7 +86,7 @@ fn write_numbers(name: &str, values: &[f64], archive: &mut ZipWriter<impl Write 
     Ok(())
 }
 
-/// Text of one length, in UTF-32, as NumPy has it.
+/// Writes texts padded to one length in UTF-32, NumPy's format.
 fn write_texts<'a>(
     name: &str,
     texts: impl ExactSizeIterator<Item = &'a str> + Clone,
@@ -102,20 +102,20 @@ fn write_texts<'a>(
     Ok(())
 }
 
-/// Bytes before the text of a head: a mark, a version, and the text's length.
+/// Bytes before the text of a head: magic bytes, a version, and the text's length.
 const BEFORE_HEAD: usize = 10;
 
-/// The head of an npy file, version 1.0: numbers follow in C order. It ends at a multiple of 64 bytes.
+/// The head of an npy file, version 1.0, for numbers in C order. It ends at a multiple of 64 bytes.
 fn head(kind: &str, shape: &[usize]) -> Vec<u8> {
     let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
-    // A tuple of one has a comma.
+    // A Python tuple of one element has a comma.
     let comma = if shape.len() == 1 { "," } else { "" };
     let sides = sides.join(", ");
     let mut text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({sides}{comma}), }}");
     let whole = (BEFORE_HEAD + text.len() + 1).next_multiple_of(64);
     text.extend(std::iter::repeat_n(' ', whole - BEFORE_HEAD - 1 - text.len()));
     text.push('\n');
-    // Eight axes take a few hundred bytes.
+    // The text of eight axes takes a few hundred bytes.
     let length = (text.len() as u16).to_le_bytes();
     [b"\x93NUMPY\x01\x00", &length[..], text.as_bytes()].concat()
 }

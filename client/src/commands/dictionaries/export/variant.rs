@@ -1,4 +1,4 @@
-//! What distinguishes a variant of the responses from the scene.
+//! Describes the quantity that distinguishes a variant of the responses from the scene.
 
 use optics_model::Grid;
 use serde::Serialize;
@@ -6,16 +6,16 @@ use serde::Serialize;
 /// The quantity that has another value in a variant.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct VariedQuantity {
-    /// As `gel thickness`.
+    /// For example `gel thickness`.
     pub(super) quantity: String,
-    /// By how much it is larger than in the scene, in the unit.
+    /// Difference from the scene's value, in the unit.
     pub(super) step: f64,
-    /// `mm`, `°`, or nothing for pure numbers.
+    /// `mm`, `°`, or empty for pure numbers.
     pub(super) unit: &'static str,
 }
 
 impl VariedQuantity {
-    /// The quantity of a variant, or of the baseline; None without such a variant.
+    /// The quantity of a variant, or of the baseline; `None` without such a variant.
     pub(super) fn of(grid: &Grid, variant: Option<usize>) -> Option<Self> {
         let Some(variant) = variant else {
             return Some(Self { quantity: "baseline".to_owned(), step: 0.0, unit: "" });
@@ -25,7 +25,7 @@ impl VariedQuantity {
         Some(Self { quantity: scene.name_of(prior), step: variant.step, unit: prior.kind().unit() })
     }
 
-    /// The quantity of a record of the responses; None for those of the axes.
+    /// The quantity of a record of the responses; `None` for records of the axes.
     pub(super) fn of_record(grid: &Grid, record: usize) -> Option<Self> {
         let place = grid.response_of(record / grid.albedo().len())?;
         Self::of(grid, place.variant)

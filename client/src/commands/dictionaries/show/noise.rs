@@ -1,7 +1,7 @@
-//! How noisy a dictionary's records are.
+//! Reports how noisy a dictionary's records are.
 //!
-//! The noise of a record is what `[quality]` measures it by: the root mean square of a profile's standard errors over its
-//! mean, in the channel where that is greatest.
+//! The noise of a record is defined as in `[quality]`: the root mean square of a profile's standard errors over its
+//! mean, in the channel where it is largest.
 
 use anyhow::{Result, bail};
 use farm_figures::{Picture, noise_figure};
@@ -20,7 +20,7 @@ const ROWS: usize = 9;
 
 #[derive(Debug, Serialize)]
 pub(super) struct Noise {
-    /// Records that are done and were read.
+    /// Number of done records, which were read.
     records: usize,
     median: f64,
     worst: Worst,
@@ -44,7 +44,7 @@ struct OfAlbedo {
     worst: f64,
 }
 
-/// Reads all records of a dictionary that are done: number and noise of each.
+/// Reads all done records of a dictionary: number and noise of each.
 pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> Result<Vec<(usize, f64)>> {
     let mut answers = RecordStream::ask(connection, status, Vec::new()).await?;
     let mut found = Vec::new();
@@ -57,7 +57,7 @@ pub(super) async fn read(connection: &Connection, status: &DictionaryStatus) -> 
     Ok(found)
 }
 
-/// The noise over the grid: a cell has that of the noisiest of its thicknesses and refractive indices.
+/// The noise over the grid: a cell shows the noisiest of its thicknesses and refractive indices.
 pub(super) fn picture(name: &str, grid: &Grid, found: &[(usize, f64)]) -> Result<Picture> {
     noise_figure(name, &map(grid, found))
 }
@@ -87,7 +87,7 @@ fn map(grid: &Grid, found: &[(usize, f64)]) -> DistanceMap {
         MapLayer { g: grid.g()[g], errors, best, similar: None }
     };
     let layers: Vec<MapLayer> = (0..grid.g().len()).map(layer).collect();
-    // A layer of which nothing is done is the last of all.
+    // A layer without a done record is the last choice.
     let noise =
         |layer: &MapLayer| if layer.best.error.is_finite() { layer.best.error } else { f64::NEG_INFINITY };
     let noisiest = layers.iter().enumerate().max_by(|a, b| noise(a.1).total_cmp(&noise(b.1)));
@@ -102,7 +102,7 @@ fn map(grid: &Grid, found: &[(usize, f64)]) -> DistanceMap {
 }
 
 impl Noise {
-    /// Summarises the noise of each record, given with its number.
+    /// Summarises the noise of records, given with their numbers.
     pub(super) fn of(grid: &Grid, found: &[(usize, f64)]) -> Self {
         let albedos = grid.albedo();
         let by_albedo = |(i, albedo): (usize, &f64)| {
@@ -183,7 +183,7 @@ mod tests {
     fn medians_and_worst_name_their_media() {
         let grid = Grid::paper();
         let albedos = grid.albedo().len();
-        // Grows with the albedo's number, but for one record that is worse than all.
+        // Increases with the albedo's index, except for one record with the largest noise.
         let noise = |record: usize| if record == 17 { 0.5 } else { 0.001 * (record % albedos + 1) as f64 };
         let found: Vec<(usize, f64)> = (0..3 * albedos).map(|record| (record, noise(record))).collect();
         let noise = Noise::of(&grid, &found);

@@ -1,4 +1,4 @@
-//! Fig. 5: a part of a dictionary at a glance.
+//! Draws Fig. 5: an overview of a part of a dictionary.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use optics_model::{Grid, Record};
 
 use farm_figures::{OverviewFigure, Picture, overview_figure};
 
-/// Indices into the axes of σ_t, albedo and g that are shown.
+/// Indices of the shown values on the axes of σ_t, albedo and g.
 #[derive(Debug)]
 pub(super) struct OverviewAxes {
     sigma_t: Vec<usize>,
@@ -15,7 +15,7 @@ pub(super) struct OverviewAxes {
     g: Vec<usize>,
 }
 
-/// At most six σ_t, six albedos and four g, evenly over the axes: 288 records of the paper's, as in its figure.
+/// At most six σ_t, six albedos and four g, evenly over the axes: 288 records of the paper's grid, as in its figure.
 pub(super) fn chosen_axes(grid: &Grid) -> OverviewAxes {
     let spread = |n: usize, most: usize| -> Vec<usize> {
         let count = n.min(most);
@@ -43,7 +43,7 @@ impl OverviewAxes {
     }
 }
 
-/// Draws the first channel of those records that are there.
+/// Draws the first channel of the given records.
 pub(super) fn picture(name: &str, grid: &Grid, axes: &OverviewAxes, records: &[Record]) -> Result<Picture> {
     let by_index: HashMap<usize, &Record> = records.iter().map(|r| (r.index, r)).collect();
     let profile = |index: &u32| {

@@ -2,7 +2,7 @@ use clap::FromArgMatches as _;
 
 use super::*;
 
-/// The arguments of the verb from its words.
+/// The arguments of the verb, parsed from its words.
 fn parsed(words: &[&str]) -> MeasureArgs {
     let command = MeasureArgs::augment_args(clap::Command::new("measure")).no_binary_name(true);
     MeasureArgs::from_arg_matches(&command.get_matches_from(words)).unwrap()
@@ -24,7 +24,7 @@ fn folder_has_the_command_line_defaults() {
     assert_eq!(direct.options.settings().mu_std_error, 0.01);
 }
 
-/// The paper's objective is refused where media or intervals are wanted.
+/// The paper's objective is refused where media or intervals are required.
 #[test]
 fn paper_objective_gives_no_media() {
     let inputs = |more: &[&str]| {

@@ -1,4 +1,4 @@
-//! Single photographs, while the slab still lies there.
+//! Checks single photographs, before the slab is moved.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::CaptureArgs;
 use crate::output::{Output, warning};
 
-/// A photograph that is usable.
+/// A usable photograph.
 struct UsableShot {
     exposure: Option<String>,
     orientation: Option<Orientation>,
@@ -61,7 +61,7 @@ fn data(path: &Path, seen: &Result<UsableShot>) -> Value {
     }
 }
 
-/// What is wrong, without the photograph's name, which stands before it.
+/// The reason of an error, without the photograph's name, which is printed before it.
 fn reason(path: &Path, error: &anyhow::Error) -> String {
     let reason = format!("{error:#}");
     let name = path.display().to_string();

@@ -1,25 +1,26 @@
-//! The noise of a camera on simulated profiles: independent in every pixel, as the fit takes the errors of photographs.
-//! Errors of a simulation are alike in neighbouring pixels, so that the likelihood would take them for far more data.
+//! Adds the noise of a camera to simulated profiles: independent in every pixel, as the fit assumes for the errors of
+//! photographs. Errors of a simulation are correlated between neighbouring pixels, so that the likelihood would
+//! overestimate their information.
 
 use anyhow::Result;
 use optics_model::{Estimate, Invalid, Profile};
 
-/// Share of a pixel's value that its noise is, if none is given.
+/// Default noise as a share of a pixel's value.
 pub(super) const NOISE: f64 = 0.005;
-/// Uniform numbers whose sum makes one that is normal but for its far tails: variance 1/12 each.
+/// Number of uniform numbers, with variance 1/12 each, whose sum is normal except in its far tails.
 const UNIFORM: usize = 12;
 
 /// A camera whose pixels have this noise.
 #[derive(Debug)]
 pub(super) struct SimulatedCamera {
     noise: f64,
-    /// The noise of a seed is the same on every machine: sums of integers, and no function that libraries round
+    /// The noise of a seed is equal on every machine: it uses sums of integers, and no function that libraries round
     /// differently.
     random: blake3::OutputReader,
 }
 
 impl SimulatedCamera {
-    /// None if there is no noise. `noise` is a share of each value.
+    /// `None` without noise; `noise` is a share of each value.
     pub(super) fn new(noise: f64, seed: u64) -> Result<Option<Self>> {
         if !(0.0..=0.5).contains(&noise) {
             return Err(Invalid::new("noise", noise, "allowed are shares from 0 to 0.5").into());
@@ -29,7 +30,7 @@ impl SimulatedCamera {
         Ok((noise > 0.0).then(|| Self { noise, random: hasher.finalize_xof() }))
     }
 
-    /// Profiles as the camera sees them; their standard errors are those of its noise alone.
+    /// Profiles as photographed by the camera; their standard errors are those of its noise alone.
     pub(super) fn photograph(&mut self, profiles: &[Profile]) -> Result<Vec<Profile>> {
         let seen = |profile: &Profile| {
             let exact = profile.radiance_factor.values();
@@ -67,11 +68,11 @@ mod tests {
         let (n, sum) = (z.len() as f64, z.iter().sum::<f64>());
         let variance = z.iter().map(|z| z * z).sum::<f64>() / n;
         let neighbours = z.windows(2).map(|z| z[0] * z[1]).sum::<f64>() / n;
-        // Four standard errors of each.
+        // Four standard errors of each estimate.
         let within = 4.0 / n.sqrt();
         assert!((sum / n).abs() < within && neighbours.abs() < within, "{sum} {neighbours}");
         assert!((variance - 1.0).abs() < within * 2.0_f64.sqrt(), "{variance}");
-        // The same on every machine.
+        // The values are equal on every machine.
         assert_eq!(seen.values()[0].to_bits(), 1_061_897_663);
     }
 

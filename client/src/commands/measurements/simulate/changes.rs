@@ -1,4 +1,4 @@
-//! Fig. 3: what a small change of each parameter does to a profile.
+//! Draws Fig. 3: the effect of a small change of each parameter on a profile.
 
 use std::sync::atomic::AtomicBool;
 
@@ -11,7 +11,7 @@ use optics_model::{Medium, Record, TransportPoint};
 use farm_figures::numbers::{albedo, significant};
 use farm_figures::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
 
-/// Traces the medium and its neighbours, of which each has σ_t, 1 − α or 1 − g smaller or larger by the relative
+/// Traces the medium and its neighbours, each of which has σ_t, 1 − α or 1 − g smaller or larger by the relative
 /// `change`, and draws the first channel. Runs on the current rayon pool.
 pub(super) fn picture(job: &JobSpec, medium: &Medium, change: f64) -> Result<Picture> {
     let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());

@@ -1,4 +1,4 @@
-//! The state of the farm as the autoscaler needs it.
+//! Fetches the state of the farm for the autoscaler.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::commands::farm::workers;
 use crate::connection::Connection;
 use crate::slurm::scaling::{Demand, TaskId};
 
-/// Where the events end now.
+/// Page token of the end of the events.
 pub(super) async fn newest_events(connection: &Connection) -> Result<String> {
     let request = ListEventsRequest { page_size: 1, newest: true, ..ListEventsRequest::default() };
     Ok(connection.farm().list_events(request).await?.into_inner().next_page_token)
@@ -24,7 +24,7 @@ pub(super) struct FarmState {
     pub(super) registered: Vec<TaskId>,
     /// Workers that have joined, and may have left again.
     pub(super) joined: Vec<TaskId>,
-    /// Where the events begin that are still to come.
+    /// Page token of the next events.
     pub(super) events: String,
 }
 
@@ -52,14 +52,14 @@ pub(super) async fn ask(connection: &Connection, since: String) -> Result<FarmSt
     }
 }
 
-/// Time until the last of the running dictionaries is done; None while one of them has no estimate.
+/// Time until the last of the running dictionaries is done; `None` while one of them has no estimate.
 fn time_left(dictionaries: &[DictionaryStatus]) -> Option<Duration> {
     let running = dictionaries.iter().filter(|d| d.state == DictionaryState::Running);
     let left_s = running.map(|d| d.eta_s).try_fold(0.0, |most: f64, eta_s| Some(most.max(eta_s?)))?;
     Duration::try_from_secs_f64(left_s).ok()
 }
 
-/// The task by the label that the job script gives its worker: slurm:JOB.TASK@NODE.
+/// The task in the label that the job script gives its worker: slurm:JOB.TASK@NODE.
 fn task(label: &str) -> Option<TaskId> {
     let (job, task) = label.strip_prefix("slurm:")?.split('@').next()?.split_once('.')?;
     Some(TaskId { job: job.parse().ok()?, task: task.parse().ok()? })

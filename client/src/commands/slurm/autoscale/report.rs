@@ -1,4 +1,4 @@
-//! The output of an autoscaler: a line for each action and each change.
+//! Prints the output of an autoscaler: a line for each action and each change.
 
 use std::collections::BTreeMap;
 
@@ -13,28 +13,28 @@ use crate::slurm::scaling::Demand;
 pub(super) enum Step {
     Submitted,
     Cancelled,
-    /// There is work for more workers, and none is submitted.
+    /// There is work for more workers, but none is submitted.
     Holding,
     /// Workers ended without having reached the coordinator.
     Failed,
-    /// The queue took no workers.
+    /// The queue accepted no workers.
     Refused,
-    /// Tasks wait until somebody releases them.
+    /// Held tasks wait to be released.
     Held,
     /// The farm or Slurm did not answer.
     Unknown,
-    /// They answer again.
+    /// The farm and Slurm answer again.
     Answering,
     Ended,
 }
 
-/// A line of the answer.
+/// A line of the output.
 #[derive(Debug, Serialize)]
 struct StepJson {
     unix_ms: u64,
     step: Step,
     message: String,
-    /// Number of the array that was submitted.
+    /// Number of the submitted array.
     job_id: Option<u64>,
     workers_wanted: u32,
     workers_running: usize,
@@ -43,7 +43,7 @@ struct StepJson {
     jobs_computing: u64,
 }
 
-/// What a look saw.
+/// Results of a poll.
 #[derive(Debug, Clone)]
 pub(super) struct FarmSnapshot {
     pub(super) demand: Demand,
@@ -55,7 +55,7 @@ pub(super) struct FarmSnapshot {
 pub(super) struct Reporter<'a> {
     output: &'a Output,
     quiet: bool,
-    /// A lasting state, which is not reported again at each step.
+    /// Lasting states, which are not reported again at each step.
     standing: BTreeMap<Step, String>,
 }
 
@@ -64,12 +64,12 @@ impl<'a> Reporter<'a> {
         Self { output, quiet, standing: BTreeMap::new() }
     }
 
-    /// Whether that state was the last one reported.
+    /// Whether this lasting state was reported and has not ended.
     pub(super) fn stands(&self, step: Step) -> bool {
         self.standing.contains_key(&step)
     }
 
-    /// The state has ended; if it returns, it is reported again.
+    /// Ends a lasting state; if it returns, it is reported again.
     pub(super) fn is_over(&mut self, step: Step) {
         self.standing.remove(&step);
     }
