@@ -1,5 +1,5 @@
-//! Checks that shots of one subject agree within what mountings and lamps change, and leaves out single shots that do
-//! not.
+//! Checks that shots of one subject agree within the changes due to mountings and lamps, and leaves out single shots that
+//! do not.
 
 use crate::board::Board;
 use crate::least_squares::median;

@@ -368,7 +368,7 @@ fn profile(
 }
 
 /// Deviation of each third along the edge from the bins' lines, by zones. The means are trimmed by a twelfth at either
-/// end, so that specks of dust do not count, but a bubble does that single bins would reject.
+/// end, so that specks of dust do not count, but a bubble that single bins would reject does.
 fn thirds(bins: &[Vec<Binned>], fits: &[Option<BinFit>]) -> Vec<Third> {
     let mut found = Vec::new();
     for (zone, (bins, fits)) in bins.chunks(ZONE).zip(fits.chunks(ZONE)).enumerate() {

@@ -1,4 +1,4 @@
-//! Black level and fixed pattern of the sensor, from dark shots or from the levels that a file gives.
+//! Determines black level and fixed pattern of the sensor, from dark shots or from the levels in a file.
 
 use crate::camera_settings::CameraSettings;
 use crate::estimate::Estimate;
@@ -115,7 +115,7 @@ impl Black {
         &self.fixed_pattern
     }
 
-    /// The black level that a photograph's file gives.
+    /// The black level in a photograph's file.
     pub(crate) fn from_file(photo: &Photo) -> Result<Self, Refusal> {
         let Some(levels) = photo.levels.black else {
             return Err(Refusal::BlackUnknown { label: photo.label.clone() });

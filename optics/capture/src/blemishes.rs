@@ -27,7 +27,7 @@ const FOUND: f64 = 6.0;
 const REACHES: f64 = 3.0;
 
 /// Share of the profile that counts as at least one standard deviation: uneven light and rough boards cause such
-/// deviations everywhere, which the comparison of thirds judges.
+/// deviations everywhere, which are left to the comparison of thirds.
 const UNEVEN: f64 = 0.001;
 
 /// Half the breadth above which a feature is not a blemish, in mm.

@@ -1,4 +1,4 @@
-//! The bare board: its place in the frame, the camera's blur of its edge, and the brightness of both sides.
+//! Measures the bare board: its place in the frame, the camera's blur of its edge, and the brightness of both sides.
 
 use optics_model::Invalid;
 

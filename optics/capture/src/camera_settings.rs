@@ -1,4 +1,4 @@
-//! Size, mosaic and exposure, which must be equal in all photographs of a session.
+//! Checks that size, mosaic and exposure are equal in all photographs of a session.
 
 use crate::frame::{Exposure, Pattern, Photo};
 use crate::refusal::Refusal;
@@ -23,7 +23,7 @@ impl CameraSettings {
         }
     }
 
-    /// Refuses a photograph with other settings. Exposures are compared only if both files give them.
+    /// Refuses a photograph with other settings. Exposures are compared only if both files contain them.
     pub fn check(&self, photo: &Photo) -> Result<(), Refusal> {
         let other = Self::of(photo);
         let mixed = |what, found: String, expected: String| {

@@ -1,4 +1,4 @@
-//! Flat-field correction: unevenness of light and lens, from shots of an even sheet.
+//! Determines the flat-field correction, the unevenness of light and lens, from shots of an even sheet.
 //!
 //! ln L = c_j + P(x, y), P a polynomial of the fourth order without constant, common to all shots, c_j the brightness
 //! of shot j. The paper's own structure moves with the sheet, so differences between shots estimate how much of it

@@ -76,7 +76,7 @@ pub struct Area {
     pub height: f64,
 }
 
-/// Black and white level of a file, where it gives them.
+/// Black and white level of a file, where it contains them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Levels {
     /// Black level of each position of the mosaic, row by row (R, G, B and nothing for [`Pattern::Rgb`]).

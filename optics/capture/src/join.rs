@@ -66,7 +66,7 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
         left.push(departure.left);
     }
     let mut between = between.map(|sum: f64| (sum / freedom).max(0.0).sqrt());
-    // Of the zero, only the part that is orthogonal to the gain.
+    // Only the part of the zero that is orthogonal to the gain counts.
     let zero = basis.iter().map(|row| row[1] * row[1]).filter(|v| v.is_finite());
     between[1] *= (zero.sum::<f64>() / basis.len() as f64).sqrt();
     let scatter: Vec<f64> = (0..profile.values.len())

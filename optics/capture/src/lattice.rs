@@ -1,5 +1,5 @@
-//! The lattice of black and white squares in a photograph: its edges, its pose, the edge in use, and the light of the
-//! squares that are not covered by the slab.
+//! Finds the lattice of black and white squares in a photograph: its edges, its pose, the edge in use, and the light of
+//! the squares that are not covered by the slab.
 
 use optics_model::Invalid;
 

@@ -1,4 +1,4 @@
-//! Weighted and robust least squares.
+//! Solves weighted and robust least-squares problems.
 
 use nalgebra::{DMatrix, DVector};
 

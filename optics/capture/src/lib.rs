@@ -1,5 +1,5 @@
-//! From photographs to profiles: numerics over plain arrays, without files, network or clock. A session is processed in
-//! steps that take photographs one at a time, so that at most two are in memory: [`Darks`] → [`Flats`] → [`Patches`] →
+//! Computes profiles from photographs, on plain arrays, without files, network or clock. A session is processed in steps
+//! that take photographs one at a time, so that at most two are in memory: [`Darks`] → [`Flats`] → [`Patches`] →
 //! [`BareShots`] → [`Mountings`], one per sample. Each step has `add(photo)`, which checks and may refuse, and
 //! `finish()`, whose result the next one uses.
 

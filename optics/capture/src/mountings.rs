@@ -220,8 +220,8 @@ impl<'a> Mountings<'a> {
         .to_vec()
     }
 
-    /// Drift error of the reference's shots, and of a single shot against them; several shots show theirs in their
-    /// scatter.
+    /// Drift error of the reference's shots, and of the sample's shots against them. With several shots, the drift of a
+    /// shot whose light was not measured is contained in their scatter.
     fn drift(&self, c: usize) -> f64 {
         let gain = self.calibration.gain[c];
         let one = self.calibration.light.std_error[c];

@@ -1,4 +1,4 @@
-//! Grey patches: fits linearity, stray light and the white reference to their shots.
+//! Fits linearity, stray light and the white reference to shots of grey patches.
 //!
 //! (S − D)/f = k ρ + γ M/f: f is the flat, k the numbers per unit of radiance factor, M the frame's mean of S − D, and
 //! γ the share of it that lens and camera scatter over the frame.

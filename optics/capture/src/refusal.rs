@@ -6,7 +6,7 @@ use optics_model::Invalid;
 
 use crate::frame::Colour;
 
-/// Likely causes of [`Refusal::Unlike`], with what to do.
+/// Likely causes of [`Refusal::Unlike`], with the remedy.
 pub(crate) const TURNED: &str = "the picture is turned, most likely by a viewer's automatic rotation; give the file as the \
                                  camera wrote it";
 pub(crate) const UNLIKE: &str =
@@ -14,7 +14,7 @@ pub(crate) const UNLIKE: &str =
 pub(crate) const ONE_TURNED: &str = "one of the two is turned (a viewer's automatic rotation), or something moved; give \
                                      the files as the camera wrote them, or shoot again";
 
-/// Why a session cannot be evaluated: the finding, its place, and what to do.
+/// The reason why a session cannot be evaluated: the finding, its place, and the remedy.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Refusal {
     #[error(transparent)]
@@ -124,7 +124,7 @@ pub enum Refusal {
     Missing { what: &'static str },
 }
 
-/// A doubt that is reported with the answer.
+/// A doubt that is reported with the result.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum Warning {
     #[error(

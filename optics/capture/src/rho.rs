@@ -54,13 +54,13 @@ impl BoardRho {
         [("light", self.light), ("dark", self.dark)]
     }
 
-    /// Both sides lie within 0 to 1, up to three standard errors of the photographs.
+    /// Whether both sides lie within 0 to 1, up to three standard errors of the photographs.
     pub fn is_plausible(&self) -> bool {
         self.sides().iter().all(|(_, rho)| is_possible(*rho, 0.0))
     }
 
-    /// Refuses a side that lies outside 0 to 1 by more than three standard errors, of which those of light and dark in
-    /// `of_scene` stem from what is uncertain in the scene.
+    /// Refuses a side that lies outside 0 to 1 by more than three standard errors; `of_scene` are the standard errors of
+    /// light and dark due to the uncertain quantities of the scene.
     pub fn check(&self, colour: Colour, of_scene: [f64; 2]) -> Result<(), Invalid> {
         for ((side, rho), of_scene) in self.sides().into_iter().zip(of_scene) {
             if !is_possible(rho, of_scene) {
@@ -97,7 +97,8 @@ mod tests {
         assert!((apparent(darker) / apparent(0.985) - DARKER_WHITE).abs() < 1e-12, "{darker}");
     }
 
-    /// What is uncertain in the scene widens the range of ρ; without it, a dark side of −0.002 ± 0.0001 is refused.
+    /// The uncertain quantities of the scene widen the range of ρ; without them, a dark side of −0.002 ± 0.0001 is
+    /// refused.
     #[test]
     fn scene_errors_widen_the_range_of_rho() {
         let light = Estimate::new(0.97, 1e-3);

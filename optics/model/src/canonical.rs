@@ -1,9 +1,9 @@
-//! Scenes and grids as bytes, for digests alone: what is digested must be the same for ever, whatever becomes of the
-//! messages that programs exchange.
+//! Encodes scenes and grids as bytes, for digests alone: the digested bytes must never change, even if the messages that
+//! programs exchange do.
 //!
 //! The bytes are those of the messages `Scene` and `Grid` of package `farm.v1` at its first release, in protobuf's
-//! encoding: fields in the order of their numbers, numbers that are zero and texts that are empty left out, repeated
-//! numbers packed. `proto` has a test that holds them against the messages of today.
+//! encoding: fields in the order of their numbers, zero numbers and empty texts left out, repeated numbers packed. A test
+//! in `proto` compares the bytes with the current messages.
 
 use crate::grid::{Effort, Grid, NoiseLevel, Responses};
 use crate::scene::{Channel, Layer, LayerMedium, Scene};

@@ -1,4 +1,4 @@
-//! Grid files, in TOML; `scene` has those of scenes.
+//! Defines grid files in TOML and converts them to grids; `scene` does the same for scene files.
 
 mod scene;
 
@@ -12,7 +12,7 @@ pub use scene::SceneFile;
 /// Most walks of a transport point under a quality target, unless the file has another number.
 const MAX_WALKS: u64 = 25_000_000;
 
-/// Content of a grid file. Lists that are left out are the paper's.
+/// Content of a grid file. Lists that are left out take the paper's values.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GridFile {
@@ -52,7 +52,7 @@ impl<'de> Deserialize<'de> for QualityRef {
 pub struct QualityTable {
     /// Root mean square of a profile's standard errors over its mean, for the noisiest albedo and channel.
     pub relative_std_error: f64,
-    /// Where to stop in any case; 25 million if left out.
+    /// Upper limit of the walks; 25 million if left out.
     #[serde(default, deserialize_with = "whole_number")]
     pub max_walks: Option<u64>,
 }
@@ -72,8 +72,8 @@ impl<'de> Deserialize<'de> for SceneRef {
     }
 }
 
-/// A value given by a name or by a table. By hand, since serde's untagged enums do not name the key of a table that is
-/// wrong.
+/// A value given by a name or by a table. Implemented by hand, since serde's untagged enums do not report which key of a
+/// table is wrong.
 fn name_or_table<'de, D: serde::Deserializer<'de>, Table: Deserialize<'de>, Output>(
     deserializer: D,
     expected: &'static str,
@@ -163,7 +163,7 @@ fn whole_number<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Opt
     }
 }
 
-/// The whole number that a float is; None if it is none, or so large that floats have gaps.
+/// The float as a whole number; None if it is not one, or so large that floats have gaps.
 pub fn whole(number: f64) -> Option<u64> {
     const EXACT: f64 = (1_u64 << 53) as f64;
     ((0.0..=EXACT).contains(&number) && number.fract() == 0.0).then_some(number as u64)

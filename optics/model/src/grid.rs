@@ -25,14 +25,14 @@ pub use walks::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES, Quality, Walks};
 
 /// Most records of one dictionary.
 pub const MAX_RECORDS: u64 = 4_000_000;
-/// Most bytes of one job's records: what a worker holds and the coordinator buffers.
+/// Most bytes of one job's records, which a worker holds and the coordinator buffers.
 pub const MAX_JOB_BYTES: u64 = 64 << 20;
 
 /// Everything that a dictionary depends on: axes, scene, effort and seed.
 ///
 /// Records are numbered with the albedo running fastest, then thickness, g, σ_t and sample index.
-/// A *job* is one transport point with all its albedos, so its records are consecutive. Those of the responses, if there
-/// are some, follow those of the axes.
+/// A *job* is one transport point with all its albedos, so its records are consecutive. The records of the responses, if
+/// there are any, follow those of the axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grid {
     scene: Arc<Scene>,
@@ -88,8 +88,7 @@ impl Grid {
 
     /// The 34,276 records of Elek, Sumin et al. 2017, supplement, Sec. 5.2.
     ///
-    /// The published albedo list is garbled by repetition; 0.05 to 0.85 in steps of 0.05 is what the
-    /// number of records leaves.
+    /// The published albedo list is garbled by repetition; the number of records implies 0.05 to 0.85 in steps of 0.05.
     pub fn paper() -> Self {
         let steps = |from: u32, to: u32, scale: f64| (from..=to).map(move |i| f64::from(i) / scale);
         let sigma_t_per_mm = steps(4, 16, 4.0)
@@ -198,7 +197,7 @@ impl Grid {
             let point = TransportPoint::new(sigma_t, self.g()[0], thickness, self.sample_ior()[0]);
             self.effort.walks(&point.expect("axes hold checked values"))
         };
-        // The most where the sample is thickest.
+        // The thickest sample needs the most walks.
         [
             of(self.sigma_t_per_mm()[0], self.thickness_mm()[0]),
             of(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
@@ -264,7 +263,7 @@ mod tests {
         assert_eq!(grid.albedo()[16..19], [0.85, 0.875, 0.9]);
     }
 
-    /// The values of an axis must rise strictly, and there must be one.
+    /// The values of an axis must rise strictly, and there must be at least one.
     #[test]
     fn axes_must_rise_and_be_non_empty() {
         let with_g = |g: Vec<f64>| {

@@ -1,4 +1,4 @@
-//! What makes two grids, points or sums of walks the same: digests of all that they depend on.
+//! Identifies grids, points and sums of walks by digests of everything that they depend on.
 
 use crate::digest::Digest;
 use crate::grid::{Grid, Walks};
@@ -19,10 +19,10 @@ impl Digest {
         hasher.into()
     }
 
-    /// The physics version by which this is the identity of a grid; None if it is that of another grid. Versions to come
-    /// are known too, for data that a later program has written.
+    /// The physics version under which this is the identity of a grid; None if it is the identity of another grid. Later
+    /// versions are tried too, for data that a later program has written.
     pub fn physics_version_of(self, grid: &Grid) -> Option<u32> {
-        /// This many versions later.
+        /// Number of later versions that are tried.
         const TO_COME: u32 = 100;
         let grid = canonical::grid(grid);
         let mut versions = [PHYSICS_VERSION].into_iter().chain(1..PHYSICS_VERSION + TO_COME);

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// A value out of its range: which field, what was given, what is allowed.
+/// A value out of its range: the field, the given value and the allowed ones.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{field} = {given} is not valid: {allowed}")]
 pub struct Invalid {
@@ -28,7 +28,7 @@ impl Invalid {
         &self.given
     }
 
-    /// What would have been allowed.
+    /// Description of the allowed values.
     pub fn allowed(&self) -> &str {
         &self.allowed
     }
@@ -51,7 +51,7 @@ impl Invalid {
     }
 }
 
-/// What was given may be a megabyte, and is quoted in headers and on terminals.
+/// Truncates the given value: it may be a megabyte long, and is quoted in headers and on terminals.
 fn cut(mut given: String) -> String {
     const MOST_BYTES: usize = 200;
     if given.len() > MOST_BYTES {

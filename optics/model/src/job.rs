@@ -1,4 +1,4 @@
-//! What is to be traced.
+//! Specifies jobs: everything that a tracer needs to compute records.
 
 use std::sync::Arc;
 
@@ -86,17 +86,18 @@ impl JobSpec {
         Self { first_record, ..self }
     }
 
-    /// What the job's records depend on, albedos and numbers apart: those with the same identity and albedo are equal.
+    /// Digest of everything that the job's records depend on, albedos and numbers apart: records with the same identity
+    /// and albedo are equal.
     pub fn identity(&self) -> Digest {
         self.identity
     }
 
-    /// What the sums of the job's blocks depend on.
+    /// Digest of everything that the sums of the job's blocks depend on.
     pub fn sums_identity(&self) -> Digest {
         Digest::of_weighted(self.identity, &self.albedo)
     }
 
-    /// Whether one set of walks serves both jobs: what differs is at most how long a mean free path is.
+    /// Whether one set of walks serves both jobs: they differ at most in the length of a mean free path.
     pub fn shares_walks_with(&self, other: &Self) -> bool {
         let effort = |job: &Self| (job.walks, job.seed, job.derivatives, job.block);
         self.point.walked_slab() == other.point.walked_slab()

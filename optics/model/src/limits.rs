@@ -1,4 +1,4 @@
-//! Bounds of what one question may ask for.
+//! Limits the size of one question.
 
 /// Bounds of a question to a dictionary.
 #[derive(Debug)]
@@ -19,7 +19,7 @@ impl FitLimits {
     pub const PIXELS: usize = 100_000;
     /// Most pixels of one question to a coordinator in another process, of all its profiles together.
     pub const QUESTION_PIXELS: usize = 1 << 20;
-    /// What to do about more.
+    /// Advice for questions with more pixels.
     pub const MANY_PIXELS_ADVICE: &str = "ask about fewer materials at a time, average neighbouring pixels, or use a \
                                           farm in the same process (--local), which takes any number";
     /// Most sets of slabs that are compared.

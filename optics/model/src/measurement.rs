@@ -17,13 +17,13 @@ pub const MIN_PIXELS: usize = 8;
 
 /// A profile that begins this far from the edge, on either side, does not contain it.
 const BESIDE_MM: f64 = 1.0;
-/// First pixel and pitch of what stands for a patch.
+/// First pixel and pitch of the profile that represents a patch.
 const PATCH_MM: (f64, f64) = (4.6, 0.025);
 const PATCH_PIXELS: usize = 16;
 
 macro_rules! profile_setup {
     ($($name:ident { $unit:ident, $default:expr, $range:tt, $form:ident, $label:literal, $help:literal })+) => {
-        /// How well the set-up of a profile is known. What is none is taken from the options of a fit.
+        /// The priors of the set-up of a profile. Values that are none are taken from the options of a fit.
         #[derive(Debug, Clone, Copy, PartialEq, Default)]
         pub struct ProfileSetup {
             $(#[doc = $help] pub $name: Option<f64>,)+
@@ -45,7 +45,7 @@ macro_rules! profile_setup {
 with_quantities!(profiles profile_setup);
 
 impl ProfileSetup {
-    /// None if it is that of the options.
+    /// The profile's own value; None if the options' value applies.
     pub fn value_of(&self, quantity: &Quantity) -> Option<f64> {
         self.values().find(|(own, _)| own.name == quantity.name).and_then(|(_, value)| value)
     }
@@ -71,7 +71,7 @@ pub struct MeasuredProfile {
 
 impl MeasuredProfile {
     /// `x_mm` are pixel centres at a constant pitch, rising from the dark side to the light side with
-    /// the edge at 0; where they are rounded, the even ones are taken. `values` are linear radiance factors.
+    /// the edge at 0; rounded centres are replaced by evenly spaced ones. `values` are linear radiance factors.
     pub fn new(
         channel: impl Into<String>,
         thickness_mm: f64,
@@ -91,8 +91,8 @@ impl MeasuredProfile {
             let allowed = "0, and numbers from 1e-9 to 1e6 are allowed";
             check_numbers("std_errors", n, errors, |v| v == 0.0 || (1e-9..=1e6).contains(&v), allowed)?;
         }
-        // Away from the edge a profile may be flat, as a patch of a chart is, if it has standard errors: its own
-        // scatter does not.
+        // Away from the edge a profile may be flat, as a patch of a chart is, if it has standard errors: they cannot be
+        // estimated from its scatter.
         let certain = std_errors.as_ref().is_some_and(|errors| errors.iter().all(|e| *e > 0.0));
         let may_be_flat = is_off_edge(&x_mm) && certain;
         if !may_be_flat && values.iter().all(|v| *v == values[0]) {
@@ -117,7 +117,7 @@ impl MeasuredProfile {
         Self::new(channel, thickness_mm, x_mm, vec![value; PATCH_PIXELS], Some(of_pixel))?.with_setup(setup)
     }
 
-    /// The same with what is known of its set-up.
+    /// The same profile with the priors of its set-up.
     pub fn with_setup(self, setup: ProfileSetup) -> Result<Self> {
         Ok(Self { setup: setup.check()?, ..self })
     }

@@ -5,22 +5,22 @@ use serde::Serialize;
 use crate::invalid::{Result, check};
 use crate::phase::PhaseFunction;
 
-/// Refuses what is not a usable extinction coefficient, in 1/mm.
+/// Refuses a value that is not a usable extinction coefficient, in 1/mm.
 pub fn check_sigma_t(value: f64) -> Result<f64> {
     check("sigma_t_per_mm", value, |v| (1e-6..=1e6).contains(&v), "allowed are 1e-6 to 1e6 per mm")
 }
 
-/// Refuses what is not a single-scattering albedo.
+/// Refuses a value that is not a single-scattering albedo.
 pub fn check_albedo(value: f64) -> Result<f64> {
     check("albedo", value, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")
 }
 
-/// Refuses what is not a usable slab thickness, in mm.
+/// Refuses a value that is not a usable slab thickness, in mm.
 pub fn check_thickness(value: f64) -> Result<f64> {
     check("thickness_mm", value, |v| (1e-4..=1e3).contains(&v), "allowed are 1e-4 to 1000 mm")
 }
 
-/// Largest optical thickness σ_t · t of a sample: beyond it single steps would drown in the rounding of positions.
+/// Largest optical thickness σ_t · t of a sample: beyond it single steps would be lost in the rounding of positions.
 pub const MAX_OPTICAL_THICKNESS: f64 = 1e4;
 
 /// Refuses a slab that is optically too thick.
@@ -34,7 +34,7 @@ pub fn check_optical_thickness(sigma_t_per_mm: f64, thickness_mm: f64) -> Result
     )
 }
 
-/// Refuses what is not the refractive index of a dielectric.
+/// Refuses a value that is not the refractive index of a dielectric.
 pub fn check_ior(field: &str, value: f64) -> Result<f64> {
     check(field, value, |v| (1.0..=4.0).contains(&v), "allowed are 1 to 4")
 }
@@ -69,7 +69,7 @@ impl Medium {
         self.phase.g()
     }
 
-    /// Reduced scattering coefficient σ_s (1 − g): with [`Self::absorption_per_mm`], what similar media share.
+    /// Reduced scattering coefficient σ_s (1 − g): equal for similar media, as is [`Self::absorption_per_mm`].
     pub fn reduced_scattering_per_mm(&self) -> f64 {
         self.sigma_t_per_mm * self.albedo * (1.0 - self.phase.anisotropy())
     }
@@ -80,7 +80,7 @@ impl Medium {
     }
 }
 
-/// What one set of random walks depends on: everything of a sample but its albedo.
+/// The parameters that one set of random walks depends on: all those of a sample but its albedo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransportPoint {
     sigma_t_per_mm: f64,
@@ -89,8 +89,8 @@ pub struct TransportPoint {
     sample_ior: f64,
 }
 
-/// A slab of the sample as its walks depend on it: lengths are in mean free paths. Points that have it in common share
-/// their walks: only lengths in mm differ.
+/// The parameters of a slab that its walks depend on, with lengths in mean free paths. Points with the same parameters
+/// share their walks: only lengths in mm differ.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
 pub struct WalkedSlab {
     /// In the precision of walks.
@@ -149,7 +149,7 @@ impl TransportPoint {
 mod tests {
     use super::*;
 
-    /// The message has field, value and range.
+    /// The message contains field, value and range.
     #[test]
     fn out_of_range_parameters_are_refused() {
         for (medium, field, given) in [

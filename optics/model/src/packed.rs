@@ -1,8 +1,8 @@
-//! Records as bytes: what goes over the wire and what is stored.
+//! Encodes, decodes and checks records as bytes, the form in which they are sent and stored.
 //!
-//! In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job asks for derivatives; of each of these
-//! the values of all pixels as 32-bit floats, little endian, then their standard errors (`std_errors`) in two bytes and one
-//! for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] distinguishes
+//! In a record, for each channel: radiance factor, then ∂/∂α and ∂/∂σ_t if the job requests derivatives; of each of these
+//! the values of all pixels as 32-bit floats, little endian, then their standard errors (`std_errors`) in two bytes and
+//! one for each pixel. Up to physics version 5 these were floats, too. Such records are read; [`Layout`] distinguishes
 //! them.
 
 pub(crate) mod std_errors;
@@ -19,10 +19,10 @@ use crate::profile::{Derivatives, Estimate, Profile, Record, RecordShape};
 /// Bytes of a number.
 const NUMBER: usize = size_of::<f32>();
 
-/// How a record's standard errors lie in its bytes.
+/// Encoding of the standard errors in a record's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// In a byte each.
+    /// One byte each.
     Bytes,
     /// As 32-bit floats: up to physics version 5.
     Floats,
@@ -90,12 +90,12 @@ impl PackedRecords {
     }
 
     /// The records of a job from their bytes, as a worker sends them; refused if they are too many or too few, or if a
-    /// value is not finite or a standard error cannot be.
+    /// value is not finite or a standard error is impossible.
     pub fn new(job: &JobSpec, bytes: Bytes) -> Result<Self> {
         Self::in_layout(Layout::Bytes, job, bytes)
     }
 
-    /// The same as they were stored, by this program or an older one.
+    /// The records of a job from stored bytes, written by this program or an older one.
     pub fn in_layout(layout: Layout, job: &JobSpec, bytes: Bytes) -> Result<Self> {
         let (shape, first) = (RecordShape::of_job(job), job.first_record());
         let size = layout.record_bytes(shape);
@@ -113,7 +113,7 @@ impl PackedRecords {
     /// The records of a job that has been traced. Standard errors are rounded, as those of traced records already are.
     ///
     /// # Panics
-    /// If they are not the job's: of other numbers, too few or too many, or of another shape.
+    /// If the records are not the job's: other numbers, too few or too many, or another shape.
     pub fn pack(job: &JobSpec, records: &[Record]) -> Self {
         let (shape, first) = (RecordShape::of_job(job), job.first_record());
         assert_eq!(records.len(), job.albedo().len(), "there is a record for each albedo");
@@ -138,10 +138,10 @@ impl PackedRecords {
         self.shape
     }
 
-    /// The record of a number, unpacked.
+    /// Unpacks the record with this number.
     ///
     /// # Panics
-    /// If it is none of these.
+    /// If there is no such record.
     pub fn record(&self, number: usize) -> Record {
         Record::from_le_bytes(number, self.bytes_of_record(number), self.shape)
             .expect("the records were checked")
@@ -169,7 +169,7 @@ impl PackedRecords {
         &self.bytes
     }
 
-    /// The same as [`Digest::of_records`] has for the records.
+    /// The digest that [`Digest::of_records`] returns for the unpacked records.
     pub fn digest(&self) -> Digest {
         Digest::of_packed(self.first, &self.bytes, self.record_bytes())
     }
@@ -198,7 +198,7 @@ impl Record {
         }
     }
 
-    /// The record of these bytes, in either layout; refused if they cannot be one of this shape.
+    /// Decodes a record in either layout; refused if the bytes cannot be a record of this shape.
     pub fn from_le_bytes(index: usize, bytes: &[u8], shape: RecordShape) -> Result<Self> {
         let Some(layout) = Layout::of_record(bytes.len(), shape) else {
             let allowed = format!("{} are needed", shape.bytes());
@@ -225,15 +225,15 @@ fn numbers(bytes: &[u8]) -> impl ExactSizeIterator<Item = f32> {
     bytes.chunks_exact(NUMBER).map(|b| f32::from_le_bytes(b.try_into().expect("4 bytes")))
 }
 
-/// Refuses a record with numbers that no walks can come to. Without a way out of its loops, so that they run in vectors:
-/// every number of every record passes here.
+/// Refuses a record with numbers that walks cannot produce. The loops have no early exit, so that they are vectorised:
+/// every number of every record is checked here.
 fn check(record: &[u8], shape: RecordShape, layout: Layout) -> Result<()> {
     let mut right = true;
     for (values, std_errors) in layout.estimates(record, shape.pixels) {
         right &= numbers(values).fold(true, |right, v| right & v.is_finite());
         right &= layout.are_std_errors_sound(std_errors);
     }
-    // Which number is wrong is found at leisure.
+    // Only a bad record is decoded, to locate the wrong number.
     if right { Ok(()) } else { Record::from_le_bytes(0, record, shape).map(drop) }
 }
 
@@ -251,7 +251,7 @@ mod tests {
         job.numbered_from(7)
     }
 
-    /// Every value another.
+    /// Records of consecutive numbers, the standard errors rounded.
     fn records(job: &JobSpec) -> Vec<Record> {
         let shape = RecordShape::of_job(job);
         let mut count = 0.0_f32;
@@ -351,7 +351,7 @@ mod tests {
         }
     }
 
-    /// A number in packed records that is not possible is refused with its place.
+    /// An impossible number in packed records is refused, and the error names its place.
     #[test]
     fn impossible_number_is_named() {
         let job = job(false);

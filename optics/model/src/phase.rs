@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::invalid::{Result, check};
 
-/// Refuses what is not a usable Henyey–Greenstein anisotropy.
+/// Refuses a value that is not a usable Henyey–Greenstein anisotropy.
 pub fn check_g(value: f64) -> Result<f64> {
     check("g", value, |v| v.abs() <= 0.999, "allowed are -0.999 to 0.999")
 }
@@ -38,7 +38,7 @@ impl PhaseFunction {
         Self { g: f64::from(self.g as f32) }
     }
 
-    /// All that distinguishes phase functions, for digests.
+    /// All parameters that distinguish phase functions, for digests.
     pub fn parameters(self) -> [f64; 1] {
         [self.g]
     }
@@ -69,8 +69,8 @@ impl PhaseFunction {
         self.over_isotropic(cosine) / (4.0 * PI)
     }
 
-    /// The density for light that goes down with the cosine μ and a walk that comes with the cosine u, averaged over the
-    /// azimuth between them, in 1/sr. With the cosine of the angle uμ + √((1 − u²)(1 − μ²)) cos φ it is
+    /// The density for light that goes down with the cosine μ and a walk that arrives with the cosine u, averaged over
+    /// the azimuth between them, in 1/sr. With the cosine of the angle uμ + √((1 − u²)(1 − μ²)) cos φ it is
     ///
     /// (1 − g²)/(4π) · (2/π) E(m)/((a − b) √(a + b)), a = 1 + g² − 2guμ, b = 2|g| √((1 − u²)(1 − μ²)), m = 2b/(a + b),
     ///

@@ -1,4 +1,4 @@
-//! Edge profiles: what a record holds.
+//! Defines edge profiles and the records that hold them.
 
 use crate::invalid::{Invalid, Result};
 
@@ -79,7 +79,7 @@ pub struct RecordShape {
 }
 
 impl RecordShape {
-    /// Estimates of a channel.
+    /// Number of estimates of a channel.
     pub fn estimates(self) -> usize {
         if self.derivatives { 3 } else { 1 }
     }

@@ -5,7 +5,7 @@ use crate::invalid::{Invalid, Result};
 
 /// Passes rows of the table to the macro `$then`: those of a fit's `options`, those of single `profiles`, or `all`.
 /// A row is `name { unit, default, [lowest, highest], form, "label", "help" }`; its group decides where the quantity may
-/// stand. The label names its default among what was assumed, and is empty where that is not reported.
+/// stand. The label names its default among the reported assumptions, and is empty where the default is not reported.
 #[macro_export]
 macro_rules! with_quantities {
     ($which:ident $then:ident) => {
@@ -66,20 +66,20 @@ macro_rules! with_quantities {
 /// A quantity of a set-up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quantity {
-    /// As in settings, columns, messages and files; with hyphens, the option of the command line.
+    /// Name in settings, columns, messages and files; with hyphens, the option of the command line.
     pub name: &'static str,
     pub unit: Unit,
-    /// Where neither the profile nor the options have a value.
+    /// Value where neither the profile nor the options have one.
     pub default: f64,
     pub lowest: f64,
     pub highest: f64,
     pub form: Form,
-    /// Names the default among what was assumed; empty where that is not reported.
+    /// Names the default among the reported assumptions; empty where the default is not reported.
     pub label: &'static str,
     pub help: &'static str,
 }
 
-/// What a session file may hold for a quantity.
+/// The form of a quantity in a session file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Form {
     /// One number.
@@ -88,7 +88,7 @@ pub enum Form {
     PerChannel,
 }
 
-/// What a quantity's numbers count.
+/// The unit of a quantity's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     Length,
@@ -114,9 +114,9 @@ macro_rules! table {
 
 impl Quantity {
     pub const ALL: &[Self] = with_quantities!(all table);
-    /// Those that the options of a fit have, for all profiles without a value of their own.
+    /// Quantities in the options of a fit, for all profiles without a value of their own.
     pub const OF_OPTIONS: &[Self] = with_quantities!(options table);
-    /// Those that a profile may have.
+    /// Quantities that a profile may have.
     pub const OF_PROFILES: &[Self] = with_quantities!(profiles table);
 
     /// Refuses a value out of range.
@@ -128,7 +128,7 @@ impl Quantity {
         }
     }
 
-    /// A standard error as people read it, after its label.
+    /// A standard error in readable form, after its label.
     pub fn labelled(&self, value: f64) -> String {
         // 100 × 0.003 has a digit too many.
         let percent = (1e6 * value).round() / 1e4;
@@ -143,7 +143,7 @@ impl Quantity {
 }
 
 impl Unit {
-    /// Stands for the value in the help of the command line.
+    /// Placeholder for the value in the help of the command line.
     pub const fn placeholder(self) -> &'static str {
         match self {
             Self::Length => "MM",

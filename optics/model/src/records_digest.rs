@@ -1,4 +1,4 @@
-//! Digests of records.
+//! Computes digests of records.
 
 use crate::digest::Digest;
 use crate::profile::Record;
@@ -13,7 +13,7 @@ impl Digest {
         hasher.finalize()
     }
 
-    /// The same of records that lie one after the other, of `size` bytes each.
+    /// The same for contiguous records of `size` bytes each.
     pub(crate) fn of_packed(first: usize, records: &[u8], size: usize) -> Self {
         let mut hasher = RecordsHasher::new();
         for (index, record) in (first..).zip(records.chunks_exact(size)) {
@@ -37,7 +37,7 @@ impl RecordsHasher {
         Self { hasher: blake3::Hasher::new_derive_key("farm.v1 records"), waiting: Vec::new() }
     }
 
-    /// Adds a record's number, and what `write` appends.
+    /// Adds a record's number, and the bytes that `write` appends.
     fn add(&mut self, index: usize, write: impl FnOnce(&mut Vec<u8>)) {
         self.waiting.extend((index as u64).to_le_bytes());
         write(&mut self.waiting);

@@ -16,7 +16,7 @@ pub const MAX_LAYERS: usize = 32;
 pub const MAX_CHANNELS: usize = 64;
 pub const MAX_PIXELS: u32 = 8192;
 
-/// What a layer is made of.
+/// The medium of a layer.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum LayerMedium {
     /// Neither scatters nor absorbs.
@@ -77,8 +77,9 @@ fn check_roughness(value: f64) -> Result<f64> {
     )
 }
 
-/// Where ρ of the base was measured with a white reference, an error of the reference changes both what is measured and
-/// ρ. A scene describes this by a second channel whose ρ is that of a reference with this share of the reflectance.
+/// Where ρ of the base was measured with a white reference, an error of the reference changes both the measured values
+/// and ρ. A scene models this by a second channel whose ρ was determined with a reference of this share of the
+/// reflectance.
 pub const DARKER_WHITE: f64 = 0.99;
 
 /// Least ρ of the dark side. A board that mirrors less of the lamps than the scene's coat does appears darker than a
@@ -124,7 +125,7 @@ impl Channel {
         self.rho_dark
     }
 
-    /// Name of the channel that has the base as a white reference darker by 1 % would show it: [`DARKER_WHITE`].
+    /// Name of the channel with the base's ρ under a white reference that is darker by 1 %: [`DARKER_WHITE`].
     pub fn darker_white(name: &str) -> String {
         format!("{name} (white -1 %)")
     }
@@ -262,13 +263,13 @@ impl Scene {
         Ok(Self { layers, channels, light, sensor, multiple_scattering, sample_ior_offset, priors })
     }
 
-    /// Index of the channel that shows what an error of the white reference does to this one.
+    /// Index of the channel that models an error of the white reference of this one.
     pub fn under_darker_white(&self, channel: usize) -> Option<usize> {
         let name = Channel::darker_white(self.channels[channel].name());
         self.channels.iter().position(|c| c.name == name)
     }
 
-    /// Indices of the channels that a camera sees: all but those under a darker white reference.
+    /// Indices of the channels of a camera: all but those under a darker white reference.
     pub fn seen_channels(&self) -> impl Iterator<Item = usize> {
         let darker: Vec<_> = (0..self.channels.len()).filter_map(|i| self.under_darker_white(i)).collect();
         (0..self.channels.len()).filter(move |i| !darker.contains(i))
@@ -294,13 +295,13 @@ impl Scene {
         Self { multiple_scattering, ..self }
     }
 
-    /// With the sample's index off the grid's by as much: a scene in which that index has another value.
+    /// The scene with an offset of the sample's index from the grid's.
     #[must_use]
     pub fn with_sample_ior_offset(self, sample_ior_offset: f64) -> Self {
         Self { sample_ior_offset, ..self }
     }
 
-    /// By how much the sample's refractive index is off that of the transport point.
+    /// Offset of the sample's refractive index from that of the transport point.
     pub fn sample_ior_offset(&self) -> f64 {
         self.sample_ior_offset
     }

@@ -1,4 +1,4 @@
-//! Sums over batches of walks: what tallies add up to, and what records are made of.
+//! Accumulates sums over batches of walks, and computes records from them.
 
 use crate::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use crate::invalid::{Invalid, Result};
@@ -6,7 +6,7 @@ use crate::job::JobSpec;
 use crate::packed::{PackedRecords, std_errors};
 use crate::profile::{Derivatives, Estimate, Profile, Record};
 
-/// Bytes of what a tracer makes of a job: the sums of its block if it is divided, else its records.
+/// Bytes of a job's result: the sums of its block if it is divided, else its records.
 pub fn result_bytes(job: &JobSpec) -> usize {
     match job.block() {
         Some(_) => Sums::bytes(job),
@@ -46,7 +46,7 @@ impl Sums {
         2 * Self::len(job) * size_of::<f64>()
     }
 
-    /// Counts batches whose numbers have been added: a chunk, or what is left for the last one.
+    /// Counts batches whose numbers have been added: a chunk, or the remaining batches in the last one.
     pub fn add_batches(&mut self, batches: u64) {
         self.batches += batches;
     }
@@ -79,7 +79,7 @@ impl Sums {
         }
         let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("8 bytes"));
         let mut sums: Vec<f64> = bytes.chunks_exact(8).map(number).collect();
-        // What walks sum up to is smaller by far; larger numbers do not fit 32-bit floats.
+        // Sums of walks are far smaller; larger numbers do not fit 32-bit floats.
         if let Some(i) = sums.iter().position(|v| v.is_nan() || v.abs() > Self::LARGEST) {
             let allowed = format!("at most {:e} is allowed", Self::LARGEST);
             return Err(Invalid::new(format!("sums[{i}]"), sums[i], allowed));
@@ -130,7 +130,7 @@ impl Sums {
     }
 }
 
-/// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if asked for.
+/// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if requested.
 pub fn quantities(job: &JobSpec) -> usize {
     if job.derivatives() { 3 } else { 1 }
 }

@@ -1,6 +1,6 @@
-//! Speed of the tracer and its parts, for every kernel that this machine can run, on one thread.
+//! Measures the speed of the tracer and its parts, for every kernel that this machine can run, on one thread.
 //!
-//! `cargo bench -p farm-worker` runs all; `cargo bench -p farm-worker -- points/avx2` what matches.
+//! `cargo bench -p optics-tracer` runs all benchmarks, `cargo bench -p optics-tracer -- points/avx2` the matching ones.
 
 #![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
 

@@ -1,4 +1,4 @@
-//! What the camera sees of the board alone, in air: a Lambertian base under its coat.
+//! Computes the radiance factor of the bare board in air: a Lambertian base under its coat.
 //!
 //! Light that enters the coat meets the base, returns to it with the probability b or leaves, again and again, so the
 //! radiance factor of a base with the reflectance ρ is exactly
@@ -11,7 +11,7 @@
 //! * b: the share of a Lambertian source under the coat that its face sends back.
 //!
 //! All are integrals of the walk's own interface over visible normals, by sums over a Kronecker sequence
-//! (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"): good to 1e-4.
+//! (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"): accurate to 1e-4.
 
 use std::cell::OnceCell;
 
@@ -26,7 +26,7 @@ use super::rng::Stream;
 
 /// Points of each sum.
 const POINTS: u32 = 1 << 20;
-/// Share of the light below which it is a matter of chance whether it is followed further on the microsurface.
+/// Share of the light below which Russian roulette decides whether it is followed further on the microsurface.
 const FAINT: f64 = 1e-2;
 
 /// The three numbers of the bare board's radiance factor.
@@ -41,8 +41,8 @@ pub struct BareBoard {
 }
 
 impl BareBoard {
-    /// The board of a scene. Its coat is the layer of no thickness that lies on the base; what else is above or below the
-    /// sample is put on for the photographs of samples.
+    /// The board of a scene. Its coat is the layer of zero thickness on the base; all other layers above or below the
+    /// sample are present in photographs of samples only.
     pub fn of(scene: &Scene) -> Result<Self, Invalid> {
         let Some(coat) = Coat::of(scene)? else {
             return Ok(Self { specular: 0.0, gain: 1.0, returned: 0.0 });
@@ -74,14 +74,13 @@ impl BareBoard {
     }
 }
 
-/// The base of a scene as photographs without a slab show it.
+/// The base of a scene as seen in photographs without a slab.
 ///
-/// ρ of a base is known from these photographs, through the scene. So it follows when what is known of the coat or of the
-/// lamps changes.
+/// ρ of a base is derived from these photographs, through the scene. So it changes with the assumed coat and lamps.
 #[derive(Debug)]
 pub struct SeenBase<'a> {
     scene: &'a Scene,
-    /// The scene's board, once it is needed.
+    /// The scene's board, computed on demand.
     board: OnceCell<BareBoard>,
 }
 
@@ -90,8 +89,8 @@ impl<'a> SeenBase<'a> {
         Self { scene, board: OnceCell::new() }
     }
 
-    /// The channels of a varied scene: its base has the reflectances with which it looks as that of the scene does.
-    /// Reflectances that would leave a channel's range end there.
+    /// The channels of a varied scene: the reflectances at which its base has the radiance factors of the scene's base.
+    /// Reflectances are clamped to the range of a channel.
     pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
         let scene = self.scene;
         if Coat::of(scene)? == Coat::of(varied)?
@@ -108,8 +107,8 @@ impl<'a> SeenBase<'a> {
         scene.channels().iter().map(channel).collect()
     }
 
-    /// Standard errors of ρ (light, dark) of each channel that the priors of the scene leave: the root of the sum of
-    /// squares of what a change by one standard deviation of each does.
+    /// Standard errors of ρ (light, dark) of each channel due to the priors of the scene: the root of the sum of squares
+    /// of the changes that one standard deviation of each prior makes.
     pub fn std_errors(&self) -> Result<Vec<[f64; 2]>, Invalid> {
         let channels = self.scene.channels();
         let mut squares = vec![[0.0; 2]; channels.len()];
@@ -152,7 +151,7 @@ fn mean(f: impl Fn(CubePoint) -> f64 + Sync) -> f64 {
     parts.iter().sum::<f64>() / f64::from(POINTS)
 }
 
-/// Share of the light that goes where it counts.
+/// Share of the light in the directions that count.
 fn share(rays: &Rays, counts: impl Fn(Vec3) -> bool) -> f64 {
     rays.iter().flatten().filter(|ray| counts(ray.0)).map(|ray| ray.1).sum()
 }
@@ -202,7 +201,7 @@ impl Coat {
         self.rays(point, sin2, [self.ior, 1.0])
     }
 
-    /// What becomes of a ray at the coat's face; `iors` are those of its side and of the other.
+    /// The rays into which a ray splits at the coat's face; `iors` are the indices of its side and of the other.
     fn rays(&self, point: CubePoint, sin2: f64, iors: [f64; 2]) -> Rays {
         let wi = Vec3::new(0.0, sin2.sqrt() as f32, (1.0 - sin2).sqrt() as f32);
         let indices = [RelativeIndex::new(iors[0], iors[1]), RelativeIndex::new(iors[1], iors[0])];
@@ -219,7 +218,7 @@ impl Coat {
         [up, down, None, None]
     }
 
-    /// Both ways that light goes at a facet; what ends on the wrong side is lost, as in the walk.
+    /// The reflected and the refracted ray at a facet; a ray that ends on the wrong side is lost, as in the walk.
     fn split(&self, wi: Vec3, m: Vec3, index: RelativeIndex) -> [Option<Ray>; 2] {
         let cos_i = wi.dot(m);
         let facet = Facet::new(cos_i, index);
@@ -287,14 +286,14 @@ mod tests {
         assert!((seen - 1.0).abs() < 2e-4, "{seen}");
     }
 
-    /// A base without a coat looks as bright as it is.
+    /// The radiance factor of a base without a coat is its reflectance.
     #[test]
     fn uncoated_base_keeps_its_reflectance() {
         let board = BareBoard::of(&Scene::smooth()).unwrap();
         assert_eq!(board.apparent(0.5), 0.5);
     }
 
-    /// A smooth coat mirrors the ring light if the camera looks at it.
+    /// A smooth coat reflects the ring light into the camera if the mirror direction of the view lies in the ring.
     #[test]
     fn mirror_shows_the_ring_in_view() {
         let scene = coated(0.0).with_sensor(Sensor::new(10.0, 360, 45.0).unwrap());
@@ -341,7 +340,7 @@ mod tests {
         assert!((board.returned - returned).abs() < error(returned), "{} {returned}", board.returned);
     }
 
-    /// The 200 million walks of the test above make these 0.8385 ± 0.0003 and 0.02147 ± 0.00002.
+    /// The 200 million walks of the test above give 0.8385 ± 0.0003 and 0.02147 ± 0.00002.
     #[test]
     fn paper_board_looks_darker_than_it_is() {
         let board = BareBoard::of(&Scene::paper()).unwrap();
@@ -349,7 +348,7 @@ mod tests {
         assert!((board.apparent(0.024) - 0.02144).abs() < 2e-5, "{}", board.apparent(0.024));
     }
 
-    /// A dark base under a rougher coat has ρ < 0, with which it appears as it did.
+    /// A dark base under a rougher coat has ρ < 0, at which its radiance factor is unchanged.
     #[test]
     fn dark_board_keeps_its_appearance() {
         let channel = Channel::new("K", 0.95, 0.005).unwrap();
@@ -362,7 +361,7 @@ mod tests {
         let appears = BareBoard::of(&varied).unwrap().apparent(found.rho_dark());
         let appeared = BareBoard::of(&lab).unwrap().apparent(0.005);
         assert!((appears - appeared).abs() < 1e-9, "{appears} {appeared}");
-        // Coat and ring are uncertain; the roughness of the coat is most of it.
+        // Coat and ring are uncertain; the roughness of the coat contributes most.
         let [[_, dark]] = base.std_errors().unwrap().try_into().unwrap();
         assert!((0.0139..0.02).contains(&dark), "{dark}");
     }

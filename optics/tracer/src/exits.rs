@@ -1,4 +1,4 @@
-//! What the kernels hand to the tally: the vertices that the walks of a chunk have picked.
+//! Collects the vertices that the walks of a chunk have picked, which the kernels pass to the tally.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ pub struct Chunk {
     pub walks: u32,
 }
 
-/// Lateral distance from where a walk began.
+/// Lateral distance from the entry point of a walk.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Offset {
     /// Gathered in the sample, in mean free paths.
@@ -30,7 +30,7 @@ pub struct Exit {
     pub hits: Range<u32>,
 }
 
-/// Picks of a walk, and where its hits begin.
+/// Number of picks of a walk, and the start of its hits.
 #[derive(Debug, Clone, Copy, Default)]
 struct WalkExits {
     picks: u32,
@@ -43,7 +43,7 @@ pub struct Exits {
     picks: Vec<Pick>,
     hits: Vec<Offset>,
     walks: Vec<WalkExits>,
-    /// For `in_order`: places of picks, walk by walk, and where the next of each walk goes.
+    /// For `in_order`: indices of picks, walk by walk, and the place for the next pick of each walk.
     order: Vec<u32>,
     next: Vec<u32>,
 }
@@ -57,13 +57,13 @@ impl Exits {
         self.walks.resize(walks as usize, WalkExits::default());
     }
 
-    /// Adds a vertex. Those of one walk come in their order, walks in any.
+    /// Adds a vertex. The vertices of one walk must be added in their order, walks in any.
     pub fn pick(&mut self, pick: Pick) {
         self.walks[pick.walk as usize].picks += 1;
         self.picks.push(pick);
     }
 
-    /// Whether somebody will ask for the hits of a walk.
+    /// Whether the hits of a walk are needed: whether it has picks.
     pub fn needs_hits(&self, walk: u32) -> bool {
         self.walks[walk as usize].picks > 0
     }
@@ -84,7 +84,7 @@ impl Exits {
         &self.hits
     }
 
-    /// The exits by walk, whatever the order in which they came.
+    /// The exits by walk, whatever the order in which they were added.
     pub fn in_order(&mut self) -> impl Iterator<Item = Exit> {
         let mut first = 0;
         self.next.clear();

@@ -19,14 +19,14 @@ impl RelativeIndex {
     }
 }
 
-/// What a ray does at a (micro)facet.
+/// Refraction and reflectance of a ray at a (micro)facet.
 ///
 /// R = (r_s² + r_p²)/2, r_s = (η cos i − cos t)/(η cos i + cos t), r_p = (cos i − η cos t)/(cos i + η cos t).
 #[derive(Debug, Clone, Copy)]
 pub struct Facet {
     /// Cosine of the angle of refraction; 0 under total internal reflection.
     pub cos_t: f32,
-    /// (r_s² + r_p²) × denominator: R is known as a fraction, so that comparing with it needs no division.
+    /// (r_s² + r_p²) × denominator: R is stored as a fraction, so that comparing with it needs no division.
     numerator: f32,
     denominator: f32,
 }

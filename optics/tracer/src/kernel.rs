@@ -1,4 +1,4 @@
-//! The ways to run walks: one after the other, or in vectors with the instructions of this machine.
+//! Runs walks one after the other, or in vectors with the instructions of this machine.
 
 use std::fmt;
 use std::sync::OnceLock;
@@ -15,7 +15,7 @@ use super::vertex::Vertex;
 use super::wavefront::Places;
 use super::{Stopped, walk, wavefront};
 
-/// How walks are run. All kernels give the same bits.
+/// A way of running walks. All kernels give the same bits.
 #[derive(Debug, Clone, Copy)]
 pub struct Kernel(KernelKind);
 
@@ -31,12 +31,12 @@ impl Kernel {
     /// One walk after the other: slow, and plain enough to be checked by eye.
     pub const SCALAR: Self = Self(KernelKind::Scalar);
 
-    /// The kernel of this process: the one set with [`Self::choose`], or the fastest by the rule.
+    /// The kernel of this process: the one set with [`Self::choose`], or [`Self::fastest`].
     pub fn chosen() -> Self {
         CHOSEN.get().copied().unwrap_or_else(Self::fastest)
     }
 
-    /// Lets this process run walks with this kernel from now on. The first choice holds.
+    /// Makes this process run walks with this kernel from now on. Only the first choice takes effect.
     pub fn choose(self) {
         let _ = CHOSEN.set(self);
     }
@@ -46,8 +46,8 @@ impl Kernel {
         Self::all().into_iter().find(|kernel| kernel.name() == name)
     }
 
-    /// What by the rule runs fastest here: the vector kernel with the best instructions of this machine, or the scalar one
-    /// where vectors have to be pieced together.
+    /// The kernel that is usually the fastest: the vector kernel with the best instructions of this machine, or the
+    /// scalar one where vector operations have to be pieced together (SSE2) or emulated.
     pub fn fastest() -> Self {
         match Level::new() {
             #[cfg(target_arch = "x86_64")]
@@ -118,7 +118,7 @@ impl Kernel {
         dispatch!(self.level(), simd => tally.add_batch(simd, vertices));
     }
 
-    /// What the tally's batches add up to.
+    /// Adds the results of the tally's batches to `sums`.
     pub(super) fn end(self, tally: &mut Tally<'_>, sums: &mut Sums) {
         dispatch!(self.level(), simd => tally.end(simd, sums));
     }

@@ -1,11 +1,11 @@
-//! The Monte Carlo tracer: from a job to its records.
+//! The Monte Carlo tracer: computes the records of a job.
 //!
 //! Three exact facts make one set of walks serve every pixel, albedo and channel of a transport point: only the
 //! base's reflectance depends on x (so a walk is shifted, not repeated), the albedo factors out as α^n, and the
 //! channels differ in the base alone. See docs/design/estimator.md.
 //!
 //! The result is a function of the job alone. Walks draw from counter-based streams; batches are grouped into
-//! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine was done
+//! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine finished
 //! first.
 
 mod bare_board;
@@ -61,12 +61,12 @@ const WAVE_BYTES: usize = 64 << 20;
 pub struct Stopped;
 
 /// Traces a job on the current rayon pool with the kernel of this process ([`Kernel::chosen`]) and returns one record
-/// per albedo. Looks at `stop` all the time.
+/// per albedo. Checks `stop` continually.
 pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     trace_with(Kernel::chosen(), job, stop)
 }
 
-/// Traces a job with a kernel of one's choice: the records are the same to the last bit, whichever it is.
+/// Traces a job with the given kernel: the records of all kernels are the same to the last bit.
 pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     Ok(trace_set_with(kernel, std::slice::from_ref(job), stop)?.pop().unwrap_or_default())
 }
@@ -110,7 +110,7 @@ fn merge(totals: &mut [Sums], sums: &[Sums]) {
     totals.iter_mut().zip(sums).for_each(|(total, sum)| total.merge(sum));
 }
 
-/// What the walks of a chunk and their vertices take.
+/// Memory for the walks of a chunk and their vertices.
 #[derive(Debug, Default)]
 struct Memory {
     places: Places,
@@ -156,7 +156,7 @@ impl<'a> Tracer<'a> {
             u64::from(block) * CHUNKS..((u64::from(block) + 1) * CHUNKS).min(batches.div_ceil(CHUNK_BATCHES));
         let mut totals: Vec<_> = self.jobs.iter().map(Sums::new).collect();
         let bytes: usize = self.jobs.iter().map(Sums::bytes).sum();
-        // Waves bound the memory: sums of one wave at a time wait for their turn.
+        // Waves bound the memory: the sums of one wave at a time wait to be merged.
         let most = 2 * rayon::current_num_threads().max(1);
         let wave = (WAVE_BYTES / bytes).clamp(1, most) as u64;
         for first in chunks.clone().step_by(wave as usize) {
@@ -173,7 +173,7 @@ impl<'a> Tracer<'a> {
     }
 
     fn chunk(&self, index: u64, batches: u64) -> Result<Vec<Sums>, Stopped> {
-        // A thread has one after another: memory that is given back and asked for again costs more than filling it.
+        // A thread traces one chunk after another: releasing memory and allocating it again costs more than filling it.
         thread_local!(static MEMORY: Cell<Memory> = Cell::default());
         let mut memory = MEMORY.take();
         let sums = self.chunk_in(&mut memory, index, batches);

@@ -1,4 +1,4 @@
-//! Light that comes straight from the ring: what a walk's vertex receives without another one between.
+//! Computes the light that a walk's vertex receives straight from the ring, without another vertex between.
 //!
 //! Between the ring and the first diffuse vertex – a scattering, or a hit on the base – light meets interfaces only.
 //! Followed from the ring ([`Arrivals`]), it crosses the sample in beams: a polar cosine μ, a face at which the beam
@@ -9,10 +9,10 @@
 //!
 //! n being the sample's index and p̄ the phase function averaged over the azimuth; for beams that begin at the lower
 //! face, d is the height above it. Lengths in the sample are in mean free paths. A hit on the base receives w_b/n_c²,
-//! w_b being the flux that comes to the base and n_c the index above it. Values are multiplied by the ring's measure.
+//! w_b being the flux that reaches the base and n_c the index above it. Values are multiplied by the ring's measure.
 //!
-//! [`Light::about`] is cheap and near C; vertices are chosen by it. [`Light::at`] is C itself, by cubics between nodes, and
-//! corrects for it.
+//! [`Light::about`] approximates C cheaply; vertices are picked by it. [`Light::at`] is C itself, by cubics between
+//! nodes, and corrects for the approximation.
 
 mod arrivals;
 
@@ -24,16 +24,16 @@ use arrivals::{Arrivals, Beam};
 
 /// Cells of [`Light::about`] over the cosine.
 pub const CELLS: usize = 16;
-/// Optical depth, to base 2, from which [`Light::about`] forgets light that goes up.
+/// Optical depth, to base 2, from which [`Light::about`] neglects light that goes up.
 const THICK: f64 = 8.0;
 /// Steps of the table over the depth.
 const DEPTHS: usize = 96;
 /// Least and greatest steps of the table over the cosine.
 const COSINES: (usize, usize) = (96, 1 << 15);
-/// Optical depth below which nothing comes straight from the ring: e⁻⁴⁰.
+/// Optical depth beyond which light straight from the ring is negligible: e⁻⁴⁰.
 const DARK: f64 = 40.0;
 
-/// What the vertices of walks receive.
+/// The light that the vertices of walks receive.
 #[derive(Debug)]
 pub struct Light {
     /// Values of [`Light::about`] for light that goes down and up; whether the sample is so thick that only the first
@@ -41,28 +41,28 @@ pub struct Light {
     pub down: [f32; CELLS],
     pub up: [f32; CELLS],
     pub thick: bool,
-    /// Logarithms to base 2 by which light fades: a mean free path, and through the whole sample.
+    /// Logarithms to base 2 by which light fades: over a mean free path, and through the whole sample.
     pub fading: f32,
     pub faded: f32,
-    /// What a hit on the base receives.
+    /// Light that a hit on the base receives.
     pub base: f32,
-    /// What comes from the ring to the sensor by way of interfaces alone, and the same times its length in the sample.
+    /// Light from the ring to the sensor that meets interfaces only, and the same times its length in the sample.
     pub straight: f64,
     pub straight_length: f64,
     /// The ring's measure, see [`optics_model::scene::RingLight`].
     pub measure: f32,
-    /// Mean length in the sample of the light that comes to the base, in mean free paths.
+    /// Mean length in the sample of the light that reaches the base, in mean free paths.
     base_length: f64,
     thickness: f32,
     inverse_reach: f32,
     steps: usize,
     /// C: `[depth][cosine]`, at steps of both that lie close at the ends.
     table: Vec<f64>,
-    /// C times the mean length of its light in the sample, if derivatives are wanted.
+    /// C times the mean length of its light in the sample, if derivatives are requested.
     lengths: Option<Vec<f64>>,
 }
 
-/// Flux of beams behind what of the sample they have passed, and the same times its length.
+/// Flux of beams after attenuation over the length that they have passed in the sample, and the same times this length.
 fn total(beams: &[Beam], thickness: f64) -> [f64; 2] {
     beams.iter().fold([0.0; 2], |[sum, lengths], beam| {
         let length = thickness * beam.passed;
@@ -89,7 +89,7 @@ impl Light {
         let mut entering = [0.0; 2];
         for beam in &arrivals.in_sample(thickness, scattering) {
             let flux = scale * beam.flux / beam.cosine;
-            // For light that goes up the same, with the cosines' signs changed.
+            // The same for light that goes up, with the signs of the cosines changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
             let phase: Vec<f64> = (0..=steps)
                 .map(|k| scattering.azimuthal_mean(number_at(mirrored(k, steps), steps), beam.cosine))
@@ -105,7 +105,7 @@ impl Light {
                     row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * length * p);
                 }
             }
-            // Many in each cell, so that the peak of a narrow phase function is met.
+            // Many points in each cell, so that the peak of a narrow phase function is not missed.
             let each = steps.div_ceil(CELLS).max(4);
             for k in 0..each * CELLS {
                 let u = (2 * k + 1) as f64 / (each * CELLS) as f64 - 1.0;
@@ -140,7 +140,7 @@ impl Light {
         }
     }
 
-    /// Near what a scattering at a height receives, for a walk that comes with the cosine `u`.
+    /// Approximates the light that a scattering at a height receives, for a walk that arrives with the cosine `u`.
     pub fn about(&self, z: f32, u: f32) -> f32 {
         let cell = (((u + 1.0) * (0.5 * CELLS as f32)).max(0.0) as usize).min(CELLS - 1);
         let height = z * self.fading;
@@ -148,7 +148,7 @@ impl Light {
         if self.thick { down } else { down + self.up[cell] * power_of_two(-height) }
     }
 
-    /// C at a height, and the mean length of its light in the sample (0 unless derivatives are wanted).
+    /// C at a height, and the mean length of its light in the sample (0 unless derivatives are requested).
     pub fn at(&self, z: f32, u: f32) -> (f64, f32) {
         let depth = ((self.thickness - z) * self.inverse_reach).max(0.0);
         if depth > 1.0 {

@@ -49,8 +49,8 @@ pub fn exp(x: f32) -> f32 {
     y * f32::from_bits(((n as i32 + 127) << 23) as u32)
 }
 
-/// Near 2^x for −100 ≤ x < 128, at most 6 % above it: the bits of a float are nearly its logarithm. What is smaller counts
-/// as −100.
+/// Approximates 2^x for −100 ≤ x < 128, at most 6 % above it: the bits of a float are nearly its logarithm. Smaller x
+/// count as −100.
 pub fn power_of_two(x: f32) -> f32 {
     f32::from_bits(((x.max(-100.0) + 127.0) * 8_388_608.0) as u32)
 }

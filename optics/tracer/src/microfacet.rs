@@ -1,4 +1,4 @@
-//! Rough interfaces: the GGX microsurface with Smith shadowing.
+//! Samples reflection and refraction at rough interfaces: the GGX microsurface with Smith shadowing.
 //!
 //! Directions point away from the interface; the incident side is z > 0.
 
@@ -67,8 +67,8 @@ pub fn scatter_once(wi: Vec3, alpha: f32, index: RelativeIndex, words: [u32; 4])
 }
 
 /// Follows the ray on the microsurface until it leaves, losing nothing (Heitz et al. 2016, "Multiple-scattering
-/// microfacet BSDFs with the Smith model", uniform height distribution). `indices` are those of the incident
-/// side and of the other. Most rays leave after one event, for which `words` suffice; the others draw from the stream.
+/// microfacet BSDFs with the Smith model", uniform height distribution). `indices` are the indices of the incident side
+/// and of the other. Most rays leave after one event, for which `words` suffice; the others draw from the stream.
 pub fn scatter_until_out(
     wi: Vec3,
     alpha: f32,
@@ -83,9 +83,9 @@ pub fn scatter_until_out(
     if ray.clears(alpha, u, level) { ray.outgoing() } else { ray.follow(alpha, indices, u, stream) }
 }
 
-/// The same for a given first normal, with all directions in which light leaves and their shares: reflected and refracted
-/// once, and what meets the surface again after each, one way that chance chooses. Where a share is below `faint`, chance
-/// decides whether there is anything.
+/// The same for a given first normal, with all directions in which light leaves and their shares: light reflected once,
+/// light refracted once, and of the light that then meets the surface again, one random path for each. Paths with a share
+/// below `faint` are subject to Russian roulette.
 pub fn split_until_out(
     wi: Vec3,
     m: Vec3,
@@ -156,7 +156,7 @@ impl SurfaceRay {
         Self { direction, c: 1.0 - self.c, incident_side: !self.incident_side }
     }
 
-    /// Reflects or refracts the ray at a facet that it sees.
+    /// Reflects or refracts the ray at a facet that is visible to it.
     fn scatter(self, alpha: f32, indices: [RelativeIndex; 2], words: [u32; 4]) -> Self {
         let w = -self.direction;
         let m = sample_visible_normal(w, alpha, uniform(words[1]), words[2]);

@@ -105,8 +105,8 @@ impl PhaseSampler {
     /// Cosine of the scattering angle from a number uniform in (−1, 1).
     ///
     /// The inverse of the distribution function, written without a division by g:
-    /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², good for every g including 0. Rounding may
-    /// carry it past ±1 by an ulp or two.
+    /// cos θ = [gξ²(1+g²)/2 + ξ(1+g²) + g(3−g²)/2] / (1+gξ)², valid for every g including 0. Rounding may carry it past
+    /// ±1 by an ulp or two.
     ///
     /// In a narrow forward peak 1 − cos θ is a difference of nearly equal numbers. Against double precision over all 2¹⁶
     /// numbers, its mean has a relative error of at most 1.2e-5 up to g = 0.95, 2.4e-4 up to 0.99 and 8e-4 up to 0.995; at
@@ -123,7 +123,7 @@ impl PhaseSampler {
 ///
 /// Half a turn about u = n ± e_z carries ±e_z to n and needs no frame: v = u (u·l)/(1 + |n_z|) − l with
 /// l = (x, y, ±z), the sign being that of n_z. If |n|² = 1 + ε, then |v|² = 1 + ε k² with k the bracket below,
-/// and k² has mean at most 1 over the azimuth: rounding does not pile up, and no normalisation is needed.
+/// and k² has mean at most 1 over the azimuth: rounding errors do not accumulate, and no normalisation is needed.
 #[inline(always)]
 fn rotate<L: Lanes>([nx, ny, nz]: [L; 3], [x, y, z]: [L; 3]) -> [L; 3] {
     let q = (nx * x + ny * y) / (nz.magnitude() + 1.0);

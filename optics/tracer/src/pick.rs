@@ -1,15 +1,15 @@
-//! Vertices of a walk, picked at even steps of what they are worth.
+//! Picks vertices of a walk at equal steps of their accumulated worth.
 //!
 //! A walk's vertex i, a scattering or a hit on the base after n_i scatterings, is worth c_i α^(n_i) for the albedo α, c_i
-//! being what it receives of the light times the walk's weight. To score all of them for all albedos would take longer
-//! than the walk. Instead, what c_i h(n_i) adds up to along the walk is cut into equal steps Δ from a random place on, and
-//! the vertices in which the cuts fall are scored, with α^(n_i) Δ/h(n_i) a cut (systematic sampling, Madow and Madow
-//! 1944). That is without bias for any h: each vertex is cut c_i h(n_i)/Δ times in the mean. Walks that are worth more
-//! are scored more often, along their whole way.
+//! being the light that it receives times the walk's weight. Scoring all of them for all albedos would take longer than
+//! the walk. Instead, the running sum of c_i h(n_i) along the walk is cut into equal steps Δ from a random offset on, and
+//! the vertices in which the cuts fall are scored, with α^(n_i) Δ/h(n_i) per cut (systematic sampling, Madow and Madow
+//! 1944). This is unbiased for any h: each vertex is cut c_i h(n_i)/Δ times on average. Walks that are worth more are
+//! scored more often, along their whole path.
 //!
-//! h makes early vertices more frequent: with most albedos only those count.
+//! h makes early vertices more frequent: for most albedos only those matter.
 
-/// Words of this block are for the place of the first cut.
+/// Number of the block whose random words give the place of the first cut.
 pub const PICK_BLOCK: u32 = 1 << 31;
 
 /// Δ over the ring's measure: a walk that loses nothing is worth about the measure, for α = 1.
@@ -17,7 +17,7 @@ pub const STEP: f32 = 1.0;
 /// h(n) = max(1, a − b n).
 const EARLY: [f32; 2] = [4.0, 0.15];
 
-/// Height of hits on the base.
+/// Value of the height that marks hits on the base.
 pub const AT_BASE: f32 = -1.0;
 
 /// A vertex that has been picked.
@@ -28,7 +28,7 @@ pub struct Pick {
     /// Height, in mean free paths, and cosine of a scattering; see [`AT_BASE`].
     pub z: f32,
     pub u: f32,
-    /// What the vertex was taken to be worth, without the walk's weight.
+    /// Estimated worth by which the vertex was picked, without the walk's weight.
     pub worth: f32,
     /// Cuts that fall in it.
     pub cuts: u32,
@@ -50,7 +50,7 @@ pub const fn early() -> [f32; 2] {
     EARLY
 }
 
-/// Cuts at a vertex that has taken what was left of the step to below 0; `left` becomes what is left of the next.
+/// Number of cuts at a vertex that has reduced the rest of the step to below 0; `left` becomes the rest of the next step.
 pub fn cut(left: &mut f32, step: f32) -> u32 {
     let cuts = (-*left / step) as u32 + 1;
     *left += cuts as f32 * step;

@@ -1,4 +1,4 @@
-//! What benchmarks need to reach: the parts of a job on their own.
+//! Runs the parts of a job on their own, for benchmarks.
 
 use std::sync::atomic::AtomicBool;
 
@@ -24,12 +24,12 @@ fn first_chunk(job: &JobSpec) -> Chunk {
     Chunk { key: stream_key(job.seed(), &job.point()), index: 0, walks }
 }
 
-/// Counts the events of the first chunk, one by one: what rates are made of.
+/// Counts the events of the first chunk, from which rates are computed.
 pub fn count_events(job: &JobSpec) -> Events {
     walk::count_events(&Stack::new(job.scene(), &job.point()), first_chunk(job))
 }
 
-/// The walks of the first chunk alone, without scoring; returns how many vertices they pick.
+/// Runs the walks of the first chunk without scoring; returns the number of vertices that they pick.
 pub fn run_walks(kernel: Kernel, job: &JobSpec) -> Result<usize, Stopped> {
     let chunk = first_chunk(job);
     let (mut places, mut exits) = (Places::default(), Exits::default());

@@ -1,8 +1,8 @@
 //! Counter-based random numbers: Philox4x32-10 (Salmon et al. 2011, "Parallel random numbers: as easy
 //! as 1, 2, 3").
 //!
-//! A number is a pure function of (key, chunk, walk, block): it does not matter which machine, thread or
-//! attempt asks for it.
+//! A number is a pure function of (key, chunk, walk, block): it does not depend on the machine, thread or attempt that
+//! requests it.
 
 pub const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];
 pub const WEYL: [u32; 2] = [0x9E37_79B9, 0xBB67_AE85];
@@ -24,7 +24,7 @@ pub fn philox4x32(counter: [u32; 4], key: [u32; 2]) -> [u32; 4] {
 
 /// Uniform number from 32 random bits: the midpoint of one of 2²³ equal cells of (0, 1), never 0 or 1.
 pub fn uniform(bits: u32) -> f32 {
-    // 1 + k/2²³ has its mantissa for the asking; the difference is exact.
+    // The bits are the mantissa of 1 + k/2²³; the difference is exact.
     f32::from_bits(bits >> 9 | 0x3f80_0000) - (1.0 - 1.0 / 16_777_216.0)
 }
 
@@ -35,7 +35,7 @@ pub fn symmetric(bits: u32) -> f32 {
     f32::from_bits((bits >> 9 & 0x007f_ff80) | 0x4000_0000) - (3.0 - 1.0 / 65_536.0)
 }
 
-/// Number of a stream's first block: not 0, so that the walk can do something at every multiple of a number.
+/// Number of a stream's first block: not 0, since walks play roulette at the multiples of a number.
 pub const FIRST_BLOCK: u32 = 1;
 
 /// The random numbers of one walk, in blocks of four words.

@@ -1,17 +1,18 @@
-//! Powers of the albedo by the number of scatterings, interpolated between a few nodes.
+//! Interpolates powers of the albedo by the number of scatterings between a few nodes.
 //!
-//! A walk of n scatterings counts α^n for the albedo α. Rather than adding that for every albedo, the tally adds to nodes
-//! of n, and turns them into albedos at the end of a batch. Up to 32 each number is a node; above there are 8 nodes an
-//! octave, and n is shared out among the 8 nodes about it by Lagrange's weights: α^n is taken for a polynomial of degree 7
-//! there. Its error is below 4e-7 of the greatest, (nα^n)^8 having its maximum there, and far below that elsewhere.
+//! A walk of n scatterings contributes α^n for the albedo α. Rather than adding this for every albedo, the tally adds to
+//! nodes of n, and evaluates them for all albedos at the end of a batch. Up to 32 each number is a node; above there are
+//! 8 nodes per octave, and n is distributed over the 8 nodes around it with Lagrange weights: α^n is approximated by a
+//! polynomial of degree 7 there. Its error is below 4e-7 of the greatest power where (nα^n)^8 has its maximum, and far
+//! below that elsewhere.
 
 use fearless_simd::{Simd, SimdBase, f32x16};
 
-/// Nodes that a number is shared out among.
+/// Nodes that a number is distributed over.
 pub const WINDOW: usize = 8;
-/// Numbers below are nodes themselves.
+/// Numbers below this are nodes themselves.
 const EXACT: u32 = 32;
-/// Nodes an octave, as a power of 2.
+/// Nodes per octave, as a power of 2.
 const OCTAVE_BITS: u32 = 3;
 
 /// Powers below this are taken as 0.
@@ -45,7 +46,7 @@ pub fn count(most: u32) -> usize {
     node_below(most.max(EXACT)) + WINDOW / 2 + 1
 }
 
-/// First of the nodes that n is shared out among, and their shares.
+/// First of the nodes that n is distributed over, and their shares.
 pub fn shares(n: u32) -> (usize, [f64; WINDOW]) {
     let below = node_below(n);
     let mut shares = [0.0; WINDOW];
@@ -122,7 +123,7 @@ impl NodePowers {
         Self { blocks, nodes: nodes.iter().map(|n| *n as f64).collect() }
     }
 
-    /// Σ α^n over what nodes hold, for every albedo.
+    /// Σ α^n over the contents of nodes, for every albedo.
     #[expect(clippy::inline_always, reason = "must be compiled for the caller's instruction set")]
     #[inline(always)]
     pub fn sum<S: Simd>(&self, simd: S, held: &[f32], out: &mut [f32]) {
@@ -181,7 +182,7 @@ fn power(x: f64, mut n: u64) -> f64 {
     result
 }
 
-/// In single precision; what is so small that its products would be slow is 0.
+/// Converts to single precision; numbers so small that their products would be slow become 0.
 pub fn single(x: f64) -> f32 {
     if x.abs() < 1e-18 { 0.0 } else { x as f32 }
 }
@@ -204,7 +205,7 @@ mod tests {
         }
     }
 
-    /// Sums keep the greatest value that n α^n takes for any α, and the power itself where it counts.
+    /// Shares add up to 1, and the error of interpolated powers is below 4e-7 for every α.
     #[test]
     fn power_sums_are_preserved() {
         let mut worst = 0.0_f64;

@@ -1,5 +1,4 @@
-//! A scene and a transport point made ready for the walk: slabs, interfaces, sensor and ring in single
-//! precision.
+//! Prepares a scene and a transport point for walks: slabs, interfaces, sensor and ring in single precision.
 
 use glam::Vec3;
 use optics_model::scene::{LayerMedium, sin2};
@@ -17,12 +16,12 @@ pub struct Interface {
     pub alpha: f32,
 }
 
-/// A scene at one transport point, prepared for walks. Lengths in the sample are in mean free paths: points that
-/// are optically as thick have one stack.
+/// A scene at one transport point, prepared for walks. Lengths in the sample are in mean free paths: points of the same
+/// optical thickness have the same stack.
 #[derive(Debug, Clone)]
 pub struct Stack {
-    /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last. The sample's
-    /// is in mean free paths.
+    /// Thickness in mm of each slab from top to bottom; slab 0 is the air above, the base lies under the last. The
+    /// sample's thickness is in mean free paths.
     pub thickness: Vec<f32>,
     /// Refractive index of each slab.
     pub iors: Vec<f64>,

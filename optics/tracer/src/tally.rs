@@ -1,14 +1,14 @@
-//! From vertices to profiles: difference arrays, batches, and sums in a fixed order.
+//! Accumulates profiles from vertices: difference arrays, batches, and sums in a fixed order.
 //!
 //! A walk that meets the base at offsets d₁ … d_m before it is connected with the light contributes, as a function of the
 //! entry position X, a staircase with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so
 //! that the average over each pixel is exact, and integrates at the end.
 //!
 //! Only the base breaks the symmetry of left and right, so the mirror image of a walk is as likely as the walk: both
-//! are scored. That makes profiles less noisy near the edge, and their gradients more so.
+//! are scored. This reduces the noise of profiles near the edge, and that of their gradients even more.
 //!
-//! Steps are held by number of scatterings ([`crate::scatterings`]), not by albedo: what a vertex costs does not depend on
-//! how many albedos there are.
+//! Steps are held by number of scatterings ([`crate::scatterings`]), not by albedo: the cost of a vertex does not depend
+//! on the number of albedos.
 
 #![expect(
     clippy::inline_always,
@@ -26,7 +26,7 @@ use super::light::Light;
 use super::scatterings::{NodePowers, WINDOW, count, single};
 use super::vertex::{Vertex, Vertices};
 
-/// Hits on the base that most walks stay below. Behind very thick samples there may be thousands.
+/// Number of hits on the base that most walks stay below. Behind very thick samples there may be thousands.
 const FEW_HITS: usize = 64;
 
 /// Steps of a chunk of walks.
@@ -44,25 +44,26 @@ pub struct Tally<'a> {
     hits: &'a [Offset],
     nodes: usize,
     base: Vec<Base>,
-    /// What steps are weighted with: 1, and the length in the sample, in mean free paths, if derivatives are wanted.
+    /// Number of weights of a step: 1, and the length in the sample, in mean free paths, if derivatives are requested.
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
     steps: Vec<f32>,
-    /// Sums of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Beyond the view all of
+    /// Sums of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Left of the view all of
     /// them are dark, whatever the channel.
     dark: Vec<f32>,
     /// Positions of a walk's steps in pixels from the left end.
     positions: Vec<f32>,
-    /// Pixels that show the spread of batches, see [`observed`].
+    /// Pixels at which the spread of batches is observed, see [`observed`].
     observed: Vec<usize>,
-    /// What they showed up to the last batch, what batches added up to, and their squares: `[pixel][column]`.
+    /// Their values up to the last batch, and the sums of the batches' contributions and of the squares of these:
+    /// `[pixel][column]`.
     before: Vec<f32>,
     sums: Vec<f64>,
     squares: Vec<f64>,
     batches: u64,
 }
 
-/// How a channel sees the base: powers of its reflectances for numbers of hits, and what they differ by.
+/// The base in one channel: powers of its reflectances for numbers of hits, and the difference of the reflectances.
 #[derive(Debug)]
 struct Base {
     light: Vec<f32>,
@@ -84,7 +85,7 @@ impl Base {
         flush(self.light[a] * self.dark[b])
     }
 
-    /// What a hit that turns light changes where a others are light and b dark: exactly 0 without contrast.
+    /// Change of the weight by a hit that turns light where a others are light and b dark: exactly 0 without contrast.
     fn step(&self, a: usize, b: usize) -> f32 {
         flush(self.light[a] * self.dark[b] * self.contrast)
     }
@@ -183,7 +184,7 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Where hits make steps, from left to right.
+    /// Finds the positions at which hits make steps, from left to right.
     #[inline(always)]
     fn find_positions(&mut self, hits: &[Offset]) {
         let (free_path, mm, edge) = (self.free_path_px, self.mm_px, self.edge_px);
@@ -212,7 +213,7 @@ impl<'a> Tally<'a> {
         1.0 / self.job.point().sigma_t_per_mm()
     }
 
-    /// What all walks that are dark in the first pixel, and their mirror images, add up to: `[channel][moment][node]`.
+    /// Sum over all walks that are dark in the first pixel, and over their mirror images: `[channel][moment][node]`.
     fn beyond(&self) -> Vec<f32> {
         let of_one = self.moments * self.nodes;
         let mut level = vec![0.0; self.base.len() * of_one];
@@ -230,7 +231,7 @@ impl<'a> Tally<'a> {
         self.base.len() * quantities(self.job) * self.job.albedo().len()
     }
 
-    /// What nodes hold, turned into a pixel's columns.
+    /// Converts the contents of nodes to a pixel's columns.
     #[inline(always)]
     fn tell<S: Simd>(&self, simd: S, level: &[f32], out: &mut [f32]) {
         let (nodes, albedos) = (self.nodes, self.job.albedo().len());
@@ -254,7 +255,7 @@ impl<'a> Tally<'a> {
         }
     }
 
-    /// Looks at what the batch has added to the observed pixels.
+    /// Records the contribution of the batch to the observed pixels.
     #[inline(always)]
     fn end_batch<S: Simd>(&mut self, simd: S) {
         let columns = self.columns();
@@ -281,7 +282,7 @@ impl<'a> Tally<'a> {
         self.batches += 1;
     }
 
-    /// What the batches add up to, and how far they spread.
+    /// Adds the sums of the batches and their spread to `total`.
     #[inline(always)]
     pub fn end<S: Simd>(&mut self, simd: S, total: &mut Sums) {
         let columns = self.columns();
@@ -315,7 +316,7 @@ impl<'a> Tally<'a> {
         total.add_batches(self.batches);
     }
 
-    /// What light that meets interfaces only adds to every pixel.
+    /// Contribution to every pixel of light that meets interfaces only.
     fn straight(&self) -> Vec<f64> {
         let walks = (self.batches * BATCH_WALKS) as f64;
         let albedos = self.job.albedo().len();
@@ -340,8 +341,8 @@ fn add<S: Simd>(sums: &mut [f32], at: usize, nodes: usize, moments: usize, weigh
     }
 }
 
-/// Pixels that show how far batches spread, the first and the last among them. In between, the spread is interpolated:
-/// it is smooth, but near the edge.
+/// Pixels at which the spread of batches is observed, the first and the last among them. In between, the spread is
+/// interpolated: it is smooth except near the edge.
 fn observed(pixels: usize) -> Vec<usize> {
     let mut observed = Vec::new();
     let mut pixel = 0;

@@ -1,4 +1,4 @@
-//! Sets of jobs.
+//! Tests sets of jobs that share their walks.
 
 use std::sync::atomic::AtomicBool;
 

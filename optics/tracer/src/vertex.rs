@@ -1,4 +1,4 @@
-//! Vertices ready to be scored: what a pick counts, before anything of the point but its light is known.
+//! Prepares vertices for scoring: the weights of picks, which depend on the point through its light alone.
 
 use super::exits::{Exit, Exits, Offset};
 use super::light::Light;
@@ -10,12 +10,12 @@ use super::scatterings::{WINDOW, shares};
 pub struct Vertex {
     /// Place of the walk in its chunk.
     pub walk: u32,
-    /// First of the nodes that the vertex is shared out among, see [`crate::scatterings`].
+    /// First of the nodes that the vertex is distributed over, see [`crate::scatterings`].
     pub first_node: u32,
-    /// What each of these receives, for the walk and for its mirror image.
+    /// Weight of each of these nodes, the same for the walk and for its mirror image.
     pub weights: [f32; WINDOW],
-    /// Length in the sample of the walk and its light, in mean free paths; without that of the light if no derivatives are
-    /// wanted.
+    /// Length in the sample of the walk and its light, in mean free paths; without that of the light if no derivatives
+    /// are requested.
     pub length: f32,
     first_hit: u32,
     hits: u32,
@@ -39,7 +39,7 @@ impl Vertex {
         }
     }
 
-    /// Those of all hits that led to the vertex.
+    /// The hits that led to the vertex.
     pub fn hits<'h>(&self, hits: &'h [Offset]) -> &'h [Offset] {
         &hits[self.first_hit as usize..][..self.hits as usize]
     }
@@ -55,7 +55,7 @@ pub struct Vertices {
 }
 
 impl Vertices {
-    /// Makes ready what walks have picked.
+    /// Prepares the vertices that walks have picked.
     pub fn set(&mut self, exits: &mut Exits, light: &Light) {
         self.most_scatterings = exits.most_scatterings();
         self.all.clear();

@@ -1,4 +1,4 @@
-//! One random walk from the sensor through the stack until it leaves through the top.
+//! Runs one random walk from the sensor through the stack until it leaves through the top.
 //!
 //! Nothing is absorbed in flight: the albedo enters as α^n at the end, the base's reflectances by the number of
 //! hits on either side of the edge. z points up, x across the edge.
@@ -18,12 +18,12 @@ use super::rng::{Stream, uniform};
 use super::stack::Stack;
 
 /// Blocks of random numbers between two games of Russian roulette. It bounds the time of walks in optically very thick
-/// slabs, and ends those that rounding has caught: a ray that enters a smooth layer at grazing incidence may find total
+/// slabs, and ends those that rounding has trapped: a ray that enters a smooth layer at grazing incidence may find total
 /// reflection on both its faces, once in some 10¹⁰ crossings. Without bias; hardly any other walk of the paper's grid
-/// comes to the first game. A power of two.
+/// reaches the first game. A power of two.
 pub const ROULETTE_BLOCKS: u32 = 1 << 15;
 
-/// What the last step did.
+/// The event of the last step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WalkEvent {
     /// A scattering in the sample.
@@ -60,8 +60,8 @@ pub struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// Enters the stack from the air above in `direction` (z < 0) at x = 0. The first interface has been dealt
-    /// with when this returns; the event has the reason.
+    /// Enters the stack from the air above in `direction` (z < 0) at x = 0. The walk has met the first interface when
+    /// this returns; the event is the outcome.
     pub fn enter(stack: &'a Stack, direction: Vec3, stream: Stream) -> (Self, WalkEvent) {
         let mut walk = Self {
             stack,
@@ -192,9 +192,9 @@ impl<'a> Walk<'a> {
         WalkEvent::Crossed
     }
 
-    /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `indices` are those of the
-    /// incident side and of the other. Sets the new direction and returns whether the ray is on the other side; None
-    /// if it is lost.
+    /// Meets an interface whose incident side is up (`up` = 1) or down (`up` = −1); `indices` are the indices of the
+    /// incident side and of the other. Sets the new direction and returns whether the ray is on the other side; None if
+    /// it is lost.
     fn cross(&mut self, up: f32, indices: [RelativeIndex; 2], alpha: f32) -> Option<bool> {
         let d = self.direction;
         let wi = Vec3::new(-d.x, -d.y, -up * d.z);
@@ -226,8 +226,8 @@ fn scatter_smoothly(wi: Vec3, index: RelativeIndex, u: f32) -> Scattered {
     Scattered { direction, weight: 1.0 }
 }
 
-/// Runs the walks of a chunk one after the other and picks vertices. This is the tracer in its plainest form, and what
-/// the vector kernel must agree with to the last bit.
+/// Runs the walks of a chunk one after the other and picks vertices. This is the tracer in its plainest form, with which
+/// the vector kernel must agree to the last bit.
 pub fn run_chunk(
     stack: &Stack,
     light: &Light,
@@ -269,7 +269,7 @@ pub fn run_chunk(
     Ok(())
 }
 
-/// What walks have met.
+/// Numbers of events of walks.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Events {
     pub scatterings: u64,

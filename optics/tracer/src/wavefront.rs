@@ -1,12 +1,12 @@
-//! The vector kernel: many walks at a time, those that wait for the same thing side by side.
+//! The vector kernel: runs many walks at a time, those that wait for the same operation side by side.
 //!
 //! Walks in the sample are one queue; walks on their way to an interface are one queue per interface and side. The
-//! kernel takes a full vector from a queue, does its one thing to all lanes, and puts the walks into the queues where
-//! they go on. Lanes are never idle but for the second of two flights and for the last walks of a chunk; walks that end
-//! are replaced at once.
+//! kernel takes a full vector from a queue, performs its operation on all lanes, and puts the walks into the queues for
+//! their next operations. Lanes are never idle but for the second of two flights and for the last walks of a chunk; walks
+//! that end are replaced at once.
 //!
-//! Each lane does what [`super::walk`] does, operation by operation, so the walks are the same to the last bit. The order
-//! in which they end depends on the pool, never their number or their fate; the tally takes them by walk.
+//! Each lane performs the operations of [`super::walk`] one by one, so the walks are the same to the last bit. The order
+//! in which they end depends on the pool, never their number or their outcome; the tally processes them by walk.
 
 #![expect(
     clippy::inline_always,
@@ -42,12 +42,12 @@ use lanes::{Floats, Mask, POOL, Queue, WIDTH, WalkLanes, Words, count, first_lan
 use numbers::Philox;
 use order::LaneOrder;
 
-/// Where walks wait, and their hits.
+/// The queues of waiting walks, and their hits.
 #[derive(Debug)]
 pub struct Places {
     /// Walks in the sample.
     inside: Queue,
-    /// Walks that have come to a face of the sample from inside, not yet sorted by face.
+    /// Walks that have reached a face of the sample from inside, not yet sorted by face.
     leaving: Queue,
     /// Walks on their way to each gate.
     waiting: Vec<Queue>,
@@ -130,7 +130,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
     }
 
     fn run(mut self, stop: &AtomicBool) -> Result<(), Stopped> {
-        // What a queue must hold to be worth a vector: all lanes, as long as others can fill them.
+        // Fewest walks for which a vector of a queue is run: all lanes, as long as other queues can fill them.
         let mut least = WIDTH;
         while self.ended < self.chunk.walks {
             if stop.load(Ordering::Relaxed) {
@@ -187,8 +187,8 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         }
     }
 
-    /// Two flights for the walks in the sample, in vectors of at least `least` walks. Those that stay close up at the
-    /// front.
+    /// Two flights for the walks in the sample, in vectors of at least `least` walks. Walks that stay in the sample are
+    /// compacted at the front.
     fn advance_inside(&mut self, least: usize) {
         self.simd.vectorize(
             #[inline(always)]
@@ -228,7 +228,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         }
     }
 
-    /// Sends walks that leave the sample to the face that they have come to.
+    /// Sends walks that leave the sample to the face that they have reached.
     #[inline(always)]
     fn part(&mut self, walks: &WalkLanes<S>, lanes: Mask<S>) {
         let down = walks.dz.simd_lt(0.0);
@@ -263,7 +263,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
 
     /// Takes the walks that wait at a gate through it, in vectors of at least `least` walks.
     ///
-    /// The oldest go first: what has just been stored is slow to load again in other pieces.
+    /// The oldest go first: recently stored data are slow to load again in other pieces.
     fn pass(&mut self, gate: usize, least: usize) {
         self.simd.vectorize(
             #[inline(always)]

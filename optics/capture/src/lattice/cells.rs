@@ -1,4 +1,4 @@
-//! Brightness of the crop in coarse cells, which shows where a slab covers it.
+//! Measures the brightness of the crop in coarse cells, which shows where a slab covers it.
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;

@@ -161,7 +161,8 @@ struct Straight {
     bend_mm: Estimate,
 }
 
-/// Fits offset and slope within the crop, and the remaining bow b (along² − h²/3), whose height is 3/2 · … of it.
+/// Fits offset and slope within the crop, and the remaining bow b (along² − h²/3), whose height is b h², h being half of
+/// the crop's side.
 fn straighten(frame: &mut EdgeFrame, stretch: &EdgeStretch) -> Option<Straight> {
     let places: Vec<[f64; 2]> = stretch
         .points

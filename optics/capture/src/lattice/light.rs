@@ -1,4 +1,5 @@
-//! Light of a shot relative to that of the bare shots, from the parts of the board that are not covered by the slab.
+//! Measures the light of a shot relative to that of the bare shots, from the parts of the board that are not covered by
+//! the slab.
 //!
 //! At a free edge, both sides are brighter by the same factor. A slab that scatters makes the dark side too bright for
 //! it, and one that does not scatter dims the light side. So among the edges whose dark side is as dark as the bare
@@ -34,7 +35,7 @@ pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
     let most = ratios.iter().map(|r| around(*r, ALIKE).len()).max()?;
     let least = POINTS.max(most / LEAST_SHARE);
     let mut centre = *ratios.iter().rev().find(|r| around(**r, ALIKE).len() >= least)?;
-    // Mean shift to where ratios are densest.
+    // Mean shift to the densest ratios.
     for _ in 0..30 {
         let near = around(centre, FLICKER);
         centre = near.iter().sum::<f64>() / near.len().max(1) as f64;
@@ -212,7 +213,8 @@ mod tests {
     /// The brightest ratio that is common to many points is that of the free board.
     #[test]
     fn brightest_common_ratio_is_the_free_board() {
-        // A clear slab over most of the board takes 8 %, lamps 5 %; single points are brighter by chance.
+        // A clear slab over most of the board reduces the light by 8 %, the lamps by 5 %; single points are brighter by
+        // chance.
         let mut ratios = scattered(0.95 * 0.92, 900);
         ratios.extend(scattered(0.95, 100));
         ratios.extend([1.02, 1.05, 1.1]);

@@ -30,7 +30,7 @@ pub(crate) struct BoardEdges {
 pub(crate) struct FreeParts {
     pub moved_px: [Option<Estimate>; 2],
     pub blur_px: [Option<Estimate>; 2],
-    /// Which of [`BoardEdges::patches`] are free; None if the light of the free board is unknown.
+    /// Whether each of [`BoardEdges::patches`] is free; None if the light of the free board is unknown.
     pub free: Option<Vec<bool>>,
 }
 
@@ -140,7 +140,7 @@ impl BoardEdges {
         brightest(ratios)
     }
 
-    /// Which patches are free, under light of this brightness.
+    /// Whether each patch is free, under light of this brightness.
     fn free(&self, points: &[Vec<EdgePoint>; 2], light: f64) -> Vec<bool> {
         let levels = LevelBounds { of_high: FLICKER, ..self.levels(light) };
         let of_run = |i: usize| {

@@ -85,7 +85,7 @@ impl Pose {
         [[along_x[0], along_y[0]], [along_x[1], along_y[1]]]
     }
 
-    /// Squares per pixel there: the root of the area's ratio.
+    /// Squares per pixel at a pixel: the root of the ratio of areas.
     pub fn pitch(&self, px: [f64; 2]) -> f64 {
         let [[a, b], [c, d]] = self.derivative(px);
         (a * d - b * c).abs().sqrt()

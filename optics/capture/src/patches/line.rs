@@ -100,7 +100,7 @@ fn channel(
     Ok(())
 }
 
-/// Weighted by the certificate and the noise.
+/// Regression weighted by the errors of the certificate and the noise.
 fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -> Option<FittedParameters> {
     let scale = readings[neutral.white()].light / neutral.rho[neutral.white()][c];
     let mut normal = NormalEquations::new(if curved { 3 } else { 2 });

@@ -1,4 +1,5 @@
-//! Scene files, in TOML: a number of the set-up is exact, or a table with its standard error.
+//! Defines scene files in TOML and converts them to scenes and back: a number of the set-up is exact, or a table with its
+//! standard error.
 
 mod numbers;
 
@@ -61,7 +62,7 @@ pub struct LayerTable {
     /// Refractive index. The sample's is a table without a value: `{ std_error = 0.01 }`.
     pub ior: Option<LayerNumber>,
     pub thickness_mm: Option<LayerNumber>,
-    /// GGX α of the upper face, or the name of the layer that has the same: the sample's, for its lower face.
+    /// GGX α of the upper face, or the name of the layer with the same value: the sample's name, for its lower face.
     #[serde(default)]
     pub roughness: LayerNumber,
 }
@@ -91,14 +92,14 @@ impl TryFrom<SceneFile> for Scene {
         let tables = resolved(file.layers)?;
         let layers = crate::invalid::each("layer", &tables, layer)?;
         let scene = Scene::new(layers, channels, light, sensor, file.multiple_scattering);
-        // In a file it is `[[layer]]` and `[[channel]]`.
+        // The keys in a file are `[[layer]]` and `[[channel]]`.
         let scene = scene.map_err(|e| {
             let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
             e.renamed(field)
         })?;
         let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, &angles)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
-            // Priors have no place of their own in a file.
+            // A file has no list of priors: the error names the key of the standard error instead.
             let index = e.field().split(['[', ']']).nth(1).and_then(|i| i.parse::<usize>().ok());
             let key = index.and_then(|i| keys.get(i).cloned());
             let field = key.unwrap_or_else(|| e.field().to_owned());
@@ -224,7 +225,7 @@ mod tests {
         }
     }
 
-    /// The lower face of the sample has the sample's roughness, by its name.
+    /// The roughness of the sample's lower face may refer to the sample by name.
     #[test]
     fn roughness_may_be_that_of_another_layer() {
         let text = "[[layer]]\nname = 'resin'\nsample = true\nior = { std_error = 0.02 }\n\

@@ -1,5 +1,5 @@
-//! Answers of the fit. They have no rules to keep, so that all that shows them takes them as they are: `farmctl --json`
-//! serialises them, and pictures are drawn of them.
+//! Answers of the fit. They have no invariants, so their fields are public: `farmctl --json` serialises them, and figures
+//! are drawn from them.
 //!
 //! Names and order of the fields are those of `farmctl/1`. A number that is not finite becomes null.
 
@@ -29,17 +29,17 @@ pub struct Candidate {
     pub medium: Medium,
     pub sample_ior: f64,
     /// Eq. 1: Σ over thicknesses of value_rms + λ · gradient_rms. With the likelihood: root mean square of the residuals
-    /// over their noise, the set-up at its likeliest.
+    /// over their noise, with the nuisances of the set-up at their estimates.
     pub error: f64,
     pub thicknesses: Vec<ThicknessError>,
 }
 
-/// Where a quantity lies with a confidence of 95 %.
+/// The 95 % confidence interval of a quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Interval {
     pub low: f64,
     pub high: f64,
-    /// The data allow still lower values; `low` is only where the dictionary or the given bounds end.
+    /// The data allow still lower values; `low` is merely the end of the dictionary or of the given bounds.
     pub open_low: bool,
     /// The same for higher values.
     pub open_high: bool,
@@ -51,7 +51,7 @@ impl Interval {
     }
 }
 
-/// The maximum of the likelihood between the records, and how sure it is.
+/// The maximum of the likelihood between the records, and its uncertainty.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[expect(clippy::struct_excessive_bools, reason = "they are fields of farmctl/1")]
 pub struct Refined {
@@ -60,10 +60,10 @@ pub struct Refined {
     /// Whether the data determine σ_t and the albedo: their intervals are bounded, and span no more than a factor of 2 in
     /// σ_t and 0.2 in the albedo.
     pub resolved: bool,
-    /// Whether they would with g held at its best value. If this alone is true, g is open: σ_t and the albedo hold
-    /// together with this g only.
+    /// Whether the data would determine them with g held at its best value. If this alone is true, g is open: σ_t and the
+    /// albedo are valid together with this g only.
     pub resolved_at_g: bool,
-    /// σ_t and g trade off along media that similarity theory calls equal: neither is known on its own.
+    /// σ_t and g trade off along media that are equivalent by similarity theory: neither is determined on its own.
     pub valley: bool,
     #[serde(rename = "sigma_t_interval")]
     pub sigma_t_per_mm: Interval,
@@ -71,10 +71,10 @@ pub struct Refined {
     pub albedo: Interval,
     #[serde(rename = "g_interval")]
     pub g: Interval,
-    /// Reduced scattering coefficient σ_s (1 − g), which similarity theory leaves alone.
+    /// Reduced scattering coefficient σ_s (1 − g), invariant under similarity theory.
     #[serde(rename = "reduced_scattering_interval")]
     pub reduced_scattering_per_mm: Interval,
-    /// Absorption coefficient σ_t (1 − α), which similarity theory leaves alone.
+    /// Absorption coefficient σ_t (1 − α), invariant under similarity theory.
     #[serde(rename = "absorption_interval")]
     pub absorption_per_mm: Interval,
     /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)), row by row; zeros where a parameter was held, or came from mixtures.
@@ -107,22 +107,22 @@ impl Refined {
 /// Results of the likelihood for a channel's profiles, in addition to the medium.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Likelihood {
-    /// Sum of the squares of the residuals over their noise, outliers left out, and of the deviations of what is wrong
-    /// with the set-up from what was known of it.
+    /// Sum of the squares of the residuals over their noise, outliers left out, and of the deviations of the nuisances
+    /// from their priors.
     pub chi2: f64,
     /// Pixels less parameters of the medium.
     pub degrees_of_freedom: f64,
     /// Probability that noise alone makes χ² as large.
     pub probability: f64,
-    /// What is wrong with the set-up, as estimated.
+    /// Estimated nuisances of the set-up.
     pub nuisances: Vec<NuisanceEstimate>,
     /// Pixels that do not belong to the profile: dust, scratches, bubbles.
     pub outliers: Vec<OutlierPixel>,
-    /// Where along x neighbouring pixels deviate together by more than noise explains.
+    /// Ranges of x in which neighbouring pixels deviate together by more than noise explains.
     pub stretches: Vec<Stretch>,
-    /// The least errors that these pixels allow.
+    /// The Cramér–Rao bound of these pixels.
     pub bound: Bound,
-    /// What the variances of the medium are made of; empty if the data determine nothing.
+    /// Error budget of the medium; empty if the data determine nothing.
     pub budget: Vec<SourceShare>,
     /// Uncertain quantities of the scene, as estimated; empty if it was taken as exact.
     pub scene: Vec<SceneEstimate>,
@@ -131,11 +131,11 @@ pub struct Likelihood {
 /// Prior and estimate of an uncertain quantity of the scene, in its unit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SceneEstimate {
-    /// As `gel thickness`.
+    /// Name, such as `gel thickness`.
     pub quantity: String,
     /// `mm`, `°`, or nothing for pure numbers.
     pub unit: String,
-    /// What has this value.
+    /// The scope within which the quantity has this value.
     pub scope: Scope,
     /// The slab that it belongs to, by its nominal thickness.
     pub slab_mm: Option<f64>,
@@ -144,12 +144,12 @@ pub struct SceneEstimate {
     /// Mean of its prior: the scene's value.
     pub prior: f64,
     pub prior_std_error: f64,
-    /// The estimate lies where the responses end: the truth may lie beyond.
+    /// The estimate lies at the end of the range of the responses: the true value may lie beyond it.
     pub at_end: bool,
 }
 
 impl SceneEstimate {
-    /// Distance from the prior in its standard deviations from which on the scene is in doubt.
+    /// Distance from the prior, in its standard deviations, above which the scene is in doubt.
     pub const CONFLICT: f64 = 3.0;
 
     /// Whether the data contradict the prior.
@@ -170,7 +170,7 @@ pub enum Nuisance {
     /// Thickness of a slab in mm.
     #[serde(rename = "thickness_mm")]
     Thickness,
-    /// Where the edge lies in a profile, in mm.
+    /// Position of the edge in a profile, in mm.
     #[serde(rename = "origin_mm")]
     Origin,
     /// The profile's values are too large by this share.
@@ -213,8 +213,8 @@ pub struct Stretch {
     pub deviation: f64,
 }
 
-/// The Cramér–Rao bound: intervals of 95 % about the optimum that an ideal estimate would have, with the noise of the
-/// pixels and what is known of the set-up, and a dictionary without noise. Infinite ends are null in JSON.
+/// The Cramér–Rao bound: 95 % intervals about the optimum that an ideal estimator would have, given the noise of the
+/// pixels, the priors of the set-up and a dictionary without noise. Infinite ends are null in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bound {
     pub sigma_t_per_mm: Ends,
@@ -234,19 +234,19 @@ pub struct Ends {
 /// Misfit above which a fit is reported not to explain its measurement.
 pub const MISFIT: f64 = 2.0;
 
-/// The likeliest single reason why a fit leaves more than noise explains.
+/// The likeliest single cause of residuals beyond the noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Suspicion {
     pub cause: Cause,
     /// The profile concerned; none if all are.
     pub thickness_mm: Option<f64>,
-    /// How much, in the unit of the cause.
+    /// Amount in the unit of the cause.
     pub amount: f64,
     /// The misfit that would be left without it.
     pub misfit_left: f64,
 }
 
-/// What may be wrong with a measurement, or with the scene that it is compared with.
+/// A possible fault of a measurement, or of the scene that it is compared with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cause {
@@ -287,7 +287,7 @@ pub struct Curve {
     pub gradient: Vec<f64>,
 }
 
-/// What was compared at one thickness.
+/// The curves compared at one thickness.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FitCurves {
     pub thickness_mm: f64,
@@ -307,7 +307,7 @@ pub struct ChannelFit {
     pub candidates: Vec<Candidate>,
     pub refined: Option<Refined>,
     pub outside: Option<Outside>,
-    /// One per thickness, if asked for.
+    /// One per thickness, if requested.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub curves: Vec<FitCurves>,
 }
@@ -327,7 +327,7 @@ pub struct ScalePoint {
     pub error: f64,
 }
 
-/// How well all materials are explained with one anisotropy.
+/// The error of all materials at one anisotropy.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GError {
     pub g: f64,
@@ -336,7 +336,7 @@ pub struct GError {
     pub error: f64,
     /// The scale factor that would be the best with this anisotropy.
     pub best_mu: f64,
-    /// The error there.
+    /// The error at `best_mu`.
     pub best_mu_error: f64,
 }
 
@@ -359,7 +359,7 @@ pub struct ScaleCurve {
     pub points: Vec<ScalePoint>,
 }
 
-/// What all channels of a set of materials share, chosen by refined fits of all of them.
+/// The parameters that all channels of a set of materials share, chosen by refined fits of all of them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Common {
     pub mu: f64,
@@ -400,7 +400,7 @@ pub struct DistanceMap {
     pub layers: Vec<MapLayer>,
 }
 
-/// A layer tells its anisotropy once.
+/// Serialises a medium without its anisotropy, which the layer already contains.
 #[expect(clippy::ref_option, reason = "serde passes the field as it is")]
 fn without_g<S: Serializer>(medium: &Option<Medium>, serializer: S) -> Result<S::Ok, S::Error> {
     #[derive(Serialize)]

@@ -1,4 +1,4 @@
-//! The error budget of a medium: sources of error, and the shares of its variances that they make.
+//! The error budget of a medium: sources of error, and their shares of its variances.
 
 use serde::Serialize;
 
@@ -24,19 +24,19 @@ pub enum ErrorSource {
     Slope,
     /// Factor common to all profiles, μ.
     Scale,
-    /// All that errs in other channels and materials, through what they share with this one.
+    /// Errors of other channels and materials, through the parameters that they share with this one.
     OtherChannels,
     /// The anisotropy, which the data have to determine as well.
     G,
     /// An uncertain quantity of the scene.
     Scene,
-    /// One that this version does not have.
+    /// A source that this version does not have.
     Unknown,
 }
 
-/// Shares of the variances of ln σ_t, √(1 − α), ln σ_s(1 − g) and √σ_a that a source makes: those of all sources add up
-/// to 1. They are (response of the estimate to the source × standard error of the source)² with g held; the share of g is
-/// what the variance grows by as g is left free.
+/// Shares of the variances of ln σ_t, √(1 − α), ln σ_s(1 − g) and √σ_a that are due to a source: the shares of all
+/// sources add up to 1. They are (response of the estimate to the source × standard error of the source)² with g held;
+/// the share of g is the growth of the variance when g is left free.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SourceShare {
     pub source: ErrorSource,

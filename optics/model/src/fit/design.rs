@@ -44,7 +44,7 @@ impl PixelRow {
         self.pitch_mm
     }
 
-    /// Whole pixels that have room.
+    /// Number of whole pixels that fit.
     pub fn count(&self) -> usize {
         // Rounding of decimals must not cost a pixel.
         ((self.to_mm - self.from_mm) / self.pitch_mm + 1e-6) as usize
@@ -56,18 +56,18 @@ impl PixelRow {
     }
 }
 
-/// What a [`DesignQuestion`] is made of, not yet checked.
+/// The parts of a [`DesignQuestion`], not yet checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DesignSettings {
     /// None for the dictionary's first.
     pub channel: Option<String>,
-    /// A guess: the precision depends on the medium.
+    /// Assumed medium, on which the precision depends.
     pub medium: Medium,
     /// One of the dictionary's; none for its first.
     pub sample_ior: Option<f64>,
     /// Thicknesses in mm of the slabs of each set; empty for all sets of one to three of the dictionary's thicknesses.
     pub slab_sets: Vec<Vec<f64>>,
-    /// How often every slab is photographed: each number is tried with every set.
+    /// Numbers of photographs of each slab: each number is tried with every set.
     pub shots: Vec<u32>,
     /// Standard error of one pixel of one photograph, as a share of its value.
     pub noise: f64,
@@ -75,7 +75,7 @@ pub struct DesignSettings {
     pub noise_floor: f64,
     /// None for the dictionary's pixels.
     pub pixels: Option<PixelRow>,
-    /// What is known of the set-up. What concerns the search does not matter.
+    /// The priors of the set-up. Settings of the search are ignored.
     pub set_up: FitOptions,
     /// The factor common to all profiles, μ, has no prior: the measurement has to determine it.
     pub mu_free: bool,
@@ -99,7 +99,7 @@ impl DesignSettings {
     }
 }
 
-/// Checked: which slabs are worth photographing, and how often?
+/// A checked question for the slabs worth photographing and the number of photographs of each.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DesignQuestion(DesignSettings);
 
@@ -148,8 +148,8 @@ impl DesignQuestion {
     }
 }
 
-/// Half of the widths of intervals that hold the truth with a probability of 95 %. What the pixels do not tell is
-/// infinite, and null in JSON; what the dictionary has one value of only is 0.
+/// Half-widths of 95 % confidence intervals. They are infinite, and null in JSON, for quantities that the pixels do not
+/// determine, and 0 for quantities of which the dictionary has one value only.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct HalfWidths {
     pub sigma_t_per_mm: f64,
@@ -193,7 +193,7 @@ fn share(half_width: f64, value: f64) -> f64 {
     if half_width == 0.0 { 0.0 } else { half_width / value }
 }
 
-/// What limits the precision of a measurement.
+/// A limitation of the precision of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limitation {
@@ -229,16 +229,17 @@ pub struct Improvement {
     pub quantity: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub unit: Option<String>,
-    /// As it is: the noise of one photograph's pixels as a share, or what is known of the set-up. None if nothing is.
+    /// The present one: the noise of one photograph's pixels as a share, or the prior of the set-up. None if nothing is
+    /// known.
     pub std_error: Option<f64>,
     /// With half the standard error (for noise: with four times the shots); none if nothing is known.
     pub halved: Option<HalfWidths>,
-    /// If it were known exactly; none for noise, which never ends.
+    /// With the quantity known exactly; none for noise, which cannot be removed.
     pub removed: Option<HalfWidths>,
 }
 
 impl Improvement {
-    /// The most that can be hoped for.
+    /// The best precision that can be achieved.
     pub fn best(&self) -> HalfWidths {
         self.removed.or(self.halved).unwrap_or(HalfWidths::UNKNOWN)
     }
@@ -250,7 +251,7 @@ pub struct SlabSet {
     pub slabs_mm: Vec<f64>,
     /// Photographs of each slab.
     pub shots: u32,
-    /// The anisotropy being known.
+    /// With a known anisotropy.
     pub g_held: HalfWidths,
     /// With g fitted to the same pixels; none if the dictionary has one only.
     pub g_free: Option<HalfWidths>,
@@ -267,7 +268,8 @@ impl SlabSet {
     }
 }
 
-/// How well sets of slabs would determine a medium: Cramér–Rao bounds, which no estimate without bias undercuts.
+/// The precision with which sets of slabs would determine a medium: Cramér–Rao bounds, the lower limit for unbiased
+/// estimators.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Design {
     pub channel: String,

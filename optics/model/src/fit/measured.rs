@@ -2,20 +2,20 @@
 
 use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve};
 
-/// Two-sided 95 % of the normal distribution.
+/// Two-sided 95 % quantile of the normal distribution.
 pub const Z: f64 = 1.959_964;
 
-/// What was found for a set of materials.
+/// The results for a set of materials.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// The search of Eq. 3; none if the scale factor was given, or if the likelihood was maximised, which estimates it.
     pub scale: Option<ScaleCurve>,
-    /// What was chosen for all channels.
+    /// The parameters chosen for all channels.
     pub common: Common,
     pub materials: Vec<MaterialFit>,
 }
 
-/// How the scale factor and the anisotropy are found.
+/// The plan for finding the scale factor and the anisotropy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasurePlan {
     /// Scale factors to search; none to take that of the options.

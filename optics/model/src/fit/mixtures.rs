@@ -9,7 +9,7 @@ use super::answer::{Common, Interval, MaterialFit, Refined};
 use crate::invalid::{Invalid, Result};
 use crate::medium::Medium;
 
-/// By how much volume fractions may miss a sum of 1: decimals in files are rounded.
+/// Largest deviation of a sum of volume fractions from 1: decimals in files are rounded.
 const ROUNDED: f64 = 0.005;
 
 /// One ink in a mixture.
@@ -60,7 +60,7 @@ impl Mixture {
             }
             all.push(MixturePart { ink, volume_fraction });
         }
-        // The sum of nothing is −0.
+        // An empty sum is −0.
         let sum = 0.0 + all.iter().map(|p| p.volume_fraction).sum::<f64>();
         if (sum - 1.0).abs() > ROUNDED {
             let given = format!("a sum of {sum:.6}");
@@ -132,15 +132,15 @@ impl Mixtures {
 /// The joint solution for pure inks and their mixtures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Unmixed {
-    /// What all channels share, from pure inks and mixtures.
+    /// The parameters that all channels share, from pure inks and mixtures.
     pub common: Common,
     pub inks: Vec<InkFit>,
-    /// Pure inks among them.
+    /// The fits of mixtures, pure inks included.
     pub mixtures: Vec<MixtureFit>,
 }
 
 impl Unmixed {
-    /// Replaces what an ink's own slabs leave undetermined by the joint solution.
+    /// Replaces the results that an ink's own slabs leave undetermined by those of the joint solution.
     pub fn replace(&self, materials: &mut [MaterialFit]) {
         for ink in &self.inks {
             let Some(material) = materials.iter_mut().find(|m| m.material == ink.material) else { continue };
@@ -161,7 +161,7 @@ pub struct InkFit {
     pub channels: Vec<InkChannel>,
 }
 
-/// An ink in one channel. Ends that are open are where the search ended: the data allow what lies beyond.
+/// An ink in one channel. Open ends of intervals are the limits of the search: the data allow values beyond them.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InkChannel {
     pub channel: String,
@@ -193,12 +193,12 @@ impl InkChannel {
         refined.absorption_per_mm = self.absorption_per_mm;
         (refined.resolved, refined.resolved_at_g) = (self.resolved, self.resolved);
         refined.from_mixtures = true;
-        // Those of the slabs alone are not of this medium.
+        // The values from the slabs alone belong to another medium.
         (refined.covariance, refined.correlation, refined.valley) = ([[0.0; 3]; 3], 0.0, false);
     }
 }
 
-/// How well one channel of a measured material is explained by its inks.
+/// The fit of one channel of a measured material by its inks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct MixtureFit {
     pub material: String,
@@ -210,12 +210,12 @@ pub struct MixtureFit {
     /// None if it was left out.
     #[serde(flatten)]
     pub agreement: Option<Agreement>,
-    /// Why the joint solution does without it.
+    /// The reason for leaving it out of the joint solution.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub left_out: Option<String>,
 }
 
-/// How well profiles agree with their inks.
+/// Agreement of profiles with their inks.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Agreement {
     /// Sum of the squares of the residuals over their noise, and of the deviations of the profiles' set-ups.
@@ -223,8 +223,8 @@ pub struct Agreement {
     pub pixels: f64,
     /// Root mean square of the residuals over their noise: 1 if noise explains all.
     pub misfit: f64,
-    /// By how many of their errors σ_t and α of the inks' medium lie off what these profiles by themselves tell: root
-    /// mean square of the two. A wrong volume fraction shows here.
+    /// Deviation of σ_t and α of the inks' medium from the values that these profiles determine by themselves, in
+    /// standard errors: root mean square of the two. A wrong volume fraction shows here.
     pub pull: f64,
 }
 

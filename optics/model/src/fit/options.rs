@@ -28,8 +28,8 @@ pub enum Wavelet {
 pub enum Objective {
     /// Eq. 1 of the paper: a sum of norms of values and gradients, as if the set-up were perfect but for μ.
     Paper,
-    /// Minus twice the logarithm of the likelihood: residuals over their noise, with all that is wrong with a real
-    /// set-up estimated in addition to the medium.
+    /// Minus twice the logarithm of the likelihood: residuals over their noise, with the nuisances of a real set-up
+    /// estimated in addition to the medium.
     Likelihood,
 }
 
@@ -106,7 +106,7 @@ macro_rules! settings {
             pub sigma_t_per_mm: Bounds,
             pub albedo: Bounds,
             pub g: Bounds,
-            /// How many neighbours are wanted.
+            /// Number of neighbours to return.
             pub top: u32,
             /// Go on from the best record to a continuous optimum with error bars.
             pub refine: bool,
@@ -117,8 +117,8 @@ macro_rules! settings {
 
         impl Default for FitSettings {
             /// The paper's λ = 20, μ = 1, the quadratic spline at level 4, everything free, five neighbours. Each profile's
-            /// scale is known to 0.3 %, and its zero to 0.1 % of white, since no photograph's are known better; the
-            /// thickness as by a micrometer, the edge as by eye, light even to 0.2 % over 10 mm.
+            /// scale is known to 0.3 %, and its zero to 0.1 % of white, the best that photographs allow; the thickness is
+            /// known as by a micrometer, the edge as by eye, and the light is even to 0.2 % over 10 mm.
             fn default() -> Self {
                 Self {
                     lambda: 20.0,
@@ -158,7 +158,7 @@ with_quantities!(options settings);
 pub struct FitOptions(FitSettings);
 
 impl FitSettings {
-    /// The same with the values that a profile has of its own.
+    /// The same settings with the profile's own values where it has any.
     #[must_use]
     pub fn of_profile(mut self, profile: &ProfileSetup) -> Self {
         for (quantity, value) in self.set_up_mut() {

@@ -1,4 +1,4 @@
-//! What a medium looks like by a dictionary: question and answer.
+//! The profiles that a dictionary predicts for a medium: question and answer.
 
 use serde::Serialize;
 
@@ -7,7 +7,7 @@ use crate::invalid::{Invalid, Result};
 use crate::medium::{Medium, check_ior, check_thickness};
 use crate::scene::MAX_CHANNELS;
 
-/// What would a slab of this medium look like over the edge?
+/// A question for the profiles of a slab of this medium over the edge.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProfileQuestion {
     medium: Medium,
@@ -17,8 +17,8 @@ pub struct ProfileQuestion {
 }
 
 impl ProfileQuestion {
-    /// `sample_ior` is one of the dictionary's; none for its first. No channels stand for the
-    /// dictionary's first.
+    /// `sample_ior` is one of the dictionary's; none for its first. An empty list of channels selects the dictionary's
+    /// first.
     pub fn new(
         medium: Medium,
         thickness_mm: f64,
@@ -60,8 +60,8 @@ pub struct PredictedProfiles {
     pub medium: Medium,
     pub thickness_mm: f64,
     pub sample_ior: f64,
-    /// Whether the dictionary has a record of this medium and thickness; otherwise it lies between records. The values are
-    /// the model's, which averages the noise of records about, in either case.
+    /// Whether the dictionary has a record of this medium and thickness; otherwise it lies between records. In either
+    /// case the values come from the model, which averages the noise of neighbouring records.
     pub recorded: bool,
     pub pixels: PixelRow,
     pub channels: Vec<PredictedChannel>,
@@ -73,8 +73,8 @@ pub struct PredictedChannel {
     pub channel: String,
     /// Radiance factors.
     pub values: Vec<f64>,
-    /// What the records' noise does to the values, as at the nearest of the dictionary's thicknesses; none if there are too
-    /// few records are near.
+    /// Standard errors of the values due to the records' noise, at the nearest of the dictionary's thicknesses; none if
+    /// too few records are near.
     pub std_errors: Option<Vec<f64>>,
     /// Derivatives of the values by x in 1/mm, by the paper's wavelet, half a pixel to the right of each pixel's centre.
     pub gradient: Vec<f64>,

@@ -1,14 +1,15 @@
-//! How many walks the transport points of a grid begin with: a number, or what a level of noise needs.
+//! Sets the number of walks that the transport points of a grid begin with: a given number, or as many as a level of
+//! noise needs.
 
 use super::{BATCH_WALKS, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::medium::TransportPoint;
 
-/// How quiet records are to be.
+/// Level of the noise of records.
 ///
-/// The paper's own level is the noise of its 250,000 samples of a path tracer a pixel. What such a sample varies by is
-/// known exactly, see `docs/design/estimator.md`: at an albedo α and reflectances ρ its variance is F(α², ρ²)/Δ − F(α, ρ)²,
-/// F being the profile and Δ the ring's measure.
+/// The paper's own level is the noise of its path tracer with 250,000 samples per pixel. The variance of such a sample is
+/// known exactly, see `docs/design/estimator.md`: at an albedo α and reflectances ρ it is F(α², ρ²)/Δ − F(α, ρ)², F being
+/// the profile and Δ the ring's measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoiseLevel {
     /// A tenth of the work: errors three times as large.
@@ -36,17 +37,17 @@ impl NoiseLevel {
 
     /// Walks that the noisiest record of a point needs, which is the brightest.
     ///
-    /// Found by tracing: in units of the paper's variance, that of a walk depends on nothing but the optical thickness to
-    /// speak of, as (τ + 1.3)/(τ + 3).
+    /// Found by tracing: in units of the paper's variance, the variance of a walk depends practically on the optical
+    /// thickness alone, as (τ + 1.3)/(τ + 3).
     pub fn walks(self, point: &TransportPoint) -> Walks {
-        // Part of the physics version: what a level means is not in a grid's digest.
+        // Part of the physics version: the walks of a level are not in a grid's digest.
         const OF_THICK: f64 = 53_000.0;
         let share = match self {
             Self::Draft => 0.1,
             Self::Paper => 1.0,
             Self::Fine => 10.0,
         };
-        // In single precision, as points that share their walks have it in common.
+        // In single precision, in which points that share their walks have the same value.
         let tau = f64::from(point.walked_slab().optical_thickness);
         let walks = share * OF_THICK * (tau + 1.3) / (tau + 3.0);
         let batches = (walks / BATCH_WALKS as f64).ceil() as u64;
@@ -54,7 +55,7 @@ impl NoiseLevel {
     }
 }
 
-/// What the points of a grid get, or begin with if there is a target for their error.
+/// The effort for the points of a grid, or their initial effort if there is a target for their error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
     /// The same for all.
@@ -97,7 +98,7 @@ mod tests {
         assert_eq!([0.5, 2.0, 30.0].map(|tau| walks(NoiseLevel::Paper, tau)), [27_500, 35_000, 50_500]);
         assert_eq!(walks(NoiseLevel::Draft, 2.0), 3_500);
         assert_eq!(walks(NoiseLevel::Fine, 2.0), 350_000);
-        // The thinnest and the thickest that there are.
+        // A very thin and a very thick sample.
         assert_eq!([1e-4, 1e4].map(|tau| walks(NoiseLevel::Draft, tau)), [2_500, 5_500]);
     }
 

@@ -1,4 +1,4 @@
-//! The numbering of a grid's jobs and records: those of the axes first, then those of the responses.
+//! Numbers a grid's jobs and records: first those of the axes, then those of the responses.
 
 use std::sync::Arc;
 
@@ -36,7 +36,7 @@ impl Grid {
         self.job_count() * self.albedo().len()
     }
 
-    /// What a job of the responses computes; None for those of the axes.
+    /// The variant and the nominal job of a job of the responses; None for jobs of the axes.
     pub fn response_of(&self, job: usize) -> Option<ResponseJob> {
         let responses = self.responses()?;
         let index = job.checked_sub(self.nominal_jobs())?;
@@ -130,7 +130,7 @@ impl Grid {
         job * self.albedo().len()
     }
 
-    /// What a record was computed for: its transport point and medium.
+    /// The transport point and the medium of a record.
     pub fn parameters(&self, record: usize) -> (TransportPoint, Medium) {
         let point = self.point(record / self.albedo().len());
         let albedo = self.albedo()[record % self.albedo().len()];

@@ -1,4 +1,4 @@
-//! How much a grid makes a coordinator hold.
+//! Limits the number of parts of a grid that a coordinator keeps account of.
 
 use std::num::NonZero;
 
@@ -9,8 +9,8 @@ use crate::invalid::{Invalid, Result};
 pub const MAX_PARTS: u64 = 1_000_000;
 
 impl Grid {
-    /// Whether a coordinator takes it: its jobs have at most [`MAX_PARTS`] parts, also once they are traced with as many
-    /// walks as a target error allows.
+    /// Refuses a grid that is too large for a coordinator: its jobs may have at most [`MAX_PARTS`] parts, also when they
+    /// are traced with as many walks as a target error allows.
     ///
     /// Not a rule of [`Self::new`]: older grids beyond this limit can still be listed and deleted.
     pub fn check_parts(&self) -> Result<()> {

@@ -1,10 +1,10 @@
-//! How profiles change with the uncertain quantities of a scene: some transport points of a grid are traced again in
-//! scenes in which one quantity has another value.
+//! Plans the responses of profiles to the uncertain quantities of a scene: some transport points of a grid are traced
+//! again in scenes in which one quantity has another value.
 //!
 //! They have the seeds of the grid's own points, so that both follow the same random walks as far as possible: the
-//! difference of two such records has little noise. It is smooth in σ_t and g, so every few nodes of these axes will do.
-//! Where a quantity changes what becomes of a walk, differences are noisy all the same: such variants have several times
-//! the walks, and so has a *baseline*, the scene itself at the same nodes, that their records are compared with.
+//! difference of two such records has little noise. It is smooth in σ_t and g, so every few nodes of these axes suffice.
+//! Where a quantity changes the course of a walk, differences are noisy nevertheless: such variants have several times
+//! the walks, and so has the *baseline* that their records are compared with, the scene itself at the same nodes.
 
 use std::sync::Arc;
 
@@ -15,11 +15,11 @@ use crate::scene::{Channel, Scene};
 
 /// Widest ratio of two extinctions of the responses, unless the grid's are farther apart.
 const SIGMA_T_RATIO: f64 = 2.0;
-/// Most anisotropies.
+/// Most anisotropies of the responses.
 const MOST_G: usize = 3;
 /// Walks of the baseline and of the variants compared with it, over those of the grid's own points.
 const WALKS_FACTOR: u32 = 3;
-/// Most that is accepted.
+/// Largest accepted walks factor.
 const MOST_WALKS_FACTOR: u32 = 100;
 
 /// A scene in which one quantity has another value.
@@ -27,13 +27,13 @@ const MOST_WALKS_FACTOR: u32 = 100;
 pub struct Variant {
     /// Index into the scene's priors.
     pub prior: usize,
-    /// By how much the quantity is larger.
+    /// Difference of the quantity from the scene's value.
     pub step: f64,
-    /// The base as its photographs without a slab then show it: its ρ follow from these, through the scene.
+    /// The channels of the base in the varied scene: their ρ follow from photographs without a slab, through that scene.
     pub channels: Vec<Channel>,
 }
 
-/// The variants of a grid's scene, and the places of the axes at which they are traced.
+/// The variants of a grid's scene, and the nodes of the axes at which they are traced.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Responses {
     variants: Vec<Variant>,
@@ -41,12 +41,12 @@ pub struct Responses {
     sigma_t: Vec<usize>,
     g: Vec<usize>,
     walks_factor: u32,
-    /// By variant.
+    /// Whether each variant is compared with the baseline.
     by_baseline: Vec<bool>,
 }
 
 impl Responses {
-    /// For all uncertain quantities of a scene; None if there are none. `base` gives the channels of a varied scene.
+    /// For all uncertain quantities of a scene; None if there are none. `base` returns the channels of a varied scene.
     pub fn of(
         scene: &Scene,
         axes: &Axes,
@@ -65,7 +65,7 @@ impl Responses {
         Self::new(scene, axes, variants, WALKS_FACTOR).map(Some)
     }
 
-    /// From variants: every step of every prior of the scene, in their order. Without a baseline for a factor of 1.
+    /// From variants: every step of every prior of the scene, in their order. A factor of 1 needs no baseline.
     pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>, walks_factor: u32) -> Result<Self> {
         if !(1..=MOST_WALKS_FACTOR).contains(&walks_factor) {
             let allowed = format!("allowed are 1 to {MOST_WALKS_FACTOR}");
@@ -127,7 +127,7 @@ impl Responses {
         self.walks_factor
     }
 
-    /// Whether a variant is compared with the baseline: if not, it is with the records of the axes.
+    /// Whether a variant is compared with the baseline instead of the records of the axes.
     pub fn is_by_baseline(&self, variant: usize) -> bool {
         self.by_baseline[variant]
     }
@@ -256,7 +256,7 @@ mod tests {
         }
     }
 
-    /// Variants of another prior are refused, with what is needed.
+    /// Variants of another prior are refused, and so is a varied scene that is out of range.
     #[test]
     fn responses_of_other_priors_are_refused() {
         let grid = lab();

@@ -1,13 +1,14 @@
-//! How many walks a transport point gets: a number, or as many as a target error needs.
+//! Sets the number of walks of a transport point: a given number, or as many as a target error needs.
 
 use crate::invalid::{Invalid, Result};
 use crate::profile::{Estimate, Record};
 
 /// Walks of one batch: the unit of the random streams and of the standard errors.
 pub const BATCH_WALKS: u64 = 500;
-/// Batches of one chunk: what is traced in one go, and shows by its batches how they spread. Part of the physics version.
+/// Batches of one chunk: the unit that is traced in one go and gives the spread of its batches. Part of the physics
+/// version.
 pub const CHUNK_BATCHES: u64 = 25;
-/// Batches of one block: what a divided job's parts trace, each on its own. Part of the physics version, since sums are
+/// Batches of one block: the part of a divided job that is traced on its own. Part of the physics version, since sums are
 /// added up within blocks first.
 pub const BLOCK_BATCHES: u64 = 2000;
 const _: () = assert!(BLOCK_BATCHES.is_multiple_of(CHUNK_BATCHES), "a block holds whole chunks");
@@ -61,7 +62,7 @@ impl Walks {
     }
 }
 
-/// When to stop tracing a transport point: see [`Quality::noise_of`].
+/// The stopping criterion for tracing a transport point: see [`Quality::noise_of`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quality {
     relative_std_error: f64,
@@ -98,10 +99,10 @@ impl Quality {
         profiles.map(|p| noise(&p.radiance_factor)).fold(0.0, f64::max)
     }
 
-    /// How many walks to trace after a round of `walks` that left this noise; None if it is enough.
+    /// Number of walks to trace after a round of `walks` that left this noise; None if no more are needed or allowed.
     ///
-    /// Noise falls with the root of the walks; a tenth is added, so that one more round mostly suffices. The answer
-    /// depends on nothing but the records, so that it is the same everywhere.
+    /// Noise falls with the root of the walks; a tenth is added, so that one more round mostly suffices. The result
+    /// depends on the records alone, so that it is the same on every machine.
     pub fn more_walks(self, walks: Walks, noise: f64) -> Option<Walks> {
         if noise <= self.relative_std_error || walks.get() >= self.max_walks.get() {
             return None;

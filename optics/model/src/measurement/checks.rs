@@ -1,8 +1,8 @@
 //! Checks for mistakes in measured profiles: units, encodings, places, swapped names.
 //!
-//! Each check is numerics over plain arrays. It refuses only what no medium can show, whatever its σ_t, α, g and
-//! thickness; what is merely likely is a warning. `tests/tests/physics/measurement_checks.rs` holds them against traced
-//! media.
+//! Each check works on plain arrays of numbers. It refuses only profiles that no medium can show, whatever its σ_t, α, g
+//! and thickness; a merely likely mistake is a warning. `tests/tests/physics/measurement_checks.rs` verifies the checks
+//! on traced media.
 
 mod edge;
 mod errors;
@@ -14,7 +14,7 @@ mod values;
 use super::{MeasuredProfile, Measurement};
 use trace::Trace;
 
-/// What was found.
+/// The kind of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Kind {
     /// Most of the light side is above 1.5.
@@ -63,11 +63,11 @@ impl Kind {
     }
 }
 
-/// One thing that is wrong, or likely to be.
+/// One mistake, certain or likely.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
     pub kind: Kind,
-    /// No true profile looks like this: do not fit it. Otherwise a warning.
+    /// No true profile looks like this: it must not be fitted. Otherwise a warning.
     pub certain: bool,
     /// Index of the material.
     pub material: usize,
@@ -75,11 +75,11 @@ pub struct Finding {
     pub profile: usize,
     /// The pixel that shows it best.
     pub pixel: Option<usize>,
-    /// What was seen, its likely cause, and what to do.
+    /// The observation, its likely cause and the remedy.
     pub text: String,
 }
 
-/// A finding before it is known whose it is.
+/// A finding without its material and profile.
 #[derive(Debug, Clone, PartialEq)]
 struct Seen {
     kind: Kind,
@@ -107,7 +107,7 @@ impl Seen {
     }
 }
 
-/// Looks through measurements; findings come in the order of the profiles, those about pairs of profiles last.
+/// Checks measurements; findings are in the order of the profiles, those about pairs of profiles last.
 pub fn check(materials: &[Measurement]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (m, material) in materials.iter().enumerate() {
@@ -116,7 +116,7 @@ pub fn check(materials: &[Measurement]) -> Vec<Finding> {
         }
     }
     for (m, material) in materials.iter().enumerate() {
-        // A profile that is wrong by itself explains what is wrong in its pairs.
+        // A profile that is wrong by itself explains the findings of its pairs.
         let sound = |p: usize| !findings.iter().any(|f| f.material == m && f.profile == p);
         let sound: Vec<bool> = (0..material.profiles().len()).map(sound).collect();
         findings.extend(pairs::of_material(m, material.profiles(), &sound));
@@ -125,7 +125,7 @@ pub fn check(materials: &[Measurement]) -> Vec<Finding> {
     findings
 }
 
-/// The checks of one profile. Those of its shape need sound numbers.
+/// The checks of one profile. The checks of its shape need sound numbers.
 fn alone(profile: &MeasuredProfile) -> Vec<Seen> {
     let (x, values) = (profile.x_mm(), profile.values());
     let mut seen: Vec<Seen> =

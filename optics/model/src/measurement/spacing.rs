@@ -1,17 +1,18 @@
-//! Pixels at a constant pitch, also where decimals are rounded.
+//! Checks that pixels have a constant pitch, and restores it where decimals are rounded.
 
 use super::pitch;
 use crate::invalid::{Invalid, Result};
 
-/// How far a step may differ from the mean one.
+/// Largest deviation of a step from the mean one, as a share of it.
 const UNEVEN: f64 = 0.02;
 /// Most decimals that count as rounded.
 const DECIMALS: i32 = 6;
-/// How far a rounded place may lie from the line through all, in units of its last digit: half a unit, and what the line
-/// turns by where halves were rounded away from 0.
+/// Largest distance of a rounded position from the line through all, in units of its last digit: half a unit, and the
+/// tilt of the line where halves were rounded away from 0.
 const ROUNDED: f64 = 1.25;
 
-/// Even places. Those that are rounded to few decimals lie on a line by less than the last digit, and are put on it.
+/// Evenly spaced positions. Positions rounded to few decimals lie on a line to within about their last digit, and are
+/// moved onto it.
 pub(super) fn even(x: Vec<f64>) -> Result<Vec<f64>> {
     if let Some(i) = x.iter().position(|v| !v.is_finite()) {
         return Err(Invalid::new(format!("x_mm[{i}]"), x[i], "numbers must be finite"));
@@ -30,7 +31,7 @@ pub(super) fn even(x: Vec<f64>) -> Result<Vec<f64>> {
     })
 }
 
-/// The line of least squares through rounded places, if they are.
+/// The least-squares line through positions, if they are rounded.
 fn unrounded(x: &[f64]) -> Option<Vec<f64>> {
     let unit = last_digit(x)?;
     let n = x.len() as f64;

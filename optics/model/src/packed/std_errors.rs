@@ -1,12 +1,13 @@
-//! Standard errors in a byte each.
+//! Encodes standard errors in one byte each.
 //!
-//! A standard error comes from some hundred batches and is itself good to 7 %, so 32 bits are more precise than it is.
-//! Here it has one of some hundred *grades*, sixteen to an octave: the rounding is within ±3 %, ±1.3 % as a root mean
-//! square.
+//! A standard error comes from some hundred batches and is itself accurate to 7 %, so 32 bits are more precise than it
+//! is. Here it is rounded to one of some hundred *grades*, sixteen to an octave: the rounding is within ±3 %, ±1.3 % as a
+//! root mean square.
 //!
-//! The grade is the upper 12 bits of the 32-bit float, rounded: its exponent and four more. An estimate's errors are the
-//! largest grade in two bytes, little endian, and a byte for each pixel: 255 less the grades that its error lies below the
-//! largest, or 0 if there is no error at all. What lies more than 254 grades below, 16 octaves, is rounded up to that.
+//! The grade is the upper 12 bits of the 32-bit float, rounded: its exponent and four more. An estimate's errors are
+//! encoded as the largest grade in two bytes, little endian, and one byte per pixel: 255 less the number of grades by
+//! which the pixel's error lies below the largest, or 0 if the error is 0. Errors more than 254 grades (16 octaves) below
+//! the largest are rounded up to that.
 
 use crate::invalid::{Invalid, Result};
 
@@ -39,7 +40,7 @@ pub(super) fn extend(std_errors: &[f32], bytes: &mut Vec<u8>) {
     bytes.extend(std_errors.iter().map(|error| byte(largest, *error)));
 }
 
-/// The errors that [`extend`] wrote; refused if it cannot have written this.
+/// Decodes errors; refused if [`extend`] cannot have written these bytes.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<f32>> {
     let (largest, of_pixels) = split(bytes);
     if !is_sound(bytes) {
@@ -51,11 +52,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<f32>> {
     Ok(of_pixels.iter().map(|byte| number(largest, *byte)).collect())
 }
 
-/// Whether [`extend`] can have written this: it writes the same errors in one way alone.
+/// Whether [`extend`] can have written these bytes: the encoding of errors is unique.
 pub(super) fn is_sound(bytes: &[u8]) -> bool {
     let (largest, bytes) = split(bytes);
     let most = bytes.iter().fold(0, |most, byte| most.max(*byte));
-    // 0 wraps around, so that it is left out.
+    // 0 wraps around to the largest byte, which leaves it out of the minimum.
     let least = bytes.iter().fold(u8::MAX, |least, byte| least.min(byte.wrapping_sub(1)));
     if largest == 0 {
         return most == 0;
@@ -70,7 +71,7 @@ fn split(bytes: &[u8]) -> (u32, &[u8]) {
 }
 
 fn grade(error: f32) -> u32 {
-    // Bits of positive floats rise with them.
+    // The bits of positive floats are ordered like the floats.
     let rounded = (error.to_bits() + (1 << (LEFT_OUT - 1))) >> LEFT_OUT;
     if error > 0.0 { rounded.clamp(1, MOST) } else { 0 }
 }

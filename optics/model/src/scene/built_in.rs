@@ -1,4 +1,4 @@
-//! Scenes that have a name: the paper's set-up, the same as a laboratory has it, and one with exact solutions.
+//! Defines the built-in scenes: the paper's set-up, the same in a real laboratory, and one with exact solutions.
 
 use super::{Channel, Layer, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
 use crate::invalid::Result;
@@ -29,7 +29,7 @@ impl Scene {
         Self::built_in(layers)
     }
 
-    /// The set-up of the paper as a laboratory has it: surfaces lose no light, and numbers that are rarely measured are
+    /// The set-up of the paper in a real laboratory: surfaces lose no light, and numbers that are rarely measured are
     /// uncertain.
     pub fn lab() -> Self {
         use PriorKind::{Index, RingAngle, Roughness, Thickness};

@@ -1,15 +1,15 @@
-//! In which quantities two scenes differ. Each value is a text with its prior.
+//! Lists the quantities in which two scenes differ. Each value is a text with its prior.
 
 use super::{Channel, Layer, Prior, PriorKind, Scene, Scope};
 
 /// A quantity that has another value or another prior in another scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SceneDifference {
-    /// As `gel thickness` or `rho_light of R`.
+    /// Name, such as `gel thickness` or `rho_light of R`.
     pub quantity: String,
-    /// In this scene, with its unit, as `0.02 ± 0.01 mm per slab`.
+    /// Value in this scene with its unit, such as `0.02 ± 0.01 mm per slab`.
     pub own: String,
-    /// In the other scene.
+    /// Value in the other scene.
     pub other: String,
 }
 
@@ -51,7 +51,7 @@ impl Scene {
         all
     }
 
-    /// Layers of one name have their values in one text, from top to bottom; a common value is there once.
+    /// The values of layers of one name are joined in one text, from top to bottom; a common value occurs once.
     fn numbers_of_layers(&self) -> Vec<(String, String)> {
         let mut all: Vec<(String, Vec<String>)> = Vec::new();
         for (i, layer) in self.layers.iter().enumerate() {

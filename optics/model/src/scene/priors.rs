@@ -10,7 +10,7 @@ use crate::invalid::{Invalid, Result};
 /// Most uncertain quantities of a scene.
 pub const MAX_PRIORS: usize = 32;
 
-/// Which number of a scene a quantity is.
+/// The kind of number of an uncertain quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PriorKind {
     /// GGX α of the upper faces of layers.
@@ -43,12 +43,12 @@ impl PriorKind {
         }
     }
 
-    /// As in names of quantities and in messages.
+    /// Name in names of quantities and in messages.
     pub fn name(self) -> &'static str {
         self.row()[0]
     }
 
-    /// Unit of its values, for people; empty for pure numbers.
+    /// Unit of its values, for display; empty for pure numbers.
     pub fn unit(self) -> &'static str {
         self.row()[1]
     }
@@ -58,22 +58,22 @@ impl PriorKind {
         self.row()[2]
     }
 
-    /// Whether a walk takes another way where the quantity has another value. What only shifts walks or changes the light
-    /// on them leaves them as they are, and differences have little noise.
+    /// Whether a walk takes another course when the quantity has another value. Quantities that only shift walks or
+    /// change their light leave the course unchanged, and differences have little noise.
     pub fn redraws_walks(self) -> bool {
         matches!(self, Self::Roughness | Self::Index)
     }
 }
 
-/// What has one value of a quantity.
+/// The scope within which a quantity has one value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scope {
     /// All photographs with one set-up.
     Session,
-    /// Every slab has its own: each is mounted by itself.
+    /// One slab: each is mounted separately.
     Slab,
-    /// All slabs of a material: they are cut and polished alike.
+    /// All slabs of a material: they are cut and polished in the same way.
     Material,
 }
 
@@ -99,8 +99,8 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// `layers` are the indices of those whose number it is; none for angles. Whether they exist and agree is checked by
-    /// [`Scene::with_priors`].
+    /// `layers` are the indices of the layers that the number belongs to; none for angles. [`Scene::with_priors`] checks
+    /// that they exist and agree.
     pub fn new(kind: PriorKind, layers: Vec<usize>, std_error: f64, scope: Scope) -> Result<Self> {
         if std_error.is_finite() && std_error > 0.0 {
             Ok(Self { kind, layers, std_error, scope })
@@ -129,13 +129,13 @@ impl Prior {
         self.scope
     }
 
-    /// Whether it is the refractive index of the sample, which the grid has and not the scene.
+    /// Whether it is the refractive index of the sample, which belongs to the grid, not to the scene.
     pub fn is_sample_index(&self, scene: &Scene) -> bool {
         self.kind == PriorKind::Index && self.layers.iter().all(|i| *i == scene.sample_layer())
     }
 
-    /// Differences from the scene's value at which profiles are traced: two for a response of second order, or one for a
-    /// first-order response of what hardly bends.
+    /// Differences from the scene's value at which profiles are traced: two for a second-order response, or one for a
+    /// first-order response where profiles are nearly linear in the quantity.
     ///
     /// Roughnesses and thicknesses above 0 stay above 0.
     pub fn steps(&self, scene: &Scene) -> Vec<f64> {
@@ -147,7 +147,7 @@ impl Prior {
         match self.kind {
             PriorKind::Thickness if value == 0.0 => vec![sd, 2.5 * sd],
             PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
-                // Profiles follow a thickness over a longer way than a roughness.
+                // The responses hold over a wider range of thickness than of roughness.
                 let most =
                     if self.kind == PriorKind::Roughness { (2.0 * sd).min(1.0 - value) } else { 4.0 * sd };
                 vec![-(2.0 * sd).min((1.0 - LEAST) * value), most]
@@ -169,7 +169,7 @@ impl Prior {
 
     /// Least and greatest difference from the scene's value for which the responses hold.
     pub fn range(&self, scene: &Scene) -> (f64, f64) {
-        /// Standard deviations over which responses without a bend hold, or with a slight one.
+        /// Standard deviations over which responses with little or no bend hold.
         const FAR: f64 = 5.0;
         match (self.kind, &self.steps(scene)[..]) {
             (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
@@ -208,7 +208,7 @@ impl Scene {
         self.layers.iter().position(|l| l.medium() == LayerMedium::Sample).expect("a scene has a sample")
     }
 
-    /// As people read it: `gel thickness`, `ring angle`.
+    /// Name for display, such as `gel thickness` or `ring angle`.
     pub fn name_of(&self, prior: &Prior) -> String {
         match prior.layers.iter().min_by_key(|i| i.abs_diff(self.sample_layer())) {
             Some(layer) => format!("{} {}", self.layers[*layer].name(), prior.kind.name()),
@@ -221,7 +221,7 @@ impl Scene {
         self.number(prior.kind, prior.layers.first().copied())
     }
 
-    /// A number of light or sensor, or of a layer; None where the grid has it.
+    /// A number of light or sensor, or of a layer; None if it belongs to the grid.
     pub(crate) fn number(&self, kind: PriorKind, layer: Option<usize>) -> Option<f64> {
         let layer = layer.and_then(|i| self.layers.get(i));
         match (kind, layer.map(Layer::medium)) {
@@ -272,7 +272,8 @@ impl Scene {
         Ok(())
     }
 
-    /// The scene with a quantity larger by `step`, and the base as it then looks (`channels`); all is exact in it.
+    /// The scene with a quantity larger by `step` and with the base's `channels` that follow; it has no uncertain
+    /// quantities.
     pub fn varied(&self, prior: &Prior, step: f64, channels: Vec<Channel>) -> Result<Self> {
         let mut scene = Self { priors: Vec::new(), ..self.clone() };
         match prior.kind {
@@ -333,7 +334,7 @@ mod tests {
         assert_eq!(steps(PriorKind::Roughness, &[2], 0.03), [-0.037_500_000_000_000_006, 0.06]);
     }
 
-    /// Differences of a roughness are followed by those of its square.
+    /// With the bend, differences of a roughness are proportional to those of its square.
     #[test]
     fn roughness_bends_with_its_square() {
         let scene = Scene::paper();
@@ -359,7 +360,7 @@ mod tests {
         assert_eq!((varied.sample_ior_offset(), varied.layers()), (0.01, scene.layers()));
     }
 
-    /// Refusals name the prior and what is allowed.
+    /// Refusals name the prior and the allowed values.
     #[test]
     fn impossible_priors_are_refused() {
         let refused = |priors: Vec<Prior>| Scene::paper().with_priors(priors).unwrap_err().to_string();

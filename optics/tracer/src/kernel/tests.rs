@@ -1,4 +1,4 @@
-//! Every kernel against the scalar one, walk by walk and bit by bit.
+//! Compares every kernel with the scalar one, walk by walk and bit by bit.
 
 use std::sync::atomic::AtomicBool;
 
@@ -119,7 +119,7 @@ fn small_chunks_are_run_in_full() {
     assert!(walks_of_many.len() > 8, "{walks_of_many:?}");
 }
 
-/// A slab of 300 mean free paths, so that walks come to roulette.
+/// A slab of 300 mean free paths, so that walks reach roulette.
 #[test]
 fn kernels_agree_about_roulette() {
     let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).expect("valid");
@@ -133,8 +133,8 @@ fn kernels_agree_about_roulette() {
     }
 }
 
-/// Rounding may catch a ray between two faces that both reflect totally. Here that is made certain: the walks must
-/// end all the same.
+/// Rounding may trap a ray between two faces that both reflect totally. Here it is made to happen: the walks must end
+/// nevertheless.
 #[test]
 fn caught_rays_end_by_roulette() {
     let point = TransportPoint::new(2.0, 0.0, 0.5, 1.53).expect("valid");

@@ -1,14 +1,14 @@
-//! Light that meets interfaces only: from the ring to the sample and to the base, and from the sensor straight back into
-//! the ring.
+//! Follows light that meets interfaces only: from the ring to the sample and to the base, and from the sensor straight
+//! back into the ring.
 //!
-//! It does not depend on the medium but for what the sample lets through, e^(−τ L), L being the length in the sample in
-//! thicknesses. So it is followed once for a stack of interfaces and represented by beams: light of about one direction
-//! that has come about as far. What they weaken on the way follows for every medium.
+//! It depends on the medium through the transmittance of the sample alone, e^(−τ L), L being the length in the sample in
+//! thicknesses. So it is followed once for a stack of interfaces and represented by beams: light of nearly one direction
+//! that has passed nearly the same length. Their attenuation follows for every medium.
 //!
-//! At every interface light goes both ways, with the shares that Fresnel gives; what is faint ends or goes on by chance.
-//! The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts 2018, "The
-//! unreasonable effectiveness of quasirandom sequences"), others from streams with a key of their own. Rays carry flux,
-//! and the interfaces are reciprocal, so that each is crossed as walks cross it.
+//! At every interface light is reflected and refracted, with the shares of Fresnel's formulas; faint light is subject to
+//! Russian roulette. The ring's angles and the first three rough faces' normals come from a Kronecker sequence (Roberts
+//! 2018, "The unreasonable effectiveness of quasirandom sequences"), others from streams with a key of their own. Rays
+//! carry flux, and the interfaces are reciprocal, so that each is crossed as walks cross it.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -24,22 +24,22 @@ use crate::stack::Stack;
 
 /// Cells of the cosine into which beams are gathered.
 const CELLS: usize = 128;
-/// Cells that are taken together where they hold less than a share of all light.
+/// Neighbouring cells that are merged where they hold less than one part in `BEAMS` of all light.
 const NEAR: usize = 16;
 const BEAMS: f64 = 512.0;
-/// Width of the phase function's peak from which directions in cells taken together are alike to it.
+/// Width of the phase function's peak from which it does not distinguish the directions in merged cells.
 const WIDE: f64 = 0.1;
-/// Passes through the sample that beams distinguish; the last two stand for all that come later. Where rough faces lose no
-/// light, some of it passes at grazing angles, and a mean length would stand for too different ones. There beams
-/// distinguish lengths: none, four to an octave up to 64 thicknesses, and beyond.
+/// Passes through the sample that beams distinguish; the last two represent all later ones, too. Where rough faces lose
+/// no light, some of it passes at grazing angles, and a mean length would represent lengths that differ too much. There
+/// beams distinguish lengths: none, four to an octave up to 64 thicknesses, and beyond.
 const PASSES: usize = 4;
 const LENGTHS: usize = 26;
-/// Rays that set out where all interfaces are smooth, and where some are rough.
+/// Number of rays where all interfaces are smooth, and where some are rough.
 const RAYS: [u32; 2] = [256, 1 << 15];
-/// Share of a ray's flux at which it becomes a matter of chance whether it goes on.
+/// Share of a ray's flux below which Russian roulette decides whether it goes on.
 const FAINT: f64 = 2e-3;
-/// Interfaces after which light is let go. Only a ray that rounding has caught between two faces that reflect totally meets
-/// so many.
+/// Interfaces after which light is discarded. Only a ray that rounding has trapped between two faces that reflect totally
+/// meets this many.
 const MOST_INTERFACES: u32 = 1000;
 /// Steps of the sequence at the first three rough faces: g⁻¹ … g⁻⁶, g⁷ = g + 1.
 const STEPS: [[f64; 2]; 3] = [
@@ -49,7 +49,7 @@ const STEPS: [[f64; 2]; 3] = [
 ];
 /// Keys of the streams from the ring, and from the sensor.
 const KEYS: [[u32; 2]; 2] = [[0x9d1f_3c55, 0x27d4_eb2f], [0x4b7a_91d3, 0x6c8e_52a7]];
-/// Stacks whose arrivals are remembered: more than the scene `lab` has with its variants.
+/// Stacks whose arrivals are cached: more than the scene `lab` has with its variants.
 const REMEMBERED: usize = 32;
 
 /// Light of about one direction that has passed about the same length of the sample.
@@ -57,15 +57,15 @@ const REMEMBERED: usize = 32;
 pub struct Beam {
     /// Whether it goes down.
     pub down: bool,
-    /// |cos θ| in the sample, a mean.
+    /// Mean |cos θ| in the sample.
     pub cosine: f64,
-    /// Share of the light that sets out, if the sample were clear.
+    /// Share of the light that was sent out, as if the sample were clear.
     pub flux: f64,
-    /// Length in the sample before, in thicknesses, a mean.
+    /// Mean length passed in the sample before, in thicknesses.
     pub passed: f64,
 }
 
-/// Where light arrives that meets interfaces only.
+/// Arrivals of light that meets interfaces only.
 #[derive(Debug, Default)]
 pub struct Arrivals {
     /// From the ring, where it enters the sample or is reflected in it.
@@ -77,11 +77,11 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
-    /// The arrivals of a stack; those of the last few stacks are remembered.
+    /// The arrivals of a stack; those of the last few stacks are cached.
     pub fn of(stack: &Stack) -> Arc<Self> {
         static KNOWN: Mutex<VecDeque<(Vec<u64>, Arc<Arrivals>)>> = Mutex::new(VecDeque::new());
         let key = key_of(stack);
-        // Held while it is found, so that it is found once.
+        // The lock is held during the computation, so that it is done once.
         let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, arrivals)) = known.iter().find(|(of, _)| *of == key) {
             return Arc::clone(arrivals);
@@ -119,8 +119,9 @@ impl Arrivals {
 }
 
 impl Arrivals {
-    /// Beams in a sample of an optical thickness: what they have passed has weakened them, and those of nearly one
-    /// direction are one, unless the phase function is narrow enough to distinguish them. Their `passed` is a mean.
+    /// Beams in a sample of this optical thickness: they are attenuated over the length that they have passed, and beams
+    /// of nearly one direction are merged, unless the phase function is narrow enough to distinguish them. Their `passed`
+    /// is a mean.
     pub fn in_sample(&self, optical_thickness: f64, phase: PhaseFunction) -> Vec<Beam> {
         let mut cells = vec![[0.0; 3]; 2 * CELLS];
         for beam in &self.sample {
@@ -136,7 +137,7 @@ impl Arrivals {
         let mut beams = Vec::new();
         for (side, cells) in cells.chunks_exact(CELLS).enumerate() {
             for near in cells.chunks_exact(NEAR) {
-                // Faint ones together, others alone.
+                // Faint cells are merged, each of the others makes a beam.
                 let mut rest = [0.0; 3];
                 for cell in near {
                     if cell[0] > faint {
@@ -158,7 +159,7 @@ fn beam(down: bool, [flux, cosines, lengths]: [f64; 3]) -> Beam {
     Beam { down, cosine: cosines / flux, flux, passed: lengths / flux }
 }
 
-/// All of a stack that light which meets interfaces only depends on.
+/// All properties of a stack that light which meets interfaces only depends on.
 fn key_of(stack: &Stack) -> Vec<u64> {
     let d = stack.sensor_direction;
     let floats = [stack.ring_sin2[0], stack.ring_sin2[1], d.x, d.y, d.z];
@@ -208,7 +209,7 @@ impl DirectionCells {
     }
 }
 
-/// What rays have added up to.
+/// Sums over rays.
 #[derive(Debug, Default)]
 struct RaySums {
     sample: DirectionCells,
@@ -336,7 +337,7 @@ fn meet_interface(
     go(refracted, (1.0 - reflectance) * kept(refracted, -refracted.z));
 }
 
-/// A normal visible from `wi` at the given rough face of the way.
+/// A normal visible from `wi` at the given rough face of the path.
 fn normal(wi: Vec3, alpha: f32, rough: u32, ray: u32, stream: &mut Stream) -> Vec3 {
     if alpha == 0.0 {
         return Vec3::Z;

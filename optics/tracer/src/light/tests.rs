@@ -1,4 +1,4 @@
-//! The light against sums over its rays, and against exact cases.
+//! Compares the light with sums over its rays, and with exact cases.
 
 use optics_model::{Scene, TransportPoint};
 
@@ -38,7 +38,7 @@ fn table_matches_the_sum_of_rays() {
         let (mut worst, mut near) = (0.0_f64, 0.0_f64);
         for i in 0..200 {
             for k in 0..200 {
-                // Even in the square root of the depth, where light is.
+                // Evenly spaced in the square root of the depth, since light is near the top.
                 let depth = thickness * ((f64::from(i) + 0.37) / 200.0).powi(2);
                 let (z, u) = (thickness - depth, -1.0 + 2.0 * (f64::from(k) + 0.41) / 200.0);
                 let c = exact(&stack, &arrivals, z, u);

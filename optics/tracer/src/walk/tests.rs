@@ -1,4 +1,4 @@
-//! Exact cases for single walks, where no tally stands between the physics and the check.
+//! Tests exact cases for single walks, without a tally between the physics and the check.
 
 use glam::Vec3;
 use optics_model::TransportPoint;
@@ -95,7 +95,7 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 }
 
 /// Giovanelli 1955: albedo 0.9, isotropic, n = 1.5, normal incidence, R 0.2600 with the specular part. A slab of 40
-/// mean free paths stands for the half space: what is lost below is less than exp(−20).
+/// mean free paths represents the half space: the loss below is less than exp(−20).
 #[test]
 fn half_space_reflects_as_tabulated() {
     let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
@@ -162,8 +162,8 @@ fn roulette_in_very_thick_slabs_is_unbiased() {
     assert!(((mean - 1.0) / error).abs() < 3.5, "{mean} ± {error}");
 }
 
-/// Light that meets interfaces only, against walks that end where they scatter, where no light is lost on rough faces:
-/// 10 million from the sensor into a wide ring, and 1 million from there to the base.
+/// Compares light that meets interfaces only with walks that end where they scatter, where no light is lost on rough
+/// faces: 10 million from the sensor into a wide ring, and 1 million from there to the base.
 #[test]
 fn light_without_vertex_agrees_with_walks() {
     let ring = RingLight::new(20.0, 80.0).unwrap();

@@ -1,4 +1,4 @@
-//! Flights in the sample: two a block of random numbers, each to a scattering or to a face.
+//! Runs flights in the sample: two per block of random numbers, each to a scattering or to a face.
 
 use fearless_simd::{Bytes, Simd, SimdBase, SimdMask, i32x16};
 
@@ -9,7 +9,7 @@ use super::numbers::{Philox, choose, constant, ln, uniform};
 use crate::phase::PhaseSampler;
 use crate::stack::Stack;
 
-/// What flights depend on of the sample.
+/// The properties of the sample that flights depend on.
 #[derive(Debug, Clone, Copy)]
 pub struct FlightSample {
     /// In mean free paths.

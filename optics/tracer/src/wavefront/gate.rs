@@ -1,5 +1,5 @@
-//! Gates: what a walk meets at the end of a slab, seen from one side. All walks in a gate's queue meet the same
-//! interface from the same side, so its parameters and what lies behind are constants.
+//! Gates: the interface or base at the end of a slab, seen from one side. All walks in a gate's queue meet the same
+//! interface from the same side, so its parameters and the slab behind it are constants.
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
@@ -11,7 +11,7 @@ use crate::microfacet::scatter_until_out;
 use crate::rng::Stream;
 use crate::stack::Stack;
 
-/// Where a walk goes on.
+/// The destination of a walk after a gate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Route {
     /// Into the sample, through its upper face or from its lower face.
@@ -23,7 +23,7 @@ pub enum Route {
     Out,
 }
 
-/// How walks change at a gate.
+/// The kind of event at a gate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum GateKind {
     Smooth,
@@ -90,7 +90,7 @@ pub fn gates(stack: &Stack) -> Vec<WalkGate> {
     gates
 }
 
-/// The way of a walk that sets out in a slab, at the face that is behind it.
+/// The route of a walk that starts in a slab, at the face that is behind it.
 fn route(stack: &Stack, slab: usize, down: bool) -> Route {
     match slab {
         0 => Route::Out,
@@ -100,14 +100,14 @@ fn route(stack: &Stack, slab: usize, down: bool) -> Route {
     }
 }
 
-/// The gate that a walk in the slab comes to.
+/// The gate that a walk in the slab reaches.
 pub fn gate_at_end(stack: &Stack, slab: usize, down: bool) -> usize {
     // The base has the number that the next interface would have.
     debug_assert!(slab <= stack.interfaces.len());
     if down { 2 * slab } else { 2 * slab - 1 }
 }
 
-/// What became of the walks at a gate.
+/// The outcome for the walks at a gate.
 pub struct Fates<S: Simd> {
     pub reflected: Mask<S>,
     pub transmitted: Mask<S>,
@@ -180,8 +180,8 @@ impl WalkGate {
         walks.dz = if self.down { z } else { -z };
     }
 
-    /// Reflects or refracts the chosen lanes at a rough interface that loses no light. The few whose rays may meet it again
-    /// are returned apart.
+    /// Reflects or refracts the chosen lanes at a rough interface that loses no light. The few whose rays may meet it
+    /// again are returned separately.
     #[inline(always)]
     pub fn cross_conserving<S: Simd>(
         &self,

@@ -1,4 +1,4 @@
-//! Hits on the base of the walks that are under way: one linked list a walk, in an arena that is used again.
+//! Stores the hits on the base of the walks that are under way: one linked list per walk, in an arena that is reused.
 
 use crate::exits::Offset;
 
@@ -10,13 +10,13 @@ struct HitNode {
     next: u32,
 }
 
-/// Lists of lateral offsets, by walk. Nodes of ended walks are used again, so that the arena holds no more than what
-/// is under way.
+/// Lists of lateral offsets, by walk. Nodes of ended walks are reused, so that the arena grows with the walks under way
+/// only.
 #[derive(Debug)]
 pub struct Hits {
     nodes: Vec<HitNode>,
     free: u32,
-    /// Newest node of each walk, and how many it has.
+    /// Newest node of each walk, and its number of nodes.
     heads: Vec<(u32, u32)>,
 }
 
@@ -59,7 +59,7 @@ impl Hits {
         hits.reverse();
     }
 
-    /// Shows a walk's hits, newest first, and puts their nodes back.
+    /// Passes a walk's hits to `each`, newest first, and frees their nodes.
     fn end(&mut self, walk: u32, mut each: impl FnMut(Offset)) {
         let (head, _) = std::mem::replace(&mut self.heads[walk as usize], (NONE, 0));
         let (mut at, mut last) = (head, NONE);

@@ -1,4 +1,4 @@
-//! Picking vertices, see [`crate::pick`].
+//! Picks vertices of vectors of walks, see [`crate::pick`].
 
 use fearless_simd::{Bytes, ExtractToken, Simd, SimdBase, SimdFloat, SimdInt, SimdInto, SimdMask, i32x16};
 
@@ -21,7 +21,7 @@ pub struct Keep<'a, S: Simd> {
     pub exits: &'a mut Exits,
 }
 
-/// Where walks have met the light: their heights, and the cosines with which they came.
+/// Points at which walks have met the light: their heights, and the cosines with which the walks arrived.
 #[derive(Debug, Clone, Copy)]
 struct Crossing<S: Simd> {
     z: Floats<S>,
@@ -41,7 +41,7 @@ impl<'a, S: Simd> Keep<'a, S> {
         }
     }
 
-    /// What is left of the first step of walks.
+    /// The rest of the first step of walks.
     #[inline(always)]
     pub fn first_step(&self, simd: S, random: &Philox<S>, walk: Words<S>) -> Floats<S> {
         let [word, ..] = random.words(Words::splat(simd, PICK_BLOCK), walk);
@@ -66,14 +66,14 @@ impl<'a, S: Simd> Keep<'a, S> {
         (constant(n, a) - n * b).max(1.0)
     }
 
-    /// The chosen walks, which came with the cosine `u`, have scattered.
+    /// Processes a scattering of the chosen walks, which arrived with the cosine `u`.
     #[inline(always)]
     pub fn scattered(&mut self, walks: &mut WalkLanes<S>, u: Floats<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = self.about(walks.z, u) * Self::importance(walks.scatterings);
         self.add(walks, &Crossing { z: walks.z, u, worth }, lanes, hits);
     }
 
-    /// The chosen walks have hit the base.
+    /// Processes a hit of the chosen walks on the base.
     #[inline(always)]
     pub fn hit(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = constant(walks.z, self.light.base) * Self::importance(walks.scatterings);

@@ -5,7 +5,7 @@ use fearless_simd::{Bytes, Simd, SimdBase, SimdMask};
 use super::order::LaneOrder;
 pub use super::vector::{Floats, Mask, WIDTH, Words};
 
-/// Walks that are under way at a time: what keeps every queue's vectors full and still fits the second-level
+/// Walks that are under way at a time: enough to keep every queue's vectors full, and few enough for the second-level
 /// cache. The result does not depend on it.
 pub const POOL: usize = 1024;
 
@@ -29,7 +29,7 @@ pub fn count<S: Simd>(mask: Mask<S>) -> usize {
 /// Sixteen walks, one a lane. Lengths in the sample are in mean free paths.
 #[derive(Debug, Clone, Copy)]
 pub struct WalkLanes<S: Simd> {
-    /// Lateral distance from the entry point: what was gathered in the sample, and in clear slabs in mm.
+    /// Lateral distance from the entry point: the part gathered in the sample, and the part in clear slabs in mm.
     pub x: Floats<S>,
     pub clear_x: Floats<S>,
     /// Height above the lower face of the sample; meaningful inside it.
@@ -46,7 +46,7 @@ pub struct WalkLanes<S: Simd> {
     pub block: Words<S>,
     /// Place in the chunk.
     pub walk: Words<S>,
-    /// What is left until the next vertex is picked, see [`crate::pick`].
+    /// The rest of the step until the next vertex is picked, see [`crate::pick`].
     pub left: Floats<S>,
 }
 
@@ -94,7 +94,7 @@ impl<S: Simd> WalkLanes<S> {
 #[repr(align(64))]
 struct WalkArray([u32; ROOM]);
 
-/// Walks that wait for the same thing: the places `begin..end` of each array.
+/// Walks that wait for the same operation: the places `begin..end` of each array.
 #[derive(Debug)]
 pub struct Queue {
     begin: usize,
@@ -121,7 +121,7 @@ impl Queue {
         self.end - self.begin
     }
 
-    /// The vector that begins at a walk; lanes beyond the end hold anything.
+    /// The vector that begins at a walk; lanes beyond the end hold arbitrary values.
     #[inline(always)]
     pub fn load<S: Simd>(&self, simd: S, at: usize) -> WalkLanes<S> {
         let at = self.begin + at;
@@ -167,7 +167,7 @@ impl Queue {
         self.end += order.chosen();
     }
 
-    /// Writes the chosen walks of an order from the place `at` on, and anything over the rest of a vector.
+    /// Writes the chosen walks of an order from the place `at` on, and arbitrary values over the rest of a vector.
     #[inline(always)]
     pub fn place<S: Simd>(&mut self, walks: &WalkLanes<S>, order: &LaneOrder<S>, at: usize) {
         let at = self.begin + at;

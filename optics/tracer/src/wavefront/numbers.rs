@@ -48,11 +48,11 @@ impl<S: Simd> Philox<S> {
         ]
     }
 
-    /// Ten rounds with one walk per 64-bit lane, whose upper half is rubbish in between.
+    /// Ten rounds with one walk per 64-bit lane, whose upper half is garbage in between.
     #[inline(always)]
     fn rounds(&self, block: u64x8<S>, walk: u64x8<S>) -> [u64x8<S>; 4] {
         let c = [block, walk, self.chunk[0], self.chunk[1]];
-        // Written out as well: a loop would move words about between its turns.
+        // Written out as well: a loop would move words about between its iterations.
         let c = self.round(self.round(c, 0), 1);
         let c = self.round(self.round(c, 2), 3);
         let c = self.round(self.round(c, 4), 5);
@@ -62,7 +62,7 @@ impl<S: Simd> Philox<S> {
 
     #[inline(always)]
     fn round(&self, [c0, c1, c2, c3]: [u64x8<S>; 4], round: usize) -> [u64x8<S>; 4] {
-        // Constants here and not in `self`: the compiler must see that a product of 32-bit numbers is wanted.
+        // Constants here and not in `self`: the compiler must recognise that a product of 32-bit numbers suffices.
         let splat = |word: u32| u64x8::splat(c0.token(), u64::from(word));
         let [k0, k1] = self.keys[round];
         let a = (c0 & splat(u32::MAX)) * splat(MULTIPLIERS[0]);

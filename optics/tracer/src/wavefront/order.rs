@@ -1,4 +1,4 @@
-//! Moving chosen lanes to the front of a vector and the others behind them.
+//! Moves chosen lanes to the front of a vector and the others behind them.
 
 use fearless_simd::{ExtractToken, Simd, SimdBase, SimdMask, SimdSplit, mask32x8, mask32x16, u32x8, u32x16};
 
@@ -70,7 +70,7 @@ impl<S: Simd> LaneOrder<S> {
         self.counts[0] + self.counts[1]
     }
 
-    /// Writes the chosen lanes side by side to the beginning of `room`, and anything behind them.
+    /// Writes the chosen lanes side by side to the beginning of `room`, and arbitrary values behind them.
     #[inline(always)]
     pub fn store_chosen(&self, words: Words<S>, room: &mut [u32; WIDTH]) {
         if S::u32s::LEN == WIDTH {
@@ -82,7 +82,7 @@ impl<S: Simd> LaneOrder<S> {
         high.store_slice(&mut room[self.counts[0]..self.counts[0] + 8]);
     }
 
-    /// Writes the other lanes side by side to the end of `room`, and anything before them.
+    /// Writes the other lanes side by side to the end of `room`, and arbitrary values before them.
     #[inline(always)]
     pub fn store_others(&self, words: Words<S>, room: &mut [u32; WIDTH]) {
         if S::u32s::LEN == WIDTH {
@@ -90,7 +90,8 @@ impl<S: Simd> LaneOrder<S> {
         } else if S::u32s::LEN == WIDTH / 2 {
             let (low, high) = self.halves(words, self.lanes);
             let others = 8 - self.counts[1];
-            // The low half comes last: it must not be overwritten by what the high one writes before its others.
+            // The low half comes last: it must not be overwritten by the lanes that the high one writes before its
+            // others.
             high.store_slice(&mut room[8..]);
             low.store_slice(&mut room[8 - others..16 - others]);
         } else {

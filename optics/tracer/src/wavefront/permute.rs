@@ -1,4 +1,4 @@
-//! Lanes in another order, by the instruction that machines have for it.
+//! Permutes lanes by the machine's instruction for it.
 
 use fearless_simd::{ExtractToken, Simd, SimdBase, SimdInto, u32x8};
 

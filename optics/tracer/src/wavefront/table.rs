@@ -1,4 +1,4 @@
-//! Tables of sixteen numbers, looked up in all lanes at once.
+//! Looks up tables of sixteen numbers in all lanes at once.
 
 use fearless_simd::{Bytes, Select, Simd, SimdBase, SimdCombine, SimdSplit, u32x8, u32x16};
 

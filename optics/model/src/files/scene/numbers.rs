@@ -1,4 +1,5 @@
-//! Numbers of layers in scene files: exact, with a standard error, or those of another layer; and the priors that follow.
+//! Resolves the numbers of layers in scene files (exact, with a standard error, or those of another layer), and derives
+//! their priors.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +13,7 @@ use crate::scene::{Prior, PriorKind, Scene, Scope};
 pub enum LayerNumber {
     Exact(f64),
     Uncertain(UncertainNumber),
-    /// That of another layer, by its name.
+    /// The number of another layer, given by the layer's name.
     SameAs(String),
 }
 
@@ -23,7 +24,7 @@ pub struct UncertainNumber {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<f64>,
     pub std_error: f64,
-    /// "session", "slab" or "material": what has one value.
+    /// "session", "slab" or "material": the scope within which the number has one value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub per: Option<String>,
 }
@@ -79,7 +80,7 @@ impl LayerNumber {
     }
 }
 
-/// The tables with the numbers of other layers filled in: they are then uncertain together.
+/// Replaces references to other layers by the numbers of those layers: both are then uncertain together.
 pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
     let all = tables.clone();
     crate::invalid::each("layer", tables, |mut table| {
@@ -97,8 +98,8 @@ pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
     })
 }
 
-/// Quantities with a standard error, each with the key of that in the file. Layers share one if they have the same name, or
-/// if one was referred to.
+/// Quantities with a standard error, each with the key of the standard error in the file. Layers share a quantity if they
+/// have the same name, or if one refers to the other.
 pub(super) fn priors(
     scene: &Scene,
     tables: &[LayerTable],
@@ -108,7 +109,7 @@ pub(super) fn priors(
     for kind in PriorKind::OF_LAYERS {
         for (i, table) in tables.iter().enumerate() {
             let Some(LayerNumber::Uncertain(number)) = table.number(kind) else { continue };
-            // The lower face of the sample is named after what lies below.
+            // The lower face of the sample belongs to the layer below it.
             let shares = |layer: &usize| tables[*layer].name == table.name || tables[*layer].sample;
             let group = found
                 .iter_mut()
@@ -140,8 +141,8 @@ pub(super) fn priors(
     Ok(priors)
 }
 
-/// The sample's roughness and index are its material's. A layer of some thickness that touches it holds the slab, and is as
-/// thick as this mounting made it. All else is the set-up's.
+/// The scope of a prior by default: the material for the sample's roughness and index; the slab for the thickness of a
+/// layer that touches the sample, since it depends on how the slab was mounted; otherwise the session.
 pub(super) fn default_scope(scene: &Scene, kind: PriorKind, layers: &[usize]) -> Scope {
     let sample = scene.sample_layer();
     match kind {

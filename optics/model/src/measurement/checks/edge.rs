@@ -1,22 +1,22 @@
-//! Whether the edge is at `origin_mm`, or at x = 0, with the light side on the right.
+//! Checks whether the edge is at `origin_mm`, or at x = 0, with the light side on the right.
 
 use super::trace::Trace;
 use super::{Kind, Seen};
 
-/// Standard deviations at which a difference of two levels is taken to be there.
+/// Standard deviations from which on a difference of two levels is significant.
 pub(super) const SURE: f64 = 5.0 * std::f64::consts::SQRT_2;
-/// The same where the greatest of hundreds of differences is looked at.
+/// The same for the greatest of hundreds of differences.
 const SURE_OF_THE_GREATEST: f64 = 7.0 * std::f64::consts::SQRT_2;
 
-/// Half the width over which the rise is looked for.
+/// Half the width of the window in which a rise is measured.
 const WINDOW_MM: f64 = 0.5;
 
-/// The light side on the left, or the rise somewhere else than at the edge.
+/// Finds a light side on the left, or a rise away from the edge.
 pub(super) fn misplaced(trace: &Trace) -> Option<Seen> {
     falling(trace).or_else(|| elsewhere(trace))
 }
 
-/// Levels of the outer quarters: the light side is brighter for every medium.
+/// Compares the levels of the outer quarters: the light side is brighter for every medium.
 fn falling(trace: &Trace) -> Option<Seen> {
     let n = trace.len();
     let (left, right) = (trace.level(0..n / 4), trace.level(n - n / 4..n));
@@ -39,8 +39,8 @@ fn falling(trace: &Trace) -> Option<Seen> {
     Some(Seen::refusal(Kind::Falling, text))
 }
 
-/// Where the profile rises most, against its rise at the edge: in every medium these are the same place, but for a few per
-/// cent of the rise.
+/// Compares the greatest rise of the profile with its rise at the edge: in every medium the rise is greatest at the edge,
+/// to within a few per cent of the rise.
 fn elsewhere(trace: &Trace) -> Option<Seen> {
     let n = trace.len();
     let width = trace.pixels(WINDOW_MM, 5).min(n / 4);
@@ -76,13 +76,13 @@ fn elsewhere(trace: &Trace) -> Option<Seen> {
     Some(Seen::warning(Kind::EdgeElsewhere, text))
 }
 
-/// What to do about an edge that lies at `at` instead of 0.
+/// Advice for an edge that lies at `at` instead of 0.
 fn at_zero(at: f64) -> String {
     let (how, way) = if at > 0.0 { ("subtract", "from") } else { ("add", "to") };
     format!("x = 0 must be at the edge, so {how} {:.2} mm {way} every x", at.abs())
 }
 
-/// How the middle of a profile lies to its ends.
+/// Level of the middle of a profile relative to its ends.
 pub(super) struct Middle {
     /// Mean of both sides near the edge less their mean at the ends.
     pub excess: f64,
@@ -117,7 +117,8 @@ pub(super) fn middle(trace: &Trace) -> Option<Middle> {
     (contrast > SURE * ends && contrast > 0.02 * light).then_some(Middle { excess, contrast, light, noise })
 }
 
-/// A middle above or below what is possible. A light that is brighter in the middle does that too, so it is a warning.
+/// Finds a middle above or below the possible range. A light that is brighter in the middle has the same effect, so this
+/// is a warning.
 pub(super) fn uneven(trace: &Trace) -> Option<Seen> {
     let m = middle(trace)?;
     let slack = 0.02 * m.light + 3.0 * m.noise;

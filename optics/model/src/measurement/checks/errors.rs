@@ -1,27 +1,27 @@
-//! Standard errors in another unit than the values'.
+//! Checks for standard errors in another unit than the values.
 
 use super::trace::{median, scatter};
 use super::{Kind, MeasuredProfile, Seen};
 
-/// Ratios of standard errors and scatter beyond this, or below its inverse, are noted. Per cent in place of fractions make
-/// a ratio of 100, on errors that are right by a factor of two or so.
+/// Ratios of standard errors and scatter beyond this, or below its inverse, are reported. Per cent in place of fractions
+/// make a ratio of 100, for errors that are correct to a factor of two or so.
 const FAR: f64 = 50.0;
 
-/// Errors of this share of the brightest value are hardly true. Those of simulated profiles are smaller, and hundreds of
-/// times larger than the scatter of their pixels, which share walks.
+/// Errors above this share of the brightest value are implausible. Those of simulated profiles are smaller, and hundreds
+/// of times larger than the scatter of their pixels, which share walks.
 const COARSE: f64 = 0.04;
 
-/// Standard errors much larger or smaller than how neighbouring pixels scatter, where that is independent noise.
+/// Finds standard errors much larger or smaller than the scatter of neighbouring pixels, where this is independent noise.
 pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
     let (values, stated) = (profile.values(), median(profile.std_errors()?.to_vec()));
     let (coarse, fine) = (scatter(values, 2), scatter(values, 4));
-    // Higher differences of smooth values are smaller: they show no noise then. Nor is rounding noise.
+    // Higher differences of smooth values are smaller: they show no noise then. Rounding is not noise either.
     if stated == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
         return None;
     }
     let ratio = stated / fine;
     let text = |factor: f64, size: &str, cause: &str| {
-        // The scatter of a few hundred pixels is known to a tenth or two.
+        // The scatter of a few hundred pixels is accurate to 10 or 20 %.
         let digit = 10f64.powf(factor.log10().floor());
         let factor = (factor / digit).round() * digit;
         format!(
@@ -71,7 +71,7 @@ mod tests {
         MeasuredProfile::new("R", 0.5, x, values, Some(vec![stated; 180])).unwrap()
     }
 
-    /// Standard errors that look as if they were in another unit are noted with the factor.
+    /// Standard errors that look as if they were in another unit are reported with the factor.
     #[test]
     fn errors_in_another_unit_are_noted() {
         let message = |noise: f64, error: f64| far_from_scatter(&profile(noise, error)).map(|seen| seen.text);
@@ -83,13 +83,13 @@ mod tests {
         assert!(message(0.004, 0.00004).unwrap().contains("times smaller"));
     }
 
-    /// As simulated ones have.
+    /// Errors that neighbouring pixels share, as in simulated profiles, are not reported.
     #[test]
     fn errors_that_neighbours_share_are_not_noted() {
         assert_eq!(far_from_scatter(&profile(1e-5, 0.01)), None);
     }
 
-    /// Profiles without scatter, since they are smooth, rounded or simulated, get no note.
+    /// Profiles without scatter, since they are smooth, rounded or simulated, are not reported.
     #[test]
     fn profiles_without_scatter_get_no_note() {
         assert_eq!(far_from_scatter(&profile(0.0, 0.002)), None);

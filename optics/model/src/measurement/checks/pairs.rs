@@ -5,7 +5,7 @@ use super::trace::Trace;
 use super::{Finding, Kind, MeasuredProfile, Measurement, Seen};
 use crate::measurement::colour;
 
-/// Pairs of one material: the same values twice, and thicknesses that contradict each other.
+/// Checks the pairs of one material: the same values twice, and thicknesses that contradict each other.
 pub(super) fn of_material(material: usize, profiles: &[MeasuredProfile], sound: &[bool]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (j, second) in profiles.iter().enumerate() {
@@ -28,8 +28,8 @@ pub(super) fn of_material(material: usize, profiles: &[MeasuredProfile], sound: 
     findings
 }
 
-/// The same values under two names. Photographs never agree in their noise; traced profiles of two channels do where the
-/// base is not seen, or reflects the same in both, as it may at two wavelengths.
+/// Finds the same values under two names. Photographs never agree in their noise; traced profiles of two channels do
+/// where the base is not seen, or reflects the same in both, as it may at two wavelengths.
 fn same(first: &MeasuredProfile, second: &MeasuredProfile) -> Option<Seen> {
     let trace = Trace::new(second.x_mm(), second.values(), None);
     let n = trace.len();
@@ -51,7 +51,7 @@ fn same(first: &MeasuredProfile, second: &MeasuredProfile) -> Option<Seen> {
     })
 }
 
-/// The same values under the names of two materials.
+/// Finds the same values under the names of two materials.
 pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (m, material) in materials.iter().enumerate() {
@@ -71,17 +71,17 @@ pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
     findings
 }
 
-/// How much of the edge is seen.
+/// Contrast of the edge as seen through a slab.
 struct EdgeContrast {
     /// Light less dark level next to the edge.
     rise: f64,
-    /// The same far from it.
+    /// The same far from the edge.
     ends: f64,
     noise: f64,
 }
 
 impl EdgeContrast {
-    /// `reach` is how far both profiles go, `width` the width of the windows next to the edge.
+    /// `reach` is the distance that both profiles cover, `width` the width of the windows next to the edge.
     fn of(trace: &Trace, reach: f64, width: f64) -> Option<Self> {
         let (edge, pixels) = (trace.edge(), trace.pixels(width, 3));
         if edge < pixels || edge + pixels > trace.len() {
@@ -98,11 +98,11 @@ impl EdgeContrast {
     }
 }
 
-/// A slab that shows more of the edge than a thinner one of the same medium.
+/// Finds a slab that shows more of the edge than a thinner one of the same medium.
 ///
-/// What is seen depends on σ_t t, α, g and x/t alone but for gel and glass: more thickness takes contrast and blurs.
-/// Over the media that were traced, 1 mm shows at most 0.90 of the rise that 0.5 mm shows next to the edge, and 0.95 of
-/// that far from it; swapped, twice the rise is common.
+/// Apart from gel and glass, a profile depends on σ_t t, α, g and x/t alone: more thickness reduces contrast and blurs.
+/// Among the traced media, 1 mm shows at most 0.90 of the rise that 0.5 mm shows next to the edge, and 0.95 of that far
+/// from it; swapped, twice the rise is common.
 fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
     let (a, b) = (Trace::of(thin), Trace::of(thick));
     let reach = a.reach().min(b.reach());
@@ -113,7 +113,7 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
     let (a, b) = (EdgeContrast::of(&a, reach, width)?, EdgeContrast::of(&b, reach, width)?);
     let noise = SURE * a.noise.hypot(b.noise);
     let exceeds = |rise: f64, ends: f64| {
-        // A contrast of 0.02 may be that of uneven light.
+        // Uneven light may cause a contrast of 0.02.
         b.rise > (rise * a.rise).max(0.02) + noise && b.ends > (ends * a.ends).max(0.02)
     };
     let finding = format!(

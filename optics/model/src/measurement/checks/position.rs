@@ -1,9 +1,9 @@
-//! Places and lengths in units that are not mm.
+//! Checks for positions and lengths in units other than mm.
 
 use super::super::is_off_edge;
 use super::{Kind, Seen};
 
-/// x that counts pixels or is in µm, cm or m. A laboratory's profile spans about 10 mm.
+/// Finds x that counts pixels or is in µm, cm or m. A laboratory's profile spans about 10 mm.
 pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
     let n = x.len();
     let (first, last) = (x[0], x[n - 1]);
@@ -41,7 +41,7 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
     None
 }
 
-/// Thicknesses in µm: a laboratory's slabs have about 0.5 to 2 mm.
+/// Finds thicknesses in µm: a laboratory's slabs are about 0.5 to 2 mm thick.
 pub(super) fn of_thickness(thickness_mm: f64) -> Option<Seen> {
     let text = |what: &str| format!("the thickness is {thickness_mm} mm: {what}");
     if thickness_mm >= 100.0 {

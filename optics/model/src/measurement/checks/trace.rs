@@ -1,6 +1,6 @@
-//! A profile as the checks of its shape look at it.
+//! Prepares a profile for the checks of its shape.
 
-/// Most pixels that are looked at; more are averaged in groups.
+/// Most pixels of a trace; more are averaged in groups.
 const MOST_PIXELS: usize = 1000;
 
 use crate::measurement::MeasuredProfile;
@@ -14,10 +14,10 @@ pub(super) struct Trace {
     pub origin: f64,
     pub values: Vec<f64>,
     pub pitch: f64,
-    /// Standard deviation of what differs between neighbours.
+    /// Standard deviation of the noise that is independent between neighbours.
     scatter: f64,
-    /// Standard deviation of what they share: their standard errors beyond their scatter. Simulated profiles
-    /// have it, since their pixels share walks.
+    /// Standard deviation of the noise that neighbours share: their standard errors beyond their scatter. Simulated
+    /// profiles have such noise, since their pixels share walks.
     shared: f64,
 }
 
@@ -54,14 +54,14 @@ impl Trace {
         self.x.len()
     }
 
-    /// Median of the values of a range of pixels; what is rare, such as dust, does not count.
+    /// Median of the values of a range of pixels, insensitive to rare outliers such as dust.
     pub fn level(&self, pixels: std::ops::Range<usize>) -> f64 {
         median(self.values[pixels].to_vec())
     }
 
     /// Standard deviation of the level of a window.
     pub fn noise(&self, pixels: usize) -> f64 {
-        // A median's is 1.25 times a mean's.
+        // The standard error of a median is 1.25 times that of a mean.
         self.shared.hypot(1.25 * self.scatter / (pixels as f64).sqrt())
     }
 
@@ -75,7 +75,7 @@ impl Trace {
         self.x.partition_point(|x| *x < 0.0)
     }
 
-    /// How far the profile goes on both sides of 0; negative if 0 is outside.
+    /// Distance that the profile covers on both sides of 0; negative if 0 is outside.
     pub fn reach(&self) -> f64 {
         (-self.x[0]).min(self.x[self.len() - 1]) + 0.5 * self.pitch
     }
@@ -100,7 +100,7 @@ impl Trace {
     }
 }
 
-/// Standard deviation of independent noise, from differences of this order, which take off what is smooth.
+/// Standard deviation of independent noise, from differences of this order, which remove smooth variation.
 pub(super) fn scatter(values: &[f64], order: u32) -> f64 {
     let mut differences = values.to_vec();
     let mut variance = 1.0;

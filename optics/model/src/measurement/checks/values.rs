@@ -1,10 +1,10 @@
-//! Values that are no linear radiance factors.
+//! Checks for values that are not linear radiance factors.
 
 use super::trace::Trace;
 use super::{Kind, Seen, edge};
 
-/// Radiance factors above this are not met: a white slab on a white base has 1, and a measurement whose white
-/// reference is off by the factor μ = 0.8 has 1.25.
+/// Radiance factors above this do not occur: a white slab on a white base has 1, and a measurement whose white reference
+/// is off by the factor μ = 0.8 has 1.25.
 const LARGEST: f64 = 1.5;
 
 const FROM_RAW: &str =
@@ -12,7 +12,7 @@ const FROM_RAW: &str =
 
 const EIGHT_BIT: &str = "all values are multiples of 1/255, as from an 8-bit picture";
 
-/// Values above 1.5: a refusal if a tenth of the pixels has them, a warning if they are fewer, as with glints.
+/// Finds values above 1.5: a refusal if a tenth of the pixels has them, a warning for fewer, as with glints.
 pub(super) fn too_large(values: &[f64]) -> Option<Seen> {
     let first = values.iter().position(|v| *v > LARGEST)?;
     let count = values.iter().filter(|v| **v > LARGEST).count();
@@ -36,13 +36,13 @@ pub(super) fn too_large(values: &[f64]) -> Option<Seen> {
     Some(Seen::refusal(Kind::ValuesTooLarge, text).at(first))
 }
 
-/// Values that are all multiples of 1/255: an 8-bit picture, which mostly is not linear. A refusal if the shape shows
-/// that it is not.
+/// Finds values that are all multiples of 1/255: an 8-bit picture, which mostly is not linear. A refusal if the shape
+/// shows that it is not.
 pub(super) fn eight_bit(values: &[f64], trace: &Trace) -> Option<Seen> {
     let mut levels = Vec::with_capacity(values.len());
     for v in values {
         let level = 255.0 * v;
-        // Five decimals are enough to be within this; by chance one value in 25 is.
+        // Values with five decimals are within this; by chance one value in 25 is.
         if (level - level.round()).abs() > 0.02 {
             return None;
         }

@@ -1,4 +1,4 @@
-//! Light without a vertex against more and other rays, against exact cases, and its conservation.
+//! Tests light without a vertex against more and other rays and against exact cases, and its conservation.
 
 use optics_model::scene::{Layer, LayerMedium, RingLight};
 use optics_model::{Scene, TransportPoint};
@@ -14,7 +14,7 @@ fn flux(beams: &[Beam], tau: f64) -> f64 {
     beams.iter().map(|beam| beam.flux * (-tau * beam.passed).exp()).sum()
 }
 
-/// Four times as many rays give the same.
+/// Four times as many rays give the same result.
 #[test]
 fn more_rays_change_nothing() {
     let stack = stack(&Scene::paper());
@@ -38,9 +38,9 @@ fn conserving(roughness: f64) -> Scene {
     Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), true).unwrap()
 }
 
-/// Other random numbers change the light as little where no light is lost: it is split at the first event of every
-/// crossing. Over 24 repeats what comes straight back into the ring spreads by 0.3 to 0.7 % at roughness 0.05, as where
-/// light is lost.
+/// Other random numbers change the light no more where no light is lost than where light is lost: it is split at the
+/// first event of every crossing. Over 24 repeats the light that returns straight into the ring spreads by 0.3 to 0.7 %
+/// at roughness 0.05 in both cases.
 #[test]
 fn other_random_numbers_change_nothing() {
     for roughness in [0.02, 0.08, 0.15] {
@@ -58,7 +58,7 @@ fn other_random_numbers_change_nothing() {
     }
 }
 
-/// Whatever is not sent back reaches the base, if rough faces lose nothing: chance alone moves the sum.
+/// All light that is not sent back reaches the base if rough faces lose nothing: the sum varies by chance alone.
 #[test]
 fn conserving_faces_keep_all_light() {
     let scene = conserving(0.3).with_light(RingLight::new(0.0, 90.0).unwrap());
