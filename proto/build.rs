@@ -19,10 +19,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         service.method.iter().map(|m| format!("/farm.v1.{}/{}", service.name(), m.name()))
     });
     std::fs::write(out.join("methods.rs"), format!("&{:?}", methods.collect::<Vec<_>>()))?;
-    // By its name the codec finds what a message may have in it.
+    // The codec finds the fields of a message by its name.
     let mut config = tonic_prost_build::Config::new();
     config.enable_type_names();
-    // Results are large: they are not copied where they need not be.
+    // Results are large, so unnecessary copies are avoided.
     tonic_prost_build::configure()
         .bytes(".farm.v1.CompleteRequest")
         .codec_path("crate::codec::BoundedCodec")

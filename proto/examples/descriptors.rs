@@ -1,5 +1,4 @@
-//! Writes the descriptors of all services, the page's own among them, to standard output: what generators of clients
-//! begin with.
+//! Writes the descriptors of all services, those of the page included, to standard output, as input of client generators.
 
 use std::io::Write as _;
 

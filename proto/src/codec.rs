@@ -1,7 +1,8 @@
-//! Messages as bytes, and a bound of what their bytes become.
+//! Encodes and decodes messages, and bounds the memory that decoded requests take.
 //!
-//! A message of two bytes may become a structure of two hundred: what is decoded could be a hundred times as large as
-//! what was sent. So the parts of a request are counted in its bytes before it is decoded, and its texts are looked at.
+//! A message of two bytes may become a structure of two hundred, so that a decoded message could be a hundred times as
+//! large as its bytes. Therefore the parts of a request are counted in its bytes before it is decoded, and its texts
+//! are checked.
 
 use std::collections::HashMap;
 use std::marker::PhantomData;
@@ -22,11 +23,11 @@ use crate::wire;
 
 /// Most memory that a nested message or a text takes in addition to its content.
 const PART_BYTES: usize = 256;
-/// What the parts of any request may take.
+/// Memory that the parts of any request may take.
 const FREE_BYTES: usize = 1 << 20;
-/// What they may take for each byte of a larger one.
+/// Additional memory that the parts may take for each byte of the request.
 const FACTOR: usize = 4;
-/// Messages within each other.
+/// Deepest nesting of messages.
 const DEPTH: usize = 16;
 
 /// The codec of all services.
@@ -58,7 +59,7 @@ where
     }
 }
 
-/// Decodes messages; requests only if they do not grow too much by it.
+/// Decodes messages, and refuses requests that would grow too much by it.
 #[derive(Debug, Clone)]
 pub struct BoundedDecoder<D>(ProstDecoder<D>);
 
@@ -67,7 +68,7 @@ impl<D: Message + Name + Default> Decoder for BoundedDecoder<D> {
     type Error = Status;
 
     fn decode(&mut self, buf: &mut DecodeBuf<'_>) -> Result<Option<D>, Status> {
-        // A message lies in one piece.
+        // A message is contiguous in the buffer.
         if D::NAME.ends_with("Request") && buf.chunk().len() == buf.remaining() {
             check::<D>(buf.chunk())?;
         }
@@ -75,7 +76,7 @@ impl<D: Message + Name + Default> Decoder for BoundedDecoder<D> {
     }
 }
 
-/// Refuses a message whose parts would take much more memory than its bytes, or whose texts are not what they may be.
+/// Refuses a message whose parts would take much more memory than its bytes, or that has a text that is not allowed.
 fn check<D: Name>(bytes: &[u8]) -> Result<(), Status> {
     let most = FREE_BYTES.saturating_add(bytes.len().saturating_mul(FACTOR)) / PART_BYTES;
     let mut parts = PartBudget { left: most };
@@ -90,7 +91,7 @@ fn check<D: Name>(bytes: &[u8]) -> Result<(), Status> {
     })
 }
 
-/// Messages by their names.
+/// The fields of all messages, by the names of the messages.
 static SCHEMA: LazyLock<HashMap<String, Fields>> = LazyLock::new(schema);
 
 /// The fields of a message that hold messages or texts, by their numbers.
@@ -131,7 +132,7 @@ impl Refused {
     }
 }
 
-/// How many parts a message may have yet.
+/// The number of parts that a message may still have.
 struct PartBudget {
     left: usize,
 }
@@ -159,7 +160,7 @@ impl PartBudget {
     }
 }
 
-/// What follows each other in a message.
+/// The entries of an encoded message, one after the other.
 struct Entries<'a>(&'a [u8]);
 
 /// A field's number, and its content if that has a length.

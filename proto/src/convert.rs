@@ -1,5 +1,5 @@
-//! Wire ↔ model, once. Everything that comes in passes a validating constructor; everything that
-//! goes out is a plain `From`.
+//! Converts between the wire and the model, in one place. Incoming messages pass a validating constructor; outgoing
+//! values use a plain `From`.
 
 mod design;
 mod fit;

@@ -1,4 +1,4 @@
-//! Names, identifiers and the limits that bound every request.
+//! Defines names, identifiers and the limits that bound every request.
 
 use std::fmt;
 
@@ -32,11 +32,11 @@ impl fmt::Display for DictionaryName {
     }
 }
 
-/// Number that the store gave a dictionary.
+/// Number of a dictionary in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct DictionaryId(pub i64);
 
-/// Identifier that the coordinator gave a worker at registration.
+/// Identifier that the coordinator assigned to a worker at registration.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct WorkerId(pub String);
 
@@ -46,12 +46,12 @@ impl fmt::Display for WorkerId {
     }
 }
 
-/// Random number that proves that a lease was given. 0 is none.
+/// Random number that proves that a lease was granted. 0 is not valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Token(pub u128);
 
 impl Token {
-    /// 32 hexadecimal digits; what is no token is none.
+    /// Parses 32 hexadecimal digits; any other text gives the invalid 0.
     pub fn parse(text: &str) -> Self {
         Self(if text.len() == 32 { u128::from_str_radix(text, 16).unwrap_or(0) } else { 0 })
     }
@@ -63,19 +63,19 @@ impl fmt::Display for Token {
     }
 }
 
-/// Bounds of what one gRPC message or call may ask for.
+/// Limits of one gRPC message or call.
 #[derive(Debug)]
 pub struct RequestLimits;
 
 impl RequestLimits {
     /// Largest gRPC message in bytes: a record with 64 channels of 8192 pixels and derivatives has 12 MiB.
     pub const MESSAGE_BYTES: usize = 16 << 20;
-    /// Largest question about measurements for each pixel that it may have, in bytes: three numbers, and as much again as
-    /// one, so that a question with too many pixels is refused with their number rather than with bytes.
+    /// Largest size of a question about measurements, in bytes for each pixel that it may have: three numbers, and as
+    /// much again as one, so that a question with too many pixels is refused by their number rather than by its bytes.
     pub const PIXEL_BYTES: usize = 32;
     /// Most leases of one call.
     pub const LEASES: u32 = 1024;
-    /// Most records that one call names by their numbers.
+    /// Most records that one call selects by their numbers.
     pub const INDICES: usize = 10_000;
     /// Lowest and highest priority of a dictionary.
     pub const PRIORITY: std::ops::RangeInclusive<i32> = -1000..=1000;

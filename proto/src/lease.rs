@@ -1,4 +1,4 @@
-//! Jobs that are given to workers.
+//! Defines leases: jobs that are given to workers until a deadline.
 
 use optics_model::job::JobSpec;
 
@@ -11,9 +11,9 @@ pub struct LeaseKey {
     pub job: u32,
     /// Counts the leases of the job, from 1.
     pub attempt: u32,
-    /// Random; proves that the holder was given this attempt.
+    /// Random; proves that the holder was granted this attempt.
     pub token: Token,
-    /// Which part of the job: the block of walks if it is divided, else 0.
+    /// The part of the job: the block of walks if it is divided, else 0.
     pub part: u32,
 }
 

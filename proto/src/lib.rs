@@ -1,4 +1,4 @@
-//! The farm's gRPC interface, package `farm.v1`, and its words: dictionaries, workers, leases.
+//! Defines the farm's gRPC interface, package `farm.v1`, and its types for dictionaries, workers and leases.
 //!
 //! The generated wire types are in [`wire`]; `convert` is the only place that turns them into the types of
 //! `optics-model` and of this crate, and back.
@@ -16,7 +16,7 @@ pub use ids::{DictionaryName, RequestLimits};
 /// misunderstand, so that they are refused when they register.
 pub const PROTOCOL_VERSION: u32 = 2;
 
-/// Metadata of the answer to an export: how many of the records asked for are done when it begins.
+/// Metadata of the answer to an export: the number of requested records that are done when it begins.
 pub const RECORDS_PROMISED: &str = "farm-records-promised";
 
 /// The paths of all methods, as in `/farm.v1.Fits/Fit`.

@@ -1,4 +1,4 @@
-//! How far dictionaries and workers are.
+//! Describes the state and progress of dictionaries, jobs and workers.
 
 use std::fmt;
 
@@ -12,9 +12,9 @@ pub enum DictionaryState {
     Done,
     /// All other jobs are done, some have been given up.
     Failed,
-    /// No jobs are given out until it is resumed.
+    /// No jobs are leased until it is resumed.
     Paused,
-    /// Ended by someone; what was finished stays.
+    /// Ended by a user; finished records stay.
     Cancelled,
     /// Begun with another physics version: not continued.
     Outdated,
@@ -35,20 +35,20 @@ impl DictionaryState {
         }
     }
 
-    /// Whether it may go on without anyone doing anything.
+    /// Whether it is running or paused; in every other state its work has ended.
     pub fn is_open(self) -> bool {
         matches!(self, Self::Running | Self::Paused)
     }
 }
 
-/// How far one job is.
+/// The state of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum JobState {
     Waiting,
-    /// A worker has it, or a part of it.
+    /// A worker has leased it, or a part of it.
     Computing,
     Done,
-    /// Done, and another machine has found the same.
+    /// Done, and confirmed by another machine.
     Checked,
     Failed,
 }
@@ -57,7 +57,7 @@ impl JobState {
     pub const ALL: [Self; 5] = [Self::Waiting, Self::Computing, Self::Done, Self::Checked, Self::Failed];
 }
 
-/// Most failed jobs in a status; lists of all come in pages.
+/// Largest number of failed jobs in a status; complete lists come in pages.
 pub const FAILED_JOBS: usize = 1000;
 
 /// A job given up after too many failed attempts.
@@ -65,7 +65,7 @@ pub const FAILED_JOBS: usize = 1000;
 pub struct FailedJob {
     pub job: u32,
     pub reason: String,
-    /// Workers fell silent while they computed it; otherwise they reported that they could not.
+    /// Workers fell silent while they computed it; otherwise they reported that they could not compute it.
     pub quarantined: bool,
 }
 
@@ -82,25 +82,25 @@ pub struct DictionaryStatus {
     pub jobs_leased: usize,
     /// Jobs about which machines disagree, whether or not they are done.
     pub jobs_disputed: usize,
-    /// How many jobs were given up.
+    /// Number of jobs that were given up.
     pub jobs_failed: usize,
     /// The first of them, [`FAILED_JOBS`] at most.
     pub failed: Vec<FailedJob>,
     /// Share of the estimated work that is done, 0 to 1.
     pub work_done: f64,
-    /// Higher goes first.
+    /// Dictionaries with a higher priority are served first.
     pub priority: i32,
-    /// Why it was cancelled; empty if it was not.
+    /// Reason of the cancellation; empty if it was not cancelled.
     pub reason: String,
     /// Name of the token with which it was submitted; empty without a token.
     pub owner: String,
-    /// Time that the rest takes at the present pace.
+    /// Time until it is done at the present pace; None if unknown.
     pub eta_s: Option<f64>,
-    /// The dictionary that is served before, while none of this one's jobs is being computed.
+    /// The dictionary for which this one waits: it is served first, and no job of this one is being computed.
     pub goes_first: Option<DictionaryName>,
-    /// Records that were there before it was submitted.
+    /// Records that existed before it was submitted.
     pub records_reused: usize,
-    /// Fewest and most walks of the points that are done; zeros before.
+    /// Fewest and most walks of the points that are done; zeros if there are none.
     pub walks: (u64, u64),
 }
 
@@ -122,7 +122,7 @@ impl DictionaryStatus {
         self.state
     }
 
-    /// Whether among the jobs given up are some whose workers died.
+    /// Whether the workers of some of the jobs given up fell silent.
     pub fn has_quarantined(&self) -> bool {
         self.failed.iter().any(|f| f.quarantined)
     }
@@ -132,11 +132,11 @@ impl DictionaryStatus {
 pub enum WorkerState {
     Working,
     Idle,
-    /// Finishes what it has and leaves.
+    /// Finishes its jobs and leaves.
     Draining,
-    /// Computed wrongly: gets no more jobs.
+    /// Computed wrong records: gets no more jobs.
     Fenced,
-    /// Has not been heard of for longer than a lease holds.
+    /// Has made no call for longer than a lease is valid.
     Silent,
     /// Fails one job after the other: gets none for a while.
     Suspended,
@@ -155,15 +155,15 @@ impl fmt::Display for WorkerState {
     }
 }
 
-/// Hardware of a machine, as reported by its worker; zeros and empty where it is not.
+/// Hardware of a machine, as reported by its worker; zeros and empty texts where unknown.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct MachineFacts {
-    /// That the worker may use.
+    /// Cores that the worker may use.
     pub cores: u32,
     pub memory_bytes: u64,
     /// The kernel that it traces with.
     pub kernel: String,
-    /// Where its log is to be read, as in `HOST:/var/log/slurm-17.out`; empty if unknown.
+    /// The place at which its log can be read, as in `HOST:/var/log/slurm-17.out`; empty if unknown.
     pub log: String,
 }
 
@@ -176,7 +176,7 @@ pub struct WorkerStatus {
     pub jobs_done: u64,
     pub silent_ms: u64,
     pub state: WorkerState,
-    /// How long it gets no jobs; 0 if it is not suspended.
+    /// Remaining time without jobs; 0 if it is not suspended.
     pub suspended_ms: u64,
     pub version: String,
     pub facts: MachineFacts,

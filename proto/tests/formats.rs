@@ -1,7 +1,7 @@
-//! Messages that programs of every version have sent are understood by this one.
+//! Checks that messages that programs of every version have sent can be read.
 //!
-//! A version is called by the schema of its database. A message of the newest one has the very bytes that this
-//! program sends: another number or type of a field would show.
+//! Versions are named by the schema of their database. A message of the newest one must have exactly the bytes that
+//! this program sends, so that another number or type of a field is detected.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -17,10 +17,10 @@ use prost::Message;
 
 const VERSIONS: std::ops::RangeInclusive<u32> = 1..=NEWEST;
 const NEWEST: u32 = 6;
-/// Version of the physics in each.
+/// Version of the physics in each version.
 const PHYSICS_VERSIONS: [u32; 6] = [2, 3, 3, 3, 3, 3];
 
-/// The messages of a file, which empty lines part.
+/// The messages of a file, which are separated by empty lines.
 fn encoded(version: u32, name: &str) -> Vec<Vec<u8>> {
     let file = format!("{}/../tests/data/formats/{version}/{name}.hex", env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(&file).unwrap_or_else(|error| panic!("{file}: {error}"));
@@ -85,7 +85,7 @@ fn status_of_a_dictionary_is_understood() {
         assert_eq!(status.state, DictionaryState::Done, "version {version}");
         assert_eq!((status.jobs_done, status.records_done()), (3, 9), "version {version}");
         assert!(status.records_digest.is_some(), "version {version}");
-        // What the first version did not know.
+        // Fields that the first version did not have.
         assert_eq!((status.priority, status.eta_s, status.goes_first), (0, None, None), "version {version}");
         assert_eq!(status.jobs_disputed, usize::from(version >= 4), "version {version}");
         assert_eq!(status.owner, if version >= 5 { "alice" } else { "" }, "version {version}");
@@ -166,7 +166,8 @@ fn answer_of_a_fit_is_understood() {
     }
 }
 
-/// Release 0.2 called a medium resolved if it was so at its g, and had no field for that: it has the same meaning here.
+/// Release 0.2 called a medium resolved if it was resolved at its g, and had no field for that: the field is set if the
+/// medium is resolved.
 #[test]
 fn release_0_2_answer_is_resolved() {
     let [fit]: [wire::FitResponse; 1] = messages(6, "fit_response_0.2").try_into().unwrap();
@@ -179,7 +180,7 @@ fn release_0_2_answer_is_resolved() {
     assert_eq!(flags, [(true, true), (false, false), (true, true), (true, true)]);
 }
 
-/// The answer of a measurement: scale, media, and what they have in common.
+/// The answer of a measurement: scale, media, and their common quantities.
 type Measured = (Option<ScaleCurve>, (f64, f64, Option<f64>), Vec<MaterialFit>, Option<Common>);
 
 #[test]
@@ -224,7 +225,7 @@ fn older_worker_protocol_is_recognised() {
         assert_eq!(register(version).protocol_version, PROTOCOL_VERSION, "version {version}");
     }
     assert_eq!((&register(3).host[..], &register(NEWEST).host[..]), ("", "host"));
-    // It sent records as messages: they are nothing that this version takes.
+    // It sent records as messages, which this version does not accept.
     let requests = messages::<wire::CompleteRequest>(2, "complete_requests");
     assert!(matches!(requests[0].content, Some(Content::Header(_))));
     assert_eq!(requests[1].content, None);
@@ -232,7 +233,7 @@ fn older_worker_protocol_is_recognised() {
 
 #[test]
 fn lease_is_understood() {
-    // It has the physics version of the program that wrote the message.
+    // The identity depends on the physics version of the program that wrote the message.
     let identity = messages::<wire::AcquireResponse>(NEWEST, "acquire_response")[0].leases[0]
         .job
         .as_ref()

@@ -1,4 +1,4 @@
-//! A dictionary from `farmctl submit` to the last record in the database, on all cores.
+//! Times a dictionary from `farmctl submit` to the last record in the database, on all cores.
 //!
 //! `cargo bench -p farm-tests --bench dictionary` takes the paper's grid with 25,000 walks a point, a tenth of the
 //! paper's; with `FARM_BENCH_WALKS=250000` it is the paper's dictionary itself.

@@ -1,4 +1,4 @@
-//! A simulated Slurm: `sbatch`, `squeue` and `scancel` in bash, which run tasks on this machine. `deploy/slurm/check`
+//! Simulates Slurm: `sbatch`, `squeue` and `scancel` in bash, which run tasks on this machine. `deploy/slurm/check`
 //! tests with a real one.
 
 use std::ffi::OsString;

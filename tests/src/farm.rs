@@ -1,4 +1,4 @@
-//! A farm of real processes: a coordinator that keeps its port over restarts, workers, and clients.
+//! Runs a farm of real processes: a coordinator that keeps its port over restarts, workers, and clients.
 
 mod ending;
 mod figures;

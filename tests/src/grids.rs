@@ -1,4 +1,4 @@
-//! Grids, and their records as computed without a farm.
+//! Provides grids, and their records as computed without a farm.
 
 use std::sync::atomic::AtomicBool;
 

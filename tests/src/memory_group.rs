@@ -1,4 +1,4 @@
-//! A control group with a memory limit for processes of the tests, as containers and batch systems use.
+//! Creates a control group with a memory limit for processes of the tests, as containers and batch systems use.
 //!
 //! It needs Linux with version 1 of the memory controller, and root; elsewhere there is no group.
 

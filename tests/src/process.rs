@@ -214,7 +214,7 @@ impl Process {
         rustix::process::kill_process(id, signal).expect("the process is there");
     }
 
-    /// SIGHUP, as when its terminal is closed.
+    /// Sends SIGHUP, as when its terminal is closed.
     ///
     /// # Panics
     /// If the tests themselves run with SIGHUP ignored, which programs inherit.
@@ -226,7 +226,7 @@ impl Process {
         self.signal(Signal::HUP);
     }
 
-    /// `kill -9`, and waits until it is gone.
+    /// Sends SIGKILL, and waits until the process is gone.
     pub fn kill(&mut self) {
         // It may have ended by itself.
         let _ = self.child.kill();

@@ -1,4 +1,4 @@
-//! A proxy that injects network faults: bytes pass, are silently held back, or the connection is cut.
+//! Injects network faults by a proxy: bytes pass, are silently held back, or the connection is cut.
 
 use std::net::SocketAddr;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Reads the reference values in `tests/data`, whose sources `tests/data/README.md` gives, and the project's own files.
+//! Reads the reference values in `tests/data`, whose sources are in `tests/data/README.md`, and the project's own files.
 
 use std::path::{Path, PathBuf};
 

@@ -1,4 +1,4 @@
-//! Means and shares with standard errors, and random numbers for noise.
+//! Computes means and shares with standard errors, and random numbers for noise.
 
 use std::fmt;
 
@@ -95,7 +95,7 @@ impl Share {
     }
 }
 
-/// In per cent.
+/// Writes the share in per cent.
 impl fmt::Display for Share {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{:.1} ± {:.1}", 100.0 * self.share, 100.0 * self.std_error)
@@ -119,7 +119,7 @@ impl Normal {
         Self(seed.wrapping_mul(0xD134_2543_DE82_EF95))
     }
 
-    /// From 0 to 1.
+    /// Uniform from 0 to 1.
     pub fn uniform(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

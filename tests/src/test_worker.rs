@@ -1,4 +1,4 @@
-//! A worker that a test controls call by call.
+//! Provides a worker that a test controls call by call.
 
 use anyhow::Result;
 use bytes::Bytes;
@@ -71,7 +71,7 @@ impl TestWorker {
             .map_err(|e| farm_proto::to_status(&e))
     }
 
-    /// Renews a lease; whether it is still valid.
+    /// Renews a lease; returns whether it is still valid.
     pub async fn renew(&mut self, lease: &Lease, running: bool) -> Result<bool, Status> {
         let identity = lease.job.identity().as_bytes().to_vec();
         let held = HeldLease { key: Some(lease.key.into()), running, identity };

@@ -1,4 +1,4 @@
-//! Use of processor, memory and files by another process, from Linux's /proc.
+//! Reads the use of processor, memory and files by another process from Linux's /proc.
 
 use std::fs::read_to_string;
 

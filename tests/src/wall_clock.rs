@@ -1,4 +1,4 @@
-//! A wall clock that jumps, for processes that are started with it, by Debian's `libfaketime`.
+//! Simulates a wall clock that jumps, for processes that are started with it, by Debian's `libfaketime`.
 //!
 //! The monotonic clock is unchanged, as when the clock of a machine is set.
 

@@ -117,7 +117,7 @@ async fn stopping_worker_returns_its_leases() -> Result<()> {
     Ok(())
 }
 
-/// Its late result is a duplicate, or a conflict if it differs.
+/// The late result of a silent worker is a duplicate, or a conflict if it differs.
 #[tokio::test(flavor = "multi_thread")]
 async fn silent_worker_loses_its_job() -> Result<()> {
     let mut farm = Farm::with_tokens(&["silent", "healthy"], &["--lease", "1"]);

@@ -99,8 +99,8 @@ fn uniform_bases_agree_with_adding_doubling() {
 }
 
 /// 16 × 500,000 walks and 16,384 samples per pixel, so that nearly all noise is the reference's, whose pixels are
-/// independent: χ²/n is 1 ± 0.14. Pixels of our profile share their walks, so the error of a side's mean comes from
-/// the spread between the 16 seeds.
+/// independent: χ²/n is 1 ± 0.14. Pixels of the tracer's profile share their walks, so the error of a side's mean comes
+/// from the spread between the 16 seeds.
 #[test]
 fn edge_profiles_agree_with_mitsuba() {
     const SEEDS: u64 = 16;

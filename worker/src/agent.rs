@@ -27,9 +27,9 @@ use crate::session::{CoordinatorSession, Error, Introduction};
 
 /// Pause after a call that failed, first and longest.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
-/// How long the delivery of finished records may take once the worker stops.
+/// Time limit for the delivery of finished records once the worker stops.
 const DELIVERY: Duration = Duration::from_secs(10);
-/// How long stopped jobs may take to end.
+/// Time limit for stopped jobs to end.
 const STOPPING: Duration = Duration::from_secs(2);
 /// Time before the limit by which all leases are handed back, in addition to the grace.
 const MARGIN: Duration = Duration::from_secs(5);
@@ -38,12 +38,12 @@ const MARGIN: Duration = Duration::from_secs(5);
 const MOST_JOBS: usize = 16;
 const MOST_BYTES: usize = 64 << 20;
 
-/// Why a worker ended.
+/// The reason for which a worker ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EndReason {
     /// Its caller stopped it.
     Stopped,
-    /// The coordinator asked it to leave.
+    /// The coordinator requested that it leave.
     Drained,
     TimeLimit,
     Idle,
@@ -106,7 +106,7 @@ struct Agent {
     held: Arc<HeldLeases>,
     /// One permit per job that this worker may hold without a result.
     slots: Arc<Semaphore>,
-    /// Cancelled when the coordinator asks the worker to leave.
+    /// Cancelled when the coordinator requests that the worker leave.
     drain: CancellationToken,
     grace: Duration,
     idle_exit: Option<Duration>,

@@ -6,7 +6,7 @@ use farm_link::Target;
 
 use crate::machine;
 
-/// Where to get jobs from, how much to compute at a time and when to stop.
+/// The source of a worker's jobs, the amount to compute at a time, and the conditions under which it stops.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// The coordinator, and how to connect to it.
@@ -17,11 +17,11 @@ pub struct Config {
     pub label: String,
     /// Identifies this machine, whichever process runs on it.
     pub host: String,
-    /// Where this worker's log can be read; empty if unknown.
+    /// The place at which this worker's log can be read; empty if unknown.
     pub log: String,
     /// Memory for undelivered results: when it is full, tracing waits.
     pub buffer_bytes: usize,
-    /// How long running jobs may continue once the worker stops.
+    /// Time for which running jobs may continue once the worker stops.
     pub grace: Duration,
     /// Limit of the run time. The worker stops early enough to hand everything back before it.
     pub time_limit: Option<Duration>,

@@ -10,7 +10,7 @@ use crate::leases::HeldLeases;
 use crate::retry::log_failure;
 use crate::session::CoordinatorSession;
 
-/// Renews four times per lease until `end`; cancels `drain` when the coordinator asks the worker to leave.
+/// Renews four times per lease until `end`; cancels `drain` when the coordinator requests that the worker leave.
 pub(crate) async fn beat(
     session: Arc<CoordinatorSession>,
     held: Arc<HeldLeases>,

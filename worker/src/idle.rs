@@ -24,7 +24,7 @@ impl IdleTime {
         self.since = Instant::now();
     }
 
-    /// How long the next call may wait for work.
+    /// Time for which the next call may wait for work.
     pub(crate) fn wait(&self) -> Duration {
         self.limit.map_or(WAIT, |limit| limit.saturating_sub(self.since.elapsed()).min(WAIT))
     }

@@ -140,7 +140,7 @@ mod tests {
     use crate::leases::SetSwitch;
     use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
 
-    /// The report is repeated until it gets an answer.
+    /// The report of a panic is repeated until it gets an answer.
     #[tokio::test(start_paused = true)]
     async fn tracer_panic_is_reported() {
         let coordinator = Coordinator::start();

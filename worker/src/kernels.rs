@@ -1,4 +1,4 @@
-//! Chooses the kernel that this process traces with, and measures how fast a kernel is on this machine.
+//! Chooses the kernel that this process traces with, and measures the speed of kernels on this machine.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ const WALKS: u64 = 2000;
 /// Number of trials, of which the quickest counts.
 const TRIALS: u32 = 3;
 
-/// How fast a kernel is on this machine.
+/// The speed of a kernel on this machine.
 #[derive(Debug, Clone, Copy)]
 pub struct Speed {
     pub kernel: Kernel,

@@ -1,4 +1,4 @@
-//! The table of the leases that this worker holds, and the switches that stop their jobs.
+//! Keeps the table of the leases that this worker holds, and the switches that stop their jobs.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -24,9 +24,9 @@ impl SetSwitch {
 /// State that a job's lease shares with its tracing, which runs on another thread.
 #[derive(Debug)]
 pub(crate) struct JobSwitches {
-    /// The job is stopped: its result is not needed.
+    /// Whether the job is stopped, since its result is not needed.
     stop: AtomicBool,
-    /// The job is being traced.
+    /// Whether the job is being traced.
     running: AtomicBool,
     set: Arc<SetSwitch>,
 }
@@ -75,7 +75,7 @@ impl JobSwitches {
 struct LeaseEntry {
     switches: Arc<JobSwitches>,
     identity: Digest,
-    /// The job has a result, which is delivered even if the lease is lost.
+    /// Whether the job has a result, which is delivered even if the lease is lost.
     traced: bool,
 }
 
@@ -107,7 +107,7 @@ impl HeldLeases {
         }
     }
 
-    /// All leases, whether each job is being traced, and what its records depend on.
+    /// All leases, whether each job is being traced, and the identity of each job.
     pub(crate) fn all(&self) -> Vec<(LeaseKey, bool, Digest)> {
         self.map().iter().map(|(key, e)| (*key, e.switches.is_running(), e.identity)).collect()
     }
@@ -193,7 +193,7 @@ mod tests {
         assert!(!held.lose(&keys[1]), "it is lost once");
     }
 
-    /// The result may still count.
+    /// The result of a finished job may still count.
     #[test]
     fn lost_lease_stays_for_finished_job() {
         let (held, switches, keys) = one_of_each();
@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(held.all().len(), 2);
     }
 
-    /// The walks continue while one of its jobs is not stopped.
+    /// The walks of a set continue while one of its jobs is not stopped.
     #[test]
     fn set_stops_with_its_last_job() {
         let (held, set) = (HeldLeases::default(), SetSwitch::new(2));

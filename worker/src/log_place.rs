@@ -14,14 +14,14 @@ struct Surroundings<'a> {
     variable: &'a dyn Fn(&str) -> Option<OsString>,
     /// The device and inode of standard error, as `DEVICE:INODE`.
     stderr_id: Option<String>,
-    /// The regular file that standard error is.
+    /// The regular file to which standard error is redirected.
     stderr_file: Option<&'a Path>,
     in_docker: bool,
     host: &'a str,
 }
 
-/// Where this process's standard error can be read, as a path with its host or as a command: a regular file, the
-/// journal, a container's log. Empty if unknown, as for a terminal or a pipe.
+/// The place at which this process's standard error can be read, as a path with its host or as a command: a regular
+/// file, the journal, a container's log. Empty if unknown, as for a terminal or a pipe.
 pub fn log_place() -> String {
     let stderr = fs::read_link("/proc/self/fd/2").ok();
     let about = stderr.as_deref().and_then(|_| fs::metadata("/proc/self/fd/2").ok());

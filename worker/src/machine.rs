@@ -1,4 +1,4 @@
-//! Identity and equipment of this machine: its name, an id that no other machine has, and its hardware.
+//! Identifies this machine and its equipment: its name, an id that no other machine has, and its hardware.
 
 use farm_proto::status::MachineFacts;
 use optics_tracer::Kernel;

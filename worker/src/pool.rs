@@ -1,5 +1,5 @@
-//! The threads that trace, separate from those that talk to the coordinator. A panic or a job that is too large becomes
-//! an error message for the coordinator.
+//! Runs the threads that trace, separate from those that communicate with the coordinator. A panic or a job that is too
+//! large becomes an error message for the coordinator.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -25,7 +25,7 @@ pub(crate) enum TraceResult {
 /// Signal to a thread that has announced a job and waits to begin.
 pub(crate) type StartSignal = oneshot::Sender<()>;
 
-/// How the tracing of jobs that share their walks ended.
+/// The outcome of tracing jobs that share their walks.
 #[derive(Debug)]
 pub(crate) enum TraceEnd {
     /// The results, one per job.
@@ -150,7 +150,7 @@ mod tests {
         let (begun, begins) = oneshot::channel();
         let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
         let start = begins.await.unwrap();
-        // A second, of which such a job needs a small part.
+        // A second: such a job needs a small part of it.
         tokio::time::sleep(std::time::Duration::from_secs(1)).await;
         assert!(!traced.is_finished(), "it does not wait");
         start.send(()).unwrap();

@@ -11,8 +11,8 @@ use crate::reachability::is_silence;
 /// First and longest pause before a call is repeated.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
 
-/// At most this many consecutive pauses are cut short, so that a coordinator that answers but keeps failing is not
-/// hammered.
+/// At most this many pauses are cut short between two resets, so that a coordinator that answers but keeps failing is
+/// not called too often.
 const EARLY: u32 = 3;
 
 /// Pauses that double with each consecutive failure.
@@ -21,7 +21,7 @@ pub(crate) struct Pauses {
     first: Duration,
     longest: Duration,
     next: Duration,
-    /// How many pauses have ended early.
+    /// Number of pauses that were cut short since the last reset.
     early: u32,
 }
 

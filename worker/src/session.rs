@@ -99,7 +99,7 @@ impl CoordinatorSession {
         Ok(Some(session))
     }
 
-    /// How long a lease is valid without renewal.
+    /// Time for which a lease is valid without renewal.
     pub(crate) fn lease(&self) -> Duration {
         self.registration().lease
     }

@@ -1,4 +1,4 @@
-//! TLS alerts with which a coordinator closes a connection.
+//! Recognises TLS alerts with which a coordinator closes a connection.
 
 use std::error::Error;
 
@@ -6,10 +6,10 @@ use tonic::Status;
 
 use crate::error::root_cause;
 
-/// How rustls words what the other side ended a connection with. HTTP/2 passes on the words alone.
+/// The beginning of rustls's message for an alert of the other side. HTTP/2 passes on the text alone.
 const ALERT: &str = "received fatal alert: ";
-/// Alerts about certificates that were shown. `DecryptError` is the one for a wrong signature: the certificate is of an
-/// authority of the right name with another key, as those of other access files are.
+/// Alerts about certificates that were presented. `DecryptError` is the one for a wrong signature: the certificate is
+/// of an authority of the right name with another key, as those of other access files are.
 const NOT_ACCEPTED: [&str; 8] = [
     "AccessDenied",
     "BadCertificate",
@@ -21,8 +21,8 @@ const NOT_ACCEPTED: [&str; 8] = [
     "UnsupportedCertificate",
 ];
 
-/// A status with the reason why the coordinator refuses this certificate, or its absence; None if that is not why
-/// the call failed. Other calls will fail in the same way, so that it is of no use to try again.
+/// A status with the reason for which the coordinator refuses this certificate, or its absence; None if the call failed
+/// for another reason. Other calls will fail in the same way, so that it is of no use to try again.
 pub fn refusal(error: &dyn Error) -> Option<Status> {
     let cause = root_cause(error);
     let (_, alert) = cause.rsplit_once(ALERT)?;
@@ -48,7 +48,7 @@ mod tests {
 
     use super::*;
 
-    /// As the words come out of HTTP/2.
+    /// The refusal for an error with the text that HTTP/2 passes on.
     fn refused(error: &rustls::Error) -> Option<String> {
         let error = io::Error::other(format!("connection error: {error}"));
         refusal(&error).map(|status| status.message().to_owned())

@@ -1,11 +1,11 @@
-//! Arguments that several programs have.
+//! Parses arguments that several programs have.
 
 use std::net::{SocketAddr, ToSocketAddrs as _};
 
 use clap::builder::Resettable;
 use clap::{Command, Parser};
 
-/// The arguments of this process. An empty variable counts as one that is not set: so scripts and units clear one.
+/// The arguments of this process. An empty environment variable counts as not set, so that scripts and units can clear it.
 pub fn parse<A: Parser>() -> A {
     let matches = without_empty_variables(A::command()).get_matches();
     A::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
@@ -20,7 +20,7 @@ fn without_empty_variables(command: Command) -> Command {
     command.mut_args(read).mut_subcommands(without_empty_variables)
 }
 
-/// An address to listen on, as numbers or by a host's name; of several the first IPv4 one.
+/// An address to listen on, as numbers or by a host's name; of several addresses the first IPv4 one.
 pub fn listen_address(text: &str) -> Result<SocketAddr, String> {
     if let Ok(address) = text.parse() {
         return Ok(address);
@@ -55,7 +55,7 @@ mod tests {
     /// Empty environment variables count as not set.
     #[test]
     fn empty_variables_count_as_unset() {
-        // Variables are those of the process: the test runs itself with one that is empty.
+        // Variables belong to the process, so the test runs itself with an empty one.
         if std::env::var_os("FARM_TEST_EMPTY").is_none() {
             let name = "arguments::tests::empty_variables_count_as_unset";
             let mut again = std::process::Command::new(std::env::current_exe().unwrap());

@@ -1,4 +1,4 @@
-//! The access file of a worker, a client or an admin.
+//! Reads the access file of a worker, a client or an admin.
 
 use std::path::{Path, PathBuf};
 
@@ -66,8 +66,8 @@ impl ClientAccess {
         Bearer::of(self.fields.token.expose_secret())
     }
 
-    /// The coordinator, or the one at `override_url`, with encryption: without it the token would be there for all to
-    /// read, and on loopback for those who take a port that is free.
+    /// The coordinator, or the one at `override_url`, with encryption. Without it others could read the token: on the
+    /// network, or on loopback by listening on a port that is free.
     pub fn endpoint(&self, override_url: Option<&str>) -> Result<Endpoint, AccessError> {
         let url = override_url.unwrap_or(&self.fields.server);
         let (endpoint, security) = checked_endpoint(url)?;
@@ -78,7 +78,7 @@ impl ClientAccess {
         Err(AccessError::Url { url: url.to_owned(), problem: problem.to_owned() })
     }
 
-    /// The same encryption as that of an endpoint of this file; None if it has none.
+    /// A handshake like that of an endpoint of this file; None if the endpoint has none.
     pub(crate) fn handshake(&self, endpoint: &Endpoint) -> Option<Handshake> {
         let fields = &self.fields;
         let key = fields.key.as_ref().map(SecretString::expose_secret);
@@ -129,7 +129,7 @@ impl ClientAccess {
     }
 }
 
-/// Says what is allowed, and not what was given.
+/// The error states the allowed form, and not the given token.
 fn check_token(token: &str) -> Result<(), String> {
     if TOKEN_BYTES.contains(&token.len()) && token.bytes().all(|b| b.is_ascii_graphic()) {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The coordinator's access file.
+//! Reads the coordinator's access file.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -11,7 +11,7 @@ use crate::error::{AccessError, root_cause};
 use crate::tokens::{self, TokenTable, Tokens};
 use crate::{HANDSHAKE, file, pem};
 
-/// The coordinator's certificate, and whom it lets in.
+/// The coordinator's certificate, and the tokens that it accepts.
 ///
 /// ```toml
 /// certificate = '''-----BEGIN CERTIFICATE----- …'''
@@ -33,7 +33,7 @@ pub struct CoordinatorAccess {
     key: SecretString,
     client_ca: Option<String>,
     tokens: RwLock<Arc<Tokens>>,
-    /// Digest of what was read last. Times and sizes do not suffice: they can be set, and be the same.
+    /// Digest of the file when it was last read. Times and sizes do not suffice: they can be set, and be the same.
     digest: Mutex<Option<blake3::Hash>>,
 }
 
@@ -48,9 +48,9 @@ struct CoordinatorFields {
 }
 
 impl CoordinatorAccess {
-    /// Reads and checks a file, down to the key's belonging to the certificate.
+    /// Reads and checks a file, including that the key belongs to the certificate.
     pub fn read(path: &Path) -> Result<Self, AccessError> {
-        // Looked at first: what changes meanwhile is read again.
+        // Computed first, so that a file that changes meanwhile is read again.
         let digest = file::digest(path);
         let (fields, tokens) = read_fields(path)?;
         let wrong = |field: &str, problem| AccessError::Field {
@@ -75,12 +75,12 @@ impl CoordinatorAccess {
         Ok(access)
     }
 
-    /// Whether clients must show a certificate.
+    /// Whether clients must present a certificate.
     pub fn is_mutual(&self) -> bool {
         self.client_ca.is_some()
     }
 
-    /// For `Server::tls_config`.
+    /// The settings for `Server::tls_config`.
     pub fn server_tls(&self) -> ServerTlsConfig {
         let identity = Identity::from_pem(&self.certificate, self.key.expose_secret());
         let tls = ServerTlsConfig::new().identity(identity).timeout(HANDSHAKE);
@@ -95,8 +95,9 @@ impl CoordinatorAccess {
         self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Reads the file's tokens again, if it has changed since it was last read: whether they are others now. A file that
-    /// cannot be used changes nothing. Certificates are not read again: connections that were made by them are open.
+    /// Reads the file's tokens again, if it has changed since it was last read. Returns whether the tokens have
+    /// changed. A file that cannot be used changes nothing. Certificates are not read again: connections that were made
+    /// with them are open.
     pub fn refresh(&self) -> Result<bool, AccessError> {
         let digest = file::digest(&self.path);
         let last = &mut *self.digest.lock().unwrap_or_else(PoisonError::into_inner);
@@ -150,7 +151,7 @@ mod tests {
         format!("{n:032}")
     }
 
-    /// Other tokens have none, nor does a token's hash.
+    /// Other tokens have no role or name, nor does a token's hash.
     #[test]
     fn token_has_role_and_name() {
         let entries =

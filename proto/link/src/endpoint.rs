@@ -1,4 +1,4 @@
-//! URLs of coordinators, and the token that calls carry.
+//! Checks URLs of coordinators, and adds the token to calls.
 
 use std::net::IpAddr;
 use std::time::Duration;
@@ -10,7 +10,7 @@ use crate::error::{AccessError, root_cause};
 use crate::loopback::Loopback;
 
 const CONNECT: Duration = Duration::from_secs(10);
-/// HTTP/2 pings find links that were cut without a word.
+/// Interval of HTTP/2 pings, which detect links that were cut silently.
 const KEEPALIVE: Duration = Duration::from_secs(20);
 
 /// Adds `authorization: Bearer TOKEN` to every call; without a token, nothing.
@@ -37,7 +37,7 @@ fn header(token: &str) -> Option<HeaderValue> {
     Some(header)
 }
 
-/// Protection of a connection to a URL against listeners.
+/// Protection of a connection to a URL against eavesdropping.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct UrlSecurity {
     pub(crate) encrypted: bool,

@@ -1,4 +1,4 @@
-//! What can be wrong with an access file, or with a URL.
+//! Describes the errors of an access file, or of a URL.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,4 @@
-//! Why a coordinator does not answer, in plain words.
+//! Explains in plain words why a coordinator does not answer.
 
 use std::error::Error;
 use std::io;
@@ -8,17 +8,17 @@ use rustls::{CertificateError, Error as TlsError};
 use crate::alert::refusal;
 use crate::error::root_cause;
 
-/// What the transport calls a message that is none: an answer of a program that does not speak HTTP/2 without
-/// encryption.
+/// The transport's messages for the answer of a program that does not speak HTTP/2 without encryption.
 const NOT_HTTP2: [&str; 2] = ["frame with invalid size", "frame received is malformed"];
 
-/// tonic's message for an answer by HTTP/2 that is a page and no message: the page's port, or that of the figures.
+/// tonic's messages for an answer by HTTP/2 that is a page and no gRPC message, as from the port of the page or of the
+/// metrics.
 const NO_MESSAGE: [&str; 2] = ["invalid compression flag", "grpc-status header missing"];
 
 /// hyper's message for a connection whose peer answers no ping.
 const SILENT: &str = "keep-alive timed out";
 
-/// Why the coordinator at a URL does not answer, and what to look at; None for a failure of another kind.
+/// The reason for which the coordinator at a URL does not answer, and the remedy; None for a failure of another kind.
 pub fn failure(error: &(dyn Error + 'static), url: &str) -> Option<String> {
     if refusal(error).is_some() {
         return None;
@@ -94,7 +94,7 @@ fn of_connection(error: &io::Error, url: &str) -> Option<String> {
             let hint = if is_plain(url) { ", or it listens for https:// and wants an access file" } else { "" };
             format!("the connection was cut ({error}): the coordinator may have ended{hint}")
         }
-        // Another user's: this program's own words.
+        // The port is another user's: the message comes from this crate.
         ErrorKind::PermissionDenied if error.get_ref().is_some() => error.to_string(),
         _ => return None,
     };
@@ -173,7 +173,7 @@ mod tests {
         failure(&error, "https://farm:7700").unwrap()
     }
 
-    /// Every cause of a failed connection is explained, with what to look at.
+    /// Every cause of a failed connection is explained, with the remedy.
     #[test]
     fn every_cause_names_a_remedy() {
         for (kind, expected) in [

@@ -1,4 +1,4 @@
-//! Reading a secret file in TOML.
+//! Reads secret files in TOML.
 
 use std::fs::File;
 use std::io::{self, Read as _};
@@ -12,11 +12,11 @@ use crate::error::AccessError;
 /// Certificates are not longer than this.
 const LONGEST_BYTES: u64 = 1 << 20;
 
-/// The permissions of everybody who is neither the owner nor of the group. The group may read, since that is how
+/// The permissions of users who are neither the owner nor in the group. The group may read, since that is how
 /// Kubernetes mounts a secret for a user that is not root.
 const OTHERS: u32 = 0o007;
 
-/// Digest of what is in a file; none if it cannot be read, or is no regular file.
+/// Digest of a file's content; None if it cannot be read, or is no regular file.
 pub(crate) fn digest(path: &Path) -> Option<blake3::Hash> {
     let file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|about| about.is_file()))?;
     let mut bytes = Vec::new();
@@ -46,14 +46,14 @@ pub(crate) fn read_secret<T: DeserializeOwned>(path: &Path, expected: &str) -> R
     })
 }
 
-/// The line of an error. What stands there is not shown, as the parser would by itself: it may be a secret.
+/// The line of an error. Its text is not shown, as the parser would by default: it may be a secret.
 fn place(text: &str, error: &toml::de::Error) -> String {
     let before = error.span().and_then(|span| text.get(..span.start));
     before.map_or_else(String::new, |before| format!("line {}: ", before.matches('\n').count() + 1))
 }
 
-/// A message of the parser without words as long as tokens and keys: it quotes unknown names, and a secret
-/// may stand where a name should be. No name that it expects is as long.
+/// A message of the parser without words as long as tokens and keys: it quotes unknown names, and a secret may be in
+/// the place of a name. No expected name is as long.
 fn discreet(message: &str) -> String {
     const SHORTEST_SECRET: usize = 16;
     let is_part = |c: char| c.is_ascii_graphic() && !"`'\"".contains(c);

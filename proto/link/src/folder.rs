@@ -1,15 +1,16 @@
-//! Folders whose names are to outlive a loss of power.
+//! Syncs folders, so that the names in them survive a loss of power.
 
 use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// Puts the names in a folder on the disk, where its filesystem can do that.
+/// Writes the names in a folder to the disk, if its filesystem supports that.
 pub fn sync_folder(folder: &Path) -> io::Result<()> {
     where_supported(File::open(folder)?.sync_all())
 }
 
-/// Network filesystems and those in user space may answer EINVAL or ENOTSUP for every folder: there is nothing to sync.
+/// Ignores EINVAL and ENOTSUP, with which network filesystems and those in user space may answer for every folder:
+/// there is nothing to sync.
 fn where_supported(synced: io::Result<()>) -> io::Result<()> {
     match synced.as_ref().map_err(io::Error::kind) {
         Err(io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),

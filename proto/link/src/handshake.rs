@@ -1,8 +1,8 @@
-//! A TLS handshake by itself, to learn why a coordinator ends connections.
+//! Makes a separate TLS handshake, to find out why a coordinator ends connections.
 //!
-//! In TLS 1.3 a client has ended its handshake before the server has looked at the client's certificate. By the time
-//! the server objects, the client is sending already, and what is sent to a closed connection makes the system throw
-//! away the server's last words. A peer that only reads after the handshake receives them.
+//! In TLS 1.3 a client has ended its handshake before the server has checked the client's certificate. By the time the
+//! server objects, the client is sending already, and data that is sent to a closed connection makes the system discard
+//! the server's alert. A peer that only reads after the handshake receives it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,11 +18,11 @@ use tonic::codegen::http::Uri;
 
 use crate::alert::refusal;
 
-/// How long a coordinator may take to object.
+/// Time limit for the coordinator to object.
 const PATIENCE: Duration = Duration::from_secs(3);
 const HTTPS_PORT: u16 = 443;
 
-/// What a client shows in a handshake, and whom it expects.
+/// The credentials that a client presents in a handshake, and the server name that it expects.
 #[derive(Debug, Clone)]
 pub(crate) struct Handshake {
     host: String,
@@ -42,7 +42,7 @@ pub(crate) struct Credentials<'a> {
 }
 
 impl Handshake {
-    /// None if the credentials cannot be used.
+    /// A handshake with these credentials; None if they cannot be used.
     pub(crate) fn new(uri: &Uri, credentials: Credentials<'_>) -> Option<Self> {
         let host = uri.host()?.trim_start_matches('[').trim_end_matches(']').to_owned();
         let name = ServerName::try_from(credentials.server_name.unwrap_or(&host)).ok()?.to_owned();
@@ -50,13 +50,14 @@ impl Handshake {
         Some(Self { host, port, name, config: Arc::new(config(credentials)?) })
     }
 
-    /// Why the coordinator does not accept the certificate, or its absence; None if it gives no such reason.
+    /// The reason for which the coordinator does not accept the certificate, or its absence; None if it gives no such
+    /// reason.
     pub(crate) async fn refusal(&self) -> Option<Status> {
         let ended = tokio::time::timeout(PATIENCE, self.listen()).await;
         ended.ok()?.err().and_then(|error| refusal(&error))
     }
 
-    /// Ends with the first word of the coordinator, or when it ends the connection.
+    /// Waits for the first byte of the coordinator, or until it ends the connection.
     async fn listen(&self) -> io::Result<()> {
         let stream = TcpStream::connect((self.host.as_str(), self.port)).await?;
         let mut stream = TlsConnector::from(self.config.clone()).connect(self.name.clone(), stream).await?;
@@ -78,7 +79,7 @@ fn config(Credentials { authority, identity, .. }: Credentials<'_>) -> Option<Cl
         }
         None => builder.with_no_client_auth(),
     };
-    // The coordinator speaks nothing else.
+    // The coordinator speaks no other protocol.
     config.alpn_protocols = vec![b"h2".to_vec()];
     Some(config)
 }

@@ -1,27 +1,27 @@
-//! How the farm's programs reach each other, and what else several of them need.
+//! Connects the farm's programs to each other, and provides what several of them need.
 //!
 //! # Links
 //!
-//! A [`Link`] is a gRPC connection to a coordinator on which every call carries a token, ends in time and learns why it
-//! is not wanted. [`Target`] makes one from an access file, or from a bare URL. [`failure()`] explains why a
+//! A [`Link`] is a gRPC connection to a coordinator on which every call carries a token, ends in time, and reports why
+//! it is refused. [`Target`] makes one from an access file, or from a bare URL. [`failure()`] explains why a
 //! coordinator does not answer.
 //!
 //! # Access files
 //!
-//! They hold roles, and how both sides authenticate each other. All are TOML, and secret: a file that every user of
-//! the machine can open is refused.
+//! Access files hold roles, and the credentials with which both sides authenticate each other. All are TOML, and
+//! secret: a file that every user of the machine can open is refused.
 //!
 //! The coordinator has one file ([`CoordinatorAccess`]): its certificate and key, and the hashes of the tokens that it
-//! accepts. Everybody else has a file for a [`Role`] ([`ClientAccess`]): the coordinator's URL, the authority that
+//! accepts. Every other program has a file for a [`Role`] ([`ClientAccess`]): the coordinator's URL, the authority that
 //! vouches for its certificate, and a token.
 //!
-//! A coordinator on loopback without a file has a [`LocalSocket`], which the programs of its user find by themselves.
+//! A coordinator on loopback without a file has a [`LocalSocket`], which the programs of its user find automatically.
 //!
-//! # Besides
+//! # Other modules
 //!
-//! [`arguments`] reads what programs are given, [`logs`] sets up what they log, [`memory`] finds how much they may use,
-//! [`signals`] ends them in good order, [`walltime`] reads times as Slurm and
-//! people write them, [`sync_folder`] puts the names in a folder on the disk.
+//! [`arguments`] parses command lines, [`logs`] sets up logging, [`memory`] finds how much memory a program may use,
+//! [`signals`] waits for signals to end, [`walltime`] reads times in Slurm's forms and with units, [`sync_folder`]
+//! writes the names in a folder to the disk.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
@@ -73,9 +73,9 @@ const TOKEN_BYTES: std::ops::RangeInclusive<usize> = 32..=512;
 pub enum Role {
     /// Takes jobs and delivers their records.
     Worker,
-    /// Submits grids, reads records, asks for fits.
+    /// Submits grids, reads records, requests fits.
     Client,
-    /// May do all that the others may, and steer the farm.
+    /// May do everything that the others may, and manage the farm.
     Admin,
 }
 
@@ -97,8 +97,8 @@ impl fmt::Display for Role {
     }
 }
 
-/// What the coordinator's file holds in a token's stead. A plain hash is enough: tokens are random, so that there is
-/// nothing to guess from it.
+/// The hash of a token that the coordinator's file holds instead of the token. A plain hash suffices: tokens are
+/// random, so they cannot be guessed from it.
 pub fn token_hash(token: &str) -> blake3::Hash {
     blake3::hash(token.as_bytes())
 }

@@ -1,4 +1,4 @@
-//! A connection on which every call carries a token, ends in time, and learns why it is not wanted.
+//! Connects to a coordinator such that every call carries a token, ends in time, and reports why it is refused.
 
 use std::error::Error;
 use std::future::Future;
@@ -19,26 +19,26 @@ use crate::handshake::Handshake;
 
 /// Default timeout of a call until its first answer.
 const DEADLINE: Duration = Duration::from_mins(5);
-/// How much later than its deadline a call is given up here: the other side, or the transport, may still report the
-/// reason.
+/// Time after its deadline at which a call is given up here: the other side, or the transport, may still report the reason.
 const GRACE: Duration = Duration::from_secs(2);
-/// How long the first call on a link may take until a handshake asks whether the certificate is refused.
+/// Time after which a call on a link without any answer so far makes a handshake, to check whether the certificate is
+/// refused.
 const SILENCE: Duration = Duration::from_secs(5);
 
 /// A connection on which every call carries the token, if there is one.
 ///
 /// A call ends with `DEADLINE_EXCEEDED` when no answer has begun a little after its deadline (`grpc-timeout`, or else
-/// five minutes). The transport sees to deadlines too, but not in all of its states: a call on a connection that the
+/// five minutes). The transport enforces deadlines too, but not in all of its states: a call on a connection that the
 /// coordinator closes in the moment in which it is opened may otherwise wait for ever.
 ///
-/// A call ends with `UNAUTHENTICATED` when the coordinator ends the connection because of the certificate that it was
-/// shown, or because it was shown none. The transport may miss that too, so as long as nothing was answered on this
-/// link, a call that takes long makes a handshake of its own to ask.
+/// A call ends with `UNAUTHENTICATED` when the coordinator ends the connection because of the client's certificate, or
+/// its absence. The transport may miss that too, so as long as no call was answered on this link, a call that takes
+/// long makes a separate handshake to check.
 #[derive(Debug, Clone)]
 pub struct Link {
     channel: Channel,
     bearer: Bearer,
-    /// Asks why the connection was cut.
+    /// Finds out why the connection was cut.
     handshake: Option<Handshake>,
     /// Whether any call was answered: then no certificate is the cause of a failure.
     answered: Arc<AtomicBool>,
@@ -105,7 +105,8 @@ async fn unless_refused(
     }
 }
 
-/// Why the coordinator does not accept the certificate, or its absence; None if the call failed for another reason.
+/// The reason for which the coordinator does not accept the certificate, or its absence; None if the call failed for
+/// another reason.
 async fn why_refused(error: &tonic::transport::Error, handshake: Option<Handshake>) -> Option<Status> {
     match (refusal(error), handshake) {
         (None, Some(handshake)) if was_cut(error) => handshake.refusal().await,
@@ -113,7 +114,7 @@ async fn why_refused(error: &tonic::transport::Error, handshake: Option<Handshak
     }
 }
 
-/// Whether a connection ended that had come about, or seemed to.
+/// Whether the error is the end of a connection that was established, or seemed to be.
 pub(crate) fn was_cut(error: &tonic::transport::Error) -> bool {
     let mut causes = std::iter::successors(Some(error as &(dyn Error + 'static)), |&cause| cause.source());
     !causes.any(|cause| cause.is::<ConnectError>() || cause.is::<TimeoutExpired>())

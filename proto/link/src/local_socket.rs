@@ -1,7 +1,9 @@
-//! The Unix socket of a coordinator without an access file: the programs of its user reach it there, and no others.
+//! Provides the Unix socket of a coordinator without an access file: the programs of its user reach it there, and no
+//! others.
 //!
-//! Every user of a machine reaches every port of its loopback, and may take one whose coordinator has ended. A socket in a
-//! folder that is closed to others cannot be taken, and both ends check the other's user by the kernel's credentials.
+//! Every user of a machine reaches every port of its loopback, and may take one whose coordinator has ended. A socket
+//! in a folder that is closed to others cannot be taken, and both ends check the other's user by the kernel's
+//! credentials.
 
 use std::fs::DirBuilder;
 use std::io;
@@ -13,10 +15,11 @@ use std::time::Duration;
 use tokio::net::{UnixListener, UnixStream};
 use tokio::time::{Interval, MissedTickBehavior};
 
-/// How often the socket's name is looked for: some tidy up `/tmp`, and a session's folder goes with the session.
+/// Interval at which the socket's name is checked: `/tmp` may be cleaned up, and a session's folder is removed with the
+/// session.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// A coordinator's socket, while it serves. Its name is that of its port.
+/// A coordinator's socket, while it serves. It is named by the number of its port.
 #[derive(Debug)]
 pub struct LocalSocket {
     listener: UnixListener,
@@ -39,7 +42,7 @@ impl LocalSocket {
         &self.path
     }
 
-    /// The next connection of this user's. Makes the socket again where its name is gone.
+    /// The next connection of a program of this user. Creates the socket again if its name is gone.
     pub fn poll_accept(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<UnixStream>> {
         while self.look.poll_tick(cx).is_ready() {
             if inode_of(&self.path) != Some(self.inode) {
@@ -83,7 +86,7 @@ async fn connect_in(folders: &[PathBuf], port: u16) -> io::Result<Option<UnixStr
         match UnixStream::connect(folder.join(port.to_string())).await {
             Ok(stream) if is_own(&stream)? => return Ok(Some(stream)),
             Ok(_) => {}
-            // None there, or one that was killed.
+            // There is none, or one of a coordinator that was killed.
             Err(error) if is_absent(&error) => {}
             Err(error) => return Err(error),
         }
@@ -99,7 +102,7 @@ fn is_own(stream: &UnixStream) -> io::Result<bool> {
     Ok(stream.peer_cred()?.uid() == rustix::process::geteuid().as_raw())
 }
 
-/// Where sockets may be, best first. They do not depend on the session, which cron, Slurm and a login do not share.
+/// Folders for sockets, best first. They do not depend on the session, which cron, Slurm and a login do not share.
 fn folders() -> Vec<PathBuf> {
     if let Some(folder) = std::env::var_os("FARM_SOCKETS").filter(|folder| !folder.is_empty()) {
         return vec![folder.into()];
@@ -136,7 +139,7 @@ fn bind_in(folder: &Path, port: u16) -> io::Result<(UnixListener, PathBuf)> {
             format!("{port} is held by another coordinator"),
         ));
     }
-    // Under its name only when it listens.
+    // The socket gets its name only when it listens.
     let draft = folder.join(format!("{port}.{}", std::process::id()));
     let _ = std::fs::remove_file(&draft);
     let listener = UnixListener::bind(&draft)?;
@@ -144,7 +147,7 @@ fn bind_in(folder: &Path, port: u16) -> io::Result<(UnixListener, PathBuf)> {
     Ok((listener, path))
 }
 
-/// Whether a folder is this user's and closed to others: every user can make one in `/tmp`.
+/// Checks that a folder belongs to this user and is closed to others: every user can create one in `/tmp`.
 fn check_folder(folder: &Path) -> io::Result<()> {
     let about = std::fs::symlink_metadata(folder)?;
     if !about.is_dir() || about.uid() != rustix::process::geteuid().as_raw() || about.mode() & 0o077 != 0 {
@@ -190,7 +193,7 @@ mod tests {
     #[tokio::test]
     async fn socket_is_found_while_its_owner_lives() {
         let home = tempfile::tempdir().unwrap();
-        // The first cannot be made, as where a user has no session.
+        // The first cannot be created, as for a user without a session.
         let folders = [home.path().join("none/farm"), home.path().join("farm")];
         assert!(!finds(&folders, 7700).await);
         let (listener, path, inode) = bind(&folders, 7700).unwrap();

@@ -1,4 +1,4 @@
-//! Logs of the programs: text for people or JSON lines for machines, on standard error.
+//! Sets up the logs of the programs: text for people or JSON lines for machines, on standard error.
 
 mod patient;
 
@@ -17,7 +17,7 @@ use patient::Patient;
 /// Variable with the filter of the logs, such as `info,farm_coordinator=debug`.
 pub const FILTER_VARIABLE: &str = "FARM_LOG";
 
-/// They would be printed to standard error, which panics where that is what failed.
+/// Errors of logging would be printed to standard error, which panics if standard error is what failed.
 const LOG_ERRORS_OF_LOGGING: bool = false;
 
 #[derive(Debug, thiserror::Error)]
@@ -40,7 +40,7 @@ pub enum LogError {
     Twice,
 }
 
-/// How a line of the log looks.
+/// The format of a line of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LogFormat {
     /// For people; in colour on a terminal, unless `NO_COLOR` is set.
@@ -71,12 +71,13 @@ impl fmt::Display for LogFormat {
     }
 }
 
-/// Writes a line for people to standard error. That it may be full, closed or not read is no reason to end or to wait.
+/// Writes a line for people to standard error. An output that is full, closed or not read neither ends the program nor
+/// blocks it for long.
 pub fn to_stderr(line: impl fmt::Display) {
     let _ = standard_error().write_all(format!("{line}\n").as_bytes());
 }
 
-/// The one way to standard error.
+/// The only way to write to standard error.
 fn standard_error() -> Box<dyn Write> {
     static OUTPUT: OnceLock<Option<Patient>> = OnceLock::new();
     match OUTPUT.get_or_init(|| Patient::new(std::io::stderr())) {
@@ -85,7 +86,7 @@ fn standard_error() -> Box<dyn Write> {
     }
 }
 
-/// Starts logging to standard error: what `FARM_LOG` asks for or, without it, `default_filter`.
+/// Starts logging to standard error with the filter in `FARM_LOG` or, without it, `default_filter`.
 pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
     let asked = match std::env::var(FILTER_VARIABLE) {
         Ok(filter) => Some(filter),
@@ -104,7 +105,7 @@ pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
 
 fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<EnvFilter, LogError> {
     let filter = asked.map(str::trim).filter(|f| !f.is_empty()).unwrap_or(default_filter);
-    // A module without a level would be taken for one to trace in full, and a misspelt level for a module.
+    // A module without a level would be traced in full, and a misspelt level would count as a module.
     let mut parts = filter.split(',').map(str::trim).filter(|part| !part.is_empty());
     if let Some(word) = parts.find(|part| !part.contains(['=', '[']) && part.parse::<LevelFilter>().is_err())
     {
@@ -127,7 +128,7 @@ where
         .finish()
 }
 
-/// The list of spans holds the current one too, so that this is not written a second time.
+/// The list of spans includes the current one, which is therefore not written a second time.
 fn json<W>(filter: EnvFilter, writer: W) -> impl tracing::Subscriber + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,

@@ -1,4 +1,4 @@
-//! Connections to a port of loopback without an access file: to the socket of this user's coordinator, or else to the port
+//! Connects to a port of loopback without an access file: to the socket of this user's coordinator, or else to the port
 //! if it is not another user's.
 
 use std::future::Future;
@@ -54,11 +54,12 @@ impl Service<Uri> for Loopback {
     }
 }
 
-/// Refuses what another user listens with: every user may take a port that is free. Root's is taken, as a forwarded port
-/// of a container is; so is what has no socket here, as a port of another network namespace.
+/// Refuses a port on which another user listens: every user may take a port that is free. A port of root is accepted,
+/// such as a forwarded port of a container; so is a port without a socket here, such as one of another network
+/// namespace.
 fn check_owner(stream: &TcpStream) -> io::Result<()> {
     let (here, there) = (stream.local_addr()?, stream.peer_addr()?);
-    // Those that listen come first in each table: a socket that is accepted meanwhile is found among the others.
+    // Listening sockets come first in each table: a socket that is accepted meanwhile is found among the others.
     let tables = TABLES.map(|path| std::fs::read_to_string(path).unwrap_or_default());
     let own = rustix::process::geteuid().as_raw();
     let mut owners = tables.iter().flat_map(|table| owners(table, here, there));
@@ -75,7 +76,7 @@ fn check_owner(stream: &TcpStream) -> io::Result<()> {
     }
 }
 
-/// The users whose sockets may be the other end of a connection: those that listen there, and the one accepted.
+/// The users whose sockets may be the other end of a connection: the listening sockets of its port, and the accepted one.
 fn owners(table: &str, here: SocketAddr, there: SocketAddr) -> impl Iterator<Item = u32> {
     table.lines().skip(1).filter_map(move |line| {
         let fields: Vec<&str> = line.split_whitespace().collect();

@@ -1,14 +1,14 @@
-//! How much memory this process may use: the machine's, or less if it runs in a container or a job with a limit.
+//! Determines how much memory this process may use: the machine's, or less if it runs in a container or a job with a limit.
 
 use std::path::{Path, PathBuf};
 
-/// The least of the machine's memory and the limits of all control groups that this process is in, in bytes. None if the
-/// system names neither.
+/// The least of the machine's memory and the limits of all control groups that this process is in, in bytes. None if
+/// the system reports neither.
 pub fn usable_bytes() -> Option<u64> {
     usable(|file| std::fs::read_to_string(file).ok())
 }
 
-/// The same by the system's files, as `read` finds them.
+/// The same, from the system's files as returned by `read`.
 fn usable(read: impl Fn(&Path) -> Option<String>) -> Option<u64> {
     let machine = read(Path::new("/proc/meminfo")).and_then(|table| machine_bytes(&table));
     let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
@@ -21,31 +21,31 @@ fn usable(read: impl Fn(&Path) -> Option<String>) -> Option<u64> {
     machine.into_iter().chain(limits).min()
 }
 
-/// All memory, by the system's table: `MemTotal:  24689764 kB`.
+/// The machine's memory, from the system's table: `MemTotal:  24689764 kB`.
 fn machine_bytes(table: &str) -> Option<u64> {
     let line = table.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     kib.checked_mul(1024)
 }
 
-/// A number of bytes; version 2 has the word `max` for none.
+/// A limit in bytes. Version 2 has the word `max` for none.
 fn limit(text: &str) -> Option<u64> {
     text.trim().parse().ok()
 }
 
-/// Where the groups of this process are, which are limited together: a group and all around it.
+/// A hierarchy of control groups that limits this process: its group and all groups around it.
 #[derive(Debug)]
 struct Hierarchy {
-    /// Where the groups are mounted.
+    /// Mount point of the hierarchy.
     mount: PathBuf,
-    /// The group of this process, below that.
+    /// The group of this process, relative to the mount point.
     group: PathBuf,
     /// The file with a group's limit.
     file: &'static str,
 }
 
 impl Hierarchy {
-    /// By a line of `/proc/self/mountinfo`, if it is one that limits memory, and by `/proc/self/cgroup`.
+    /// Parses a line of `/proc/self/mountinfo`, if it is one that limits memory, with `/proc/self/cgroup`.
     fn parse(line: &str, groups: &str) -> Option<Self> {
         let (mounted, filesystem) = line.split_once(" - ")?;
         let (mut mounted, mut filesystem) = (mounted.split(' ').skip(3), filesystem.split(' '));
@@ -63,7 +63,7 @@ impl Hierarchy {
             let (controllers, path) = rest.split_once(':')?;
             controllers.split(',').any(|name| name == controller).then_some(path)
         });
-        // In a container without a namespace of its own, the path is that of the host, and what is mounted is the group.
+        // In a container without its own namespace, the path is that of the host, and the mounted folder is the group.
         let group = own.and_then(|path| Path::new(path).strip_prefix(root).ok()).unwrap_or(Path::new(""));
         Some(Self { mount: PathBuf::from(mount.replace("\\040", " ")), group: group.to_owned(), file })
     }
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(usable_of(&files("max\n", "max\n")), Some(24 * GIB));
     }
 
-    /// The path of the host is of no use there.
+    /// The path of the group on the host does not exist in the container.
     #[test]
     fn container_limit_is_read_from_its_mount() {
         let files = [

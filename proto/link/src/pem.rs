@@ -1,19 +1,19 @@
-//! Certificates and keys as text.
+//! Checks certificates and keys in PEM.
 
 use rustls_pki_types::pem::PemObject as _;
 use rustls_pki_types::{CertificateDer, PrivateKeyDer};
 
-/// The error of a text that should hold certificates; it follows the field's name.
+/// Checks that a text holds certificates. The error follows the field's name.
 pub(crate) fn check_certificates(pem: &str) -> Result<(), String> {
     let certificates: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(pem.as_bytes()).collect();
     match certificates {
         Ok(list) if !list.is_empty() => Ok(()),
-        // The parser's own words show bytes of the text.
+        // The parser's own message shows bytes of the text.
         _ => Err("must hold a certificate in PEM: -----BEGIN CERTIFICATE----- …".to_owned()),
     }
 }
 
-/// What is wrong with a text that should hold a private key. Does not show it.
+/// Checks that a text holds a private key. The error does not show it.
 pub(crate) fn check_key(pem: &str) -> Result<(), String> {
     match PrivateKeyDer::from_pem_slice(pem.as_bytes()) {
         Ok(_) => Ok(()),

@@ -1,9 +1,9 @@
-//! Signals that ask a program to end.
+//! Waits for signals that request the end of a program.
 
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
-/// Returns when the process is asked to end: by Ctrl-C (SIGINT), SIGTERM, or SIGHUP, which comes when a terminal is closed
-/// or a connection to it is lost. A SIGHUP that was ignored when the process started, as by `nohup`, stays ignored.
+/// Returns when the process is to end: on Ctrl-C (SIGINT), SIGTERM, or SIGHUP, which comes when a terminal is closed or
+/// a connection to it is lost. A SIGHUP that was ignored when the process started, as by `nohup`, stays ignored.
 pub async fn termination() {
     let hangup = (!ignores(SignalKind::hangup())).then_some(SignalKind::hangup());
     let kinds = [Some(SignalKind::interrupt()), Some(SignalKind::terminate()), hangup];
@@ -25,12 +25,12 @@ async fn comes(signal: &mut Option<Signal>) {
     }
 }
 
-/// Whether the parent process had this signal ignored.
+/// Whether this process ignores a signal, as set by its parent.
 fn ignores(kind: SignalKind) -> bool {
     std::fs::read_to_string("/proc/self/status").is_ok_and(|status| is_ignored(&status, kind.as_raw_value()))
 }
 
-/// By the mask in the table of a process: `SigIgn:\t0000000000001001`.
+/// Reads the mask in the status of a process: `SigIgn:\t0000000000001001`.
 fn is_ignored(status: &str, signal: i32) -> bool {
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());

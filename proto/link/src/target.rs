@@ -1,4 +1,4 @@
-//! Where to connect to, and what to show there; with an access file or without.
+//! Connects to a coordinator, with an access file or without.
 
 use tonic::transport::{Channel, Endpoint};
 
@@ -13,7 +13,7 @@ use crate::loopback::Loopback;
 #[derive(Debug, Clone)]
 pub struct Target {
     endpoint: Endpoint,
-    /// Where it is a port of this machine without an access file.
+    /// Set if it is a port of this machine without an access file.
     loopback: Option<Loopback>,
     bearer: Bearer,
     handshake: Option<Handshake>,
@@ -21,9 +21,9 @@ pub struct Target {
 }
 
 impl Target {
-    /// The coordinator of an access file, or at a URL, or both: then the URL counts, and the file authenticates the
-    /// coordinator there. A bare URL is never encrypted, since nothing authenticates the other side; on loopback it
-    /// stands for the user's own coordinator.
+    /// The coordinator of an access file, or at a URL, or both: then the URL takes precedence, and the file
+    /// authenticates the coordinator there. A bare URL is never encrypted, since nothing authenticates the other side;
+    /// on loopback it means the user's own coordinator.
     pub fn new(access: Option<&ClientAccess>, url: Option<&str>) -> Result<Self, AccessError> {
         let (endpoint, loopback) = match (access, url) {
             (Some(access), url) => (access.endpoint(url)?, None),
@@ -48,7 +48,7 @@ impl Target {
         };
         match connected {
             Ok(channel) => Ok(self.link(channel)),
-            // The first call finds out why.
+            // The first call finds out the reason.
             Err(error) if was_cut(&error) => Ok(self.connect_lazy()),
             Err(error) => Err(error),
         }

@@ -1,4 +1,4 @@
-//! Tokens that are let in, as their hashes.
+//! Checks tokens against the hashes of those that are accepted.
 
 use std::collections::HashSet;
 
@@ -7,9 +7,9 @@ use subtle::{ConditionallySelectable as _, ConstantTimeEq as _};
 
 use crate::{Role, TOKEN_BYTES, token_hash};
 
-/// Tokens are compared with all entries at every call.
+/// Largest number of tokens, since each call compares its token with all entries.
 const MOST_TOKENS: usize = 1000;
-/// Names stand in every line of the log.
+/// Longest name, since names appear in every line of the log.
 const LONGEST_NAME: usize = 64;
 
 /// The tokens that a coordinator accepts.
@@ -23,7 +23,7 @@ struct AcceptedToken {
     hash: blake3::Hash,
 }
 
-/// An entry as it stands in the file.
+/// An entry of the file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct TokenTable {
@@ -33,8 +33,8 @@ pub(crate) struct TokenTable {
 }
 
 impl Tokens {
-    /// Role and name that belong to a token. Takes the same time wherever the token differs from those that are known, and
-    /// whichever of them it is.
+    /// The role and the name of a token. The duration depends neither on where the token differs from the accepted
+    /// ones, nor on which of them it equals.
     pub fn role_of(&self, presented: &str) -> Option<(Role, &str)> {
         if !TOKEN_BYTES.contains(&presented.len()) {
             return None;
@@ -55,7 +55,7 @@ impl Tokens {
         self.0.iter().any(|token| token.hash == *hash && token.role == role)
     }
 
-    /// How many there are of a role.
+    /// Number of tokens with a role.
     pub fn count(&self, role: Role) -> usize {
         self.0.iter().filter(|token| token.role == role).count()
     }
@@ -72,7 +72,7 @@ pub fn is_token_name(name: &str) -> bool {
     (1..=LONGEST_NAME).contains(&name.len()) && name.chars().all(allowed)
 }
 
-/// The checked entries, or a field and what is wrong with it.
+/// The checked entries, or a field and its error.
 pub(crate) fn checked(tables: Vec<TokenTable>) -> Result<Tokens, (String, String)> {
     if !(1..=MOST_TOKENS).contains(&tables.len()) {
         return Err((
@@ -98,7 +98,7 @@ fn token(table: TokenTable) -> Result<AcceptedToken, (&'static str, String)> {
             format!("= {:?} must be 1 to {LONGEST_NAME} letters, digits, '_', '.' or '-'", table.name);
         return Err(("name", problem));
     }
-    // What was given is not shown: it may be the token itself.
+    // The given text is not shown: it may be the token itself.
     let hash = blake3::Hash::from_hex(&table.blake3)
         .map_err(|_| ("blake3", "must be the token's BLAKE3 hash: 64 hexadecimal digits".to_owned()))?;
     Ok(AcceptedToken { role: table.role, name: table.name, hash })

@@ -1,4 +1,4 @@
-//! Walltimes as Slurm writes them, and spans of time as people write them.
+//! Reads and writes walltimes in Slurm's forms, and spans of time with units.
 
 use std::fmt;
 use std::str::FromStr;
@@ -7,7 +7,7 @@ use std::time::Duration;
 const MINUTE_S: u64 = 60;
 const HOUR_S: u64 = 60 * MINUTE_S;
 const DAY_S: u64 = 24 * HOUR_S;
-/// No job runs for longer; everything below fits the arithmetic with room to spare.
+/// Longest walltime: no job runs for longer, and sums below it do not overflow.
 const LONGEST_S: u64 = 10 * 365 * DAY_S;
 
 /// A time limit of a Slurm job: above zero, in whole seconds.
@@ -21,7 +21,7 @@ impl Walltime {
         Duration::from_secs(self.seconds)
     }
 
-    /// What Slurm makes of it: it counts in minutes and rounds up.
+    /// The limit that Slurm applies: it counts in minutes and rounds up.
     pub fn rounded_to_minutes(self) -> Duration {
         Duration::from_secs(self.seconds.next_multiple_of(MINUTE_S))
     }
@@ -102,7 +102,7 @@ pub fn span_text(span: Duration) -> String {
     if text.is_empty() { "0s".to_owned() } else { text }
 }
 
-/// The number, if the text is nothing but digits; one too large to count is the largest there is.
+/// The number, if the text consists of digits only; `u64::MAX` if it is larger.
 fn digits(text: &str) -> Option<u64> {
     let all = !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
     all.then(|| text.parse().unwrap_or(u64::MAX))
@@ -116,7 +116,7 @@ fn above_zero(text: &str, seconds: u64) -> Result<u64, TimeError> {
     if seconds == 0 { Err(TimeError::Zero(text.to_owned())) } else { Ok(seconds) }
 }
 
-/// Seconds of a text in fields: [D-]HH:MM:SS and its short forms. None if it is of another form.
+/// Seconds of a text in fields: [D-]HH:MM:SS and its short forms. None if it has another form.
 fn in_fields(text: &str) -> Result<Option<u64>, TimeError> {
     let (days, rest) = match text.split_once('-') {
         Some((days, rest)) => (digits(days), rest),
@@ -125,7 +125,7 @@ fn in_fields(text: &str) -> Result<Option<u64>, TimeError> {
     let fields: Option<Vec<u64>> = rest.split(':').map(digits).collect();
     let (Some(days), Some(fields)) = (days, fields) else { return Ok(None) };
     let after_days = text.contains('-');
-    // The first field may be of any size, but for hours that follow days.
+    // The first field may be of any size, except hours that follow days.
     let (hours, minutes, seconds) = match (after_days, fields.as_slice()) {
         (true, &[hours]) => (hours, 0, 0),
         (true, &[hours, minutes]) => (hours, field(text, "minutes", minutes, 59)?, 0),

@@ -1,4 +1,4 @@
-//! Which slabs are worth photographing.
+//! Converts questions about the slabs that are worth photographing, and their answers.
 
 use super::mirror::{known_ones, list, mirror, mirror_enum, number, optional, required};
 use crate::wire;
@@ -77,7 +77,7 @@ mod tests {
         Medium::new(6.0, 0.9991, 0.4).unwrap()
     }
 
-    /// No value is its default, so that a field that is forgotten shows.
+    /// No value is the default, so that a forgotten field is detected.
     #[test]
     fn design_questions_round_trip() {
         let set_up = FitSettings { thickness_std_error_mm: 0.002, mu: 0.9, ..FitSettings::default() };
@@ -146,7 +146,7 @@ mod tests {
         };
         let mut wire = wire::DesignResponse::from(design.clone());
         assert_eq!(Design::try_from(wire.clone()).unwrap(), design);
-        // A newer coordinator may have more.
+        // A newer coordinator may send more.
         wire.sets[0].improvements[0].limitation = 99;
         assert_eq!(Design::try_from(wire).unwrap().sets[0].improvements.len(), 7);
     }

@@ -1,4 +1,4 @@
-//! Fit options and answers.
+//! Converts fit options and answers.
 
 use super::mirror::{
     Numbered, list, matrix, mirror, mirror_enum, number, optional, optional_index, optional_number, required,
@@ -125,12 +125,13 @@ mirror!(Refined {
     from_mixtures,
 });
 
-/// Older coordinators send one flag of resolution only, and no likelihood with the paper's objective.
+/// Accepts answers of older coordinators, which send one flag of resolution only, and no likelihood with the paper's
+/// objective.
 mod from_any_version {
     pub use super::optional::to_wire;
     use super::{Refined, Result, optional, wire};
 
-    /// One of no pixels, which bounds nothing.
+    /// A likelihood of no pixels, which bounds nothing.
     fn no_likelihood() -> wire::Likelihood {
         let open = Some(wire::Ends { low: f64::NEG_INFINITY, high: f64::INFINITY });
         let bound = wire::Bound {
@@ -162,7 +163,7 @@ mirror!(FitCurves { thickness_mm, x_mm, measured: required, candidates: list, re
 mod tests {
     use super::*;
 
-    /// No value is its default, so that a field that is forgotten shows.
+    /// No value is the default, so that a forgotten field is detected.
     #[test]
     fn fit_options_round_trip() {
         for objective in [None, Some(Objective::Paper), Some(Objective::Likelihood)] {

@@ -1,4 +1,4 @@
-//! Leases and jobs.
+//! Converts leases and jobs.
 
 use super::mirror::required;
 use crate::ids::{DictionaryId, Token};

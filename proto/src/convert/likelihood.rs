@@ -1,4 +1,4 @@
-//! A fit by the likelihood: nuisances, intervals, budget.
+//! Converts the answers of a fit by the likelihood: nuisances, intervals, budget.
 
 use super::mirror::{known_ones, list, mirror, mirror_enum, number, required};
 use optics_model::fit::{
@@ -40,7 +40,7 @@ mirror!(Bound {
     absorption_per_mm: required,
 });
 mirror!(Ends { low, high });
-// A source of a newer version stays, without its name: the shares still add up to 1.
+// A source of a newer version is kept without its name: the shares still add up to 1.
 mirror!(SourceShare { source: number, quantity, sigma_t, albedo, reduced_scattering, absorption });
 mirror_enum!(ErrorSource {
     Noise, Dictionary, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, OtherChannels, G, Scene,
@@ -114,7 +114,7 @@ mod tests {
         assert_eq!(Likelihood::try_from(wire::Likelihood::from(there.clone())).unwrap(), there);
     }
 
-    /// A newer coordinator may have more of them. A missing bound is refused.
+    /// A newer coordinator may send more nuisances. A missing bound is refused.
     #[test]
     fn unknown_nuisances_are_ignored() {
         let mut message = wire::Likelihood::from(likelihood());

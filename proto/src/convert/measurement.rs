@@ -1,4 +1,4 @@
-//! Measurements.
+//! Converts measurements, and checks their number of pixels.
 
 use crate::wire;
 use optics_model::invalid::{Invalid, Result, each};

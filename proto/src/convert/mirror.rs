@@ -1,4 +1,5 @@
-//! Makes both conversions of types whose fields are those of their messages, and the adaptors of fields that differ.
+//! Generates both conversions of types whose fields are those of their messages, and provides adaptors for fields that
+//! differ.
 //!
 //! An adaptor is a module with `to_wire` and `from_wire`, which gets the field's name for its errors.
 
@@ -48,8 +49,9 @@ macro_rules! mirror {
     (@from_wire $field:ident $adaptor:ident) => { $adaptor::from_wire(stringify!($field), $field)? };
 }
 
-/// `mirror_enum!(Type { Variant, Variant } or Variant)` numbers the variants as the enum of the same name on the wire does.
-/// The variant after `or` stands for the unspecified value and for those of newer versions; without it they have none.
+/// `mirror_enum!(Type { Variant, Variant } or Variant)` numbers the variants as the enum of the same name on the wire
+/// does. The variant after `or` represents the unspecified value and those of newer versions; without `or`, such values
+/// have no variant.
 macro_rules! mirror_enum {
     ($type:ident { $($variant:ident),+ $(,)? } $(or $other:ident)?) => {
         impl From<$type> for $crate::wire::$type {
@@ -78,7 +80,7 @@ macro_rules! mirror_enum {
 
 pub(super) use {mirror, mirror_enum};
 
-/// An enum of which the wire has the number.
+/// An enum that is a number on the wire.
 pub(super) trait Numbered: Sized {
     fn number(self) -> i32;
 
@@ -86,12 +88,12 @@ pub(super) trait Numbered: Sized {
     fn of_number(number: i32) -> Option<Self>;
 }
 
-/// A field that must be there.
+/// The value of a required field.
 pub(super) fn required<T>(field: &str, value: Option<T>) -> Result<T> {
     value.ok_or_else(|| Invalid::new(field, "nothing", "a value is needed"))
 }
 
-/// The same of a message, as an adaptor.
+/// An adaptor for a message that is required.
 pub(super) mod required {
     use super::{Invalid, Result};
 
@@ -105,7 +107,7 @@ pub(super) mod required {
     }
 }
 
-/// A message that may be absent.
+/// An adaptor for a message that may be absent.
 pub(super) mod optional {
     use super::{Invalid, Result};
 
@@ -118,7 +120,7 @@ pub(super) mod optional {
     }
 }
 
-/// A list of messages.
+/// An adaptor for a list of messages.
 pub(super) mod list {
     use super::{Invalid, Result};
     use optics_model::invalid::each;
@@ -132,8 +134,8 @@ pub(super) mod list {
     }
 }
 
-/// A list of messages of which those with an enum's value from a newer version are left out: without its name and unit
-/// their numbers have no meaning.
+/// An adaptor for a list of messages. Those with an enum's value from a newer version are left out: without its name
+/// and unit their numbers have no meaning.
 pub(super) mod known_ones {
     pub use super::list::to_wire;
     use super::{Invalid, Result};
@@ -144,7 +146,7 @@ pub(super) mod known_ones {
     }
 }
 
-/// A value of an enum.
+/// An adaptor for a value of an enum.
 pub(super) mod number {
     use super::{Invalid, Numbered, Result};
 
@@ -160,7 +162,7 @@ pub(super) mod number {
     }
 }
 
-/// A value of an enum that may be absent; one of a newer version is.
+/// An adaptor for a value of an enum that may be absent; a value of a newer version counts as absent.
 pub(super) mod optional_number {
     use super::{Numbered, Result};
 
@@ -174,7 +176,7 @@ pub(super) mod optional_number {
     }
 }
 
-/// The number of a record, which may be absent.
+/// An adaptor for the number of a record, which may be absent.
 pub(super) mod optional_index {
     use super::Result;
 
@@ -188,7 +190,7 @@ pub(super) mod optional_index {
     }
 }
 
-/// A list that is empty on the wire if it is absent.
+/// An adaptor for a list that is empty on the wire if it is absent.
 pub(super) mod absent_if_empty {
     use super::Result;
 
@@ -202,7 +204,7 @@ pub(super) mod absent_if_empty {
     }
 }
 
-/// The nine numbers of a symmetric matrix.
+/// An adaptor for the nine numbers of a symmetric matrix.
 pub(super) mod matrix {
     use super::{Invalid, Result};
 

@@ -1,4 +1,4 @@
-//! Mixtures, and the inks found from them.
+//! Converts mixtures, and the inks found from them.
 
 use super::mirror::{list, mirror, optional, required};
 use crate::wire;
@@ -26,7 +26,7 @@ impl From<&Mixture> for wire::Mixture {
     }
 }
 
-/// None if there are none.
+/// Converts mixtures; None if there are none.
 pub fn mixtures(all: Vec<wire::Mixture>) -> Result<Option<Mixtures>> {
     if all.is_empty() {
         return Ok(None);

@@ -1,4 +1,4 @@
-//! Scenes, grids, points, profiles, records.
+//! Converts scenes, grids, points, profiles and records.
 
 use super::mirror::{Numbered, mirror, mirror_enum, required};
 use crate::wire;

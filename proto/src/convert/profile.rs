@@ -1,4 +1,4 @@
-//! What a slab looks like by a dictionary.
+//! Converts questions for the predicted profiles of a slab, and their answers.
 
 use super::mirror::{absent_if_empty, mirror, required};
 use crate::wire;
@@ -60,7 +60,7 @@ impl TryFrom<wire::ProfileResponse> for PredictedProfiles {
 
 mirror!(PredictedChannel { channel, values, std_errors: absent_if_empty, gradient });
 
-/// A channel with a number for each pixel.
+/// Checks that a channel has a number for each pixel.
 fn checked(channel: wire::PredictedChannel, pixels: usize) -> Result<PredictedChannel> {
     let channel = PredictedChannel::try_from(channel)?;
     let lengths = [("values", channel.values.len()), ("gradient", channel.gradient.len())];

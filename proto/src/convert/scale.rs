@@ -1,4 +1,4 @@
-//! The search of the scale factor, and distance maps.
+//! Converts the search of the scale factor, and distance maps.
 
 use super::mirror::{list, mirror, optional, required};
 use crate::wire;

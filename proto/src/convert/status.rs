@@ -1,4 +1,4 @@
-//! Progress of dictionaries and workers.
+//! Converts the progress of dictionaries and workers.
 
 use super::mirror::{Numbered, list, mirror, mirror_enum, number, optional, required};
 use super::shortened;
@@ -19,7 +19,7 @@ mirror!(FailedJob { job, reason, quarantined });
 mirror!(MachineFacts { cores, memory_bytes, kernel, log });
 
 impl wire::JobStates {
-    /// States of jobs that follow each other.
+    /// States of consecutive jobs, from `first` on.
     pub fn new(first: u32, states: &[JobState]) -> Self {
         Self { first, states: states.iter().map(|state| state.number() as u8).collect() }
     }
@@ -61,7 +61,7 @@ impl From<&DictionaryStatus> for wire::Dictionary {
     }
 }
 
-/// A grid as lists show it: one that was stored by an older version may have names of megabytes.
+/// A grid for lists, with shortened names: one that was stored by an older version may have names of megabytes.
 fn listed(grid: &Grid) -> wire::Grid {
     let mut grid = wire::Grid::from(grid);
     if let Some(scene) = &mut grid.scene {
@@ -91,7 +91,7 @@ impl TryFrom<wire::Dictionary> for DictionaryStatus {
             jobs_done: d.jobs_done as usize,
             jobs_leased: d.jobs_leased as usize,
             jobs_disputed: d.jobs_disputed as usize,
-            // Older coordinators send the jobs alone.
+            // Older coordinators send the failed jobs without their number.
             jobs_failed: d.failed.len().max(d.jobs_failed as usize),
             failed: list::from_wire("failed", d.failed)?,
             work_done: d.work_done,

@@ -1,16 +1,17 @@
-//! Texts of the wire: how long they may be, and what may stand in them.
+//! Checks the length and the characters of texts on the wire.
 
 use optics_model::{Invalid, Result};
 
-/// Longest name of a layer, channel, material or whatever else a request names, in bytes.
+/// Longest name of a layer, channel, material or any other item of a request, in bytes.
 const NAME_BYTES: usize = 256;
-/// Longest text for people on the wire, in bytes. Of those that come with an event, as a worker's reasons do, the
-/// coordinator keeps a line.
+/// Longest text for people on the wire, in bytes. Of texts that come with an event, such as a worker's reason, the
+/// coordinator keeps one line.
 const NOTE_BYTES: usize = 64 << 10;
 /// Fields with texts for people.
 const NOTES: [&str; 5] = ["kernel", "label", "log", "reason", "version"];
 
-/// Whether a character is seen as it stands: no control, and nothing that turns the direction of what follows or hides.
+/// Whether a character is displayed as it is: it is neither a control character nor hidden, and does not change the
+/// direction of the text after it.
 pub fn is_printable(c: char) -> bool {
     let hidden = matches!(
         c,
@@ -19,7 +20,7 @@ pub fn is_printable(c: char) -> bool {
     !c.is_control() && !hidden
 }
 
-/// Refuses a text of a request that is too long, or is not what people see.
+/// Refuses a text of a request that is too long, is not UTF-8, or is a name with characters that are not printable.
 pub(crate) fn check_text(field: &str, text: &[u8]) -> Result<()> {
     let is_note = NOTES.contains(&field);
     let most = if is_note { NOTE_BYTES } else { NAME_BYTES };
@@ -39,7 +40,7 @@ pub(crate) fn check_text(field: &str, text: &[u8]) -> Result<()> {
     }
 }
 
-/// A name as lists show it, which have to stay short.
+/// Shortens a name for lists.
 pub(crate) fn shortened(name: &mut String) {
     if name.len() > NAME_BYTES {
         name.truncate(name.floor_char_boundary(NAME_BYTES - '…'.len_utf8()));

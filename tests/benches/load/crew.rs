@@ -1,4 +1,4 @@
-//! Many simulated workers in one thread, which deliver prepared results.
+//! Runs many simulated workers in one thread, which deliver prepared results.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -159,7 +159,7 @@ impl Worker {
         self.client.acquire(request).await.unwrap().into_inner().leases
     }
 
-    /// Number of results that were new.
+    /// Delivers results; returns the number of those that were new.
     async fn complete(&mut self, messages: Vec<CompleteRequest>) -> usize {
         let answer = self.client.complete(tokio_stream::iter(messages)).await.unwrap().into_inner();
         let kinds = answer.outcomes.iter().map(farm_proto::wire::CompletionOutcome::kind);

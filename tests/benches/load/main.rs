@@ -1,4 +1,4 @@
-//! Load on a coordinator in a process of its own, from simulated workers that trace nothing.
+//! Measures the load on a coordinator in a separate process, from simulated workers that trace nothing.
 //!
 //! `cargo bench -p farm-tests --bench load` lets 1,000 workers on 32 connections do 100,000 jobs of one small record
 //! each as fast as possible. `… --bench load -- paper` lets 64 workers, each on a connection of its own, send the

@@ -1,4 +1,4 @@
-//! Speed and cost of the page: the paper's dictionary in a headless browser.
+//! Measures the speed and cost of the page: the paper's dictionary in a headless browser.
 //!
 //! `cargo bench -p farm-browser-tests --bench page` computes the dictionary first, or takes the one in the folder that
 //! `FARM_BENCH_FOLDER` names; with `-- tabs` only the cost of tabs is measured. Frame times are measured between
@@ -23,7 +23,7 @@ use thirtyfour::By;
 
 /// Moves of a slider that are timed.
 const MOVES: u32 = 240;
-/// Number of tabs that show a farm.
+/// Number of tabs that display a farm.
 const TABS: usize = 20;
 /// Duration over which their cost is measured.
 const WATCHED: Duration = Duration::from_secs(20);

@@ -1,4 +1,4 @@
-//! A headless Chromium that is controlled through its driver, with the actions of a user.
+//! Controls a headless Chromium through its driver, with the actions of a user.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,7 +16,7 @@ const LOOK: Duration = Duration::from_millis(30);
 /// A host name that resolves to this machine, as after DNS rebinding by a hostile site.
 pub const OTHER_NAME: &str = "other.example";
 
-/// A browser with its own profile.
+/// A browser with a separate profile.
 #[derive(Debug)]
 pub struct Browser {
     pub driver: WebDriver,

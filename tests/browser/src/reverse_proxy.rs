@@ -1,4 +1,4 @@
-//! An HTTP/1.1 reverse proxy that serves a server below a path prefix.
+//! Runs an HTTP/1.1 reverse proxy that serves a server below a path prefix.
 
 use std::net::SocketAddr;
 

@@ -6,12 +6,12 @@ use super::Farm;
 use crate::process::SOON;
 
 impl Farm {
-    /// `kill -9`.
+    /// Sends SIGKILL to the coordinator, and waits until it is gone.
     pub fn kill_coordinator(&mut self) {
         self.coordinator.take().expect("the coordinator runs").kill();
     }
 
-    /// SIGTERM; the exit code.
+    /// Sends SIGTERM to the coordinator; returns the exit code.
     ///
     /// # Panics
     /// If it does not end in time.
@@ -19,7 +19,7 @@ impl Farm {
         self.coordinator.take().expect("the coordinator runs").terminate(Duration::from_secs(10))
     }
 
-    /// Waits until it ends by itself; returns its exit code and log.
+    /// Waits until the coordinator ends by itself; returns its exit code and log.
     ///
     /// # Panics
     /// If it does not end in time.

@@ -1,4 +1,4 @@
-//! Environments with faults: a log without a reader, little memory.
+//! Sets up environments with faults: a log without a reader, little memory.
 
 use super::Farm;
 use crate::memory_group::MemoryGroup;

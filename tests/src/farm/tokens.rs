@@ -1,4 +1,4 @@
-//! Farms whose workers have separate tokens, so that each has its own vote on results.
+//! Runs farms whose workers have separate tokens, so that each has its own vote on results.
 
 use super::Farm;
 use crate::process::{Process, run};

@@ -1,4 +1,4 @@
-//! A simulated camera: geometry, blur, noise and faults from the scene to sample values.
+//! Simulates a camera: geometry, blur, noise and faults from the scene to sample values.
 
 use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! Random numbers for simulated photographs.
+//! Draws random numbers for simulated photographs.
 
 /// SplitMix64 (Steele, Lea and Flood 2014): small, and good enough for noise.
 #[derive(Debug, Clone)]

@@ -1,4 +1,4 @@
-//! Subjects of simulated photographs, blurred by the lens.
+//! Describes the subjects of simulated photographs, and blurs them by the lens.
 
 use std::fmt;
 use std::sync::Arc;

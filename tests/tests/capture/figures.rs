@@ -72,7 +72,8 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
     }
 }
 
-/// Turned, from aside, with distortion, dark side left or right, mosaic or three samples per pixel.
+/// Cameras are turned or oblique, with distortion, with the dark side left or right, and with a mosaic or three samples
+/// per pixel.
 #[test]
 fn geometry_is_recovered_for_all_cameras() {
     for seed in 0..seeds(40) / 10 {

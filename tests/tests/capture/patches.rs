@@ -96,7 +96,7 @@ fn areas(calibration: &Calibration) -> Vec<Area> {
     calibration.patches.iter().map(|patch| patch.area).collect()
 }
 
-/// They lie within the true patches, clear of the margins, and give the same gains.
+/// The found areas lie within the true patches, clear of the margins, and give the same gains.
 #[test]
 fn found_patches_calibrate_like_given_areas() {
     let session = session();
@@ -115,7 +115,7 @@ fn found_patches_calibrate_like_given_areas() {
     }
 }
 
-/// Light that falls off by a quarter, and lamps that flicker; from left to right, and from right to left.
+/// Light falls off by a quarter, and lamps flicker; patches run from left to right, and from right to left.
 #[test]
 fn patches_are_found_in_uneven_light() {
     let camera = Camera { vignetting: 0.25, ..Camera::default() };

@@ -123,7 +123,7 @@ fn missing_workers_are_reported_first() {
     assert_eq!(autoscaler.exit_within(SOON), 0, "{}", autoscaler.log());
 }
 
-/// Later they are reported once, and the autoscaler pauses.
+/// Later refusals are reported once, and the autoscaler pauses.
 #[test]
 fn sbatch_refusal_ends_the_command_at_start() {
     let farm = Farm::start(&[]);

@@ -315,7 +315,7 @@ fn name_belongs_to_one_grid() {
     assert_eq!(run(farm.path(), &["submit", "grid.toml", "--name", "other", "-q"]).code, 0);
 }
 
-/// If the tests run as root, which ignores permissions, it runs as user `nobody`.
+/// If the tests run as root, which ignores permissions, the command runs as user `nobody`.
 #[test]
 fn unwritable_data_folder_is_refused() {
     let dir = folder();

@@ -107,7 +107,7 @@ fn every_verb_has_a_stable_json_shape() {
     assert!(json(&error, "error")["message"].as_str().unwrap().contains("dictionary none does not exist"));
 }
 
-/// For any number of threads.
+/// The profile is the same for any number of threads.
 #[test]
 fn simulate_equals_the_profile_of_the_dictionary() {
     let farm = farm();

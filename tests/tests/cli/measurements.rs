@@ -209,7 +209,7 @@ fn array(archive: &mut zip::ZipArchive<std::fs::File>, name: &str) -> (Vec<usize
     (sides, bytes[end..].to_vec())
 }
 
-/// Profiles of the responses are exported with what was varied, at the nodes where they were traced.
+/// Profiles of the responses are exported with the varied quantity, at the nodes where they were traced.
 #[test]
 fn responses_are_exported_with_their_variant() {
     let dir = folder();

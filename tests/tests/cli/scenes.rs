@@ -1,4 +1,4 @@
-//! Scenes with uncertain quantities: what a scene file may hold, and when responses can be asked.
+//! Scenes with uncertain quantities: the limits of scene files, and when responses can be used.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -23,7 +23,7 @@ fn write_files(dir: &Path, scene: &str, grid: &str) {
     write(dir, "varied.toml", grid);
 }
 
-/// Values of uncertain quantities are refused with their key and line, the value, and what is allowed.
+/// Values of uncertain quantities are refused with their key and line, the value, and the allowed values.
 #[test]
 fn impossible_uncertain_values_are_refused() {
     let dir = folder();

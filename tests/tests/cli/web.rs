@@ -15,7 +15,7 @@ use wire::DictionaryState;
 
 const GRID: &str = "sigma_t_per_mm = [4, 8]\nalbedo = [0.9, 0.999]\ng = [0.0, 0.4]\nwalks = 2000\n";
 
-/// The page's server of a folder.
+/// The page's server for a folder.
 struct Desk {
     folder: tempfile::TempDir,
     page: Page,

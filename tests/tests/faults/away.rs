@@ -17,7 +17,7 @@ walks = 300000
 ";
 const JOBS: u64 = 24;
 
-/// Their leased jobs are not computed twice.
+/// The leased jobs of the workers are not computed twice.
 #[test]
 fn workers_survive_an_absence_of_the_coordinator() {
     let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);

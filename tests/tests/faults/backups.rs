@@ -56,7 +56,8 @@ fn farm_resumes_from_its_last_backup() {
     drop(worker);
 }
 
-/// As in the deployment guide: the same access file, port and name. Records from after the backup are computed again.
+/// The standby has the same access file, port and name, as in the deployment guide. Records from after the backup are
+/// computed again.
 #[test]
 fn standby_takes_over_from_the_last_backup() {
     let mut farm = Farm::closed(&[], &["--lease", "2"]);

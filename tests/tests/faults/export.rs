@@ -80,7 +80,7 @@ async fn export_fails_when_its_coordinator_is_gone() {
     assert_eq!(files(&farm), Vec::<String>::new(), "neither a draft nor a part of a file is left");
 }
 
-/// It ends with exit code 130.
+/// The command ends with exit code 130.
 #[tokio::test(flavor = "multi_thread")]
 async fn interrupted_export_leaves_no_file() {
     let (farm, proxy, export) = cut_in_the_middle().await;
@@ -130,7 +130,7 @@ fn export_may_need_more_than_one_call() {
     );
 }
 
-/// Arrays of the axes need their records alone, not those of the responses.
+/// Arrays of the axes need only the records of the axes, not those of the responses.
 #[test]
 fn arrays_do_not_wait_for_responses() {
     let grid = |sigma_t: &str, gel_mm: &str| {
@@ -146,7 +146,7 @@ fn arrays_do_not_wait_for_responses() {
     let worker = farm.worker("worker", &[]);
     farm.done("exact");
     drop(worker);
-    // Records do not depend on priors, so those of the axes are there.
+    // Records do not depend on priors, so those of the axes exist already.
     farm.submit("varied", &grid("[4, 8]", uncertain));
     let varied = farm.listed("varied").unwrap();
     assert!(varied["records_done"] == 4 && varied["records_total"].as_u64() > Some(4), "{varied}");

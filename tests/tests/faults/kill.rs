@@ -53,7 +53,7 @@ fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
     line[name].as_u64().or_else(|| line["fields"][name].as_u64())
 }
 
-/// Each of them exists exactly once.
+/// Each acknowledged record exists exactly once.
 #[test]
 fn acknowledged_records_survive_random_kills() {
     // Killed workers count as silent: no job should be given up because of that.

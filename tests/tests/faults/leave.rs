@@ -28,7 +28,7 @@ fn assert_no_blame(farm: &Farm) {
     assert_eq!(farm.figure("farm_leases_expired_total"), 0);
 }
 
-/// It hands back the others at once.
+/// Leases of jobs that have not begun are handed back at once.
 #[test]
 fn stopping_worker_finishes_its_running_jobs() {
     let farm = Farm::start(&LEASE);
@@ -48,7 +48,7 @@ fn stopping_worker_finishes_its_running_jobs() {
     drop(second);
 }
 
-/// Such as when its terminal is closed, or its connection is lost.
+/// A worker gets a hang-up when its terminal is closed, or its connection is lost.
 #[test]
 fn worker_hands_back_on_hang_up() {
     let farm = Farm::start(&LEASE);
@@ -102,7 +102,7 @@ fn worker_killed_while_stopping_is_not_blamed() {
     }
 }
 
-/// Its job is not blamed.
+/// The job of the worker is not blamed.
 #[test]
 fn worker_without_grace_stops_at_once() {
     let farm = Farm::start(&LEASE);

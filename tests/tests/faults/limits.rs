@@ -114,7 +114,7 @@ fn closed(streams: &[TcpStream]) -> usize {
     streams.iter().filter(is_closed).count()
 }
 
-/// 10,000 of them take little memory, and are closed after 10 s in favour of other clients.
+/// 10,000 idle connections take little memory, and are closed after 10 s in favour of other clients.
 #[tokio::test(flavor = "multi_thread")]
 async fn idle_connections_do_not_hinder_existing_ones() {
     let count = 10_000.min(files_allowed().saturating_sub(1000));

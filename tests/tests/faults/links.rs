@@ -59,7 +59,7 @@ async fn paused_worker_delivers_duplicates() {
     drop((stopped, other));
 }
 
-/// It counts as a duplicate.
+/// The second delivery of the result counts as a duplicate.
 #[tokio::test(flavor = "multi_thread")]
 async fn result_is_resent_after_a_lost_reply() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
@@ -101,7 +101,7 @@ async fn work_resumes_after_lost_packets() {
     drop(worker);
 }
 
-/// Such as when a router loses the state of a connection: it never heals, without an error, and new ones pass.
+/// The connection is dead as when a router has lost its state: it never heals, without an error, and new ones pass.
 #[tokio::test(flavor = "multi_thread")]
 async fn worker_leaves_a_silently_dead_connection() {
     if effort() == 1 {

@@ -21,7 +21,7 @@ async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
     DictionariesClient::new(channel).list(ListRequest::default()).await.map(drop)
 }
 
-/// They can neither read nor change anything through the port: programs of the farm's user use a private socket.
+/// Other users can neither read nor change anything through the port: programs of the farm's user use a private socket.
 #[tokio::test(flavor = "multi_thread")]
 async fn loopback_farm_is_closed_to_other_users() {
     let mut farm = Farm::start(&[]);
@@ -56,7 +56,7 @@ fn socket_of(farm: &Farm) -> PathBuf {
     found.into_iter().find(|path| path.exists()).expect("the socket is there")
 }
 
-/// Such as by a cleanup of `/tmp`.
+/// The socket may be removed by a cleanup of `/tmp`.
 #[test]
 fn removed_socket_is_restored() {
     let farm = Farm::start(&[]);

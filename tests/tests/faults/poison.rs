@@ -64,7 +64,7 @@ async fn unstarted_jobs_are_not_blamed() {
     drop(worker);
 }
 
-/// Even before the first heartbeat. The explanation names the worker's log.
+/// The job is blamed even before the first heartbeat. The explanation names the worker's log.
 #[tokio::test(flavor = "multi_thread")]
 async fn job_that_kills_its_worker_is_blamed() {
     // Heartbeats come every five seconds.

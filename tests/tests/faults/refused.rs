@@ -40,7 +40,7 @@ impl Leases for Newer {
     }
 }
 
-/// It logs the reason and ends with exit code 4.
+/// The worker logs the reason and ends with exit code 4.
 #[tokio::test(flavor = "multi_thread")]
 async fn worker_of_other_physics_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -137,7 +137,7 @@ fn mutual_tls_needs_a_valid_certificate() {
     assert_eq!(proper.terminate(Duration::from_secs(20)), 0);
 }
 
-/// With mutual TLS.
+/// Checked with mutual TLS.
 #[test]
 fn client_certificates_of_other_authorities_are_refused() {
     let farm = closed(&["--mutual"]);

@@ -19,7 +19,7 @@ async fn refused(farm: &Farm, liar: &mut TestWorker) {
     }
 }
 
-/// Its jobs are computed again, and it stays fenced over a restart.
+/// The jobs of the worker are computed again, and it stays fenced over a restart.
 #[tokio::test(flavor = "multi_thread")]
 async fn worker_with_wrong_records_is_fenced() {
     let mut farm = Farm::with_tokens(&["liar", "a", "b"], &["--lease", "2", "--verify-share", "1"]);

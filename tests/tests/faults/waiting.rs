@@ -52,7 +52,7 @@ async fn waiting_outlives_cuts_kills_and_restarts() {
         std::thread::sleep(Duration::from_mins(2));
         farm.coordinator().signal(Signal::CONT);
         wait_until_logged(&waiting, "answers again", 4);
-        // Such as when a router loses the state of a connection.
+        // As when a router loses the state of a connection.
         link.freeze();
         wait_until_logged(&waiting, "answers again", 5);
     }

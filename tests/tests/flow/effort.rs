@@ -40,7 +40,7 @@ fn separately_traced_blocks_form_the_whole() -> Result<()> {
     Ok(())
 }
 
-/// Its blocks are computed by two workers.
+/// The blocks of the job are computed by two workers.
 #[tokio::test(flavor = "multi_thread")]
 async fn divided_job_has_the_undivided_bytes() -> Result<()> {
     let (mut farm, grid) = (Farm::start(&[]), one_point(4_250_000)?);
@@ -95,7 +95,7 @@ async fn points_are_traced_until_the_target_error() -> Result<()> {
     Ok(())
 }
 
-/// Its bytes equal those of a grid that is computed completely.
+/// The bytes of the finer grid equal those of a grid that is computed completely.
 #[tokio::test(flavor = "multi_thread")]
 async fn finer_grid_computes_only_missing_points() -> Result<()> {
     let mut farm = Farm::start(&[]);

@@ -65,7 +65,7 @@ fn estimate(r: &Refined, nuisance: Nuisance, profile_mm: f64) -> (f64, f64) {
     (found.value, found.std_error)
 }
 
-/// Shifts within what is known of the edge, and dust, are estimated, and the intervals hold the medium.
+/// Dust, and shifts within the uncertainty of the edge, are estimated, and the intervals hold the medium.
 #[test]
 fn likelihood_corrects_shifts_and_dust() {
     let clean = found(|_, v, _, _| v, false);
@@ -89,7 +89,7 @@ fn likelihood_corrects_shifts_and_dust() {
     assert!((30..=80).contains(&left_out), "{left_out} pixels for 32 specks of dust");
 }
 
-/// What no nuisance explains is reported with its cause, and widens the intervals.
+/// A deviation that no nuisance explains is reported with its cause, and widens the intervals.
 #[test]
 fn unexplained_measurement_is_reported() {
     let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false);

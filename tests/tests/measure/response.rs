@@ -76,7 +76,7 @@ fn camera_curve_is_named_with_its_exponent() {
     assert!(is(srgb, Cause::Exponent, 0.47, 0.06), "{srgb:?}");
 }
 
-/// A given factor that is wrong by a typical error of the white reference.
+/// The given factor is wrong by a typical error of the white reference.
 #[test]
 fn contradicted_scale_factor_is_named() {
     assert_eq!(suspected(|v| v, Some(1.0)), None);

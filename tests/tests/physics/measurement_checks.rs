@@ -1,4 +1,5 @@
-//! The checks of measurements on traced media: they accept every medium, and detect each mistake where it is visible.
+//! Tests the checks of measurements with traced media: they accept every medium, and detect each mistake where it is
+//! visible.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
@@ -92,7 +93,7 @@ fn samples() -> &'static [Sample] {
     })
 }
 
-/// All albedos from the same walks.
+/// Traces all albedos with the same walks.
 fn traced(sensor: usize, sigma_t: f64, g: f64) -> Vec<Sample> {
     let (width, pixels) = SENSORS[sensor];
     let scene = Scene::paper().with_sensor(Sensor::new(width, pixels, 0.0).unwrap());

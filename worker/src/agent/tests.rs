@@ -87,7 +87,7 @@ fn assert_left_for_good(coordinator: &Coordinator) {
     );
 }
 
-/// For whole jobs and for a block of a divided job, with the expected number of bytes.
+/// Checked for whole jobs and for a block of a divided job, with the expected number of bytes.
 #[tokio::test]
 async fn idle_worker_delivers_before_exit() {
     let coordinator = coordinator();
@@ -135,7 +135,7 @@ async fn drained_worker_finishes_its_running_jobs() {
     assert_left_for_good(&coordinator);
 }
 
-/// First those that have not begun, then those that do not finish within the grace period.
+/// Jobs that have not begun are handed back first, then those that do not finish within the grace period.
 #[tokio::test]
 async fn stopped_worker_hands_back_unfinished_jobs() {
     let coordinator = coordinator();
@@ -165,7 +165,7 @@ async fn lost_lease_makes_room_for_the_next() {
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
-/// It may be killed before its grace is over.
+/// The worker may be killed before its grace is over.
 #[tokio::test]
 async fn worker_announces_its_stop() {
     let coordinator = coordinator();
@@ -181,7 +181,7 @@ async fn worker_announces_its_stop() {
     assert_eq!(announced, [(true, false, 0), (true, true, 1)]);
 }
 
-/// The worker registers again and delivers their results.
+/// The worker registers again and delivers the results of its jobs.
 #[tokio::test]
 async fn restarted_coordinator_does_not_interrupt_jobs() {
     let coordinator = coordinator();
@@ -195,7 +195,7 @@ async fn restarted_coordinator_does_not_interrupt_jobs() {
     assert_eq!(delivered(&coordinator).len(), 1);
 }
 
-/// Its jobs are stopped, and it makes no further calls for them.
+/// The jobs of a fenced worker are stopped, and it makes no further calls for them.
 #[tokio::test]
 async fn fenced_worker_stops_with_the_reason() {
     let coordinator = coordinator();
@@ -278,7 +278,7 @@ async fn endless_work_is_abandoned_in_time() {
     gone.await.unwrap_err();
 }
 
-/// They are traced together, and each has its own result.
+/// Jobs with shared walks are traced together, and each has its own result.
 #[tokio::test]
 async fn jobs_with_shared_walks_take_one_slot() {
     let coordinator = coordinator();

@@ -42,7 +42,7 @@ impl Worker {
         self.finished.send(result).unwrap();
     }
 
-    /// Waits until everything is delivered; the jobs of each call.
+    /// Waits until everything is delivered; returns the jobs of each call.
     async fn delivered(self) -> Vec<Vec<u32>> {
         drop(self.finished);
         self.delivery.await.unwrap();
@@ -73,7 +73,7 @@ async fn result_is_delivered_until_acknowledged() {
     assert_eq!(worker.delivered().await, vec![vec![7]; 5]);
 }
 
-/// After the time that the slowest allowed link needs. Then the result is sent again.
+/// A delivery times out after the time that the slowest allowed link needs; then the result is sent again.
 #[tokio::test(start_paused = true)]
 async fn unanswered_delivery_times_out() {
     let worker = Worker::start().await;
@@ -192,7 +192,7 @@ async fn fenced_results_are_dropped_unreported() {
     assert_eq!(coordinator.calls(Call::fail), []);
 }
 
-/// Records and sums arrive whole, with the identity of their job.
+/// Records and sums arrive complete, with the identity of their job.
 #[tokio::test(start_paused = true)]
 async fn records_and_sums_arrive_whole() {
     let worker = Worker::start().await;

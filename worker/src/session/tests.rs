@@ -67,7 +67,7 @@ async fn refused_worker_ends_with_the_reason() {
     assert_eq!(coordinator.calls(Call::register).len(), 1);
 }
 
-/// The renewal names the leases that it holds, and which of them run.
+/// A worker that is unknown registers again. Its renewal names the leases that it holds, and which of them run.
 #[tokio::test(start_paused = true)]
 async fn unknown_worker_registers_and_renews() {
     let coordinator = Coordinator::start();
@@ -113,7 +113,7 @@ async fn concurrent_calls_reregister_once() {
     assert_eq!(coordinator.calls(Call::register).len(), 2);
 }
 
-/// Within 50 ms, once another call has found it.
+/// Waiting calls are repeated within 50 ms once another call has found the coordinator.
 #[tokio::test(start_paused = true)]
 async fn waiting_calls_go_when_coordinator_returns() {
     let coordinator = Coordinator::start();
@@ -127,7 +127,7 @@ async fn waiting_calls_go_when_coordinator_returns() {
         tokio::time::sleep(away).await;
         coordinator.restart(LEASE);
         coordinator.set_down(false);
-        // Another call finds it, and registers again.
+        // Another call finds the coordinator, and registers again.
         session.renew(held.all()).await.unwrap_err();
     };
     let delivered = async {

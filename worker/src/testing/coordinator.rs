@@ -21,7 +21,7 @@ use tonic::{Request, Response, Status, Streaming};
 
 use super::network::Network;
 
-/// How long a test waits for something to happen.
+/// Time limit of a test for something to happen.
 const PATIENCE: Duration = Duration::from_mins(1);
 
 /// A result as it was received.

@@ -46,7 +46,7 @@ fn target(address: SocketAddr, with_certificate: bool) -> Target {
     Target::new(Some(&access), None).unwrap()
 }
 
-/// A way to a server on which the first connection breaks before the server has objected to the certificate.
+/// A proxy to a server, whose first connection breaks before the server has objected to the certificate.
 async fn breaking_once(server: SocketAddr) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
@@ -73,7 +73,7 @@ async fn pass_hellos(mut client: TcpStream, server: SocketAddr) -> io::Result<()
     client.read(&mut bytes).await.map(drop)
 }
 
-/// The status of a call to a method that there is not.
+/// The status of a call to a method that does not exist.
 async fn call(mut link: Link) -> Status {
     std::future::poll_fn(|context| link.poll_ready(context)).await.unwrap();
     let request = http::Request::post("/farm.v1.Leases/Nothing").body(Body::empty()).unwrap();
@@ -106,7 +106,7 @@ async fn foreign_certificate_is_refused_each_call() {
     }
 }
 
-/// If the reason for a refusal was lost, it is asked for.
+/// If the reason for a refusal was lost, it is requested by another handshake.
 #[tokio::test]
 async fn lost_refusal_is_asked_for_again() {
     for connect_lazily in [true, false] {

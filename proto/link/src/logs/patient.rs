@@ -1,4 +1,4 @@
-//! A writer that waits for its output only so long: a pipe that is not read and a stopped terminal stop no program.
+//! Writes to an output with a time limit: a pipe that is not read and a stopped terminal stop no program.
 
 use std::io::Write;
 use std::sync::Arc;
@@ -6,15 +6,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-/// How long a line may take before the program goes on without it.
+/// Time limit for writing a line, after which the program goes on without it.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Lines that wait for an output that takes none; those that come after them are dropped.
+/// Largest number of lines that wait for a blocked output; further ones are dropped.
 const WAITING_LINES: usize = 1000;
 
 /// A line, and the sender that drops when it is written.
 type QueuedLine = (Vec<u8>, SyncSender<()>);
 
-/// Writes lines in a thread of its own. While the output takes them, each is written when `write` returns, so that lines
+/// Writes lines in a separate thread. While the output takes them, each is written when `write` returns, so that lines
 /// keep their order with other outputs and none is lost at the end of the program.
 #[derive(Debug, Clone)]
 pub(super) struct Patient {
@@ -23,7 +23,7 @@ pub(super) struct Patient {
 }
 
 impl Patient {
-    /// None if there can be no further thread.
+    /// None if no further thread can be started.
     pub(super) fn new(output: impl Write + Send + 'static) -> Option<Self> {
         let (lines, queue) = sync_channel(WAITING_LINES);
         let stuck = Arc::new(AtomicBool::new(false));
@@ -36,7 +36,7 @@ impl Patient {
     }
 }
 
-/// Errors of the output are ignored: there is no other place to report them.
+/// Ignores errors of the output: there is no other place to report them.
 fn write_all(mut output: impl Write, queue: &Receiver<QueuedLine>, stuck: &AtomicBool) {
     for (line, _written) in queue {
         let _ = output.write_all(&line);

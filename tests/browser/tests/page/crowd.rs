@@ -29,7 +29,7 @@ fn large() -> Grid {
     Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
 }
 
-/// With 1,000 workers and 100,000 jobs.
+/// Checked with 1,000 workers and 100,000 jobs.
 #[tokio::test(flavor = "multi_thread")]
 async fn large_farms_are_shown_page_by_page() {
     if !browser::is_there() {

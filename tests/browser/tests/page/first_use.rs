@@ -20,7 +20,7 @@ async fn first_use_computes_measures_and_saves() {
     write_grid(folder.path());
     let mut page = Page::start(folder.path(), &[]);
     let browser = let_in(&page).await;
-    // A laboratory's own measurements are meant, unless the paper's scene is chosen.
+    // The default scene is that of a laboratory, unless the paper's scene is chosen.
     go_to(&browser, "Farm").await;
     browser.shows("There is none yet").await;
     browser.shows("56,416 records in 1,376 jobs").await;
@@ -176,7 +176,7 @@ async fn example_chooses_the_papers_scene() {
     browser.end().await;
 }
 
-/// The dictionary is selected, and the command names it unless it is the usual one.
+/// Waits until the dictionary is selected, and the command names it unless it is the usual one.
 async fn chosen(browser: &Browser, name: &str) {
     browser
         .wait("the dictionary is selected", LONG, async |browser| {

@@ -1,6 +1,6 @@
 //! The page of `farmctl web` in a real browser: the workflows of users, and faults during them.
 //!
-//! Screenshots go to the folder that `FARM_TEST_PICTURES` names; those in `docs/page` were made so.
+//! Screenshots go to the folder that `FARM_TEST_PICTURES` names; those in `docs/page` were made this way.
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 

@@ -121,7 +121,7 @@ fn check_errors(rows: &[Row], outcomes: &[Outcome]) {
     }
 }
 
-/// Where the priors match the imperfections, intervals have their stated coverage.
+/// Intervals have their stated coverage if the priors match the imperfections.
 fn check_intervals(rows: &[Row], outcomes: &[Outcome]) {
     for (number, row) in rows.iter().enumerate().filter(|(_, row)| row.has_matching_prior()) {
         for g_held in [true, false] {

@@ -1,4 +1,4 @@
-//! The rows of the test: which imperfections a measurement has, of which size, and whether the priors match them.
+//! Defines the rows of the test: the imperfections of a measurement, their size, and whether the priors match them.
 
 use optics_model::fit::{Bounds, FitSettings};
 
@@ -31,7 +31,7 @@ const ALONE: [(&str, Kind); 7] = [
 
 #[derive(Debug, Clone)]
 pub(super) struct Row {
-    /// Such as `dust`, `blur x3`, `all x3 prior`.
+    /// The name, such as `dust`, `blur x3`, `all x3 prior`.
     pub name: String,
     kinds: Vec<Kind>,
     /// Size of the imperfections, in typical sizes.

@@ -1,4 +1,4 @@
-//! Traced profiles, kept in a folder if one is given: `FARM_TEST_TRUTHS=DIR`.
+//! Provides traced profiles, kept in a folder if one is given: `FARM_TEST_TRUTHS=DIR`.
 //!
 //! A file is named after the identity of its job, so it never becomes outdated.
 

@@ -1,4 +1,4 @@
-//! What was found for a medium and for the set-up, with the truth.
+//! Compares the estimates for a medium and for the set-up with the truth.
 
 use optics_model::Medium;
 use optics_model::fit::{Interval, MaterialFit, Measured};
@@ -84,7 +84,7 @@ impl SetUpOutcome {
         self.intervals[quantity].contains(self.truth[quantity])
     }
 
-    /// Relative.
+    /// Relative error.
     pub(super) fn error(&self, quantity: usize) -> f64 {
         self.found[quantity] / self.truth[quantity] - 1.0
     }

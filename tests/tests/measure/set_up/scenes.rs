@@ -28,7 +28,7 @@ pub(super) fn lab() -> Scene {
 pub(super) struct ChangedSetUp {
     /// By material, slab and prior.
     differences: Vec<[Vec<f64>; 2]>,
-    /// Instead of the scene's.
+    /// The ring light, if it differs from the scene's.
     ring: Option<RingLight>,
     /// Channels of the base: coat and lamps are the session's, so they are the same for all slabs.
     channels: OnceLock<Vec<Channel>>,
@@ -101,7 +101,7 @@ impl ChangedSetUp {
         Self { differences, ring: None, channels: OnceLock::new() }
     }
 
-    /// Nothing differs.
+    /// A set-up without differences.
     pub(super) fn none(materials: usize) -> Self {
         let zero = vec![0.0; lab().priors().len()];
         Self { differences: vec![[zero.clone(), zero]; materials], ring: None, channels: OnceLock::new() }

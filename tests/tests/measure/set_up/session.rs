@@ -1,4 +1,4 @@
-//! Media that are photographed in a set-up, and their fit.
+//! Photographs media in a set-up, and fits them.
 
 use std::sync::OnceLock;
 
@@ -33,7 +33,7 @@ pub(super) enum Nodes {
     Paper,
 }
 
-/// Dictionary of the scene with its responses, or as if it was exact.
+/// Dictionary of the scene with its responses, or of the scene without priors.
 pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionary {
     static ALL: [OnceLock<FitDictionary>; 4] = [const { OnceLock::new() }; 4];
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
@@ -79,7 +79,7 @@ fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u6
 pub(super) struct SetUpSession {
     set_up: ChangedSetUp,
     media: Vec<Medium>,
-    /// Whether thicknesses, edges, gains, zeros and slopes are off as their priors say.
+    /// Whether thicknesses, edges, gains, zeros and slopes have random errors according to their priors.
     flawed: bool,
     seed: u64,
 }
@@ -132,7 +132,7 @@ impl SetUpSession {
         MeasuredProfile::new("R", SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
     }
 
-    /// By `farmctl measure` without further options.
+    /// Fits like `farmctl measure` without further options.
     pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<SetUpOutcome> {
         let count = self.media.len();
         let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();

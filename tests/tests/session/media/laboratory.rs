@@ -122,7 +122,8 @@ impl Laboratory {
 /// Time of the last photograph.
 const LAST_S: f64 = 2400.0;
 
-/// The scene of each slab: what is uncertain is off by its standard error at random, within the range of the responses.
+/// The scene of each slab: uncertain quantities are off by their standard errors at random, within the range of the
+/// responses.
 fn set_ups(scene: &Scene, random: &mut Random, size: f64) -> [Scene; 2] {
     let exact = scene.clone().with_priors(Vec::new()).unwrap();
     let mut set_ups = [exact.clone(), exact];
