@@ -164,6 +164,52 @@ fn design_page_lists_the_likelihoods_files() {
     assert!(found > 20, "{found} files");
 }
 
+/// The README prints the rows of an answer that the guide explains.
+#[test]
+fn readme_shows_the_guides_example_rows() {
+    let documents = documents();
+    let rows = |page: &str| -> Vec<String> {
+        let is_row = |line: &&str| line.starts_with("white     ") && line.contains('…');
+        documents[Path::new(page)].lines().filter(is_row).map(str::to_owned).collect()
+    };
+    let (readme, guide) = (rows("README.md"), rows("docs/measuring.md"));
+    assert!(guide.len() >= 3 && readme.len() > guide.len());
+    let missing: Vec<_> = guide.iter().filter(|row| !readme.contains(row)).collect();
+    assert!(missing.is_empty(), "README.md has other rows than docs/measuring.md: {missing:#?}");
+}
+
+/// Every type, method, variant or module of the glossary's second column is defined, in the owner that it names.
+#[test]
+fn glossary_names_exist() {
+    let sources = own_files("rs");
+    let is_letter = |c: char| c.is_alphanumeric() || c == '_';
+    let has_word = |text: &str, word: &str| text.split(|c| !is_letter(c)).any(|found| found == word);
+    let defines = |text: &str, name: &str| {
+        ["struct", "enum", "trait", "type", "fn", "mod"].iter().any(|kind| {
+            let definition = format!("{kind} {name}");
+            text.split(&definition).skip(1).any(|rest| !rest.starts_with(is_letter))
+        })
+    };
+    let exists = |path: &str| {
+        let (owner, name) = path.rsplit_once("::").unwrap_or(("", path));
+        let owner = owner.rsplit("::").next().unwrap().to_owned();
+        let is_type = owner.starts_with(char::is_uppercase);
+        sources.iter().any(|(_, text)| match is_type {
+            true => defines(text, &owner) && has_word(text, name),
+            false => defines(text, name),
+        })
+    };
+    let documents = documents();
+    let rows = documents[Path::new("docs/glossary.md")].lines().filter(|line| line.starts_with('|'));
+    let columns: Vec<&str> = rows.filter_map(|row| row.split('|').nth(2)).collect();
+    let names = || columns.iter().flat_map(|column| column.split('`').skip(1).step_by(2));
+    let names: Vec<&str> = names().filter(|name| !name.contains(' ') && !name.contains(".")).collect();
+    assert!(names.len() > 30, "{names:?}");
+    let missing: Vec<_> = names.into_iter().filter(|name| !exists(name)).collect();
+    assert!(missing.is_empty(), "docs/glossary.md names what is not defined: {missing:?}");
+    assert!(!exists("Medium::nowhere_defined") && !exists("optics_model::NotThere"));
+}
+
 /// The words that follow each `mark` in a file.
 fn after<'a>(text: &'a str, mark: &str) -> Vec<&'a str> {
     text.split(mark).skip(1).filter_map(|rest| rest.split([' ', '\n', '}', '`']).next()).collect()

@@ -60,8 +60,8 @@ fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> SheetCell<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
     use super::*;
+    use crate::checks::{assert_well_laid_out, edge, texts, x_mm};
 
     fn labelled(label: &str, width_mm: f64) -> LabelledCurve {
         LabelledCurve { label: label.into(), curve: edge(0.2, 0.6, width_mm) }

@@ -209,8 +209,8 @@ impl DesignPanel {
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, texts};
     use super::*;
+    use crate::checks::{assert_well_laid_out, texts};
     use crate::testing::design;
 
     /// Every set has its row, and the best is named.

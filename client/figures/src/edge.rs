@@ -74,8 +74,8 @@ fn draw_band(frame: &AxesFrame, canvas: &mut Canvas, curve: &EdgeCurve, colour: 
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, texts};
     use super::*;
+    use crate::checks::{assert_well_laid_out, texts};
 
     #[test]
     fn missing_values_are_left_out_of_charts() {

@@ -57,8 +57,8 @@ fn label(m: &Medium) -> String {
 mod tests {
     use optics_model::fit::Curve;
 
-    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
     use super::*;
+    use crate::checks::{assert_well_laid_out, edge, texts, x_mm};
     use crate::testing;
 
     fn compared(thickness_mm: f64) -> FitCurves {

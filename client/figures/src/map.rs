@@ -72,9 +72,9 @@ mod tests {
     use optics_model::fit::{Candidate, MapLayer};
     use resvg::tiny_skia::Pixmap;
 
-    use super::super::checks::{assert_well_laid_out, texts};
     use super::plan::FINENESS;
     use super::*;
+    use crate::checks::{assert_well_laid_out, texts};
     use crate::drawing::rgb::Rgb;
     use crate::testing;
 

@@ -192,8 +192,8 @@ fn albedo_label(albedo: f64) -> Text {
 
 #[cfg(test)]
 mod tests {
-    use super::super::checks::{assert_well_laid_out, edge, texts, x_mm};
     use super::*;
+    use crate::checks::{assert_well_laid_out, edge, texts, x_mm};
 
     fn figure(thicknesses: usize, sigma_ts: usize, albedos: usize, gs: usize) -> OverviewFigure {
         let records = thicknesses * sigma_ts * albedos * gs;

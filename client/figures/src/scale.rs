@@ -174,8 +174,8 @@ fn value_with_error(value: f64, std_error: Option<f64>) -> String {
 mod tests {
     use optics_model::fit::{GError, ScalePoint};
 
-    use super::super::checks::{assert_well_laid_out, texts};
     use super::*;
+    use crate::checks::{assert_well_laid_out, texts};
     use crate::testing::interval;
 
     fn answer() -> (ScaleCurve, Common) {

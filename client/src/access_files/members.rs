@@ -167,8 +167,8 @@ fn replace(path: &Path, text: &str) -> Result<(), MemberError> {
 mod tests {
     use farm_link::{ClientAccess, CoordinatorAccess};
 
-    use super::super::{create, tests::mode};
     use super::*;
+    use crate::access_files::{create, tests::mode};
 
     fn set(mutual: bool) -> (tempfile::TempDir, PathBuf) {
         let place = tempfile::tempdir().unwrap();

@@ -149,8 +149,8 @@ pub(crate) fn neighbours(candidates: &[Candidate]) -> String {
 mod tests {
     use farm_figures::testing::{channel, likelihood};
 
-    use super::super::table::table_csv;
     use super::*;
+    use crate::answers::table::table_csv;
 
     /// The text without its colours.
     fn text(report: &FitsReport) -> String {

@@ -127,8 +127,8 @@ fn xml_comment(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{channel, medium, three_kinds};
     use super::*;
+    use crate::renderers::tests::{channel, medium, three_kinds};
 
     /// Media of each kind as a Python dictionary for Mitsuba.
     #[test]

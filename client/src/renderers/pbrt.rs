@@ -61,8 +61,8 @@ fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Medium) -> f64) 
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{channel, medium, three_kinds};
     use super::*;
+    use crate::renderers::tests::{channel, medium, three_kinds};
 
     /// Media of each kind as statements for pbrt.
     #[test]

@@ -144,8 +144,8 @@ mod tests {
     use tokio_stream::StreamExt as _;
     use tonic::Code;
 
-    use super::super::budget::Budget;
     use super::*;
+    use crate::authorisation::budget::Budget;
 
     /// A message of `bytes` bytes, with its prefix.
     fn message(bytes: u32) -> Vec<u8> {

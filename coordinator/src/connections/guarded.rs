@@ -183,8 +183,8 @@ mod tests {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
     use tokio::time::{advance, timeout};
 
-    use super::super::{UnauthenticatedLimits, UnauthenticatedPeers};
     use super::*;
+    use crate::connections::{UnauthenticatedLimits, UnauthenticatedPeers};
 
     const LIMITS: Limits = Limits {
         connections: 1,

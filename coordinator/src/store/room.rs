@@ -87,8 +87,8 @@ mod tests {
     use std::path::Path;
     use std::time::Duration;
 
-    use super::super::tests::open;
     use super::*;
+    use crate::store::tests::open;
 
     const MIB: u64 = 1 << 20;
 

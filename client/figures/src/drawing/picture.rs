@@ -53,9 +53,9 @@ impl Picture {
 
 #[cfg(test)]
 mod tests {
-    use super::super::canvas::{Canvas, at};
-    use super::super::text::Text;
     use super::*;
+    use crate::drawing::canvas::{Canvas, at};
+    use crate::drawing::text::Text;
 
     /// A PNG has twice the size of the drawing in pixels, and is not empty.
     #[test]

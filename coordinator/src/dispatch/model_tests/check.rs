@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 
 use farm_proto::ids::DictionaryId;
 
-use super::super::Dictionary;
-use super::super::part::PartId;
-use super::super::schedule::{Part, Stage};
 use super::world::{MAX_ATTEMPTS, World};
+use crate::dispatch::Dictionary;
+use crate::dispatch::part::PartId;
+use crate::dispatch::schedule::{Part, Stage};
 
 macro_rules! must {
     ($holds:expr, $($why:tt)+) => {

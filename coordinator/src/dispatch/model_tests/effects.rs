@@ -2,9 +2,9 @@
 
 use farm_proto::ids::DictionaryId;
 
-use super::super::Effect;
 use super::store::DoneJob;
 use super::world::{MAX_ATTEMPTS, World};
+use crate::dispatch::Effect;
 
 impl World {
     pub fn settle(&mut self) {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use super::super::Arrived;
 use super::world::{Arriving, World};
+use crate::dispatch::Arrived;
 use crate::stored::Outcome;
 
 impl World {

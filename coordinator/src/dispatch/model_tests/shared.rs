@@ -3,10 +3,10 @@
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
 
-use super::super::Dictionary;
-use super::super::JobRef;
 use super::store::DoneJob;
 use super::world::World;
+use crate::dispatch::Dictionary;
+use crate::dispatch::JobRef;
 use crate::stored::Origin;
 
 impl World {

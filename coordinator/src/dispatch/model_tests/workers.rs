@@ -7,9 +7,9 @@ use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::status::MachineFacts;
 use optics_model::Digest;
 
-use super::super::part::PartId;
-use super::super::{Admission, Arrived, DispatchError, Dispatcher, Purpose, Registration};
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
+use crate::dispatch::part::PartId;
+use crate::dispatch::{Admission, Arrived, DispatchError, Dispatcher, Purpose, Registration};
 use crate::stored::Origin;
 
 impl World {

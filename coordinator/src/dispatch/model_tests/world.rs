@@ -9,11 +9,11 @@ use farm_proto::status::DictionaryState;
 use optics_model::Walks;
 use optics_model::job::JobSpec;
 
-use super::super::schedule::STALL;
-use super::super::tests::Counted;
-use super::super::{Dictionary, Dispatcher, Purpose, Settings};
 use super::ops::Op;
 use super::store::ModelStore;
+use crate::dispatch::schedule::STALL;
+use crate::dispatch::tests::Counted;
+use crate::dispatch::{Dictionary, Dispatcher, Purpose, Settings};
 use crate::stored::{DesiredState, Machine, Origin, Secret};
 
 pub const LEASE: Duration = Duration::from_secs(8);

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use super::super::part::JobRef;
+use crate::dispatch::part::JobRef;
 use crate::stored::{KnownMachine, Machine, Origin};
 
 /// Different jobs that a machine may fail one after the other before it gets a pause.

@@ -3,7 +3,7 @@
 
 use farm_proto::ids::WorkerId;
 
-use super::super::mac::hasher;
+use crate::dispatch::mac::hasher;
 use crate::stored::Secret;
 
 /// The token that authenticates a worker in its calls: its public id and the keyed code of the id.

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use super::super::part::{PartId, Purpose};
-use super::super::roster::Roster;
 use super::job::{Job, Stage};
 use super::{Dictionary, OpenLease, Schedule};
+use crate::dispatch::part::{PartId, Purpose};
+use crate::dispatch::roster::Roster;
 
 /// Dictionaries with more jobs or parts are skipped, and so are the leases if there are more: a check after every
 /// transition must stay cheap when a test has a million jobs.

@@ -9,9 +9,9 @@ use farm_proto::status::DictionaryState;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Invalid, Walks};
 
-use super::super::part::PartId;
 use super::job::{Job, Part, Stage, Strike};
 use super::plan::{self, Plan};
+use crate::dispatch::part::PartId;
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
 /// Counts that change with every job, kept so that they need not be computed anew.

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use farm_proto::status::DictionaryState;
 
-use super::super::part::Purpose;
-use super::super::roster::Roster;
 use super::{Dictionary, Schedule};
+use crate::dispatch::part::Purpose;
+use crate::dispatch::roster::Roster;
 
 /// A reason, with a code that programs can rely on.
 #[derive(Debug, Clone, PartialEq, Eq)]

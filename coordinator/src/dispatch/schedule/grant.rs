@@ -6,11 +6,11 @@ use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{Lease, LeaseKey};
 use optics_model::Digest;
 
-use super::super::outbox::{Count, Outbox};
-use super::super::part::{PartId, Purpose};
-use super::super::roster::Roster;
-use super::super::{Settings, TokenSource};
 use super::{Dictionary, OpenLease, Schedule, lease_token};
+use crate::dispatch::outbox::{Count, Outbox};
+use crate::dispatch::part::{PartId, Purpose};
+use crate::dispatch::roster::Roster;
+use crate::dispatch::{Settings, TokenSource};
 use crate::stored::Origin;
 
 /// Most parts that are granted with another because they share its walks, and the most bytes that their records may take.

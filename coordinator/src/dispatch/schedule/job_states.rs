@@ -3,9 +3,9 @@
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState;
 
-use super::super::part::Purpose;
 use super::Schedule;
 use super::job::{Job, Stage};
+use crate::dispatch::part::Purpose;
 
 impl Schedule {
     /// The states of all jobs of a dictionary, in their order; none if there is no such dictionary.

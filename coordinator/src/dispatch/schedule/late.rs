@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use super::super::outbox::Outbox;
-use super::super::part::{PartId, Purpose};
 use super::{Job, OpenLease, Schedule};
+use crate::dispatch::outbox::Outbox;
+use crate::dispatch::part::{PartId, Purpose};
 
 /// If a look comes this much later than the last one, the coordinator itself was held up: no worker is to blame for that.
 pub const STALL: Duration = Duration::from_secs(5);

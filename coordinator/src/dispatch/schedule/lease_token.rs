@@ -4,8 +4,8 @@
 use farm_proto::ids::Token;
 use farm_proto::lease::LeaseKey;
 
-use super::super::mac::{first_bytes, hasher, write_part};
-use super::super::part::PartId;
+use crate::dispatch::mac::{first_bytes, hasher, write_part};
+use crate::dispatch::part::PartId;
 use crate::stored::Secret;
 
 /// The token of a lease for the holder of the access token of this name. `nonce` makes each token unique.

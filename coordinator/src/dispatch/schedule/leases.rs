@@ -6,7 +6,7 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::LeaseKey;
 
-use super::super::part::{JobRef, PartId, Purpose};
+use crate::dispatch::part::{JobRef, PartId, Purpose};
 
 /// A lease that has neither ended nor expired.
 #[derive(Debug, Clone)]

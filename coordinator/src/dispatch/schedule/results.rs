@@ -6,11 +6,11 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
 use optics_model::{Digest, Walks};
 
-use super::super::DispatchError;
-use super::super::admission::{Admission, Arrived};
-use super::super::outbox::{EventKind, Outbox};
-use super::super::part::{JobRef, PartId, Purpose};
 use super::{Dictionary, Job, Schedule, Stage, lease_token};
+use crate::dispatch::DispatchError;
+use crate::dispatch::admission::{Admission, Arrived};
+use crate::dispatch::outbox::{EventKind, Outbox};
+use crate::dispatch::part::{JobRef, PartId, Purpose};
 use crate::stored::Origin;
 
 /// The machine that computed a stored result; None if that is not known.

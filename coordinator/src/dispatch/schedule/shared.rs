@@ -9,8 +9,8 @@ use std::time::Duration;
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
-use super::super::part::{JobRef, PartId};
 use super::{Dictionary, Requester, Schedule};
+use crate::dispatch::part::{JobRef, PartId};
 use crate::stored::Vote;
 
 /// Whether `all` contains all of `some`; both are in ascending order.

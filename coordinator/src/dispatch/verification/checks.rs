@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use farm_proto::ids::DictionaryId;
 use optics_model::Digest;
 
-use super::super::part::{JobRef, PartId};
+use crate::dispatch::part::{JobRef, PartId};
 use crate::stored::{Origin, Vote};
 
 /// Checks that may wait; when there are more, the oldest are dropped.

@@ -2,8 +2,8 @@
 
 use optics_model::Digest;
 
-use super::super::mac::{first_bytes, hasher, write_part};
-use super::super::part::PartId;
+use crate::dispatch::mac::{first_bytes, hasher, write_part};
+use crate::dispatch::part::PartId;
 use crate::stored::Secret;
 
 /// Whether a result is in the sampled share that is verified. Unpredictable without the secret, so a worker cannot

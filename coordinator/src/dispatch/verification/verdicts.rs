@@ -2,12 +2,12 @@
 
 use optics_model::Digest;
 
-use super::super::admission::Arrived;
-use super::super::outbox::{Count, Effect};
-use super::super::part::{JobRef, PartId};
-use super::super::schedule::{Job, Schedule, Stage};
 use super::checks::Verdict;
 use super::{Context, Verification};
+use crate::dispatch::admission::Arrived;
+use crate::dispatch::outbox::{Count, Effect};
+use crate::dispatch::part::{JobRef, PartId};
+use crate::dispatch::schedule::{Job, Schedule, Stage};
 use crate::stored::{Origin, Vote};
 
 impl Verification {

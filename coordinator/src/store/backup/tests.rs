@@ -11,7 +11,7 @@ use sqlx::{AssertSqlSafe, SqlitePool};
 
 use super::*;
 
-const PAGE_BYTES: usize = super::super::PAGE_BYTES as usize;
+const PAGE_BYTES: usize = crate::store::PAGE_BYTES as usize;
 /// A part of a profile, to be found again in the file.
 const MARK: &[u8] = b"a mark that no page holds by chance";
 

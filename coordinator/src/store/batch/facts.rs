@@ -6,8 +6,8 @@ use farm_proto::ids::DictionaryId;
 use optics_model::{Digest, Walks};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::super::{Result, doing, jobs, points};
 use super::ROWS;
+use crate::store::{Result, doing, jobs, points};
 use crate::stored::{Completion, Origin};
 
 #[derive(Debug, Default)]

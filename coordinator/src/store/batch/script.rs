@@ -3,8 +3,8 @@
 use sqlx::query_builder::Separated;
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
-use super::super::{Result, doing};
 use super::ROWS;
+use crate::store::{Result, doing};
 
 /// Most rows of a script that is likely to recur: a job of the paper's grid has 43.
 const SMALL: usize = 64;

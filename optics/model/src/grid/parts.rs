@@ -40,8 +40,8 @@ impl Grid {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Axes, Quality};
     use super::*;
+    use crate::grid::{Axes, Quality};
     use crate::scene::Scene;
 
     /// The refusal of a grid with too many parts gives the number of walks that is allowed.

@@ -1,4 +1,4 @@
-//! The elementary functions and random numbers of [`super::super::math`] and [`super::super::rng`], for vectors: the
+//! The elementary functions and random numbers of [`crate::math`] and [`crate::rng`], for vectors: the
 //! same operations in the same order, lane by lane.
 
 use std::f32::consts::{LN_2, SQRT_2};

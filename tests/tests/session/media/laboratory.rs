@@ -33,6 +33,8 @@ pub(super) struct Laboratory {
     thickness_mm: [f64; 2],
     /// The scene of each slab.
     set_ups: [Scene; 2],
+    /// Names of the scene's uncertain quantities, with their true values for each slab where the scene has one.
+    pub scene: Vec<(String, [Option<f64>; 2])>,
     board: Board,
     camera: Camera,
     /// Relative error of the white reference.
@@ -58,11 +60,14 @@ impl Laboratory {
         let thickness_mm = STATED_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
         let square_mm = STATED_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
         let white = has("white") * WHITE * random.normal();
-        let set_ups = set_ups(&scene(&mut random), &mut Random::new(830_000 + number), has("set-up"));
+        let scene = scene(&mut random);
+        let set_ups = set_ups(&scene, &mut Random::new(830_000 + number), has("set-up"));
+        let value = |prior| (scene.name_of(prior), [0, 1].map(|slab: usize| set_ups[slab].value_of(prior)));
         Self {
             media,
             thickness_mm,
             board: board(&set_ups[0], square_mm),
+            scene: scene.priors().iter().map(value).collect(),
             set_ups,
             camera: camera(&mut random, has("light"), has("glare"), has("noise")),
             white,

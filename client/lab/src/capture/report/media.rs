@@ -4,9 +4,9 @@
 use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
 
-use super::super::strip::simulated_uri;
 use super::samples::SlabSection;
 use super::{escaped, warning_list};
+use crate::capture::strip::simulated_uri;
 
 /// The parts of the page from `measure`.
 #[derive(Debug)]

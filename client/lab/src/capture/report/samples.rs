@@ -5,9 +5,9 @@ use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::{EdgeProfile, Source};
 use serde::{Deserialize, Serialize};
 
-use super::super::budget::sum;
-use super::super::stage::{Captured, CapturedSample};
 use super::{escaped, shots, warnings};
+use crate::capture::budget::sum;
+use crate::capture::stage::{Captured, CapturedSample};
 
 /// Micrometres per millimetre.
 const MICROMETRES: f64 = 1000.0;

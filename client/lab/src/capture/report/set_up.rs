@@ -3,10 +3,10 @@
 use farm_figures::numbers::significant;
 use optics_capture::{Calibration, Colour, Estimate};
 
-use super::super::picture::data_uri;
-use super::super::stage::Captured;
 use super::samples::figure;
 use super::{escaped, shots, warnings};
+use crate::capture::picture::data_uri;
+use crate::capture::stage::Captured;
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;

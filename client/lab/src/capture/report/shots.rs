@@ -2,8 +2,8 @@
 
 use optics_capture::{Board, ShotReport};
 
-use super::super::stage::Captured;
 use super::escaped;
+use crate::capture::stage::Captured;
 
 /// One shot of the board: edge, crop, corners, rejected samples.
 pub(super) fn figure(captured: &Captured, shot: &ShotReport) -> String {

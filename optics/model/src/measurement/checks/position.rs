@@ -1,7 +1,7 @@
 //! Checks for positions and lengths in units other than mm.
 
-use super::super::is_off_edge;
 use super::{Kind, Seen};
+use crate::measurement::is_off_edge;
 
 /// Finds x that counts pixels or is in µm, cm or m. A laboratory's profile spans about 10 mm.
 pub(super) fn of_x(x: &[f64]) -> Option<Seen> {

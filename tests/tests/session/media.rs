@@ -23,7 +23,7 @@ use farm_tests::process::run;
 use farm_tests::statistics::{Share, effort, quantile};
 
 use answer::{Answer, QUANTITIES, table};
-use laboratory::{DEFECTS, Laboratory};
+use laboratory::{DEFECTS, Laboratory, STATED_MM};
 
 /// Largest median error of σ_t.
 const MEDIAN_ERROR: f64 = 0.01;
@@ -97,6 +97,7 @@ impl Trial {
         let of_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
         captured.stdout.lines().filter(of_set_up).for_each(|line| println!("{line}"));
         let channels = data["materials"][0]["channels"].as_array().unwrap().iter();
+        println!("{}", scene_table(&laboratory, &data["materials"][0]["channels"][0]));
         let answer = |(medium, channel): (_, &serde_json::Value)| {
             Answer::new(format!("{number} {}", channel["channel"].as_str().unwrap()), medium, channel)
         };
@@ -107,6 +108,25 @@ impl Trial {
         println!("{}", table(&answers));
         answers
     }
+}
+
+/// Formats the uncertain quantities of the scene (Markdown), with the error of each in its standard errors.
+fn scene_table(laboratory: &Laboratory, channel: &serde_json::Value) -> String {
+    let mut text = "| quantity | slab | truth | found | off |\n|---|---|---|---|---|\n".to_owned();
+    for estimate in channel["refined"]["likelihood"]["scene"].as_array().unwrap() {
+        let number = |field: &str| estimate[field].as_f64();
+        let name = estimate["quantity"].as_str().unwrap();
+        let slab = usize::from(number("slab_mm") == Some(STATED_MM[1]));
+        let (value, std_error) = (number("value").unwrap(), number("std_error").unwrap());
+        let truth = laboratory.scene.iter().find(|(of, _)| of == name).and_then(|(_, values)| values[slab]);
+        let [shown, off] = match truth {
+            Some(truth) => [format!("{truth:.4}"), format!("{:+.2}", (value - truth) / std_error)],
+            None => [String::new(), String::new()],
+        };
+        let slab_mm = number("slab_mm").map_or(String::new(), |mm| mm.to_string());
+        text += &format!("| {name} | {slab_mm} | {shown} | {value:.4} ± {std_error:.4} | {off} |\n");
+    }
+    text
 }
 
 /// The media from photographs have intervals that hold the truth.
