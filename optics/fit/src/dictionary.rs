@@ -1,4 +1,5 @@
-//! A dictionary in memory, laid out for comparison: channel by channel, so that a question loads what it needs.
+//! Stores a dictionary in memory for comparison: channel by channel, so that a question loads only the channels that it
+//! needs.
 
 pub(crate) mod axes;
 mod channel;
@@ -27,28 +28,30 @@ use view::{View, ViewKey};
 #[derive(Debug)]
 pub struct DictionaryBuilder {
     grid: Arc<Grid>,
-    /// Those that are collected, by their index among the scene's.
-    channels: Vec<(usize, Records, VariedRecords)>,
-    /// Which records have come.
+    /// The collected channels, each with its index among the scene's.
+    channels: Vec<(usize, Records, Option<VariedRecords>)>,
+    /// Whether each record was added.
     present: Vec<bool>,
 }
 
 impl DictionaryBuilder {
-    /// For all channels of the grid's scene.
+    /// A builder for all channels of the grid's scene.
     pub fn new(grid: Grid) -> Self {
         let channels = 0..grid.scene().channels().len();
         Self::of_channels(Arc::new(grid), channels)
     }
 
-    /// For some channels of the grid's scene, by their indices.
+    /// A builder for some channels of the grid's scene, by their indices.
     pub fn of_channels(grid: Arc<Grid>, channels: impl IntoIterator<Item = usize>) -> Self {
-        let channel = |index| (index, Records::new(grid.clone()), VariedRecords::new(grid.clone()));
+        let seen: Vec<usize> = grid.scene().seen_channels().collect();
+        let varied = |index| seen.contains(&index).then(|| VariedRecords::new(grid.clone()));
+        let channel = |index| (index, Records::new(grid.clone()), varied(index));
         let channels = channels.into_iter().map(channel).collect();
         let present = vec![false; grid.stored_records()];
         Self { grid, channels, present }
     }
 
-    /// With all values rounded, as those of a large dictionary are.
+    /// A builder that rounds all values, as for a large dictionary.
     #[cfg(test)]
     pub(crate) fn rounded(grid: &Grid) -> Self {
         let mut builder = Self::new(grid.clone());
@@ -59,7 +62,7 @@ impl DictionaryBuilder {
     }
 
     /// # Panics
-    /// If a record is not of the grid's shape or number, or has come before.
+    /// If a record does not have the grid's shape or a number of the grid, or was added before.
     pub fn add(&mut self, records: &PackedRecords) {
         assert_eq!(records.shape(), RecordShape::of(&self.grid), "the records have the grid's shape");
         for number in records.numbers() {
@@ -69,26 +72,25 @@ impl DictionaryBuilder {
                 let values = records.radiance_factors(number, *index);
                 if number < self.grid.record_count() {
                     channel.set(number, values);
-                } else {
+                } else if let Some(varied) = varied {
                     varied.set(number, values);
                 }
             }
         }
     }
 
-    /// Describes all records, so that the first question is as fast as the others. Gradients are taken at the
-    /// first question that needs them.
+    /// Describes all records, so that the first question is as fast as the others. Gradients are computed at the first
+    /// question that needs them.
     ///
     /// # Panics
     /// If records are missing.
     pub fn build(self) -> FitDictionary {
         assert!(self.present.iter().all(|present| *present), "every record has come");
-        // No photograph is compared with the others.
-        let seen: Vec<usize> = self.grid.scene().seen_channels().collect();
-        let described = |(index, records, varied): (usize, Records, VariedRecords)| {
-            let responses = varied.responses(&records);
+        let described = |(index, records, varied): (usize, Records, Option<VariedRecords>)| {
+            let seen = varied.is_some();
+            let responses = varied.map(|varied| varied.responses(&records));
             let channel = ChannelRecords::new(records, responses);
-            if seen.contains(&index) {
+            if seen {
                 channel.whole_view();
             }
             (index, FitChannel(Arc::new(channel)))
@@ -103,25 +105,25 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Bytes that a channel of a grid takes at most: values, responses, descriptions and, of smaller dictionaries,
-    /// gradients, for the whole profiles and for one other range of pixels.
+    /// Maximum bytes of a channel of a grid: values, responses, and descriptions (in small dictionaries gradients, too)
+    /// for the whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid) -> usize {
         let views = 2 * view::bytes_of(grid);
         records::bytes_of(grid).saturating_add(responses::bytes_of(grid)).saturating_add(views)
     }
 }
 
-/// Channels of a dictionary: all, or those that a question is about.
+/// Channels of a dictionary: all, or those that a question needs.
 #[derive(Debug)]
 pub struct FitDictionary {
     grid: Arc<Grid>,
     channels: Vec<Option<FitChannel>>,
-    /// Stops the question that is asked.
+    /// Stops the current question.
     pub(crate) stop: Stop,
 }
 
 impl FitDictionary {
-    /// These channels of a grid's scene, with their indices.
+    /// A dictionary of the given channels of a grid's scene, with their indices.
     pub fn of_channels(grid: Arc<Grid>, given: impl IntoIterator<Item = (usize, FitChannel)>) -> Self {
         let mut channels = vec![None; grid.scene().channels().len()];
         for (index, channel) in given {
@@ -130,8 +132,8 @@ impl FitDictionary {
         Self { grid, channels, stop: Stop::default() }
     }
 
-    /// Answers a question, unless it is stopped before: then it ends within milliseconds, or once a view
-    /// that is being made is there, or its gradients are.
+    /// Answers a question, unless it is stopped before. A stopped question ends within milliseconds, or once a view or
+    /// its gradients, if they are under construction, are complete.
     pub fn ask<T>(mut self, stop: &Stop, question: impl FnOnce(&Self) -> T) -> Result<T, Stopped> {
         self.stop = stop.clone();
         stop.guard(|| question(&self))
@@ -141,22 +143,23 @@ impl FitDictionary {
         &self.grid
     }
 
-    /// The channels that are there, with their indices.
+    /// The loaded channels, with their indices.
     pub fn channels(&self) -> impl Iterator<Item = (usize, &FitChannel)> {
         self.channels.iter().enumerate().filter_map(|(index, channel)| Some((index, channel.as_ref()?)))
     }
 
     /// Radiance factors of a record in one channel. Those of a dictionary of more than 512 MiB are rounded, by about
-    /// √(v m)/65,535 at most, where m is the record's greatest.
+    /// √(v m)/65,535 at most, where m is the record's maximum.
     ///
     /// # Panics
-    /// If the channel is not there.
+    /// If the channel is not loaded.
     pub fn values(&self, record: usize, channel: usize) -> Cow<'_, [f32]> {
         let records = self.records(channel);
         records.values(record, 0..records.pixels())
     }
 
-    pub(crate) fn responses(&self, channel: usize) -> &ResponseRecords {
+    /// None for a channel under a darker white reference, which is not compared with photographs.
+    pub(crate) fn responses(&self, channel: usize) -> Option<&ResponseRecords> {
         self.channel(channel).responses()
     }
 
@@ -164,12 +167,12 @@ impl FitDictionary {
         self.channel(channel).records()
     }
 
-    /// The view over all pixels, which is always at hand.
+    /// The view over all pixels, which stays cached.
     pub(crate) fn whole_view(&self, channel: usize) -> Arc<View> {
         self.channel(channel).whole_view()
     }
 
-    /// The view of a key, made if it is not at hand.
+    /// The view of a key, made if it is not cached.
     pub(crate) fn view(&self, channel: usize, key: &ViewKey) -> Arc<View> {
         self.stop.check();
         self.channel(channel).view(key)

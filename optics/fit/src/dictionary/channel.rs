@@ -1,4 +1,4 @@
-//! All records of a dictionary in one channel, and views on them.
+//! Stores all records of a dictionary in one channel, and caches views of them.
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
@@ -6,7 +6,7 @@ use crate::dictionary::records::Records;
 use crate::dictionary::responses::ResponseRecords;
 use crate::dictionary::view::{View, ViewKey, made_once};
 
-/// Views kept besides the one over all pixels with the default wavelet.
+/// Number of views that are cached besides the one over all pixels with the default wavelet.
 const OTHER_VIEWS: usize = 1;
 
 type Slot = Arc<OnceLock<Arc<View>>>;
@@ -14,32 +14,32 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 #[derive(Debug)]
 pub(crate) struct ChannelRecords {
     records: Arc<Records>,
-    responses: ResponseRecords,
-    /// The default first, then the last other one.
+    responses: Option<ResponseRecords>,
+    /// The default view first, then the latest other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
-    pub(crate) fn new(records: Records, responses: ResponseRecords) -> Self {
+    pub(crate) fn new(records: Records, responses: Option<ResponseRecords>) -> Self {
         Self { records: Arc::new(records), responses, views: Mutex::default() }
     }
 
-    pub(crate) fn responses(&self) -> &ResponseRecords {
-        &self.responses
+    pub(crate) fn responses(&self) -> Option<&ResponseRecords> {
+        self.responses.as_ref()
     }
 
     pub(crate) fn records(&self) -> &Records {
         &self.records
     }
 
-    /// The view over all pixels, which is always at hand once it was made.
+    /// The view over all pixels, which stays cached once it was made.
     pub(crate) fn whole_view(&self) -> Arc<View> {
         let settings = optics_model::fit::FitSettings::default();
         let pixels = 0..self.records.pixels();
         self.view(&ViewKey { pixels, wavelet: settings.wavelet, level: settings.level })
     }
 
-    /// The view of a key, made if it is not at hand.
+    /// The view of a key, made if it is not cached.
     pub(crate) fn view(&self, key: &ViewKey) -> Arc<View> {
         let slot = {
             let mut views = self.views.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,13 +1,14 @@
-//! How a profile responds to the uncertain quantities of the scene, between the media at which responses were traced.
+//! Interpolates the response of a profile to the uncertain quantities of the scene, between the media at which responses
+//! were traced.
 //!
-//! With u a quantity's difference from the scene's value in units of its prior's standard deviation, the profile is
-//! larger by h(u) L: see [`crate::dictionary::responses`]. L is interpolated by cubics in ln σ_t and √(1 − α), and by a
-//! parabola in ln(1 − g): responses are smooth, and a few per cent of a profile.
+//! With u a quantity's difference from the scene's value in units of its prior's standard deviation, the profile changes
+//! by h(u) L: see [`crate::dictionary::responses`]. L is interpolated by cubics in ln σ_t and √(1 − α), and by a parabola
+//! in ln(1 − g): responses are smooth, and a few per cent of a profile.
 
 use noise::Stencil;
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
-use crate::dictionary::responses::ResponseCurve;
+use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 
 pub(crate) mod noise;
 
@@ -22,19 +23,19 @@ pub(crate) struct LocalResponse {
 /// All responses about one medium.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalResponses {
-    /// With the optical thickness for σ_t.
+    /// The medium, with the optical thickness in place of σ_t.
     at: Coordinates,
     /// By prior of the scene.
     each: Vec<LocalResponse>,
 }
 
-/// What the quantities change in a profile.
+/// The change of a profile by the quantities.
 #[derive(Debug)]
 pub(crate) struct ProfileChange {
     pub values: Vec<f64>,
-    /// By the medium's coordinates.
+    /// Derivatives by the medium's coordinates.
     pub slopes: [Vec<f64>; 3],
-    /// By each quantity.
+    /// Derivatives by each quantity.
     pub by_quantity: Vec<Vec<f64>>,
 }
 
@@ -74,12 +75,12 @@ impl Surrogate<'_> {
     pub(crate) fn responses(&self, thickness_mm: f64, x: Coordinates) -> Option<LocalResponses> {
         let grid = self.grid();
         grid.responses()?;
+        let records = self.dictionary.responses(self.channel)?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let records = self.dictionary.responses(self.channel);
         let response = |prior: usize| LocalResponse {
             curve: records.curve(prior),
-            linear: self.linear_response(prior, &stencil),
+            linear: self.linear_response(records, prior, &stencil),
         };
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
@@ -87,7 +88,8 @@ impl Surrogate<'_> {
         Some(LocalResponses { at: optical, each })
     }
 
-    /// The nearest of the dictionary's thicknesses, and coordinates of a slab of it that is optically as thick.
+    /// The nearest of the dictionary's thicknesses, and the coordinates at which a slab of it has the same optical
+    /// thickness.
     fn response_place(&self, thickness_mm: f64, mut x: Coordinates) -> (usize, Coordinates) {
         let (index, ratio) = self.nearest_thickness(thickness_mm);
         x[SIGMA_T] += ratio.ln();
@@ -95,10 +97,9 @@ impl Surrogate<'_> {
     }
 
     /// L of a quantity, and its derivatives by the medium's coordinates.
-    fn linear_response(&self, prior: usize, stencil: &Stencil) -> [Vec<f64>; 4] {
+    fn linear_response(&self, records: &ResponseRecords, prior: usize, stencil: &Stencil) -> [Vec<f64>; 4] {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
-        let records = self.dictionary.responses(self.channel);
         let Stencil { thickness, sigma_t: s, g, albedo: a } = stencil;
         let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; self.pixels()]);
         for (i, (ws, ds)) in s.values.iter().zip(&s.slopes).enumerate() {

@@ -1,8 +1,8 @@
 //! Separates the responses of a quantity from most of their noise.
 //!
 //! The responses of all media lie in few directions of the space of pixels, and their noise in many. Only the directions
-//! in which responses are largest are kept, each with the share of its mean square that is not noise. Noise that is left
-//! would make a response look stronger than it is, and so the quantity better known.
+//! in which responses are largest are kept, each with the share of its mean square that is not noise. The remaining noise
+//! would make a response look stronger than it is, and so the quantity better determined.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use optics_model::Grid;
@@ -11,15 +11,15 @@ use crate::bases::{contrasts, orthonormal};
 use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
 
-/// Directions of which it is asked how much of them is noise.
+/// Number of directions whose share of noise is estimated.
 const DIRECTIONS: usize = 16;
 /// Passes over the rows that turn the directions to those of the largest mean square.
 const PASSES: usize = 4;
 /// Least number of independent samples of the noise: with fewer, directions would be kept whose noise is small by chance.
 const LEAST_SAMPLES: usize = 6;
-/// Most rows of a pass.
+/// Maximum number of rows of a pass.
 const MOST_ROWS: usize = 400;
-/// Radiance factor that is added to means of profiles before responses are divided by them: what is darker counts less.
+/// Radiance factor that is added to means of profiles before responses are divided by them: darker profiles count less.
 const DARK: f64 = 0.02;
 
 /// The nodes of a grid's responses, in the order of their rows.
@@ -28,7 +28,7 @@ pub(super) struct NodeOrder {
     ln_sigma_t: Vec<f64>,
     /// Rows between neighbours in σ_t.
     stride: usize,
-    /// Rows whose walks are the same.
+    /// Number of rows with the same walks.
     albedos: usize,
 }
 
@@ -40,7 +40,7 @@ impl NodeOrder {
         Self { ln_sigma_t, stride: g.len() * grid.thickness_mm().len() * albedos, albedos }
     }
 
-    /// Weights of rows that polynomials in ln σ_t do not change, each of unit length: sums with them are noise.
+    /// Contrasts of rows, each of unit length, that vanish for polynomials in ln σ_t: their sums are noise.
     fn contrasts(&self, rows: usize) -> Vec<Vec<(usize, f64)>> {
         let (contrasts, block) = (contrasts(&self.ln_sigma_t), self.ln_sigma_t.len() * self.stride);
         let firsts = (0..rows).step_by(block.max(1)).flat_map(|start| start..start + self.stride);
@@ -54,9 +54,11 @@ impl NodeOrder {
 /// L of a quantity at all nodes: `[row][pixel]`.
 pub(super) struct LinearRows<'a> {
     linear: &'a mut [f32],
-    /// Noise is nearly even where L is divided by both.
+    /// L divided by both scales has nearly uniform noise.
     row_scales: Vec<f64>,
     pixel_scales: Vec<f64>,
+    /// Reciprocals of the pixels' scales.
+    per_pixel_scale: Vec<f64>,
 }
 
 impl<'a> LinearRows<'a> {
@@ -68,10 +70,12 @@ impl<'a> LinearRows<'a> {
         for row in of_scene.chunks_exact(pixels) {
             pixel_scales.iter_mut().zip(row).for_each(|(s, v)| *s += f64::from(*v) / count as f64);
         }
-        Self { linear, row_scales: of_scene.chunks_exact(pixels).map(mean).collect(), pixel_scales }
+        let per_pixel_scale = pixel_scales.iter().map(|scale| 1.0 / scale).collect();
+        let row_scales = of_scene.chunks_exact(pixels).map(mean).collect();
+        Self { linear, row_scales, pixel_scales, per_pixel_scale }
     }
 
-    /// Replaces every L by the part that is not noise. Where nodes are too few to show the noise, nothing changes.
+    /// Replaces every L by the part that is not noise. Where nodes are too few to estimate the noise, nothing changes.
     pub(super) fn reduce_noise(&mut self, nodes: &NodeOrder) {
         let contrasts = nodes.contrasts(self.count());
         let directions = self.directions();
@@ -111,8 +115,8 @@ impl<'a> LinearRows<'a> {
 
     fn scaled(&self, row: usize) -> Vec<f64> {
         let scale = 1.0 / self.row_scales[row];
-        let linear = self.linear[self.pixels(row)].iter().zip(&self.pixel_scales);
-        linear.map(|(l, of_pixel)| scale * f64::from(*l) / of_pixel).collect()
+        let linear = self.linear[self.pixels(row)].iter().zip(&self.per_pixel_scale);
+        linear.map(|(l, per_scale)| scale * f64::from(*l) * per_scale).collect()
     }
 
     fn along(&self, row: usize, directions: &[Vec<f64>]) -> Vec<f64> {
@@ -189,7 +193,7 @@ mod tests {
         (1.0 + s * k) * (3.0 * x).sin() + (0.3 * s * s - k) * (5.0 * x).cos()
     }
 
-    /// Noise falls to less than a half, and what is left of the responses is right.
+    /// Noise falls to less than a half, and the responses are preserved.
     #[test]
     fn noise_of_responses_is_reduced() {
         let ln_sigma_t: Vec<f64> = (0..NODES[0]).map(|i| 0.6 * i as f64).collect();
@@ -217,7 +221,7 @@ mod tests {
         assert!((0.1..0.13).contains(&before) && after < 0.4 * before, "{before} {after}");
     }
 
-    /// With few nodes of σ_t noise cannot be found, and responses stay as they are.
+    /// With few nodes of σ_t noise cannot be estimated, and responses are unchanged.
     #[test]
     fn responses_at_one_node_are_unchanged() {
         let mut linear: Vec<f32> = (0..4 * PIXELS).map(|i| i as f32).collect();

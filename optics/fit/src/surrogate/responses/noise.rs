@@ -1,17 +1,17 @@
-//! The noise of the responses in a prediction, from the scatter of traced responses about polynomials in ln σ_t.
+//! Estimates the noise of the responses in a prediction from the scatter of traced responses about polynomials in ln σ_t.
 //!
-//! At every node of ln(1 − g) the response of a quantity is followed by a polynomial of ln σ_t. Contrasts of the nodes that
-//! it leaves, each of unit length, have the noise of one response. A polynomial that does not follow the response makes
-//! them larger: the noise is then overestimated.
+//! At every node of ln(1 − g) the response of a quantity is modelled by a polynomial in ln σ_t. The contrasts of the
+//! nodes that vanish for such polynomials, each of unit length, have the noise of one response. Where the polynomial does
+//! not fit the response they are larger: the noise is then overestimated.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
 use crate::bases::contrasts;
-use crate::dictionary::responses::ResponseCurve;
+use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 use crate::surrogate::interpolation;
 use crate::surrogate::local_axis::{Direction, Weights};
 use crate::surrogate::noise::NoisePlace;
 
-/// What the responses' noise does to a prediction.
+/// The noise of the responses in a prediction.
 #[derive(Debug)]
 pub(crate) struct ResponseNoise {
     /// By prior of the scene: its curve, and profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
@@ -22,8 +22,8 @@ pub(crate) struct ResponseNoise {
 
 impl ResponseNoise {
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the noise of a quantity's response gives to a prediction,
-    /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error is no measure of what is not
-    /// known of u: the noise itself makes it too small.
+    /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error of u is not used, since the
+    /// noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
         let (curve, factors) = &self.each[prior];
         let (height, slope) = curve.at(u);
@@ -32,7 +32,7 @@ impl ResponseNoise {
     }
 }
 
-/// Where responses are interpolated: weights of their nodes.
+/// Weights of the nodes between which responses are interpolated.
 pub(super) struct Stencil {
     /// Index of the dictionary's thickness.
     pub thickness: usize,
@@ -42,14 +42,14 @@ pub(super) struct Stencil {
 }
 
 impl Surrogate<'_> {
-    /// The noise of the responses about a medium; None if the dictionary has none.
+    /// The noise of the responses near a medium; None if the dictionary has none.
     pub(crate) fn response_noise(&self, thickness_mm: f64, x: Coordinates) -> Option<ResponseNoise> {
         let grid = self.grid();
         let responses = grid.responses()?;
+        let records = self.dictionary.responses(self.channel)?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let records = self.dictionary.responses(self.channel);
-        let of_prior = |prior: usize| (records.curve(prior), self.scatter(prior, &stencil));
+        let of_prior = |prior: usize| (records.curve(prior), self.scatter(records, prior, &stencil));
         let each = (0..grid.scene().priors().len()).map(of_prior).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
         let depths = responses.sigma_t().iter().map(depth).collect();
@@ -58,9 +58,10 @@ impl Surrogate<'_> {
     }
 
     /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated L.
-    fn scatter(&self, prior: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
-        let nodes = self.grid().responses().expect("the grid has responses");
-        let x: Vec<f64> = nodes.sigma_t().iter().map(|i| self.grid().sigma_t_per_mm()[*i].ln()).collect();
+    fn scatter(&self, records: &ResponseRecords, prior: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
+        let grid = self.grid();
+        let nodes = grid.responses().expect("the grid has responses");
+        let x: Vec<f64> = nodes.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i].ln()).collect();
         let contrasts = contrasts(&x);
         let count = contrasts.len() * nodes.g().len();
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
@@ -69,8 +70,14 @@ impl Surrogate<'_> {
         for g in nodes.g() {
             for contrast in &contrasts {
                 let mut factor = vec![0.0; self.pixels()];
-                for (sigma_t, weight) in nodes.sigma_t().iter().zip(contrast) {
-                    self.add_linear(prior, [*sigma_t, *g], stencil, size * weight, &mut factor);
+                for (sigma_t, of_node) in nodes.sigma_t().iter().zip(contrast) {
+                    for (j, of_albedo) in stencil.albedo.values.iter().enumerate() {
+                        let albedo = stencil.albedo.first + j;
+                        let record = grid.record_at(self.ior, *sigma_t, *g, stencil.thickness, albedo);
+                        let row = records.linear(prior, record).expect("responses are traced at their nodes");
+                        let weight = size * of_node * of_albedo;
+                        factor.iter_mut().zip(row).for_each(|(v, d)| *v += weight * f64::from(*d));
+                    }
                 }
                 factors.push(factor);
             }
@@ -78,29 +85,11 @@ impl Surrogate<'_> {
         factors
     }
 
-    /// Adds a multiple of a quantity's L at a node, at the albedo of a stencil.
-    fn add_linear(
-        &self,
-        prior: usize,
-        [sigma_t, g]: [usize; 2],
-        stencil: &Stencil,
-        factor: f64,
-        into: &mut [f64],
-    ) {
-        let records = self.dictionary.responses(self.channel);
-        for (j, weight) in stencil.albedo.values.iter().enumerate() {
-            let record =
-                self.grid().record_at(self.ior, sigma_t, g, stencil.thickness, stencil.albedo.first + j);
-            let row = records.linear(prior, record).expect("responses are traced at their nodes");
-            into.iter_mut().zip(row).for_each(|(v, d)| *v += factor * weight * f64::from(*d));
-        }
-    }
-
     /// The weights of the nodes at coordinates.
     pub(super) fn response_stencil(&self, thickness: usize, x: Coordinates) -> Stencil {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
-        // Nodes fall.
+        // Interpolation requires nodes in descending order.
         let s_nodes: Vec<f64> = nodes.sigma_t().iter().map(|i| -grid.sigma_t_per_mm()[*i].ln()).collect();
         let g_nodes: Vec<f64> = nodes.g().iter().map(|i| (1.0 - grid.g()[*i]).ln()).collect();
         let clamped = |nodes: &[f64], x: f64| x.clamp(nodes[nodes.len() - 1], nodes[0]);

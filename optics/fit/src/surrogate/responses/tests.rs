@@ -1,4 +1,4 @@
-//! Responses between their nodes, against profiles that were traced in the changed scene with the same random walks.
+//! Compares responses between their nodes with profiles that were traced in the changed scene with the same random walks.
 
 use std::sync::atomic::AtomicBool;
 
@@ -68,7 +68,7 @@ fn of_roughness(seed: u64) -> FitDictionary {
     traced(&grid.with_responses(responses).unwrap())
 }
 
-/// The stated noise is that by which values and slopes of dictionaries with other seeds differ.
+/// The stated noise is the scatter of values and slopes between dictionaries of different seeds.
 #[test]
 fn noise_is_the_scatter_between_seeds() {
     const SEEDS: u64 = 12;
@@ -114,12 +114,12 @@ fn places(prior: &Prior, scene: &Scene) -> Vec<f64> {
     vec![1.0, (-1.0_f64).max(low / sd), (0.75 * far).min(high / sd)]
 }
 
-/// What is compared for one quantity and place, over media and slabs.
+/// Errors of the responses for one quantity and place, over media and slabs.
 #[derive(Default)]
 struct ResponseErrors {
     /// Root mean square of the traced difference, in per cent of the profile.
     effects: Vec<f64>,
-    /// That of the response's error, over that of the records' noise.
+    /// Root mean square of the response's error, over that of the records' noise.
     over_noise: Vec<f64>,
     /// Error of the mean level in per cent.
     levels: Vec<f64>,
