@@ -1,15 +1,17 @@
-//! Orthonormal functions over nodes, and what polynomials leave of values at nodes.
+//! Constructs orthonormal functions over nodes, and contrasts of nodes that vanish for polynomials.
 //!
-//! Local models span their terms by such functions; the scatter about polynomials is the noise of what is smooth.
+//! Local models are fitted in bases of such functions; the scatter of a smooth quantity about polynomials is its noise.
 
 /// Highest degree of the polynomials.
 const DEGREE: usize = 3;
 
-/// What of a term the others do not have, as a share of its size, below which it is nothing but rounding.
+/// Norm of a term's component orthogonal to the terms before it, as a share of the term's own, below which it is rounding
+/// error.
 const NOTHING: f64 = 1e-11;
 
 /// Functions that span the terms and are orthonormal over the window's nodes under their weights. Each is given by its
-/// values, at the nodes and then at any places. Orthogonalised twice: terms are nearly alike where a window is narrow.
+/// values at the nodes and then at any further places. Orthogonalised twice, since terms are nearly linearly dependent
+/// where a window is narrow.
 pub(crate) fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>> {
     let product =
         |a: &[f64], b: &[f64]| -> f64 { window.iter().zip(a).zip(b).map(|((w, a), b)| w * a * b).sum() };
@@ -33,8 +35,8 @@ pub(crate) fn orthonormal(terms: Vec<Vec<f64>>, window: &[f64]) -> Vec<Vec<f64>>
     basis
 }
 
-/// Weights of nodes, of unit length and orthogonal to each other and to polynomials up to [`DEGREE`], or up to a lower
-/// one where nodes are few; none for one node.
+/// Weights of nodes, of unit length and orthogonal to each other and to polynomials up to the degree [`DEGREE`], or a
+/// lower one where nodes are few; none for one node.
 pub(crate) fn contrasts(x: &[f64]) -> Vec<Vec<f64>> {
     let n = x.len();
     if n < 2 {
@@ -54,7 +56,7 @@ pub(crate) fn contrasts(x: &[f64]) -> Vec<Vec<f64>> {
 mod tests {
     use super::*;
 
-    /// Contrasts vanish for polynomials that the nodes exceed, and have unit length.
+    /// Contrasts vanish for polynomials up to the stated degree, and are orthonormal.
     #[test]
     fn contrasts_are_blind_to_polynomials() {
         for n in 1..8 {

@@ -1,9 +1,9 @@
-//! Which slabs to photograph, and how often: Cramér–Rao bounds of measurements that are not made yet.
+//! Compares plans of a measurement, slabs and numbers of photographs, by their Cramér–Rao bounds.
 //!
-//! At a guess of the medium the profiles of a set of slabs are taken from the dictionary, with their derivatives by the
-//! medium and by all that is not known exactly of a set-up. The inverse of the Fisher information,
-//! F = Σ over pixels of (∂y/∂θ)(∂y/∂θ)ᵀ/σ² + the priors' 1/σ², is the least covariance of an estimate without bias. So
-//! a fit of these photographs does no better, and one by the likelihood hardly worse.
+//! At a guess of the medium the profiles of a set of slabs are predicted from the dictionary, with their derivatives by
+//! the medium and by all uncertain quantities of a set-up. The inverse of the Fisher information, F = Σ over pixels of
+//! (∂y/∂θ)(∂y/∂θ)ᵀ/σ² + the priors' 1/σ², is the least covariance of an unbiased estimate. So no fit of these photographs
+//! is more accurate, and one by the likelihood is hardly less accurate.
 
 use optics_model::fit::{
     Design, DesignQuestion, DesignSettings, FitOptions, FitSettings, HalfWidths, Improvement, Limitation,
@@ -22,10 +22,10 @@ use crate::surrogate::{G, Surrogate, coordinates};
 #[cfg(test)]
 mod tests;
 
-/// Most sets of slabs that are made up of the dictionary's thicknesses.
+/// Maximum number of sets of slabs that are combined from the dictionary's thicknesses.
 const MOST_SETS: usize = 25;
 
-/// Everything that may be better.
+/// Limitations that may be reduced, apart from those of the scene.
 const LIMITATIONS: [Limitation; 8] = [
     Limitation::Noise,
     Limitation::Thickness,
@@ -62,7 +62,7 @@ pub fn design(dictionary: &FitDictionary, question: &DesignQuestion) -> Result<D
     })
 }
 
-/// The guess must lie between media of the dictionary, whose derivatives are taken.
+/// Checks that the guess lies between media of the dictionary, from which its derivatives are taken.
 fn check_guess(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
     check_medium(grid, medium)?;
     let axes = axes(grid, medium);
@@ -73,7 +73,7 @@ fn check_guess(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// The dictionary's pixels if none are given.
+/// The given pixels if the dictionary covers them; its own pixels if none are given.
 fn pixels(grid: &Grid, given: Option<PixelRow>) -> Result<PixelRow, Invalid> {
     let half = 0.5 * grid.scene().sensor().width_mm();
     let Some(row) = given else { return own_pixels(grid) };
@@ -84,7 +84,8 @@ fn pixels(grid: &Grid, given: Option<PixelRow>) -> Result<PixelRow, Invalid> {
     Ok(row)
 }
 
-/// The sets that were asked for, or those of up to three of the dictionary's thicknesses, fewer if they would be many.
+/// The requested sets; without any, those of up to three of the dictionary's thicknesses, or of fewer if these are too
+/// many.
 fn slab_sets(surrogate: &Surrogate, settings: &DesignSettings) -> Result<Vec<Vec<f64>>, Invalid> {
     let asked = !settings.slab_sets.is_empty();
     let check = |slab: f64| check_thickness(surrogate, &settings.medium, slab);
@@ -105,7 +106,7 @@ fn slab_sets(surrogate: &Surrogate, settings: &DesignSettings) -> Result<Vec<Vec
     Ok(few.unwrap_or_else(|| up_to(1)))
 }
 
-/// All choices of `count` of these values.
+/// All combinations of `count` of these values.
 fn choices(values: &[f64], count: usize) -> Vec<Vec<f64>> {
     if count == 0 {
         return vec![Vec::new()];
@@ -122,7 +123,7 @@ struct Planner<'a> {
     pixels: PixelRow,
 }
 
-/// Something that may be better: a limitation, and of the scene's the index of its prior.
+/// A limitation that may be reduced, with the index of its prior if it is one of the scene.
 #[derive(Debug, Clone, Copy)]
 struct Better {
     limitation: Limitation,
@@ -152,13 +153,14 @@ impl Planner<'_> {
         }
     }
 
-    /// Noise is that of the mean of the photographs; what is wrong with a set-up is the same in all of them.
+    /// Standard errors with this number of photographs: the noise is that of their mean, errors of the set-up are common
+    /// to all of them.
     fn known(&self, shots: u32) -> KnownErrors {
         let (settings, set_up) = (self.settings, *self.settings.set_up.settings());
         let photographs = f64::from(shots).sqrt();
         KnownErrors {
             noise: settings.noise / photographs,
-            // The model is that of measured values times μ.
+            // The model describes measured values times μ.
             noise_floor: settings.noise_floor * set_up.mu / photographs,
             set_up,
             mu_free: settings.mu_free,
@@ -174,7 +176,7 @@ impl Planner<'_> {
         plan.half_widths(slabs_mm, known)
     }
 
-    /// None if the thing is known exactly already.
+    /// None if the limited quantity is known exactly already.
     fn improvement(&self, slabs_mm: &[f64], known: &KnownErrors, better: Better) -> Option<Improvement> {
         let scene = self.surrogate.grid().scene();
         let prior = scene.priors().get(better.prior).filter(|_| better.limitation == Limitation::Scene);
@@ -204,7 +206,7 @@ impl Planner<'_> {
     }
 }
 
-/// The standard error of the set-up that is a limitation.
+/// The setting that is the standard error of a limitation; none for noise and the scene.
 fn std_error(set_up: &mut FitSettings, limitation: Limitation) -> Option<&mut f64> {
     Some(match limitation {
         Limitation::Thickness => &mut set_up.thickness_std_error_mm,
@@ -218,7 +220,7 @@ fn std_error(set_up: &mut FitSettings, limitation: Limitation) -> Option<&mut f6
     })
 }
 
-/// The same with one standard error multiplied by a factor. A factor of 0 makes known what was not known at all.
+/// The same with one standard error multiplied by a factor. A factor of 0 also makes a free scale exact.
 fn times(known: &KnownErrors, better: Better, factor: f64) -> KnownErrors {
     let mut known = known.clone();
     match better.limitation {
@@ -233,7 +235,7 @@ fn times(known: &KnownErrors, better: Better, factor: f64) -> KnownErrors {
     known
 }
 
-/// What counts is the product of the relative half-widths of σ_t and 1 − α: the size of the region that is left.
+/// Size of the region that remains: the product of the half-widths of σ_t (relative) and α, without those that are 0.
 fn region(set: &SlabSet, medium: &Medium) -> f64 {
     let widths = [set.g_held.of_sigma_t(medium), set.g_held.albedo];
     widths.into_iter().filter(|w| *w > 0.0).product()

@@ -1,7 +1,8 @@
-//! Numerics of the fit over plain slices: no SQL, no gRPC.
+//! Fits measured profiles to the records of a dictionary. Numerics over plain slices: no SQL, no gRPC.
 //!
-//! Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and beyond them a likelihood, which goes between
-//! the records of the dictionary and has error bars. The functions here are the questions that a dictionary answers.
+//! Contains Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and a likelihood, which interpolates
+//! between the records of the dictionary and gives confidence intervals. The public functions are the questions that a
+//! dictionary answers.
 
 mod bases;
 mod design;
@@ -40,7 +41,7 @@ pub fn fit(
 }
 
 /// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
-/// mean square of the residuals over their noise, with the set-up at its likeliest.
+/// mean square of the residuals over their noise, with the nuisances of the set-up at their likeliest values.
 pub fn distance_map(
     dictionary: &FitDictionary,
     measurement: &Measurement,
@@ -52,7 +53,8 @@ pub fn distance_map(
     }
 }
 
-/// Measures a set of materials that were photographed in the same set-up: what they share, and then every channel.
+/// Measures a set of materials that were photographed in the same set-up: the quantities that they share, and every
+/// channel.
 pub fn measure(
     dictionary: &FitDictionary,
     materials: &[Measurement],
@@ -65,8 +67,8 @@ pub fn measure(
     }
 }
 
-/// Finds inks from their own slabs and those of their mixtures together, after all were measured one by one. It maximises
-/// the likelihood, whatever the objective was.
+/// Estimates inks jointly from their own slabs and those of their mixtures, after all were measured one by one. Maximises
+/// the likelihood, whatever the objective of those measurements.
 pub fn unmix(
     dictionary: &FitDictionary,
     materials: &[Measurement],

@@ -1,10 +1,11 @@
-//! The likelihood of a measurement, with the errors of the set-up estimated together with the medium.
+//! Maximises the likelihood of a measurement, with the errors of the set-up estimated together with the medium.
 //!
-//! −2 ln L of all pixels and priors is minimised over the medium, and over the quantities of the set-up that are not known
-//! exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain, zero
-//! and slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is alike in neighbouring
-//! pixels, is modes with a prior of their own (`records_noise`). The optimum is global over the dictionary (`start`).
-//! Intervals follow the least −2 ln L with one quantity held, up to a rise of 1.96² (`profile_likelihood`).
+//! −2 ln L of all pixels and priors is minimised over the medium, and over the quantities of the set-up that are not
+//! known exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain,
+//! zero and slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is correlated
+//! between neighbouring pixels, is modelled by modes with priors (`records_noise`). The optimum is global over the
+//! dictionary (`start`). Intervals follow the profile likelihood, the least −2 ln L with one quantity held, up to a rise
+//! of 1.96² (`profile_likelihood`).
 
 mod answer;
 mod design;
@@ -41,7 +42,7 @@ pub(crate) fn fit(
     let channel = |name: &&str| fit_channel(&ChannelData::new(dictionary, measurement, 0, name, options)?);
     let names = measurement.channels();
     let channels = match names.as_slice() {
-        // Not worth waking other threads for.
+        // A single channel is not worth waking other threads for.
         [one] => vec![channel(one)?],
         several => several.par_iter().map(channel).collect::<Result<_, _>>()?,
     };

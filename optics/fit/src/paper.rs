@@ -1,5 +1,5 @@
-//! The paper's equations over the records of a dictionary: the exact search of Eq. 1, the scale factor of Eq. 3, maps of
-//! the distance, and similar media.
+//! Evaluates the paper's equations over the records of a dictionary: the exact search of Eq. 1, the scale factor of
+//! Eq. 3, maps of the distance, and similar media.
 
 pub(crate) mod layers;
 pub(crate) mod map;
@@ -25,7 +25,7 @@ pub(crate) fn fit(
 ) -> Result<MaterialFit, Invalid> {
     let questions = questions(dictionary, measurement, options)?;
     let channels = match questions.as_slice() {
-        // Not worth waking other threads for.
+        // A single channel is not worth waking other threads for.
         [one] => vec![answer(one)],
         several => several.par_iter().map(answer).collect(),
     };

@@ -1,4 +1,4 @@
-//! Profiles of any medium and thickness within a dictionary, for people to look at.
+//! Predicts profiles of any medium and thickness within a dictionary, for display.
 
 use optics_model::fit::{FitSettings, PredictedChannel, PredictedProfiles, ProfileQuestion};
 use optics_model::{Grid, Invalid, Medium};
@@ -10,14 +10,14 @@ use crate::dictionary::gradient::shown_derivative;
 use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
 use crate::surrogate::{Surrogate, coordinates};
 
-/// Records that a standard error must be read off, in units of independent ones: of fewer it would be a guess.
+/// Least effective number of independent records for a standard error: fewer determine it too poorly.
 const LEAST_DEGREES: f64 = 4.0;
 
-/// A parameter is a record's if it differs by less than this share: decimals are rounded.
+/// Relative difference below which a parameter equals that of a record: decimals are rounded.
 const SAME: f64 = 1e-6;
 
-/// What a slab looks like: the model between the records (`surrogate`), with what the noise of the records about does to
-/// it.
+/// Predicts the profiles of a slab by the model between the records (`surrogate`), with standard errors from the noise of
+/// the neighbouring records.
 pub fn profile(dictionary: &FitDictionary, question: &ProfileQuestion) -> Result<PredictedProfiles, Invalid> {
     let (grid, medium) = (dictionary.grid(), *question.medium());
     let ior = sample_ior(grid, question.sample_ior())?;
@@ -47,7 +47,7 @@ pub fn profile(dictionary: &FitDictionary, question: &ProfileQuestion) -> Result
     })
 }
 
-/// The channel's name is left to the caller.
+/// Leaves the channel's name empty: the caller sets it.
 fn of_channel(surrogate: &Surrogate, medium: &Medium, thickness_mm: f64) -> PredictedChannel {
     let x = coordinates(medium);
     let values = surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), x).values;

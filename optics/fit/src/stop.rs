@@ -1,5 +1,5 @@
-//! Cancellation by unwinding: a query that is cancelled panics with a private payload, without invoking the panic hook,
-//! and the panic is caught where the query began. Rayon carries it from its threads to the one that asked.
+//! Cancels queries by unwinding: a cancelled query panics with a private payload, without invoking the panic hook, and
+//! the panic is caught where the query began. Rayon propagates it from its threads to the calling thread.
 //!
 //! A query runs on several threads, deep in loops. With an error for cancellation every function there would return a
 //! `Result`.
@@ -22,7 +22,7 @@ impl Stop {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Leaves the question if it was stopped. Nothing that others can see may be half done here.
+    /// Unwinds from the question if it was stopped. At every call shared state must be consistent.
     pub(super) fn check(&self) {
         if self.0.load(Ordering::Relaxed) {
             resume_unwind(Box::new(Stopped));
@@ -63,7 +63,7 @@ mod tests {
         }),
     ];
 
-    /// Every question looks whether it is wanted, whatever it minimises.
+    /// Every kind of question checks whether it was stopped, under both objectives.
     #[test]
     fn every_question_ends_when_it_is_stopped() {
         let measurement = noisy_measurement((3.0, 0.75, 0.3), 1, true);
@@ -82,7 +82,7 @@ mod tests {
         }
     }
 
-    /// A question is answered unless it is stopped, and a panic stays a panic.
+    /// A question is answered unless it is stopped, and other panics propagate.
     #[test]
     fn stop_ends_questions_and_panics_pass() {
         let dictionary = || noisy_dictionary(dense_axes(), 30, 0.0);

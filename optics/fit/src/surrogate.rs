@@ -1,9 +1,9 @@
-//! Profiles between the records: a smooth model of the dictionary that also averages its noise.
+//! Predicts profiles between the records by a smooth model of the dictionary that also averages its noise.
 //!
-//! The coordinates are those in which profiles change most evenly: ln σ_t; √(1 − α), to which diffusion is linear; and
-//! ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a thickness has
-//! walks of its own, a local model is fitted by weighted least squares, which averages the noise of the records about;
-//! across albedos, which share their walks, the four nearest are interpolated.
+//! The coordinates are those in which profiles change most nearly linearly: ln σ_t; √(1 − α), in which diffusion is
+//! linear; and ln(1 − g), in which similar media lie on straight lines. Across σ_t and g, where every record of a
+//! thickness has its own walks, a local model is fitted by weighted least squares, which averages the noise of the
+//! neighbouring records; across albedos, which share their walks, the four nearest are interpolated.
 
 pub(crate) mod interpolation;
 mod local_axis;
@@ -47,7 +47,7 @@ pub(crate) fn g(ln_one_minus_g: f64) -> f64 {
     1.0 - ln_one_minus_g.exp()
 }
 
-/// Cubic interpolation between the four nearest nodes, or all if there are fewer. `nodes` fall.
+/// Cubic interpolation between the four nearest nodes, or all if there are fewer. `nodes` are in descending order.
 fn interpolation(nodes: &[f64], x: f64) -> Weights {
     let n = nodes.len();
     let count = n.min(4);
@@ -83,7 +83,7 @@ pub(crate) struct Surrogate<'a> {
     ior: usize,
     sigma_t: LocalAxis,
     g: LocalAxis,
-    /// √(1 − α), falling.
+    /// √(1 − α), in descending order.
     albedo: Vec<f64>,
 }
 
@@ -113,7 +113,7 @@ impl<'a> Surrogate<'a> {
         self.dictionary.grid()
     }
 
-    /// Pixels of the dictionary's profiles.
+    /// Number of pixels of the dictionary's profiles.
     pub(crate) fn pixels(&self) -> usize {
         self.grid().scene().sensor().pixels()
     }
@@ -176,7 +176,7 @@ impl<'a> Surrogate<'a> {
         let zero = || vec![0.0; pixels.len()];
         let mut values = zero();
         let mut slopes = [zero(), zero(), zero()];
-        // At most four; the others weigh nothing.
+        // At most four weights; the others are 0.
         let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
         let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
         let mut nodes = Vec::with_capacity(g.values.len());
@@ -198,7 +198,7 @@ impl<'a> Surrogate<'a> {
         Prediction { values, slopes }
     }
 
-    /// Records about `x` and what the model takes of each: number of the medium over all axes, weight, and the weight's
+    /// The records that contribute to the prediction at `x`: number of the medium over all axes, weight, and the weight's
     /// derivatives by the coordinates.
     pub(crate) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
         self.dictionary.stop.check();
@@ -237,11 +237,11 @@ struct Node<R> {
     slope: f64,
 }
 
-/// Pixels that are summed up at a time: as many as vector registers hold.
+/// Number of pixels that are summed at a time: as many as vector registers hold.
 const BLOCK: usize = 8;
 
-/// Adds what the records of one σ_t contribute to a value and its derivatives. `sigma_t` is the weight of this σ_t and its
-/// derivative.
+/// Adds the contribution of the records of one σ_t to a value and its derivatives. `sigma_t` is the weight of this σ_t
+/// and its derivative.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
 fn accumulate<R: Row>(
@@ -275,7 +275,7 @@ fn accumulate_block<R: Row, const N: usize>(
     let (mut value, mut by_albedo, mut by_g) = ([0.0; N], [0.0; N], [0.0; N]);
     let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
     for node in nodes {
-        // One by one: calls of closures by `map` are not all compiled into the vectors.
+        // One by one: calls of closures by `map` are not all vectorised.
         let [a, b, c, d] = node.rows;
         let rows: [[f32; N]; 4] = [a.block(at), b.block(at), c.block(at), d.block(at)];
         for p in 0..N {

@@ -1,4 +1,4 @@
-//! A dictionary and measurements for tests, from a formula.
+//! Makes dictionaries and measurements for tests from a formula.
 
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
@@ -24,7 +24,7 @@ pub(super) fn coarse_axes() -> Axes {
     }
 }
 
-/// As dense as the paper's, over a part of its range.
+/// Axes as dense as the paper's, over a part of their range.
 pub(super) fn dense_axes() -> Axes {
     Axes {
         sigma_t_per_mm: (0..15).map(|i| 1.5 * 1.12_f64.powi(i)).collect(),
@@ -38,13 +38,14 @@ pub(super) fn dictionary(pixels: u32) -> FitDictionary {
     noisy_dictionary(coarse_axes(), pixels, 0.0)
 }
 
-/// Records whose level is off by a normal error that all albedos of a transport point share, as walks make it.
+/// A dictionary whose records have levels with a normal error that all albedos of a transport point share, as with random
+/// walks.
 pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictionary {
     let (grid, record) = noisy_records(axes, pixels, noise);
     dictionary_of(&grid, record)
 }
 
-/// Their grid, and what makes each.
+/// The grid of such records, and a function that makes the record of an index.
 pub(super) fn noisy_records(axes: Axes, pixels: u32, noise: f64) -> (Grid, impl Fn(usize) -> Record) {
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
     let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
@@ -78,7 +79,7 @@ pub(super) fn rounded_dictionary_of(grid: &Grid, record: impl Fn(usize) -> Recor
     build(DictionaryBuilder::rounded(grid), grid, record)
 }
 
-/// Jobs come in from the last to the first.
+/// Adds the jobs from the last to the first.
 fn build(mut builder: DictionaryBuilder, grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
     for job in (0..grid.job_count()).rev() {
         let first = grid.first_record(job);
@@ -88,7 +89,7 @@ fn build(mut builder: DictionaryBuilder, grid: &Grid, record: impl Fn(usize) -> 
     builder.build()
 }
 
-/// A standard normal number that belongs to `n`: the sum of twelve uniform ones.
+/// A standard normal number, determined by `n`: the sum of twelve uniform ones.
 pub(super) fn normal(n: u64) -> f64 {
     let uniform = |i: u64| {
         let mut z = (n * 12 + i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
@@ -99,7 +100,7 @@ pub(super) fn normal(n: u64) -> f64 {
     (0..12).map(uniform).sum::<f64>() - 6.0
 }
 
-/// A measurement in channel G at both thicknesses with 1 % of normal noise, told in its standard errors or not.
+/// A measurement in channel G at both thicknesses with 1 % of normal noise, which is stated as standard errors if `told`.
 pub(super) fn noisy_measurement(medium: (f64, f64, f64), seed: u64, told: bool) -> Measurement {
     let (sigma_t, albedo, g) = medium;
     let profile = |(t, thickness): (u64, f64)| {

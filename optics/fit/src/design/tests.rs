@@ -1,4 +1,4 @@
-//! Bounds on a dictionary whose truth is a formula.
+//! Tests the bounds of designs on a dictionary that is computed from a formula.
 
 use optics_model::fit::{
     Bounds, DesignQuestion, DesignSettings, Ends, FitOptions, FitSettings, HalfWidths, Limitation, Objective,
@@ -13,7 +13,7 @@ use crate::testing::{dense_axes, dictionary_of, noisy_dictionary, noisy_records,
 use crate::{FitDictionary, fit};
 
 const PIXELS: u32 = 360;
-/// Share of the value; pixels of these tests have no other noise.
+/// Noise of a pixel as a share of its value; pixels of these tests have no other noise.
 const NOISE: f64 = 0.01;
 
 fn guess() -> Medium {
@@ -24,7 +24,7 @@ fn dictionary(axes: Axes) -> FitDictionary {
     noisy_dictionary(axes, PIXELS, 0.0)
 }
 
-/// Nothing is wrong with it.
+/// A set-up without errors.
 fn perfect() -> FitSettings {
     FitSettings {
         thickness_std_error_mm: 0.0,
@@ -62,7 +62,7 @@ fn centres() -> impl Iterator<Item = f64> {
 }
 
 /// With σ_t alone unknown the variance is 1/Σ (∂f/∂ln σ_t)²/σ². Between the nodes the derivative comes from a local
-/// polynomial: 2 %.
+/// polynomial, which is accurate to 2 %.
 #[test]
 fn one_unknown_has_the_textbook_variance() {
     let dictionary = dictionary(Axes { albedo: vec![0.62], g: vec![0.3], ..dense_axes() });
@@ -94,12 +94,12 @@ fn set_up_errors_add_to_the_noise() {
     let of_one = (NOISE * NOISE / f64::from(PIXELS) + 0.004 * 0.004).sqrt();
     close(found[0].g_held.albedo, 0.62 * Z * of_one, 1e-3);
     close(found[1].g_held.albedo, 0.62 * Z * of_one / 2.0_f64.sqrt(), 1e-3);
-    // A factor on all of them does not average out.
+    // A common factor does not average out.
     let set_up = FitSettings { mu_std_error: 0.004, ..perfect() };
     let found = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 0.5]], &[1]));
     let of_two = (NOISE * NOISE / f64::from(2 * PIXELS) + 0.004 * 0.004).sqrt();
     close(found[0].g_held.albedo, 0.62 * Z * of_two, 1e-3);
-    // Nor does it matter how many there are if nothing is known of it: then the albedo is not told at all.
+    // With an unknown factor the albedo is undetermined, however many slabs there are.
     let unknown = DesignSettings { mu_free: true, ..settings(guess(), perfect(), &[&[0.5, 0.5]], &[1]) };
     let found = sets(&dictionary, unknown);
     assert!(found[0].g_held.albedo.is_infinite(), "{:?}", found[0].g_held);
@@ -120,7 +120,7 @@ fn two_shots_halve_only_the_noise_variance() {
     for (one, two) in all(&found[0]).into_iter().zip(all(&found[1])) {
         close(one / two, 2.0_f64.sqrt(), 1e-3);
     }
-    // More photographs of the same slab with the same lamp do not make its thickness known, nor the lamp's evenness.
+    // More photographs of the same slab with the same lamp do not determine its thickness or the lamp's evenness.
     let real = sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1, 2]));
     for (one, two) in all(&real[0]).into_iter().zip(all(&real[1])) {
         assert!((1.0..1.35).contains(&(one / two)), "{one} {two}");
@@ -216,8 +216,8 @@ fn uncertain_dictionary() -> FitDictionary {
     dictionary_of(&grid, varied)
 }
 
-/// Uncertain quantities of the scene are unknowns of both bounds, with their priors; known exactly, they leave those of the
-/// exact scene.
+/// Uncertain quantities of the scene are unknowns of both bounds, with their priors; if they are known exactly, the
+/// bounds are those of the exact scene.
 #[test]
 fn bounds_include_the_uncertain_scene() {
     let [exact, uncertain] = [dictionary(dense_axes()), uncertain_dictionary()];
@@ -249,26 +249,26 @@ fn bounds_include_the_uncertain_scene() {
     assert!(narrow.improvements.iter().all(|i| i.limitation != Limitation::Scene));
 }
 
-/// The formula knows σ_t and g by σ_t (1 − g) alone.
+/// The formula depends on σ_t and g through σ_t (1 − g) alone.
 #[test]
 fn undetermined_parameters_are_reported_so() {
     let dictionary = dictionary(dense_axes());
     let set = &sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]))[0];
     let free = set.g_free.unwrap();
     assert!(free.sigma_t_per_mm.is_infinite() && free.g.is_infinite(), "{free:?}");
-    // What they make up together is told all the same.
+    // Their combination is determined nevertheless.
     assert!(free.of_reduced_scattering(&guess()) < 0.1, "{free:?}");
     assert!(set.g_held.of_sigma_t(&guess()) < 0.05, "{:?}", set.g_held);
 }
 
-/// A better known part of the set-up reduces the errors; parts that are known already are not listed.
+/// A better known part of the set-up reduces the errors; parts that are exact already are not listed.
 #[test]
 fn improvements_are_ordered_and_bounded() {
     let dictionary = dictionary(dense_axes());
     let set_up = FitSettings { mu_std_error: 0.01, slope_std_error: 0.0, ..FitSettings::default() };
     let set = sets(&dictionary, settings(guess(), set_up, &[&[0.5, 1.0]], &[1])).remove(0);
     let told: Vec<Limitation> = set.improvements.iter().map(|i| i.limitation).collect();
-    // The slope is known already.
+    // The slope is exact already.
     let expected = [
         Limitation::Noise,
         Limitation::Thickness,
@@ -338,7 +338,7 @@ fn slab_sets_combine_with_best_marked() {
     assert_eq!(best, [5]);
     let of_one = found.iter().filter(|s| s.best_of_its_effort && s.photographs() == 1).count();
     assert_eq!(of_one, 1);
-    // Two slabs determine more than two photographs of one: each is wrong in its own way.
+    // Two slabs determine more than two photographs of one: their errors are independent.
     assert!(found[4].best_of_its_effort && !found[1].best_of_its_effort && !found[3].best_of_its_effort);
     assert_eq!(super::choices(&[1.0, 2.0, 3.0], 2), [[1.0, 2.0], [1.0, 3.0], [2.0, 3.0]]);
 }
@@ -370,7 +370,7 @@ fn designs_beyond_the_dictionary_are_refused() {
     assert_eq!(refused(DesignSettings { sample_ior: Some(1.7), ..plain() }).field(), "sample_ior");
 }
 
-/// Where one medium is all there is, there is nothing to choose between.
+/// A dictionary of one medium is refused, since nothing can be determined.
 #[test]
 fn one_medium_is_not_measured() {
     let axes = Axes { sigma_t_per_mm: vec![3.1], albedo: vec![0.62], g: vec![0.3], ..dense_axes() };

@@ -1,4 +1,4 @@
-//! The dictionary's axes: what a question reaches on them, and which channels it needs.
+//! Finds the part of a dictionary's axes that a question covers, and the channels that it needs.
 
 use std::ops::Range;
 
@@ -12,10 +12,10 @@ use super::FitDictionary;
 /// Two parameters are the same if they differ by less than this share: decimals in files are rounded.
 pub(crate) const SAME: f64 = 1e-6;
 
-/// Share by which a profile's mean must exceed all records' to be called outside: more than noise does.
+/// Share by which a profile's mean must lie beyond those of all records to count as outside: more than noise explains.
 const OUTSIDE: f64 = 0.01;
 
-/// Media that a search looks at, as ranges of the grid's axes.
+/// Media that a search covers, as ranges of the grid's axes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Admissible {
     pub sigma_t: Range<usize>,
@@ -34,7 +34,7 @@ impl Admissible {
     }
 }
 
-/// Parameters that cannot move: by the bounds, or since the dictionary has one value only.
+/// The values of parameters that are held: by the bounds, or since the dictionary has one value only.
 pub(crate) fn held(grid: &Grid, options: &FitOptions) -> [Option<f64>; 3] {
     let settings = options.settings();
     let held = |axis: &[f64], bounds: Bounds| match axis {
@@ -81,7 +81,7 @@ pub(crate) fn list(axis: &[f64]) -> String {
     axis.iter().map(f64::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// The refusal of a thickness that the dictionary does not have, with what to submit.
+/// The error for a thickness that the dictionary lacks, with the grid to submit.
 pub(crate) fn unknown_thickness(grid: &Grid, thickness_mm: f64) -> Invalid {
     let axis = grid.thickness_mm();
     let mut wanted = [axis, &[thickness_mm]].concat();
@@ -109,8 +109,8 @@ pub(crate) fn find_channel(grid: &Grid, name: &str) -> Result<usize, Invalid> {
     })
 }
 
-/// Indices of the channels that a question about these names needs, rising; of the first if there are none. Names that a
-/// grid does not have are left out: the question itself refuses them.
+/// Indices of the channels that a question about these names needs, in ascending order; the first channel if there are no
+/// names. Unknown names are left out: the question itself refuses them.
 pub fn channels_called<'a>(grid: &Grid, names: impl IntoIterator<Item = &'a str>) -> Vec<usize> {
     let mut names = names.into_iter().peekable();
     let mut indices = match names.peek() {

@@ -1,4 +1,4 @@
-//! Robust derivative of a noisy profile by an undecimated wavelet transform, after Luo, Bai and Shao 2006
+//! Computes a robust derivative of a noisy profile by an undecimated wavelet transform, after Luo, Bai and Shao 2006
 //! ("Application of the wavelet transforms on axial strain calculation in ultrasound elastography").
 
 use optics_model::fit::Wavelet;
@@ -7,9 +7,9 @@ use crate::dictionary::wide::wide;
 
 /// Derivative per sample of f, at i + ½.
 ///
-/// The chord from the first to the last sample is taken off before and its slope added afterwards, so that both ends
-/// are 0 and straight lines are differentiated exactly. `level` stages of full convolution follow, the taps of stage
-/// n being 2^(n−1) apart: low-pass, and high-pass in the last.
+/// The chord from the first to the last sample is subtracted before and its slope added afterwards, so that both ends are
+/// 0 and straight lines are differentiated exactly. `level` stages of full convolution follow, the taps of stage n being
+/// 2^(n−1) apart: low-pass, and high-pass in the last.
 ///
 /// # Panics
 /// With fewer than two samples or a level outside 1 to 10.
@@ -32,10 +32,10 @@ pub fn derivative(f: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
     y[offset..offset + n].iter().map(|v| slope - factor * v).collect()
 }
 
-/// The derivative as it is shown: right at the ends, too.
+/// The derivative for display, which is correct at the ends, too.
 ///
-/// What [`derivative`] makes of a profile that ends abruptly is what the objective compares, in data and model alike, but
-/// near the ends no derivative of the profile. Here the profile goes on beyond each end, mirrored at the end point of the
+/// The objective compares [`derivative`] in data and model alike, but near the abrupt ends of a profile that is no
+/// derivative of the profile. Here the profile is continued beyond each end, by point reflection at the end of the
 /// straight line through its last pixels.
 ///
 /// # Panics
@@ -51,7 +51,7 @@ pub fn shown_derivative(f: &[f64], wavelet: Wavelet, level: u32) -> Vec<f64> {
     derivative(&whole, wavelet, level)[beyond..beyond + f.len()].to_vec()
 }
 
-/// The pixels that follow a profile, as many as are asked for; the line goes over so many steps.
+/// The `count` pixels that continue a profile; the straight line is fitted to its last `line` + 1 pixels.
 fn carried_on(f: &[f64], count: usize, line: usize) -> Vec<f64> {
     let last = &f[f.len() - 1 - line..];
     let (middle, mean) = (0.5 * line as f64, last.iter().sum::<f64>() / last.len() as f64);
@@ -124,8 +124,8 @@ mod tests {
         }
     }
 
-    /// Tails that level off towards both ends of ±5 mm, as of a profile: within 0.2 % of the steepest slope near the ends,
-    /// and the same as before further inside than the transform reaches.
+    /// For a profile whose tails level off towards both ends of ±5 mm, derivatives are within 0.2 % of the steepest slope
+    /// near the ends, and equal to the plain ones further inside than the transform reaches.
     #[test]
     fn shown_derivatives_are_right_at_the_ends() {
         let pitch = 10.0 / 360.0;

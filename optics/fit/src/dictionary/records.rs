@@ -1,9 +1,9 @@
-//! The values of all records of a dictionary in one channel.
+//! Stores the values of all records of a dictionary in one channel.
 //!
-//! Those of a large dictionary are rounded to two bytes each, as roots: a value v of a record whose greatest is m is kept as
-//! √(v/m) to 1/65,535, so it is off by about √(v m)/65,535 at most. That is 1.5·10⁻⁵ of the value where the record is
-//! bright, and 1.5·10⁻⁴ where it is a hundred times as dark. Roots spread what is lost as the noise of walks is spread:
-//! at the paper's quality it is 0.2 % of a pixel's standard error in the median, and 1.6 % at most.
+//! Values of a large dictionary are rounded to two bytes each, as roots: a value v of a record with the maximum m is
+//! stored as √(v/m) to 1/65,535, so its error is about √(v m)/65,535 at most. That is 1.5·10⁻⁵ of the value where the
+//! record is bright, and 1.5·10⁻⁴ where it is a hundred times as dark. With roots the rounding error is distributed like
+//! the noise of walks: at the paper's quality it is 0.2 % of a pixel's standard error in the median, and 1.6 % at most.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -13,14 +13,15 @@ use optics_model::Grid;
 
 use crate::dictionary::wide::wide;
 
-/// Largest dictionary whose values are kept exactly, and whose gradients are kept: bytes of the values of all channels that
-/// are seen. Of larger ones gradients are taken again whenever a record is compared: most never are.
+/// Greatest size of a dictionary whose values are stored exactly and whose gradients are stored: bytes of the values of
+/// all seen channels. In larger ones gradients are computed at every comparison of a record: most records are never
+/// compared.
 const SMALL: usize = 512 << 20;
 
-/// Steps from 0 to the root of a record's greatest value.
+/// Number of steps from 0 to the root of a record's maximum.
 const STEPS: f32 = u16::MAX as f32;
 
-/// Whether a dictionary's values are kept exactly, and its gradients too.
+/// Whether a dictionary is so small that its values are stored exactly, and its gradients as well.
 pub(crate) fn is_small(grid: &Grid) -> bool {
     let exact = grid.record_count().saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>());
     exact.saturating_mul(grid.scene().seen_channels().count()) <= SMALL
@@ -62,7 +63,7 @@ pub(crate) struct Rounded {
     units: Vec<f32>,
 }
 
-/// Records whose numbers are read where they lie.
+/// Records whose values are read in place.
 pub(crate) trait Rows {
     type Row<'a>: Row
     where
@@ -129,13 +130,13 @@ fn square(root: u16, unit: f32) -> f32 {
 }
 
 impl Records {
-    /// All values are 0 at first.
+    /// Records whose values are all 0.
     pub(crate) fn new(grid: Arc<Grid>) -> Self {
         let exactly = is_small(&grid);
         Self::kept(grid, exactly)
     }
 
-    /// The same, with values kept exactly or not, whatever their number.
+    /// The same, with values stored exactly or rounded, whatever their number.
     pub(crate) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
         let (records, pixels) = (grid.record_count(), grid.scene().sensor().pixels());
         let stored = if exactly {
@@ -174,7 +175,7 @@ impl Records {
         }
     }
 
-    /// Takes in the values of a record, which are not negative.
+    /// Sets the values of a record, which must not be negative.
     pub(crate) fn set(&mut self, record: usize, new: impl ExactSizeIterator<Item = f32>) {
         let pixels = self.pixels();
         let numbers = record * pixels..(record + 1) * pixels;
@@ -220,7 +221,7 @@ mod tests {
     use super::*;
     use crate::testing::coarse_axes;
 
-    /// From very dark to bright, over more than twice eight pixels.
+    /// A profile from very dark to bright, over more than twice eight pixels.
     fn profile(scale: f32) -> Vec<f32> {
         (0..20).map(|i| scale * 1e-5 * 1.8_f32.powi(i)).chain([0.0]).collect()
     }
@@ -237,7 +238,7 @@ mod tests {
             let greatest = given.iter().copied().fold(0.0, f32::max);
             let found = records.values(record, 0..21);
             for (found, given) in found.iter().zip(&given) {
-                // Half a step of the root, its square, and what single precision rounds.
+                // Half a step of the root, its square, and the rounding of single precision.
                 let half = 0.5 / STEPS;
                 let most = 2.0 * (given * greatest).sqrt() * half + greatest * half * half + 1e-6 * given;
                 assert!((found - given).abs() <= most, "{found} {given} {most}");

@@ -1,8 +1,8 @@
-//! What the uncertain quantities of a scene do to the records of a dictionary in one channel, from the records that were
-//! traced in varied scenes and in the scene itself with the same random walks.
+//! Estimates the effect of the uncertain quantities of a scene on the records of a dictionary in one channel, from
+//! records that were traced in varied scenes and in the scene itself with the same random walks.
 //!
 //! A quantity that is off by u standard deviations of its prior changes a profile by h(u) L. The profile L depends on the
-//! medium; the curve h does not: it is estimated from all records at once, so that it has no noise to speak of.
+//! medium; the curve h does not: it is estimated from all records at once, so that its noise is negligible.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -30,8 +30,8 @@ pub(crate) fn bytes_of(grid: &Grid) -> usize {
 
 /// h(u) = w (1 + q w) with w = u (1 + b u).
 ///
-/// For a roughness α, w goes with α² as the variance of a face's slopes does; for all else b = 0. q follows from the traced
-/// differences; it is 0 for one.
+/// For a roughness α, w is linear in α², as is the variance of a face's slopes; for all else b = 0. q follows from the
+/// differences traced at two values; it is 0 if one value is traced.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct ResponseCurve {
     pub bend: f64,
@@ -51,7 +51,7 @@ impl ResponseCurve {
     }
 }
 
-/// The records of varied scenes, and those of the baseline, as they come: `[record beyond those of the axes][pixel]`.
+/// Collects the records of varied scenes and those of the baseline: `[record beyond those of the axes][pixel]`.
 #[derive(Debug)]
 pub(crate) struct VariedRecords {
     grid: Arc<Grid>,
@@ -65,14 +65,14 @@ impl VariedRecords {
         Self { grid, values: vec![0.0; numbers] }
     }
 
-    /// Takes in the values of a record beyond those of the axes.
+    /// Sets the values of a record beyond those of the axes.
     pub(crate) fn set(&mut self, record: usize, values: impl Iterator<Item = f32>) {
         let (pixels, first) = (self.pixels(), self.grid.record_count());
         let row = &mut self.values[(record - first) * pixels..][..pixels];
         row.iter_mut().zip(values).for_each(|(v, new)| *v = new);
     }
 
-    /// The responses, once all records are there.
+    /// Computes the responses, once all records are set.
     pub(crate) fn responses(self, records: &Records) -> ResponseRecords {
         let grid = self.grid.clone();
         let (mut curves, mut linear) = (Vec::new(), Vec::new());
@@ -106,8 +106,8 @@ impl VariedRecords {
         linear
     }
 
-    /// The curve that relates the differences of all records at two steps best, relative to the profiles. Dark pixels have
-    /// no relative difference.
+    /// The curve that relates the differences of all records at two steps best, relative to the profiles. Pixels of value
+    /// 0 are skipped, since they have no relative difference.
     fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> ResponseCurve {
         let straight = ResponseCurve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
         let &[(_, near), (_, far)] = steps else { return straight };
@@ -170,8 +170,8 @@ fn steps_of(responses: &Responses, index: usize, prior: &Prior) -> Vec<(usize, f
     variants.map(|(number, variant)| (number, variant.step / prior.std_error())).collect()
 }
 
-/// q of two places w at which the differences over w have these sums of squares and of products: of the line through the
-/// origin from which both are off least, as long as the curve rises between these ends.
+/// q from two places w, given the sums of squares and of products of the differences over w: that of the line through the
+/// origin from which both deviate least, limited so that the curve rises between the given ends.
 fn curvature(at: [f64; 2], squares: [f64; 2], product: f64, ends: [f64; 2]) -> f64 {
     let half = 0.5 * (squares[0] - squares[1]);
     // The first difference over w is this multiple of the second.
@@ -197,7 +197,7 @@ impl ResponseRecords {
         self.curves[prior]
     }
 
-    /// L of a quantity about a record of the axes; None where it is not traced.
+    /// L of a quantity at a record of the axes; None where it is not traced.
     pub(crate) fn linear(&self, prior: usize, record: usize) -> Option<&[f32]> {
         let (pixels, albedos) = (self.grid.scene().sensor().pixels(), self.grid.albedo().len());
         // The jobs of the first variant come first.
@@ -212,7 +212,7 @@ impl ResponseRecords {
 mod tests {
     use super::*;
 
-    /// The curvature that two exact differences have is found; without an effect a curve is straight.
+    /// The curvature of two exact differences is recovered; without an effect a curve is straight.
     #[test]
     fn curvature_follows_from_two_differences() {
         let (at, ends) = ([-1.3, 3.5], [-1.4, 3.8]);

@@ -1,11 +1,10 @@
-//! Short descriptions of profiles that bound their distances from below, so that a search need not look at most
-//! records.
+//! Describes profiles by a few numbers that bound their distances from below, so that a search can skip most records.
 //!
 //! With an orthonormal basis of a few directions, f = m + Σ c_k φ_k + ρ with ρ orthogonal to all φ_k, and
 //!
 //! ‖f − f'‖² = Σ (c_k − c'_k)² + ‖ρ − ρ'‖² ≥ Σ (c_k − c'_k)² + (‖ρ‖ − ‖ρ'‖)².
 //!
-//! Any basis makes this true; one that holds most of the profiles' variety makes it sharp.
+//! The bound holds for any basis; it is tight for one that contains most of the profiles' variation.
 
 use std::borrow::Cow;
 
@@ -14,7 +13,7 @@ use rayon::prelude::*;
 use crate::dictionary::sum::{dot, dots, mean};
 use crate::dictionary::wide::wide;
 
-/// Directions of a basis. More make the bound sharper and longer to compute.
+/// Maximum number of directions of a basis. More make the bound tighter and slower to compute.
 const DIRECTIONS: usize = 16;
 
 /// Relative rounding error that is allowed for in single precision.
@@ -60,14 +59,14 @@ impl Basis {
         Self { mean, directions }
     }
 
-    /// Coefficients of a profile, and the norm of what they leave, both as root mean squares over the pixels.
+    /// Coefficients of a profile and the norm of the remainder, both as root mean squares over the pixels.
     pub(crate) fn describe<T: Into<f64> + Copy>(&self, profile: &[T]) -> Description {
         let mut numbers = Vec::with_capacity(self.directions.len() + 1);
         let size = self.describe_into(profile, &mut numbers);
         Description { numbers, size }
     }
 
-    /// Appends a profile and returns its size.
+    /// Appends the description of a profile and returns the profile's root mean square about the mean of the basis.
     fn describe_into<T: Into<f64> + Copy>(&self, profile: &[T], numbers: &mut Vec<f32>) -> f32 {
         let centred: Vec<f64> = profile.iter().zip(&self.mean).map(|(v, m)| (*v).into() - m).collect();
         let scale = 1.0 / (centred.len() as f64).sqrt();
@@ -103,7 +102,7 @@ impl Basis {
     }
 }
 
-/// A unit vector along what of `v` is orthogonal to the directions; none if nothing is left.
+/// A unit vector along the component of `v` that is orthogonal to the directions; none if `v` vanishes.
 fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     let mut unit = v.to_vec();
     let norm = dot(&unit, &unit).sqrt();
@@ -113,7 +112,7 @@ fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     for v in &mut unit {
         *v /= norm;
     }
-    // Once more against all: rounding leaves a trace, and the bound lives on orthogonality.
+    // Orthogonalised again to all: rounding leaves a component along them, and the bound requires orthogonality.
     for direction in directions {
         take_off(&mut unit, direction);
     }
@@ -138,7 +137,7 @@ fn take_off(from: &mut [f64], direction: &[f64]) -> f64 {
 /// One profile in a basis.
 #[derive(Debug)]
 pub(crate) struct Description {
-    /// The coefficients, then the norm of what they leave.
+    /// The coefficients, then the norm of the remainder.
     numbers: Vec<f32>,
     size: f32,
 }
@@ -147,29 +146,29 @@ pub(crate) struct Description {
 #[derive(Debug)]
 pub(crate) struct Sketch {
     profiles: usize,
-    /// `[coefficient][profile]`, the norms of the rests last.
+    /// `[coefficient][profile]`, the norms of the remainders last.
     rows: Vec<f32>,
     largest: f32,
     /// Least and greatest mean of a profile.
     pub levels: (f64, f64),
 }
 
-/// Profiles that one thread describes at a time.
+/// Number of profiles that one thread describes at a time.
 const TOGETHER: usize = 256;
 
 /// The levels of an empty set.
 const NO_LEVELS: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 
-/// Least and greatest of both.
+/// The range that covers both.
 fn together(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     (a.0.min(b.0), a.1.max(b.1))
 }
 
 impl Sketch {
-    /// Bytes of a profile.
+    /// Bytes of a profile's description.
     pub(crate) const BYTES: usize = (DIRECTIONS + 1) * size_of::<f32>();
 
-    /// The profiles of these numbers.
+    /// Describes the profiles 0 to `profiles` − 1.
     pub(crate) fn new<'a>(
         basis: &Basis,
         profiles: usize,
@@ -252,7 +251,7 @@ mod tests {
         let rows: Vec<&[f32]> = profiles.iter().map(Vec::as_slice).collect();
         let basis = Basis::of(&rows[..100]);
         let sketch = Sketch::new(&basis, rows.len(), |i| Cow::Borrowed(rows[i]));
-        // Nothing is left of a profile that the basis is made of, nor of the mean: there rounding matters most.
+        // Profiles of the basis, and the mean, have no remainder: there rounding matters most.
         let near = |i: usize| profiles[i].iter().map(|v| f64::from(*v) + if *v > 0.2 { 1e-7 } else { 0.0 });
         for target in (0..100).map(|i| near(i).collect::<Vec<f64>>()).chain([basis.mean().to_vec()]) {
             let mut bounds = vec![0.0; 300];

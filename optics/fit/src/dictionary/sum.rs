@@ -66,7 +66,7 @@ pub(crate) fn dot(a: &[f64], b: &[f64]) -> f64 {
     striped(a, b, |a, b| a * b)
 }
 
-/// Σ a_i b_i with each of `N` b. They run side by side: a sum by itself mostly waits for its last addition.
+/// Σ a_i b_i with each of `N` b. The sums run side by side, since a single one mostly waits for its last addition.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
 pub(crate) fn dots<const N: usize>(a: &[f64], b: [&[f64]; N]) -> [f64; N] {

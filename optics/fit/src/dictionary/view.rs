@@ -1,8 +1,8 @@
-//! Descriptions of all records of a channel over some of the pixels, and their gradients.
+//! Describes all records of a channel, and their gradients, over a range of pixels.
 //!
-//! The wavelet derivative takes off the chord between the ends, so the gradients of a part are not a part of the
-//! whole's: every range of pixels needs its own. Only the paper's distance looks at gradients, so they are taken, and
-//! described, at the first question that uses it.
+//! The wavelet derivative subtracts the chord between the ends, so the gradients of a part are not a part of the whole's:
+//! every range of pixels needs its own. Only the paper's distance uses gradients, so they are computed and described at
+//! the first question with that distance.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -16,21 +16,21 @@ use crate::dictionary::gradient::{derivative, shown_derivative};
 use crate::dictionary::records::{self, Records};
 use crate::dictionary::sketch::{Basis, Description, Sketch};
 
-/// Pixel pitch that gradients are per, in mm: 360 pixels over 10 mm.
+/// Pixel pitch to which gradients refer, in mm: 360 pixels over 10 mm.
 pub(crate) const REFERENCE_PITCH_MM: f64 = 10.0 / 360.0;
 
-/// Profiles that a basis is made from.
+/// Maximum number of profiles from which a basis is made.
 const SAMPLES: usize = 2000;
-/// Records whose gradients are taken together.
+/// Number of records whose gradients are computed together.
 const BLOCK: usize = 256;
 
-/// Bytes that the view of a channel over all pixels takes at most.
+/// Maximum bytes of the view of a channel over all pixels.
 pub(crate) fn bytes_of(grid: &Grid) -> usize {
     let sketches = grid.record_count().saturating_mul(2 * Sketch::BYTES);
     sketches + if records::is_small(grid) { records::bytes_of(grid) } else { 0 }
 }
 
-/// How gradients are taken: per sample of the reference pitch, whatever the pixels'.
+/// How gradients are computed: per sample of the reference pitch, whatever the pixels' own pitch.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Slope {
     pub wavelet: Wavelet,
@@ -58,14 +58,14 @@ impl Slope {
         slope
     }
 
-    /// |∇f| as it is shown.
+    /// |∇f| for display.
     pub(crate) fn shown(self, f: &[f64]) -> Vec<f64> {
         let scale = REFERENCE_PITCH_MM / self.pitch_mm;
         shown_derivative(f, self.wavelet, self.level).into_iter().map(|d| (scale * d).abs()).collect()
     }
 }
 
-/// Which pixels are compared, and how their gradients are taken.
+/// The compared pixels, and how their gradients are computed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct ViewKey {
     pub pixels: Range<usize>,
@@ -79,13 +79,13 @@ pub(crate) struct View {
     key: ViewKey,
     slope: Slope,
     values: Described,
-    /// Gradients of a small dictionary, by blocks of records: `[record][pixel of the view]`. A block is taken when one of
-    /// its records is first compared.
+    /// Gradients of a small dictionary, by blocks of records: `[record][pixel of the view]`. A block is computed when one
+    /// of its records is first compared.
     gradients: Vec<OnceLock<Vec<f32>>>,
     gradients_described: OnceLock<Described>,
 }
 
-/// All records in a basis of their own.
+/// All records, described in a common basis.
 #[derive(Debug)]
 struct Described {
     basis: Basis,
@@ -118,7 +118,7 @@ impl PairSketch<'_> {
 }
 
 impl Described {
-    /// The records of a grid, from a profile for each.
+    /// Describes the records of a grid, given a profile of each.
     fn new<'a>(grid: &Grid, profile: impl Fn(usize) -> Cow<'a, [f32]> + Sync) -> Self {
         let records = grid.record_count();
         let sampled: Vec<Cow<[f32]>> =
@@ -150,12 +150,12 @@ impl View {
         self.records.values(record, self.key.pixels.clone())
     }
 
-    /// The gradient magnitudes of a record, whose values are given.
+    /// The gradient magnitudes of a record, given its values.
     fn gradient(&self, record: usize, values: &[f32]) -> Cow<'_, [f32]> {
         let Some(block) = self.gradients.get(record / BLOCK) else {
             return Cow::Owned(gradient_of(self.slope, values));
         };
-        // One thread takes a whole block, and lends itself to no other work meanwhile: so others may wait for it.
+        // One thread computes a whole block and takes up no other work meanwhile, so other threads may wait for it.
         let kept = block.get_or_init(|| {
             let first = record / BLOCK * BLOCK;
             let records = first..(first + BLOCK).min(self.records.grid().record_count());
@@ -186,7 +186,7 @@ impl View {
         (values, gradient)
     }
 
-    /// What bounds the distances of all media at a thickness from below.
+    /// The sketches that bound the distances of all media at a thickness from below.
     pub(crate) fn sketch(&self, thickness: usize) -> PairSketch<'_> {
         PairSketch {
             values: &self.values.sketches[thickness],
@@ -216,8 +216,8 @@ impl View {
     }
 }
 
-/// Made at its first use, outside the lock: a thread that waits for parts of it may begin another question that wants the
-/// same, and would wait for itself. At worst everyone who asks for it at the same time makes it.
+/// Makes the value at its first use, outside the cell's lock: a thread that waits for parts of the value may begin
+/// another question that needs the same value, and would wait for itself. At worst all concurrent callers make it.
 pub(crate) fn made_once<T>(cell: &OnceLock<T>, make: impl FnOnce() -> T) -> &T {
     if let Some(made) = cell.get() {
         return made;

@@ -1,4 +1,4 @@
-//! The answer of a channel at its minimum.
+//! Computes the answer of a channel at its minimum.
 
 pub(crate) mod budget;
 pub(crate) mod nuisances;
@@ -32,7 +32,7 @@ const UNLIKELY: f64 = 0.001;
 const RESOLVED_FACTOR: f64 = 2.0;
 /// … and that of the albedo at most this.
 const RESOLVED_ALBEDO: f64 = 0.2;
-/// Correlation of ln σ_t with ln(1 − g) from which on they trade off.
+/// Magnitude of the correlation of ln σ_t with ln(1 − g) above which a valley is reported.
 const VALLEY: f64 = 0.9;
 
 /// A channel at its minimum.
@@ -45,7 +45,7 @@ pub(crate) struct Found<'a, 'b> {
     pub common_g: Option<Interval>,
 }
 
-/// How well residuals are explained.
+/// The goodness of fit.
 pub(crate) struct Goodness {
     pub chi2: f64,
     pub degrees_of_freedom: f64,
@@ -74,7 +74,7 @@ impl Found<'_, '_> {
         self.state.x[self.slots()[unknown]]
     }
 
-    /// What is held comes back as it was given, and nothing leaves the dictionary by rounding.
+    /// A parameter from its coordinate: a held one as it was given, others clamped to the dictionary against rounding.
     fn parameter(&self, index: usize, x: f64) -> f64 {
         let grid = self.grid();
         let axis = [grid.sigma_t_per_mm(), grid.albedo(), grid.g()][index];
@@ -96,7 +96,8 @@ impl Found<'_, '_> {
         let ideal = ideal_covariance(self.system, self.state);
         let intervals = self.intervals(&normal, covariance.as_ref(), goodness.inflation);
         let budget = self.budget(&linear, &normal, covariance.as_ref());
-        // What the data leave open has a very large variance; the set-up is known to its priors.
+        // Quantities that the data do not determine have a very large variance; those of the set-up are limited by their
+        // priors.
         let covariance =
             covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
         let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
@@ -149,7 +150,7 @@ impl Found<'_, '_> {
         }
     }
 
-    /// χ² of the pixels that belong, with the deviations from what was known of the set-up.
+    /// χ² of the pixels that are not left out, with the deviations of nuisances from their priors.
     pub(crate) fn goodness(&self, linear: &[Linear]) -> Goodness {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for ((term, linear), own) in self.system.terms.iter().zip(linear).zip(&self.state.own) {
@@ -195,7 +196,7 @@ impl Found<'_, '_> {
                 ProfileLikelihood { system, optimum, normal, covariance, inflation }
                     .ends(quantity, all_limits[index])
             } else {
-                // The information is singular: nothing is known.
+                // The information is singular: the quantity is undetermined.
                 let (low, high) = all_limits[index];
                 [low, high].map(|value| crate::likelihood::interval::profile_likelihood::IntervalEnd {
                     value,
@@ -214,7 +215,7 @@ impl Found<'_, '_> {
         })
     }
 
-    /// Whether σ_t and the albedo are determined with the anisotropy held where it is.
+    /// Whether σ_t and the albedo are determined with the anisotropy held at its estimate.
     fn resolved_at_g(&self, inflation: f64) -> bool {
         let slots = self.slots();
         let mut system = self.system.clone();
@@ -236,7 +237,7 @@ impl Found<'_, '_> {
         is_resolved(&of(LN_SIGMA_T), &of(ROOT_CO_ALBEDO))
     }
 
-    /// Share of the variance of ln σ_t that the records' noise makes.
+    /// Share of the records' noise in the variance of ln σ_t.
     fn dictionary_share(&self, covariance: &DMatrix<f64>) -> f64 {
         let slot = self.slots()[LN_SIGMA_T];
         let mut without = self.system.ideal();
@@ -272,7 +273,7 @@ impl Found<'_, '_> {
         self.system.terms.iter().zip(linear).enumerate().map(term).collect()
     }
 
-    /// Media of the dictionary, at their likeliest with this set-up, best first.
+    /// Media of the dictionary, each with the other unknowns at their likeliest values, best first.
     fn candidates(&self, media: &[[usize; 4]]) -> Vec<(Candidate, State)> {
         let grid = self.grid();
         let slots = self.slots();

@@ -1,5 +1,5 @@
-//! The Cramér–Rao bound of a planned measurement: that of `bound`, at a guess of the medium and with the model itself for
-//! the values.
+//! Computes the Cramér–Rao bound of a planned measurement: that of `bound`, at a guess of the medium and with the model's
+//! values in place of measured ones.
 
 use nalgebra::DVector;
 use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
@@ -14,40 +14,40 @@ use crate::likelihood::term::blur;
 use crate::likelihood::term::{Exposed, Term};
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate};
 
-/// Standard deviation of the coordinates of a medium, and of the logarithm of μ, of which nothing is known beforehand: so
-/// large that it does not matter for what is determined, and that what is not leaves the rest alone.
+/// Standard deviation of the prior of a medium's coordinates, and of the logarithm of an unknown μ: so large that it has
+/// no effect on determined quantities, and that undetermined ones have no effect on the others.
 const UNKNOWN: f64 = 10.0;
 /// Standard deviation of a coordinate from which on it counts as undetermined: a factor of e on σ_t, the whole range of
 /// √(1 − α).
 const UNDETERMINED: f64 = 1.0;
-/// Unknowns have no limits.
+/// The limits of unknowns: none.
 const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
-/// How well all but the medium is known: standard errors.
+/// Standard errors of all but the medium.
 #[derive(Debug, Clone)]
 pub(crate) struct KnownErrors {
-    /// Noise of a pixel relative to its value, and what is added to it in quadrature.
+    /// Noise of a pixel relative to its value, and a constant that is added to it in quadrature.
     pub noise: f64,
     pub noise_floor: f64,
     pub set_up: FitSettings,
-    /// Nothing is known of the common factor, whatever its standard error.
+    /// Whether the common factor is unknown, whatever its standard error.
     pub mu_free: bool,
     /// Standard errors of the scene's uncertain quantities, in units of their priors'.
     pub scene: Line,
 }
 
-/// A medium, and pixels that look at slabs of it.
+/// A medium, and the pixels that record slabs of it.
 #[derive(Debug)]
 pub(crate) struct DesignPlan<'a> {
     pub surrogate: &'a Surrogate<'a>,
     pub medium: Coordinates,
-    /// Coordinates that are known.
+    /// Whether each coordinate is held.
     pub held: [bool; 3],
     pub pixels: PixelRow,
 }
 
 impl DesignPlan<'_> {
-    /// How well slabs of these thicknesses determine the medium.
+    /// Half-widths of the medium's intervals from slabs of these thicknesses.
     pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &KnownErrors) -> HalfWidths {
         let (system, state) = self.system(slabs_mm, known);
         let slots = &system.slots[0];
@@ -79,7 +79,7 @@ impl DesignPlan<'_> {
         }
     }
 
-    /// Every slab is a profile of its own, also if another one is as thick.
+    /// The system of these slabs. Every slab is a separate profile, also if another one is as thick.
     fn system(&self, slabs_mm: &[f64], known: &KnownErrors) -> (System<'_>, State) {
         let mut unknowns = Unknowns::default();
         let [s, a, g] = [0, 1, 2]
@@ -90,7 +90,7 @@ impl DesignPlan<'_> {
         let blur = unknowns.known(blur::prior(set_up), ANYWHERE);
         let grid = self.surrogate.grid();
         let priors = if grid.responses().is_some() { grid.scene().priors() } else { &[] };
-        // The material is one.
+        // All slabs are of one material.
         let shared: Vec<Option<usize>> = priors
             .iter()
             .zip(&known.scene)
@@ -120,7 +120,7 @@ impl DesignPlan<'_> {
         (system, state)
     }
 
-    /// A profile whose values and noise are still to come.
+    /// A profile whose values and noise are set later.
     fn term(&self, thickness_mm: f64, set_up: &FitSettings) -> Term {
         let x_mm = self.pixels.x_mm();
         let exposed = Exposed {

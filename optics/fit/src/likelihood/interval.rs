@@ -1,4 +1,4 @@
-//! Intervals of quantities from the rise of −2 ln L, the Cramér–Rao bound, and the goodness of a fit.
+//! Computes intervals of quantities from the rise of −2 ln L, the Cramér–Rao bound, and the goodness of a fit.
 
 pub(crate) mod bound;
 pub(crate) mod chi2;

@@ -1,10 +1,12 @@
-//! A set of materials that were photographed in the same set-up: what they share is found with all of them at once.
+//! Measures a set of materials that were photographed in the same set-up: estimates the shared quantities from all of
+//! them at once.
 //!
 //! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `start`; from its lowest
-//! point one descent of all unknowns of all channels goes down to the bottom. Intervals of a channel follow its own
+//! point one descent over all unknowns of all channels finds the minimum. Intervals of a channel follow its own
 //! likelihood, with the others' likelihood as a quadratic in the shared unknowns added (a Schur complement of their
-//! information). Where channels pull on what they share by more than their noise, as they do if something in the
-//! photographs is not in the model, the others count less, by their χ² a degree of freedom (a Birge ratio).
+//! information). Where the pulls of channels on the shared unknowns scatter by more than their noise, as they do if the
+//! photographs contain effects that the model lacks, the others count less, by their χ² per degree of freedom (a Birge
+//! ratio).
 
 mod minimum;
 mod response;
@@ -30,9 +32,9 @@ use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
 
-/// Widest distance of two scale factors of the mesh, in the logarithm.
+/// Greatest distance of two scale factors of the mesh, in the logarithm.
 const MESH_STEP: f64 = 0.05;
-/// Most channels that the mesh is computed for.
+/// Maximum number of channels for which the mesh is computed.
 const MESH_CHANNELS: usize = 16;
 
 /// All channels of a set, ready to be searched.
@@ -44,7 +46,7 @@ struct Set<'a> {
     scans: Vec<Scan<'a>>,
 }
 
-/// The lowest place with one anisotropy and one scale, of every channel.
+/// The lowest start of every channel at one scale and, if it is common, one anisotropy.
 struct Cell {
     scale: f64,
     g: Option<f64>,
@@ -84,7 +86,7 @@ pub(crate) fn measure(
     let joint = set.joint(lowest, sharing);
     if let Some(range) = &plan.search_mu {
         let (min, max, _) = range.parts();
-        // The standard deviation of a factor of which nothing but the range is known, in the logarithm.
+        // Standard deviation of the logarithm of a factor that is only known to lie in the range.
         let unknown = (max / min).ln() / 12.0_f64.sqrt();
         let deviation = joint.deviation(joint.assembly.system.slots[0][LN_SCALE]);
         if max > min && !(deviation > 0.0 && deviation <= unknown) {
@@ -118,7 +120,7 @@ impl<'a> Set<'a> {
         Ok(Self { dictionary, materials, channels, surrogates, scans })
     }
 
-    /// Every scale, and with a common anisotropy every one of the dictionary's.
+    /// Cells at every scale and, with a common anisotropy, at every one of the dictionary's.
     fn mesh(&self, scales: &[f64], common_g: bool) -> Vec<Cell> {
         if scales.len() == 1 && !common_g {
             return vec![self.cell(scales[0])];
@@ -153,7 +155,7 @@ impl<'a> Set<'a> {
         cells
     }
 
-    /// Every channel at its own lowest place.
+    /// Every channel at its own lowest start.
     fn cell(&self, scale: f64) -> Cell {
         let start = |(scan, surrogates): (&Scan, &Vec<Surrogate>)| {
             scan.starts(surrogates, (-scale).exp())
@@ -166,7 +168,7 @@ impl<'a> Set<'a> {
         Cell { scale, g: None, starts, cost }
     }
 
-    /// The minimum of all channels together that lies below a cell of the mesh.
+    /// The common minimum of all channels, by a descent from a cell of the mesh.
     fn joint(&self, cell: &Cell, sharing: Sharing) -> Joint<'_> {
         let starts: Vec<Start> = match cell.g {
             // The mesh may have left out some channels.
@@ -190,7 +192,7 @@ impl<'a> Set<'a> {
         let state = assembly.system.approach(state, COARSE);
         let state = assembly.system.settle(state);
         let (_, normal) = assembly.system.look(&state);
-        // Some materials may leave their own media open.
+        // Some materials may not determine their own media.
         let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
         let iors = starts.iter().map(|s| s.ior).collect();
         let common = common_slots(&assembly.system, sharing);
@@ -252,13 +254,14 @@ impl<'a> Set<'a> {
         }
     }
 
-    /// The anisotropy, if there is no choice.
+    /// The anisotropy, if it is held.
     fn only_g(&self) -> Option<f64> {
         held(self.dictionary.grid(), &self.channels[0].options)[2]
     }
 }
 
-/// The least cost with each anisotropy, at the scale of the mesh next to the one found, and at its own best.
+/// The least cost with each anisotropy, at the scale of the mesh that is nearest to the estimate, and at the anisotropy's
+/// own best scale.
 fn by_g(cells: &[Cell], scale: f64, base: f64) -> Vec<GError> {
     let mut nodes: Vec<f64> = cells.iter().filter_map(|c| c.g).collect();
     nodes.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! The likelihood over all media of the dictionary.
+//! Maps the likelihood over all media of the dictionary.
 
 use optics_model::fit::{Candidate, DistanceMap, FitOptions, MapLayer};
 use optics_model::{Invalid, Measurement, Medium};
@@ -8,7 +8,7 @@ use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::start::Scan;
 use crate::paper::layers::of_layers;
 
-/// One map per channel: the root of −2 ln L a pixel, in the basis of `start`, which makes it good to a few per cent.
+/// One map per channel: the root of −2 ln L per pixel, in the basis of `start`, and so accurate to a few per cent.
 pub(crate) fn distance_map(
     dictionary: &FitDictionary,
     measurement: &Measurement,

@@ -1,11 +1,12 @@
-//! Inks that absorb too much to be measured by themselves, by diluting them.
+//! Estimates inks that absorb too much to be measured by themselves, from dilutions of them.
 //!
-//! Scattering and absorption of a mixture are the sums of those of its inks. So the profiles of pure inks and of their
-//! mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks (`blend`), with the set-up of every
-//! profile estimated as for one material. Each measured material is first fitted with a medium of its own: that gives
-//! its dust, and equations from which the inks' descent begins (`mixtures/start`). Intervals follow the profile
-//! likelihood (`profile_likelihood`); where mixtures contradict one another by more than their noise, as they do if one was
-//! mixed wrongly, intervals are wider by their χ² a degree of freedom (a Birge ratio).
+//! Scattering and absorption coefficients of a mixture are the sums of those of its inks, weighted by their fractions. So
+//! the profiles of pure inks and of their mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks
+//! (`blend`), with the set-up of every profile estimated as for one material. Each measured material is first fitted with
+//! a medium of its own: this identifies its dust, and gives the equations from which the inks' descent starts
+//! (`mixtures/start`). Intervals follow the profile likelihood (`profile_likelihood`); where mixtures contradict one
+//! another by more than their noise, as they do if one was mixed wrongly, intervals are widened by their χ² per degree of
+//! freedom (a Birge ratio).
 
 mod answer;
 mod limits;
@@ -36,9 +37,9 @@ use answer::{MixtureRequest, Solution};
 use limits::{outside, predicted};
 use start::{Equation, rank, solve};
 
-/// Information added to every unknown when the errors of slabs' own media are sought.
+/// Information that is added to every unknown when covariances are computed: slabs may not determine their own media.
 const HARDLY: f64 = 1e-9;
-/// Least σ_s in 1/mm and √σ_a that an ink has, instead of nothing.
+/// Least σ_s in 1/mm and √σ_a of an ink, in place of 0.
 const LEAST: (f64, f64) = (1e-6, 1e-4);
 /// Greatest σ_s and σ_a of an ink over the greatest σ_t of the dictionary: inks may lie beyond it, if mixtures do not.
 const GREATEST: f64 = 10.0;
@@ -50,7 +51,7 @@ struct Slab<'a> {
     material: String,
     /// Volume fractions by ink.
     fractions: Vec<f64>,
-    /// Its profiles among those of all.
+    /// The range of its profiles among those of all slabs.
     terms: Range<usize>,
     /// Its own medium.
     medium: [f64; 3],
@@ -59,7 +60,8 @@ struct Slab<'a> {
     left_out: Option<String>,
 }
 
-/// Finds inks from their own profiles and those of their mixtures, beginning where each was measured by itself.
+/// Estimates inks from their own profiles and those of their mixtures, starting where each material was measured by
+/// itself.
 pub(crate) fn unmix(
     dictionary: &FitDictionary,
     materials: &[Measurement],
@@ -140,7 +142,7 @@ fn slabs<'a>(
     let system = &assembly.system;
     let linear = system.linear(&state.x, &state.own);
     let information = system.normal(&state.x, &state.own, &linear).information;
-    // Slabs that leave their own media open, as dark patches do, must not hide the information of the others.
+    // Slabs that do not determine their own media, such as dark patches, must not hide the information of the others.
     let covariance = inverse_over_free(&system.unknowns, &information, HARDLY);
     let inks = mixtures.inks();
     let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
@@ -168,7 +170,7 @@ fn slabs<'a>(
     channels.into_iter().zip(assembly.terms.iter().cloned()).map(slab).collect()
 }
 
-/// In every channel the inks must differ in what they were mixed with.
+/// Checks that the fractions of the slabs separate the inks in every channel.
 fn check_rank(slabs: &[Slab], inks: &[&str]) -> Result<(), Invalid> {
     for slab in slabs {
         let same: Vec<&Slab> = slabs.iter().filter(|s| s.data.channel == slab.data.channel).collect();
@@ -190,7 +192,7 @@ fn check_rank(slabs: &[Slab], inks: &[&str]) -> Result<(), Invalid> {
     Ok(())
 }
 
-/// Inks to be found.
+/// Inks to be estimated.
 struct Unmixing<'a, 'b> {
     inks: &'b [&'b str],
     slabs: Vec<Slab<'a>>,
@@ -202,7 +204,7 @@ struct Unmixing<'a, 'b> {
 type Inks = Vec<(usize, Vec<Ink>)>;
 
 impl<'a> Unmixing<'a, '_> {
-    /// All slabs whose media the dictionary has, at their minimum.
+    /// All slabs whose media the dictionary covers, at their minimum.
     fn solve(mut self, from: &State) -> Result<(Solved<'a>, Vec<Slab<'a>>), Invalid> {
         loop {
             let (mut system, state, inks) = self.system(from);
@@ -215,11 +217,11 @@ impl<'a> Unmixing<'a, '_> {
         }
     }
 
-    /// Profiles and unknowns where the inks' own equations lead.
+    /// The system of the profiles that are not left out, with the inks at the solution of their linear equations.
     fn system(&self, from: &State) -> (System<'a>, State, Inks) {
         let whole = &self.assembly.system;
         let (mut unknowns, mut x) = (whole.unknowns.clone(), from.x.clone());
-        // A medium of a slab follows from its inks.
+        // The medium of a slab follows from its inks.
         for slots in &whole.slots {
             for i in [LN_SIGMA_T, ROOT_CO_ALBEDO, LN_ONE_MINUS_G] {
                 unknowns[slots[i]].held = true;
@@ -254,7 +256,7 @@ impl<'a> Unmixing<'a, '_> {
         (system, State { x, own, cost: f64::INFINITY }, inks)
     }
 
-    /// Adds every ink in every channel.
+    /// Adds the unknowns of every ink in every channel.
     fn ink_unknowns(&self, unknowns: &mut Vec<Unknown>, x: &mut DVector<f64>) -> Inks {
         let system = &self.assembly.system;
         let mut inks: Inks = Vec::new();
@@ -311,13 +313,13 @@ impl<'a> Unmixing<'a, '_> {
         };
         let n = self.inks.len();
         let (reduced, absorption) = (solve(&equations(0), n, 1.0), solve(&equations(1), n, 1.0));
-        // Not quite nothing, from where there would be no way back.
+        // Not quite 0, from which a descent would not return.
         let start =
             |(r, a): (f64, f64)| [(r / ln_one_minus_g.exp()).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g];
         reduced.into_iter().zip(absorption).map(start).collect()
     }
 
-    /// Leaves out slabs whose media the dictionary does not have; false if there is none.
+    /// Leaves out slabs whose media the dictionary does not cover; false if there is none.
     fn leave_out(&mut self, system: &System, state: &State) -> Result<bool, Invalid> {
         let mut terms = 0..system.terms.len();
         let mut changed = false;
@@ -335,7 +337,7 @@ impl<'a> Unmixing<'a, '_> {
     }
 }
 
-/// All profiles at their minimum, and where their inks are.
+/// All profiles at their minimum, and the slots of their inks.
 struct Solved<'a> {
     system: System<'a>,
     state: State,

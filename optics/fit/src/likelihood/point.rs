@@ -1,4 +1,4 @@
-//! The unknowns that profiles may share, as indices, and the point of one profile: its values of them.
+//! Defines the unknowns that profiles may share, as indices, and the values of these for one profile.
 
 /// Numbers by pixel.
 pub(crate) type Line = Vec<f64>;

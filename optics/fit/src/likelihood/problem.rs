@@ -1,4 +1,4 @@
-//! A measurement made ready for the likelihood: pixels, priors, and which profiles share what.
+//! Prepares a measurement for the likelihood: pixels, priors, and the unknowns that profiles share.
 
 pub(crate) mod assembly;
 pub(crate) mod channel;
@@ -18,7 +18,7 @@ use crate::likelihood::term::{Exposed, Term};
 use crate::surrogate::Surrogate;
 use start::{Compressed, Region, Scan, Source};
 
-/// Least part of a dictionary's width, at its rim, that is left out: nothing is known beyond.
+/// Pixels whose inner edge lies within this distance of the end of the dictionary's width, or beyond, are left out.
 const RIM_MM: f64 = 0.02;
 
 /// One channel of a material.
@@ -35,13 +35,13 @@ pub(crate) struct ChannelData<'a> {
     admissible: Admissible,
 }
 
-/// One profile, with what is known of its set-up.
+/// One profile, with its set-up.
 #[derive(Debug)]
 pub(crate) struct ProfileData<'a> {
     pub profile: &'a MeasuredProfile,
     /// Pixels within the dictionary's width.
     pixels: std::ops::Range<usize>,
-    /// As measured.
+    /// Standard errors of all measured pixels, without the factor μ.
     std_errors: Line,
     origin_mm: f64,
     /// The options with the profile's own values.
@@ -112,7 +112,7 @@ impl<'a> ChannelData<'a> {
         Ok(Self { dictionary, material, measurement, name, channel, profiles, options: *options, admissible })
     }
 
-    /// Pixels of all profiles that are compared.
+    /// Number of compared pixels in all profiles.
     pub(crate) fn pixels(&self) -> usize {
         self.profiles.iter().map(|p| p.pixels.len()).sum()
     }
@@ -123,7 +123,7 @@ impl<'a> ChannelData<'a> {
         (0..iors).map(|ior| Surrogate::new(self.dictionary, self.channel, ior)).collect()
     }
 
-    /// Ready to be searched, with a standard deviation of the common factor in addition to the profiles' gains.
+    /// Prepares the search, with a standard deviation of the common factor in addition to the profiles' gains.
     pub(crate) fn scan(&self, surrogates: &[Surrogate], scale_std_error: f64) -> Result<Scan<'a>, Invalid> {
         let view = self.dictionary.whole_view(self.channel);
         let compressed = |data: &ProfileData| {
@@ -159,8 +159,8 @@ impl<'a> ChannelData<'a> {
     }
 }
 
-/// As measured, or estimated from the scatter of the values if there are none, or none but 0, as in exact data. A 0 among
-/// others is refused: it would be a pixel without noise.
+/// The measured standard errors, or estimates from the scatter of the values if there are none, or none but 0, as in
+/// exact data. A 0 among others is refused: it would be a pixel without noise.
 fn std_errors(profile: &MeasuredProfile) -> Result<Line, Invalid> {
     let positive = |errors: &&[f64]| errors.iter().any(|e| *e > 0.0);
     if let Some(given) = profile.std_errors().filter(positive) {

@@ -1,4 +1,4 @@
-//! Profiles that share unknowns: −2 ln L of all of them together, and its quadratic.
+//! Evaluates profiles that share unknowns: −2 ln L of all of them together, and its quadratic.
 
 pub(crate) mod descent;
 pub(crate) mod minimum;
@@ -18,7 +18,7 @@ use crate::surrogate::Surrogate;
 use quantity::Quantity;
 use unknowns::{SceneUnknown, Unknown, free, inverse_over_free};
 
-/// Terms from which on other threads are worth waking.
+/// Number of terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
 /// The likelihood of other measurements, as a quadratic in the unknowns about a centre.
@@ -37,14 +37,15 @@ impl Coupling {
     }
 }
 
-/// Profiles, each with the unknowns that its shared ones are. Of profiles of mixtures the medium's follow from inks.
+/// Profiles, each with the slots of its shared unknowns. For profiles of mixtures the unknowns of the medium follow from
+/// inks.
 #[derive(Debug, Clone)]
 pub(crate) struct System<'a> {
     pub terms: Vec<Term>,
     pub surrogates: Vec<&'a Surrogate<'a>>,
     pub slots: Vec<Vec<usize>>,
     pub unknowns: Vec<Unknown>,
-    /// Those that are of the scene.
+    /// The unknowns that are quantities of the scene.
     pub of_scene: Vec<SceneUnknown>,
     pub coupling: Option<Coupling>,
 }
@@ -53,12 +54,12 @@ pub(crate) struct System<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct State {
     pub x: DVector<f64>,
-    /// Each profile's own.
+    /// Each profile's own unknowns.
     pub own: Vec<Line>,
     pub cost: f64,
 }
 
-/// Second derivative and gradient of −2 ln L, halved; profiles' own unknowns eliminated.
+/// Half of the second derivative and −½ of the gradient of −2 ln L; profiles' own unknowns are eliminated.
 #[derive(Debug)]
 pub(crate) struct Normal {
     pub information: DMatrix<f64>,
@@ -105,13 +106,14 @@ impl System<'_> {
         linear.iter().map(|l| l.cost).sum::<f64>() + self.prior_cost(x)
     }
 
-    /// −2 ln L at a state, and its parabola there.
+    /// −2 ln L at a state, and its quadratic there.
     pub(crate) fn look(&self, state: &State) -> (f64, Normal) {
         let linear = self.linear(&state.x, &state.own);
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
-    /// Looks up other thicknesses, and what the white reference and the scene do, again where the media now are.
+    /// Computes the predictions near the thicknesses, and the responses to the white reference and the scene, again at
+    /// the current media.
     pub(crate) fn move_near(&mut self, x: &DVector<f64>) {
         let points: Vec<Point> = (0..self.terms.len()).map(|i| self.point(i, x)).collect();
         let each = self.terms.par_iter_mut().zip(&self.surrogates).zip(&points);
@@ -135,7 +137,7 @@ impl System<'_> {
         self.sum(x, reduced)
     }
 
-    /// All profiles together with what is known beforehand.
+    /// The sum over all profiles, priors and the coupling.
     fn sum(&self, x: &DVector<f64>, reduced: Vec<Reduced>) -> Normal {
         let n = self.unknowns.len();
         let (mut information, mut downhill) = (DMatrix::zeros(n, n), DVector::zeros(n));
@@ -185,8 +187,9 @@ impl System<'_> {
         }
     }
 
-    /// Whether an extinction or an anisotropy, other than the quantity itself, lies where the dictionary or the bounds end
-    /// and would go on, by more than its standard deviation; or, for an absorption, an albedo lies there.
+    /// Whether an extinction or an anisotropy, other than the quantity itself, lies at a limit of the dictionary or of
+    /// the bounds and would move beyond it by more than its standard deviation; or, for an absorption, whether an albedo
+    /// lies at a limit.
     pub(crate) fn at_end(&self, state: &State, quantity: Quantity) -> bool {
         if let Quantity::Absorption([_, albedo, _]) = quantity {
             let (unknown, x) = (&self.unknowns[albedo], state.x[albedo]);

@@ -1,16 +1,16 @@
-//! One measured profile: residuals and derivatives, with what is wrong with this profile alone taken out.
+//! Evaluates one measured profile: residuals and derivatives, with the errors of this profile alone eliminated.
 //!
 //! The model of a pixel's value, times the question's μ, is
 //!
 //! y = F(x − x₀) · (e^(−m) + γ + s x/10 mm) + z + Σ_k c_k φ_k,
 //!
-//! F being the simulated profile at this slab's thickness as the camera blurs it, m the logarithm of a factor on μ, x₀
-//! the place of the edge, γ, z and s gain, zero and slope of the profile, and φ_k modes of the noise of the dictionary's
-//! records. Where the base's ρ was measured with the white reference that μ is an error of, F has (m + ln μ) D added, D
-//! being what a brighter reference does to F through ρ. x₀, γ, z, s and c_k belong to this profile. They have normal
-//! priors, in units of whose standard deviations they are counted here, so that each adds its square to −2 ln L.
-//! Eliminating them (a Schur complement) leaves a gradient and an information matrix of what the profile shares with
-//! others.
+//! F is the simulated profile at this slab's thickness, blurred by the camera; m is the logarithm of a factor on μ, x₀
+//! the position of the edge; γ, z and s are gain, zero and slope of the profile, and φ_k modes of the noise of the
+//! dictionary's records. Where the base's ρ was measured with the same white reference, whose error is μ, F includes
+//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, γ, z, s and c_k belong to this
+//! profile. They have normal priors and are counted here in units of the priors' standard deviations, so that each adds
+//! its square to −2 ln L. Eliminating them (a Schur complement) leaves a gradient and an information matrix of the
+//! unknowns that the profile shares with others.
 
 pub(crate) mod blend;
 pub(crate) mod blur;
@@ -36,7 +36,7 @@ use reduced::{Quadratic, Reduced};
 use robust::{rho, weight};
 use white::White;
 
-/// What a profile has for itself, apart from the dictionary's noise.
+/// A kind of a profile's own unknowns, apart from modes of the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Own {
     Origin,
@@ -45,7 +45,7 @@ pub(crate) enum Own {
     Slope,
 }
 
-/// Something of a profile's own that is not known exactly.
+/// The prior of one of a profile's own unknowns.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct OwnPrior {
     pub own: Own,
@@ -54,7 +54,7 @@ pub(crate) struct OwnPrior {
 
 #[derive(Debug, Clone)]
 pub(crate) struct Term {
-    /// The inks that make the medium; none if the medium itself is unknown.
+    /// The inks that determine the medium; none if the medium itself is unknown.
     pub blend: Option<Blend>,
     /// Nominal.
     pub thickness_mm: f64,
@@ -63,33 +63,33 @@ pub(crate) struct Term {
     /// Measured values times the question's μ, and their standard errors.
     pub values: Line,
     pub std_errors: Line,
-    /// Stated place of the edge.
+    /// Stated position of the edge.
     pub origin_mm: f64,
     pub priors: Vec<OwnPrior>,
     /// Modes of the records' noise on the measured pixels, each of variance 1.
     pub modes: Vec<Line>,
     /// Variance of the records' noise that the modes leave, by pixel.
     pub rest_variances: Line,
-    /// Profiles whose records' noise is the same, this one included: its variance is multiplied by their number, since it
-    /// does not average out over them.
+    /// Number of profiles with the same noise of the records, this one included: its variance is multiplied by that
+    /// number, since it does not average out over them.
     pub alike: f64,
-    /// Pixels that do not belong to the profile.
+    /// Pixels that are left out, such as dust.
     pub left_out: Vec<bool>,
-    /// Whether pixels may be odd; if not every one that is not left out counts as a normal one.
+    /// Whether pixels may be outliers; if not, every pixel that is not left out has normal noise.
     pub robust: bool,
-    /// The noise is taken to be larger by this factor where pixels may be odd: on the way from a poor model to a good one.
+    /// Factor on the noise where pixels may be outliers: above 1 on the way from a poor model to a good one.
     pub softness: f64,
-    /// For predictions about the dictionary's thickness, if it is one.
+    /// For predictions near one of the dictionary's thicknesses, if the thickness is near one.
     pub near: Option<NearThickness>,
     pub white: Option<White>,
-    /// What the uncertain quantities of the scene do; none if it is exact.
+    /// The responses to the uncertain quantities of the scene; none if it is exact.
     pub responses: Option<LocalResponses>,
 }
 
-/// A profile at some place of the unknowns.
+/// A profile at given values of the unknowns.
 #[derive(Debug)]
 pub(crate) struct Linear {
-    /// What the model leaves, over the noise.
+    /// Measured values less the model, over the noise.
     pub residuals: Line,
     /// The model.
     pub model: Line,
@@ -109,7 +109,7 @@ pub(crate) struct Exposed {
     /// Values times the question's μ, and their standard errors.
     pub values: Line,
     pub std_errors: Line,
-    /// Stated place of the edge.
+    /// Stated position of the edge.
     pub origin_mm: f64,
 }
 
@@ -126,8 +126,8 @@ fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
 }
 
 impl Term {
-    /// Without noise of the records; all pixels count as normal ones. Responses are those at a medium. Factors are counted
-    /// from that of logarithm `ln_mu`.
+    /// A profile without noise of the records, all of whose pixels have normal noise. Responses are those at `medium`.
+    /// Factors on μ are relative to the one with the logarithm `ln_mu`.
     pub(crate) fn new(
         profile: Exposed,
         set_up: &FitSettings,
@@ -159,7 +159,8 @@ impl Term {
         }
     }
 
-    /// Counts the records' noise as that of `alike` profiles; its modes' coefficients become what they have to be.
+    /// Counts the records' noise as that of `alike` profiles, and scales the coefficients of the modes so that the model
+    /// is unchanged.
     pub(crate) fn count_alike(&mut self, own: &mut Line, alike: f64) {
         let factor = alike / self.alike;
         self.alike = alike;
@@ -186,7 +187,7 @@ impl Term {
         self.origin_mm + self.own_value(own, Own::Origin)
     }
 
-    /// Standard error of a pixel, of the measurement and of what the records' modes leave.
+    /// Standard error of a pixel: that of the measurement, and the records' noise that the modes leave.
     fn deviation(&self, pixel: usize) -> f64 {
         let own = self.std_errors[pixel];
         match self.rest_variances.get(pixel) {
@@ -195,7 +196,7 @@ impl Term {
         }
     }
 
-    /// At the shared unknowns and the profile's own.
+    /// The profile at the shared unknowns and its own.
     pub(crate) fn linear(&self, surrogate: &Surrogate, shared: &Point, own: &[f64]) -> Linear {
         let (thickness_mm, medium) = (shared.thickness_mm(), shared.medium());
         let mut predicted = match &self.near {

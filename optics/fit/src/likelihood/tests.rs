@@ -1,4 +1,4 @@
-//! The likelihood on a dictionary from a formula: exact cases, limits, and descents from everywhere.
+//! Tests the likelihood on a dictionary from a formula: exact cases, limits, and descents from many media.
 
 mod budget;
 mod formula;
@@ -29,7 +29,7 @@ fn dictionary() -> FitDictionary {
     noisy_dictionary(dense_axes(), 120, 0.0)
 }
 
-/// What is wrong with a profile.
+/// Errors of a profile.
 #[derive(Clone, Copy, Default)]
 struct Flaws {
     origin_mm: f64,
@@ -39,7 +39,7 @@ struct Flaws {
     dust: bool,
 }
 
-/// Channel G at both thicknesses with 0.3 % of noise, as told.
+/// Channel G at both thicknesses with 0.3 % of noise, as its standard errors state.
 fn measured(medium: (f64, f64, f64), seed: u64, flaws: Flaws) -> Measurement {
     let profile = |(slab, thickness): (u64, f64)| {
         let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
@@ -107,12 +107,12 @@ fn nuisances_and_medium_are_found_together() {
         let found = refined(&measured, FitSettings { g: Bounds::fixed(0.33), ..settings() });
         let likelihood = &found.likelihood;
         assert!(likelihood.probability > 0.001 && found.misfit < 1.3, "{likelihood:?}");
-        // In ends of the 95 % intervals: 1.8 of them are 3.5 standard errors.
+        // In half-widths of the 95 % intervals: 1.8 of them are 3.5 standard errors.
         let off = |found: f64, truth: f64, ends: &Interval| 2.0 * (found - truth) / (ends.high - ends.low);
         let sigma_t = off(found.best.medium.sigma_t_per_mm(), MEDIUM.0, &found.sigma_t_per_mm);
         let albedo = off(found.best.medium.albedo(), MEDIUM.1, &found.albedo);
         assert!(sigma_t.abs() < 1.8 && albedo.abs() < 1.8, "{seed}: {sigma_t} {albedo}");
-        // Seven specks of one pixel in each profile; the next pixels that are doubted lie off by little.
+        // Seven specks of one pixel in each profile; the neighbouring pixels that are left out as well deviate by little.
         let specks = likelihood.outliers.iter().filter(|o| o.deviation < -50.0).count();
         let others = likelihood.outliers.iter().filter(|o| o.deviation.abs() < 5.0).count();
         assert!(specks == 14 && others == likelihood.outliers.len() - 14, "{:?}", likelihood.outliers);
@@ -122,7 +122,8 @@ fn nuisances_and_medium_are_found_together() {
     }
 }
 
-/// A medium without absorption, in a dictionary whose greatest albedo is 0.99: where α is open, so is σ_a, and 0 is within.
+/// A medium without absorption, in a dictionary whose greatest albedo is 0.99: where α is open, so is σ_a, and its
+/// interval contains 0.
 #[test]
 fn absorption_is_open_where_the_dictionary_ends() {
     for seed in 1..=3 {
@@ -157,7 +158,7 @@ fn zero_standard_error_is_refused_with_place() {
     assert!(exact.channels[0].refined.is_some());
 }
 
-/// Told exactly, or not known at all, gains do what they must: a prior of zero is not a nuisance.
+/// A quantity with a standard error of 0 is no nuisance, and a large standard error of the gain widens the interval.
 #[test]
 fn exactly_given_quantities_are_no_nuisances() {
     let exact = FitSettings {
@@ -177,7 +178,7 @@ fn exactly_given_quantities_are_no_nuisances() {
     assert!(width(&loose) > 3.0 * width(&sure), "{} {}", width(&loose), width(&sure));
 }
 
-/// With everything but σ_t told, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
+/// With everything but σ_t given, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
 #[test]
 fn single_parameter_bound_matches_the_formula() {
     let one = FitSettings {
@@ -210,7 +211,7 @@ fn single_parameter_bound_matches_the_formula() {
     assert!((width / half - 1.0).abs() < 0.1, "{width} {half}");
 }
 
-/// No descent from any fifth medium of the dictionary ends lower than the one that is chosen.
+/// No descent from any fifth medium of the dictionary ends lower than the chosen one.
 #[test]
 fn descent_finds_the_global_minimum() {
     let dictionary = dictionary();
@@ -238,7 +239,7 @@ fn descent_finds_the_global_minimum() {
     }
 }
 
-/// The minimum does not depend on what a measurement's pixels are.
+/// The minimum does not depend on the size of a measurement's pixels.
 #[test]
 fn coarser_pixels_give_the_same_medium() {
     let fine = measured(MEDIUM, 7, Flaws::default());
@@ -255,7 +256,7 @@ fn coarser_pixels_give_the_same_medium() {
     assert!(off < 0.5 * deviation, "{off} of {deviation}");
 }
 
-/// Measurements to which no likelihood can be given are refused with the field.
+/// Measurements for which there is no likelihood are refused with the field.
 #[test]
 fn unweighable_measurements_are_refused() {
     let dictionary = dictionary();
@@ -280,7 +281,8 @@ fn unweighable_measurements_are_refused() {
     assert_eq!(with(&|p| p.clone().with_setup(setup).unwrap()), "x_mm");
 }
 
-/// What a brighter white reference does to a profile of the formula through ρ: light comes from the bright side alone.
+/// The response of a profile of the formula to a brighter white reference through ρ: light comes from the bright side
+/// alone.
 fn by_white(x: f64, value: f64) -> f64 {
     0.8 * value * 0.5 * (1.0 + (x / 0.6).tanh())
 }
@@ -307,7 +309,7 @@ fn dictionary_of_channels(names: &[String], value: impl Fn(f64, f64, usize) -> f
     dictionary_of(&grid, record)
 }
 
-/// One channel, and perhaps what it would be under a darker white reference.
+/// A dictionary of one channel and, with `knows_white`, of that channel under a darker white reference.
 fn dictionary_with_white(knows_white: bool) -> FitDictionary {
     let names = ["G".to_owned(), Channel::darker_white("G")];
     dictionary_of_channels(&names[..=usize::from(knows_white)], |x, value, channel| {
@@ -381,7 +383,7 @@ fn estimates_do_not_depend_on_the_tolerance() {
     }
 }
 
-/// The reference is 1.5 % brighter than stated: levels are too high, and so is the dictionary's ρ.
+/// The reference is stated 1.5 % too bright: levels are too high, and so is the dictionary's ρ.
 #[test]
 fn white_reference_errors_propagate_to_reflectance() {
     let error = 0.015;
@@ -401,7 +403,7 @@ fn white_reference_errors_propagate_to_reflectance() {
         .unwrap()
     });
     let spoilt = Measurement::new("m", spoilt.collect()).unwrap();
-    // Nothing else that could take its place.
+    // No other nuisance can take its place.
     let told = FitSettings {
         mu_std_error: 0.01,
         origin_std_error_mm: 0.0,

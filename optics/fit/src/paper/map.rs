@@ -1,4 +1,4 @@
-//! Maps of the distance over all media, Fig. 9 of the paper.
+//! Computes maps of the distance over all media, Fig. 9 of the paper.
 
 use optics_model::fit::{DistanceMap, FitOptions, MapLayer};
 use optics_model::{Invalid, Measurement};
@@ -19,7 +19,7 @@ pub(crate) fn distance_map(
 
 fn map(question: &Question) -> DistanceMap {
     let grid = question.dictionary.grid();
-    // Maps of several refractive indices would be maps of several dictionaries: that of the best is drawn.
+    // A map covers one refractive index, that of the best record.
     let ior = best_ior(question);
     let layers = question.admissible.g.clone().map(|g| layer(question, ior, g)).collect();
     of_layers(grid, question.name, &question.admissible, ior, layers)

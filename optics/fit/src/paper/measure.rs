@@ -1,4 +1,4 @@
-//! A set of materials as the paper measured it: scale factor and common anisotropy by Eq. 3, then the best records.
+//! Measures a set of materials as the paper does: scale factor and common anisotropy by Eq. 3, then the best records.
 
 use optics_model::fit::{Common, FitOptions, MeasurePlan, Measured, MuRange};
 use optics_model::{Invalid, Measurement};

@@ -1,4 +1,4 @@
-//! One channel of a measurement, made ready to be compared with a dictionary.
+//! Prepares one channel of a measurement for comparison with a dictionary.
 
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -59,7 +59,7 @@ impl ComparedProfile {
         Ok(Self { thickness, view, values, gradient, description })
     }
 
-    /// What searches hold against the view's sketches.
+    /// The profile in the bases of the view, which searches compare with the view's sketches.
     pub(crate) fn description(&self) -> &PairDescription {
         made_once(&self.description, || self.view.describe(&self.values, &self.gradient))
     }
@@ -85,8 +85,8 @@ pub(crate) struct Question<'a> {
     pub admissible: Admissible,
 }
 
-/// Most ranges of pixels that one request may compare: each takes a description of all records, some 150 MB for the
-/// paper's dictionary.
+/// Maximum number of ranges of pixels that one request may compare: each needs descriptions of all records, some 150 MB
+/// for the paper's dictionary.
 const RANGES: usize = 4;
 
 /// Refuses profiles that cover too many different ranges of the dictionary's pixels.
@@ -153,7 +153,7 @@ impl<'a> Question<'a> {
         GridPlace { ior, sigma_t, g, albedo }
     }
 
-    /// The admissible media of a range of anisotropies, as ranges of medium numbers, rising.
+    /// The admissible media of a range of anisotropies, as ranges of medium numbers in ascending order.
     pub(crate) fn media(&self, g: &Range<usize>) -> Vec<Range<usize>> {
         let grid = self.dictionary.grid();
         let Admissible { sigma_t, albedo, .. } = &self.admissible;

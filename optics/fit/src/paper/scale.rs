@@ -1,4 +1,4 @@
-//! The scale factor, Eq. 3: argmin over μ of (1/μ) Σ_materials Σ_channels min_v Σ_t d(μ F_A, F_S(v)).
+//! Computes the scale factor, Eq. 3: argmin over μ of (1/μ) Σ_materials Σ_channels min_v Σ_t d(μ F_A, F_S(v)).
 //!
 //! The distance is closed form in μ: ‖μa − s‖² = μ² ‖a‖² − 2μ a·s + ‖s‖², and |∇(μF)| = μ |∇F|, so three inner products
 //! per profile and record give the whole curve. They are in double precision; the difference loses some ten digits of
@@ -17,7 +17,7 @@ use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
 use crate::paper::question::{ComparedProfile, GridPlace, Question, check_ranges, questions};
 
-/// Searches the scale factor that is common to all materials, with its options' bounds; their μ is not used.
+/// Searches the scale factor that is common to all materials, within the bounds of the options; their μ is not used.
 pub fn scale(
     dictionary: &FitDictionary,
     materials: &[Measurement],
@@ -96,7 +96,7 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
             let mut errors = vec![0.0; mu.len()];
             for albedo in admissible.albedo.clone() {
                 let (sigma_t, g) = (admissible.sigma_t.start + sigma_t, admissible.g.start + g);
-                // Gradients that are not kept are taken once for all materials.
+                // Gradients that are not stored are computed once for all materials.
                 let mut seen: Vec<Seen> = Vec::new();
                 for (n, question) in questions.iter().enumerate() {
                     errors.fill(0.0);
@@ -214,12 +214,12 @@ fn sum_over_mu<'a>(mu: &[f64], rows: impl Iterator<Item = &'a [f64]>) -> Vec<f64
     total.iter().zip(mu).map(|(total, mu)| total / mu).collect()
 }
 
-/// The first of the least values.
+/// Index of the first of the least values.
 fn argmin(values: &[f64]) -> usize {
     values.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
 }
 
-/// Where the parabola through the least value and its neighbours has its vertex.
+/// The vertex of the parabola through the least value and its neighbours.
 fn vertex(mu: &[f64], values: &[f64]) -> f64 {
     let i = argmin(values);
     if i == 0 || i + 1 == mu.len() {
@@ -275,7 +275,7 @@ mod tests {
     use optics_model::fit::{Bounds, FitSettings, Objective};
     use optics_model::{MeasuredProfile, Measurement};
 
-    /// As if photographed with an exposure that is off: all values divided by μ.
+    /// The measurement as with a wrong exposure: all values divided by μ.
     fn divided(measurement: &Measurement, mu: f64) -> Measurement {
         let profile = |p: &MeasuredProfile| {
             let values = p.values().iter().map(|v| v / mu).collect();

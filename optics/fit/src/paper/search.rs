@@ -1,7 +1,7 @@
-//! The exhaustive search, Eq. 1: for every channel the media that explain all its thicknesses best.
+//! Searches all records (Eq. 1): for every channel the media that explain all its thicknesses best.
 //!
-//! The answer is that of comparing every record, but most records are ruled out by a lower bound of their distance
-//! (see `sketch`): a medium is left out only if its bound exceeds the error of the last medium that is wanted.
+//! The answer equals that of a comparison with every record, but most records are ruled out by a lower bound of their
+//! distance (see `sketch`): a medium is left out only if its bound exceeds the error of the last requested medium.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use optics_model::fit::Candidate;
 use crate::dictionary::wide::wide;
 use crate::paper::question::Question;
 
-/// Media that are compared before any can be ruled out.
+/// Number of media that are compared before any can be ruled out.
 const FIRST_LOOK: usize = 8;
 
 /// A medium and its error, ordered by error, then by record.
@@ -81,7 +81,7 @@ impl KeptMedia {
 
 /// Lower bounds of Eq. 1 for all admissible media.
 fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
-    // Gradients that are not yet described are described now.
+    // Cancellation is checked first: gradients without descriptions are described below.
     question.dictionary.stop.check();
     let lambda = question.options.settings().lambda;
     let mut media = Vec::new();

@@ -1,4 +1,4 @@
-//! Similarity theory (Wyman et al. 1989), Eqs. 4 to 6 of the paper: media that scatter alike.
+//! Computes media that scatter alike by similarity theory (Wyman et al. 1989), Eqs. 4 to 6 of the paper.
 
 use optics_model::{Invalid, Medium};
 

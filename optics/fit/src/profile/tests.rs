@@ -1,4 +1,4 @@
-//! Profiles between records of a dictionary whose truth is a formula.
+//! Tests profiles between the records of a dictionary that is computed from a formula.
 
 use optics_model::Medium;
 use optics_model::fit::ProfileQuestion;
@@ -13,7 +13,7 @@ fn question(medium: Medium, thickness_mm: f64, channels: &[&str]) -> ProfileQues
     ProfileQuestion::new(medium, thickness_mm, None, channels).unwrap()
 }
 
-/// The dictionary is of a formula with noise: its values and derivative come out between the records.
+/// In a dictionary of a formula with noise, values and derivatives between the records match the formula.
 #[test]
 fn interpolated_profiles_match_within_their_errors() {
     const NOISE: f64 = 0.002;
@@ -29,7 +29,7 @@ fn interpolated_profiles_match_within_their_errors() {
     for (i, x) in found.pixels.x_mm().into_iter().enumerate() {
         let truth = profile_value(x, 3.1, 0.62, 0.33, 0.5, 1.0);
         assert!((smooth.values[i] / truth - 1.0).abs() < 1e-3, "{x}: {} for {truth}", smooth.values[i]);
-        // Each record is off by so much; the model averages some tens of them.
+        // Each record has an error of NOISE; the model averages some tens of records.
         let share = errors[i] / truth;
         assert!((0.1 * NOISE..0.7 * NOISE).contains(&share), "{x}: {share}");
         assert!((channel.values[i] - truth).abs() < 5.0 * errors[i] + 1e-3 * truth, "{x}");

@@ -1,19 +1,19 @@
-//! An integral between the nodes at which it is known, with fifth order.
+//! Interpolates an integral between the nodes at which it is known, with fifth order.
 //!
 //! Pixels are box averages, so the integral of a profile is known exactly at their edges. Light that reaches the base
 //! unscattered makes a step at the edge between black and white, so no polynomial crosses it if it lies on a node.
 
 use std::ops::Range;
 
-/// Nodes that one polynomial passes through.
+/// Number of nodes that one polynomial passes through.
 pub(crate) const NODES: usize = 6;
 
 /// A place between nodes.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     first: usize,
-    /// Weights of the nodes from `first` on that give the integral here, and the integrand. Weights that have no partner
-    /// are 0.
+    /// Weights of the nodes from `first` on that give the integral and the integrand at this place. Weights without a
+    /// node are 0.
     integral: [f64; NODES],
     integrand: [f64; NODES],
 }
@@ -27,13 +27,13 @@ impl Place {
         Self::through(first, count, at)
     }
 
-    /// At a node where a step may be, or so near that it does not matter: the integrand is the mean of those at either
-    /// side, as symmetric weights give it.
+    /// A place at a node where a step may be, or negligibly near it: with symmetric weights the integrand is the mean of
+    /// those at either side.
     pub(crate) fn at_step(node: usize, at: f64) -> Self {
         Self::through(node - 2, 5, at)
     }
 
-    /// Weights are the products of the distances from the other nodes, over what they are at the node itself.
+    /// Weights are the products of the distances from the other nodes, over those products at the node itself.
     fn through(first: usize, count: usize, at: f64) -> Self {
         let x = at - first as f64;
         // Products over the nodes before and after each, with their derivatives.
@@ -55,19 +55,19 @@ impl Place {
         place
     }
 
-    /// The integral here. There are [`NODES`] nodes at least, whatever the side.
+    /// The integral at this place. There must be at least [`NODES`] nodes, whatever the side.
     pub(crate) fn integral(&self, nodes: &[f64]) -> f64 {
         self.weigh(&self.integral, nodes)
     }
 
-    /// The integrand here, per cell.
+    /// The integrand at this place, per cell.
     pub(crate) fn integrand(&self, nodes: &[f64]) -> f64 {
         self.weigh(&self.integrand, nodes)
     }
 
     fn weigh(&self, w: &[f64; NODES], nodes: &[f64]) -> f64 {
         let n: &[f64; NODES] = nodes[self.first..].first_chunk().expect("there are as many nodes");
-        // In three chains: this is what a fit does most.
+        // In three independent sums, since most of a fit's time is spent here.
         (w[0] * n[0] + w[1] * n[1]) + (w[2] * n[2] + w[3] * n[3]) + (w[4] * n[4] + w[5] * n[5])
     }
 }

@@ -1,6 +1,6 @@
-//! Local models over the irregular nodes of one axis: smoothing, and interpolation where nodes are few.
+//! Fits local models over the irregular nodes of one axis: smooths, and interpolates where nodes are few.
 //!
-//! A model is a sum of powers of the coordinate, and of such shapes as profiles are known to have along the axis.
+//! A model is a sum of powers of the coordinate, and of shapes that profiles are known to have along the axis.
 
 use optics_model::phase::PhaseFunction;
 
@@ -26,12 +26,12 @@ impl Direction {
         Self { first: weights.first, values: weights.values.clone() }
     }
 
-    /// 1 for the same weights, 0 for weights that share no node.
+    /// Cosine of the angle between both: 1 for the same weights, 0 for weights that share no node.
     pub(crate) fn cosine(&self, other: &Self) -> f64 {
         self.cosine_where(other, |node, of_other| node == of_other)
     }
 
-    /// The same between two axes, whose nodes are the same or not by `same`.
+    /// The same between two axes; `same` decides which of their nodes are the same.
     pub(crate) fn cosine_where(&self, other: &Self, same: impl Fn(usize, usize) -> bool) -> f64 {
         let products = self.nodes().flat_map(|(node, a)| {
             let alike = other.nodes().filter(|(of_other, _)| same(node, *of_other)).map(|(_, b)| b);
@@ -47,12 +47,12 @@ impl Direction {
     }
 }
 
-/// Cosines of the angles through which backscattered light is followed along g: straight back, and about as far aside as
-/// profiles show. Powers of ln(1 − g) miss light that is scattered once by up to 5 %, which is what a dark medium's profile
-/// is then off by.
+/// Cosines of the scattering angles whose phase function serves as a shape along g: straight back, and about as oblique
+/// as profiles show. With powers of ln(1 − g) alone, the model of light that is scattered once, and so of a dark medium's
+/// profile, has errors of up to 5 %.
 const BACKWARDS: [f64; 2] = [-1.0, -0.6];
 
-/// How light that is scattered once depends on y = ln(1 − g): 4π p(cos θ) of the phase function with that g.
+/// Dependence of light that is scattered once on y = ln(1 − g): 4π p(cos θ) of the phase function with that g.
 #[derive(Debug, Clone, Copy)]
 struct BackscatterShape {
     phase: PhaseFunction,
@@ -70,16 +70,17 @@ impl BackscatterShape {
 pub(crate) struct LocalAxis {
     /// Strictly rising or falling.
     nodes: Vec<f64>,
-    /// How many powers of the coordinate a model has, from 0 on.
+    /// Number of powers of the coordinate in a model, from 0 on.
     powers: usize,
-    /// What it has besides.
+    /// Further terms of a model.
     shapes: Vec<BackscatterShape>,
-    /// Nodes on each side that are looked at.
+    /// Number of nodes on each side that a model uses.
     half_width: f64,
 }
 
 impl LocalAxis {
-    /// Models of powers alone. `reach` is how far, in the coordinate, one of them describes the profiles well.
+    /// Models of powers alone. `reach` is the distance, in the coordinate, over which a model describes the profiles
+    /// well.
     pub(crate) fn new(nodes: Vec<f64>, reach: f64) -> Self {
         let half_width = half_width(&nodes, reach);
         // Fewer nodes than a fit needs are interpolated.
@@ -93,8 +94,8 @@ impl LocalAxis {
         Self { nodes, powers, shapes: Vec::new(), half_width }
     }
 
-    /// Models along ln(1 − g) that have the shapes of backscattered light too, as far as there are nodes for them. Of the
-    /// phase function, all but g counts.
+    /// Models along ln(1 − g) that have the shapes of backscattered light, too, as far as there are nodes for them. The g
+    /// of `phase` is not used.
     pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: PhaseFunction) -> Self {
         let half_width = half_width(&nodes, reach);
         let (powers, room) = match nodes.len() {
@@ -111,7 +112,7 @@ impl LocalAxis {
         (a.min(b), a.max(b))
     }
 
-    /// The index, with a fraction, at which the coordinate lies.
+    /// The fractional index of a coordinate among the nodes.
     fn position(&self, x: f64) -> f64 {
         let n = self.nodes.len();
         let rising = self.nodes[n - 1] > self.nodes[0];
@@ -126,7 +127,8 @@ impl LocalAxis {
         (after - 1) as f64 + (x - a) / (b - a)
     }
 
-    /// Tricube weights about the coordinate: the window is wider where the axis ends, so that it holds as many nodes.
+    /// Tricube weights about the coordinate: the window is wider near the ends of the axis, so that it contains as many
+    /// nodes.
     fn window(&self, x: f64) -> (usize, Vec<f64>) {
         let n = self.nodes.len();
         let position = self.position(x);
@@ -190,8 +192,8 @@ impl LocalAxis {
         Direction { first, values }
     }
 
-    /// For the nodes of the window about a coordinate: their weight, and the functionals that give the window's
-    /// model at each of them.
+    /// The window about a coordinate: its first node, the weights of its nodes, and the functionals that give the
+    /// window's model at each of them.
     pub(crate) fn hat(&self, x: f64) -> (usize, Vec<f64>, Vec<Vec<f64>>) {
         let (first, window) = self.window(x);
         let at: Vec<f64> = self.nodes[first..first + window.len()].to_vec();
@@ -200,7 +202,7 @@ impl LocalAxis {
     }
 }
 
-/// Nodes on each side of a coordinate that a model of this reach looks at.
+/// Number of nodes on each side of a coordinate that a model of this reach uses.
 fn half_width(nodes: &[f64], reach: f64) -> f64 {
     let n = nodes.len();
     let spacing = (nodes[n - 1] - nodes[0]).abs() / (n.max(2) - 1) as f64;
@@ -272,8 +274,8 @@ mod tests {
         }
     }
 
-    /// Along ln(1 − g), at the paper's anisotropies and between them: backscattered light as it is, and diffuse light, of
-    /// which powers alone take care.
+    /// Along ln(1 − g), at the paper's anisotropies and between them, models reproduce backscattered light, and by their
+    /// powers diffuse light.
     #[test]
     fn single_and_diffuse_scattering_is_recovered() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];

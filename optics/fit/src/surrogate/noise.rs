@@ -1,12 +1,12 @@
-//! What the records' noise does to predictions, as far as the records about show it.
+//! Estimates the noise of the records in predictions from the residuals of the neighbouring records.
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, albedo, interpolation};
 use crate::surrogate::local_axis::{Direction, Weights};
 
-/// Share of walks that go on to another scattering, q. Assumed: slabs thin and thick lie on either side of it.
+/// Assumed share of walks that are scattered again, q: it is lower in thin slabs and higher in thick ones.
 const SCATTERED_ON: f64 = 0.9;
 
-/// The records' noise in a prediction, as far as the records about show it.
+/// The records' noise in a prediction, estimated from the neighbouring records.
 #[derive(Debug)]
 pub(crate) struct NoiseFactors {
     /// Profiles f_k: Σ f_k f_kᵀ is the covariance.
@@ -15,22 +15,21 @@ pub(crate) struct NoiseFactors {
     pub degrees: f64,
 }
 
-/// Where a prediction's noise comes from.
+/// The records from which a prediction's noise comes.
 #[derive(Debug, Default)]
 pub(crate) struct NoisePlace {
     ior: usize,
     albedo: f64,
-    /// Optical thickness at every σ_t: records that have it in common have the same walks.
+    /// Optical thickness at every σ_t: records with the same one have the same walks.
     depths: Vec<f32>,
     sigma_t: Direction,
     g: Direction,
 }
 
 impl NoisePlace {
-    /// How alike the records' noise is in two predictions, as a correlation: which walks they share, and how alike the
-    /// same walks are with both albedos. Records that are optically as thick share their walks, and so do channels. Where
-    /// numbers of scatterings n are distributed like qⁿ, the correlation of Σ αⁿ over walks is
-    /// √((1 − qα²)(1 − qα′²))/(1 − qαα′).
+    /// Correlation of the records' noise in two predictions: that of the walks that both share, times that of the same
+    /// walks at both albedos. Records of the same optical thickness share their walks, and so do channels. Where numbers
+    /// of scatterings n are distributed like qⁿ, the correlation of Σ αⁿ over walks is √((1 − qα²)(1 − qα′²))/(1 − qαα′).
     pub(crate) fn in_common(&self, other: &Self) -> f64 {
         if self.ior != other.ior {
             return 0.0;
@@ -44,13 +43,13 @@ impl NoisePlace {
 }
 
 impl Surrogate<'_> {
-    /// The same at any thickness near one of the dictionary's.
+    /// The records' noise in a prediction at any thickness near one of the dictionary's.
     pub(crate) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> NoiseFactors {
         let (index, ratio) = self.nearest_thickness(thickness_mm);
         self.noise_factors(index, [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]])
     }
 
-    /// Index of the dictionary's nearest thickness, and the factor from it.
+    /// Index of the dictionary's nearest thickness, and the ratio of the given thickness to it.
     pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
         let off = |t: &f64| (thickness_mm / t).ln().abs();
@@ -58,7 +57,7 @@ impl Surrogate<'_> {
         nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
     }
 
-    /// What the records' noise in a prediction is made of.
+    /// The records from which the noise of a prediction comes.
     pub(crate) fn noise_at(&self, thickness_mm: f64, x: Coordinates) -> NoisePlace {
         let (thickness, ratio) = self.nearest_thickness(thickness_mm);
         let thickness_mm = self.grid().thickness_mm()[thickness];
@@ -68,7 +67,7 @@ impl Surrogate<'_> {
         self.noise_place(x[ALBEDO], depths, directions)
     }
 
-    /// With the optical thicknesses of the nodes that the directions are over.
+    /// The same from given directions, with the optical thicknesses of their nodes.
     pub(super) fn noise_place(
         &self,
         albedo_coordinate: f64,
@@ -79,7 +78,7 @@ impl Surrogate<'_> {
     }
 
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the records' noise gives to the model at `x`, over all
-    /// pixels: what the local model leaves of the records about.
+    /// pixels: the weighted residuals of the neighbouring records from the local model.
     fn noise_factors(&self, thickness: usize, x: Coordinates) -> NoiseFactors {
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let (first_s, window_s, hat_s) = self.sigma_t.hat(x[SIGMA_T]);
@@ -109,7 +108,7 @@ impl Surrogate<'_> {
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
         let leverage = square(&self.sigma_t.weights(x[SIGMA_T])) * square(&self.g.weights(x[G]));
         let (mut factors, mut total) = (Vec::new(), 0.0);
-        // Sum of squares of the weights, sum of variances of the rests.
+        // Sum of squares of the weights, sum of variances of the residuals.
         let (mut squared, mut free) = (0.0, 0.0);
         for (n, image) in images.iter().enumerate() {
             let (i, k) = (n / ng, n % ng);
@@ -117,7 +116,7 @@ impl Surrogate<'_> {
             (0..ng).for_each(|m| add(&mut rest, -hat_g[k][m], &along_s[i * ng + m]));
             let squares =
                 hat_s[i].iter().map(|h| h * h).sum::<f64>() * hat_g[k].iter().map(|h| h * h).sum::<f64>();
-            // Variance of a rest over that of a record.
+            // Variance of a residual over that of a record.
             let left = 1.0 - 2.0 * hat_s[i][i] * hat_g[k][k] + squares;
             if left < 1e-6 {
                 continue;

@@ -1,4 +1,4 @@
-//! Where in a dictionary a question is asked: what it reaches, and what it does not.
+//! Locates a question in a dictionary, and refuses what the dictionary does not cover.
 
 use optics_model::fit::PixelRow;
 use optics_model::{Grid, Invalid, Medium};
@@ -14,7 +14,7 @@ pub(crate) fn sample_ior(grid: &Grid, wanted: Option<f64>) -> Result<usize, Inva
     found.ok_or_else(|| Invalid::new("sample_ior", wanted, allowed()))
 }
 
-/// A medium must lie between those of the dictionary.
+/// Checks that a medium lies between those of the dictionary.
 pub(crate) fn check_medium(grid: &Grid, medium: &Medium) -> Result<(), Invalid> {
     for (field, value, axis) in axes(grid, medium) {
         let (least, greatest) = (axis[0], axis[axis.len() - 1]);
@@ -46,7 +46,7 @@ pub(crate) fn own_pixels(grid: &Grid) -> Result<PixelRow, Invalid> {
     PixelRow::new(-half, half, sensor.pitch_mm())
 }
 
-/// A medium must be within what can be predicted at a thickness.
+/// Checks that a medium can be predicted at a thickness.
 pub(crate) fn check_thickness(
     surrogate: &Surrogate,
     medium: &Medium,

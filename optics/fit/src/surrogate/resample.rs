@@ -1,4 +1,4 @@
-//! A measured profile on the pixels of the dictionary.
+//! Resamples a measured profile to the pixels of the dictionary.
 
 use std::ops::Range;
 
@@ -8,7 +8,7 @@ use optics_model::scene::Sensor;
 /// coordinates in files are rounded.
 const SLACK: f64 = 0.02;
 
-/// The dictionary pixels that a measurement covers, and how they follow from its own.
+/// The dictionary pixels that a measurement covers, with the weights of the measured pixels in them.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Resampled {
     pub pixels: Range<usize>,
@@ -16,7 +16,7 @@ pub(crate) struct Resampled {
     shares: Vec<Share>,
 }
 
-/// What a dictionary pixel takes from the measured pixels from `first` on; the weights add up to 1.
+/// Weights of the measured pixels from `first` on in a dictionary pixel; they add up to 1.
 #[derive(Debug, Clone, PartialEq)]
 struct Share {
     first: usize,
@@ -126,7 +126,7 @@ mod tests {
         }
     }
 
-    /// Also where their number does not divide that of the fine ones.
+    /// Coarse pixels are the means of fine ones, also where their number does not divide that of the fine ones.
     #[test]
     fn coarse_pixels_are_means_of_fine_ones() {
         let profile = measured(700, 10.0, 0.0, |x| 2.0 * x);
@@ -154,7 +154,7 @@ mod tests {
             let exact = mean(sensor(360).centre_mm(i), 10.0 / 360.0);
             assert!((v - exact).abs() < 1e-3, "pixel {i}: {v} {exact}");
         }
-        // Means over the measured pixels are what was measured.
+        // Means over the measured pixels equal the measured values.
         for (pair, v) in resampled.values.chunks(2).zip(coarse.values()) {
             assert!((0.5 * (pair[0] + pair[1]) - v).abs() < 1e-12);
         }

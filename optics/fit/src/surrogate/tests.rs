@@ -5,11 +5,11 @@ use optics_model::{Estimate, Grid, Medium, Profile, Record, Walks};
 use super::*;
 use crate::testing::dictionary_of;
 
-/// Reflectances of the base's halves, less what is lost on the way.
+/// Reflectances of the base's halves, reduced by the losses on the way.
 const BASE: [f64; 2] = [0.02, 0.8];
 
-/// What a slab sends up straight if light is scattered once at most, on its way down or up: what comes from the sample,
-/// and what comes from the base.
+/// Light that leaves a slab vertically if it is scattered at most once, on its way down or up: the sum of that from the
+/// sample and that from the base.
 fn scattered_once(medium: &Medium, thickness_mm: f64, base: f64) -> f64 {
     let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
     let (cosine_in, cosine) = (0.887_f64, -0.887);
@@ -19,7 +19,7 @@ fn scattered_once(medium: &Medium, thickness_mm: f64, base: f64) -> f64 {
     a * phase / (4.0 * both_ways) * (1.0 - through) + base * through
 }
 
-/// Dark media at the paper's σ_t and g: no record's error, but that of the model between them.
+/// Dark media at the paper's σ_t and g: the records are exact, so the error is that of the model between them.
 #[test]
 fn dark_media_are_predicted_between_the_records() {
     let paper = Grid::paper().axes().clone();

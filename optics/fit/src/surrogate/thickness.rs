@@ -1,10 +1,10 @@
-//! Profiles at any thickness near the dictionary's.
+//! Predicts profiles at any thickness near the dictionary's.
 //!
-//! What happens on a walk depends on the sample's optical thickness τ = σ_t t alone. Where it meets the base is t·a + b
-//! with a from the sample and b from the clear layers, both given by τ. So the profile over ξ = x/t is a function of τ
-//! and of b/t: with the clear layers being what they are, at given τ it depends on 1/t alone, and smoothly. Between two
-//! thicknesses of the dictionary, and a little beyond, it is interpolated linearly in 1/t. Records at one thickness
-//! alone are scaled, x with t, as if the clear layers were scaled, too.
+//! A walk's decisions depend only on the sample's optical thickness τ = σ_t t. The walk hits the base at t·a + b, where a
+//! is the part of the sample and b that of the clear layers; both depend on τ. So the profile over ξ = x/t is a function
+//! of τ and of b/t: with given clear layers and at fixed τ it depends on 1/t alone, and smoothly. Between two thicknesses
+//! of the dictionary, and a little beyond, it is interpolated linearly in 1/t. Records at one thickness alone are scaled,
+//! x with t, as if the clear layers were scaled, too.
 
 mod stretch;
 #[cfg(test)]
@@ -19,18 +19,18 @@ use crate::dictionary::axes::list;
 use crate::surrogate::{ALBEDO, Coordinates, G, Prediction, SIGMA_T, Surrogate, add_scaled};
 use stretch::{Stretch, Tail};
 
-/// How far from one of the dictionary's thicknesses profiles are predicted: a share of it.
+/// Greatest distance from one of the dictionary's thicknesses at which profiles are predicted, as a share of it.
 const REACH: f64 = 0.1;
 
-/// The same where records are only scaled: what that ignores is the share of the thickness times that of the clear
-/// layers in it. 3.3 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
+/// The same where records are only scaled, times the ratio of the clear layers' thickness to the sample's: this product
+/// is the size of the neglected effect. 3.3 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
 const SCALED_REACH: f64 = 0.033 * 0.21 / 0.5;
 
 /// Greatest ratio of two thicknesses between which profiles are interpolated.
 const BETWEEN: f64 = 2.5;
 
-/// Ratios of two thicknesses from which profiles are extrapolated, and the best of them: if they are closer, the
-/// difference of their records is mostly noise; if they are further apart, 1/t is not all.
+/// Least and greatest ratio of two thicknesses from which profiles are extrapolated, and the best one: if they are
+/// closer, the difference of their records is mostly noise; if they are further apart, it is not linear in 1/t.
 const BEYOND: (f64, f64, f64) = (1.25, 4.0, 2.0);
 
 /// Least range of ln τ over which two thicknesses must have records.
@@ -45,7 +45,7 @@ const LEVELS: f64 = 0.2;
 /// Length over which the difference of two thicknesses vanishes beyond its ends, in units of the thicker.
 const VANISHES: f64 = 4.0;
 
-/// A contrast too small to be measured.
+/// A contrast that is too small to be measured.
 const INVISIBLE: f64 = 1e-6;
 
 /// A profile at some thickness, its derivatives by the coordinates at that thickness, and by ln t at given coordinates.
@@ -56,14 +56,14 @@ pub(crate) struct PredictionAt {
     pub by_ln_thickness: Vec<f64>,
 }
 
-/// Near one of the dictionary's thicknesses the other's part in a prediction is small, and hardly depends on the medium:
-/// it is taken from a medium near by, and half of the work is saved.
+/// Near one of the dictionary's thicknesses the contribution of the other to a prediction is small, and hardly depends on
+/// the medium: it is taken from a medium near by, which saves half of the work.
 #[derive(Debug, Clone)]
 pub(crate) struct NearThickness {
     /// Index into the grid's thicknesses.
     base: usize,
-    /// What the thick slab's profile has beyond the thin one's, at the thickness that was asked for; none if records are
-    /// only scaled.
+    /// The thick slab's profile less the thin one's, stretched to the requested thickness; none if records are only
+    /// scaled.
     difference: Option<NearDifference>,
 }
 
@@ -78,7 +78,7 @@ struct NearDifference {
 /// Greatest weight of the difference for which it is taken from a medium near by.
 const SMALL: f64 = 0.1;
 
-/// What a thickness is predicted from, as indices into the grid's thicknesses.
+/// The thicknesses from which a profile is predicted, as indices into the grid's thicknesses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ThicknessBasis {
     One(usize),
@@ -86,7 +86,8 @@ enum ThicknessBasis {
 }
 
 impl Surrogate<'_> {
-    /// Least and greatest ln σ_t that can be predicted at a thickness, or why it is too far from the dictionary's.
+    /// Least and greatest ln σ_t that can be predicted at a thickness, or an error if it is too far from the
+    /// dictionary's.
     pub(crate) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
         let (grid, axis) = (self.grid(), self.grid().thickness_mm());
         let ranges = ranges(grid);
@@ -102,8 +103,8 @@ impl Surrogate<'_> {
         Ok((low + thinner.ln(), high + thicker.ln()))
     }
 
-    /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but
-    /// not to be trusted there.
+    /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but is
+    /// unreliable there.
     pub(crate) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
         let whole = match ThicknessBasis::of(self.grid(), thickness_mm) {
             ThicknessBasis::One(thickness) => self.scaled(thickness, thickness_mm, x),
@@ -117,7 +118,8 @@ impl Surrogate<'_> {
         }
     }
 
-    /// For predictions at thicknesses about this one, and media about this; none if it is not near one of the dictionary's.
+    /// Prepares predictions near this thickness and this medium; none if the thickness is not near one of the
+    /// dictionary's.
     pub(crate) fn near(&self, thickness_mm: f64, x: Coordinates) -> Option<NearThickness> {
         let axis = self.grid().thickness_mm();
         let ThicknessBasis::Two { thin, thick } = ThicknessBasis::of(self.grid(), thickness_mm) else {
@@ -151,7 +153,7 @@ impl Surrogate<'_> {
         Some(NearThickness { base, difference })
     }
 
-    /// The profile at a thickness about the one of `near`.
+    /// The profile at a thickness near that of `near`.
     pub(crate) fn predict_near(
         &self,
         near: &NearThickness,
@@ -168,7 +170,7 @@ impl Surrogate<'_> {
         sum
     }
 
-    /// The profile of a record's thickness, the clear layers being scaled with it.
+    /// The profile predicted from records at one thickness, the clear layers being scaled with it.
     fn scaled(&self, thickness: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
         let record = self.at_optical_thickness(thickness, x[SIGMA_T] + thickness_mm.ln(), x);
         self.stretched(&record, thickness, thickness_mm, self.levels())
@@ -176,8 +178,8 @@ impl Surrogate<'_> {
 
     /// Thin + w·(thick − thin), with w linear in 1/t, at the same optical thickness.
     ///
-    /// Where the dictionary lacks one of the two, their difference is taken at the nearest optical thickness at which
-    /// it has both, is made as much larger or smaller as the contrast of the other is, and added to it or taken from it.
+    /// Where the dictionary lacks one of the two, their difference is taken at the nearest optical thickness at which it
+    /// has both, scaled in proportion to the contrast of the other one, and added to or subtracted from it.
     fn interpolated(&self, thin: usize, thick: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
         let axis = self.grid().thickness_mm();
         let (thin_mm, thick_mm) = (axis[thin], axis[thick]);
@@ -213,7 +215,7 @@ impl Surrogate<'_> {
         sum
     }
 
-    /// What the thick slab's profiles have beyond the thin one's, on the thick one's pixels.
+    /// The thick slab's profile less the thin one's, on the thick one's pixels.
     fn difference(&self, thin: &Prediction, thick: &Prediction, ratio: f64) -> Prediction {
         let stretch = Stretch::new(thin.values.len(), ratio);
         let difference = |thick: &[f64], thin: &[f64]| {
@@ -256,8 +258,8 @@ impl Surrogate<'_> {
     }
 }
 
-/// A difference, taken at the optical thickness of `there`, for that of `record`. It is assumed to be as large as the
-/// contrast of both, which is what the base adds to a profile.
+/// Converts a difference from the optical thickness of `there` to that of `record`. It is assumed to be proportional to
+/// the contrast, which is the contribution of the base to a profile.
 fn with_contrast(difference: Prediction, there: &Prediction, record: &Prediction) -> Prediction {
     let of_there = contrast(&there.values);
     if of_there < INVISIBLE {
@@ -281,7 +283,7 @@ fn with_contrast(difference: Prediction, there: &Prediction, record: &Prediction
     }
 }
 
-/// What the light end of a profile has beyond the dark one, in the mean over a fifteenth of the pixels.
+/// Mean of the light end of a profile less that of the dark end, each over a fifteenth of the pixels.
 fn contrast(profile: &[f64]) -> f64 {
     let count = (profile.len() / 15).max(1);
     let (dark, light) = (&profile[..count], &profile[profile.len() - count..]);
@@ -291,7 +293,7 @@ fn contrast(profile: &[f64]) -> f64 {
 /// The range of ln τ in which a grid has records at both thicknesses.
 fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
     let sigma_t = grid.sigma_t_per_mm();
-    // What rounding makes of the ends of the axis still belongs to it.
+    // The ends of the axis are included in spite of rounding.
     ((sigma_t[0] * thick_mm).ln() - SAME, (sigma_t[sigma_t.len() - 1] * thin_mm).ln() + SAME)
 }
 
@@ -307,7 +309,8 @@ impl ThicknessBasis {
         Self::beyond(grid, nearest.expect("a grid has a thickness"))
     }
 
-    /// What lies about a thickness, but not between neighbours, is extrapolated from it and another one.
+    /// The basis near a thickness but not between neighbours: this thickness and another one for extrapolation, or this
+    /// one alone.
     fn beyond(grid: &Grid, nearest: usize) -> Self {
         let axis = grid.thickness_mm();
         let ratio = |i: usize| (axis[i] / axis[nearest]).max(axis[nearest] / axis[i]);
@@ -336,7 +339,7 @@ fn overlap(grid: &Grid, a: usize, b: usize) -> bool {
     high - low > OVERLAP
 }
 
-/// The thicknesses that are predicted, as ranges that do not touch.
+/// The thicknesses that are predicted, as disjoint ranges.
 fn ranges(grid: &Grid) -> Vec<(f64, f64)> {
     let axis = grid.thickness_mm();
     let mut ranges: Vec<(f64, f64)> = Vec::new();
@@ -351,7 +354,7 @@ fn ranges(grid: &Grid) -> Vec<(f64, f64)> {
     ranges
 }
 
-/// How far beyond one of the grid's thicknesses profiles are predicted: a share of it.
+/// Greatest distance from one of the grid's thicknesses at which profiles are predicted, as a share of it.
 fn reach(grid: &Grid, thickness: usize) -> f64 {
     let layers = grid.scene().layers().iter();
     let clear_mm: f64 = layers

@@ -1,9 +1,9 @@
-//! The error budget of a channel's medium: how much of an estimate's variance each source of error makes.
+//! Computes the error budget of a channel's medium: the part of each source of error in an estimate's variance.
 //!
 //! Near the minimum an estimate is linear in the pixels and in the means of the priors, with the response C a, where C is
-//! the covariance and a the gradient of the quantity. Pixels and priors err independently of each other, so that
+//! the covariance and a the gradient of the quantity. Errors of pixels and priors are independent of each other, so that
 //! aᵀCa = Σ over them of (response × standard error)²: the parts are positive and add up to the variance. With g held
-//! these are the parts of all sources but g; what the variance grows by as g is left free is the part of g.
+//! these are the parts of all sources but g; the increase of the variance with g free is the part of g.
 
 use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{ErrorSource, SourceShare};
@@ -16,7 +16,7 @@ use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::inverse_over;
 use crate::likelihood::term::{Linear, Own};
 
-/// In the order in which shares are listed; those of the quantities of the scene follow.
+/// Sources in the order in which shares are listed; those of the quantities of the scene follow.
 const SOURCES: [ErrorSource; 11] = [
     ErrorSource::Noise,
     ErrorSource::Dictionary,
@@ -35,7 +35,7 @@ const SOURCES: [ErrorSource; 11] = [
 type Parts = Vec<f64>;
 
 impl Found<'_, '_> {
-    /// Sources that make a part of any variance. Empty if the information is singular.
+    /// Shares of the sources that contribute to any of the variances. Empty if the information is singular.
     pub(crate) fn budget(
         &self,
         linear: &[Linear],
@@ -69,7 +69,7 @@ impl Found<'_, '_> {
         all.filter(|s| s.sigma_t + s.albedo + s.reduced_scattering + s.absorption > 0.0).collect()
     }
 
-    /// The variances that make up that of a quantity to whose gradient the unknowns respond so.
+    /// The parts of a quantity's variance by source, where `response` is that of the unknowns to its gradient.
     fn parts(&self, linear: &[Linear], normal: &Normal, response: &DVector<f64>) -> Parts {
         let system = self.system;
         let mut parts = vec![0.0; SOURCES.len() + self.data.dictionary.grid().scene().priors().len()];
@@ -111,7 +111,7 @@ impl Found<'_, '_> {
         parts
     }
 
-    /// The source that an unknown with a prior is.
+    /// The source of error of an unknown with a prior.
     fn source(&self, unknown: usize) -> ErrorSource {
         let is = |which: usize| self.system.slots.iter().any(|slots| slots[which] == unknown);
         if is(LN_SCALE) {

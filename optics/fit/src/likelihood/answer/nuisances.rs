@@ -1,4 +1,4 @@
-//! Estimates of the set-up's nuisances, each with its prior.
+//! Reports the estimates of the set-up's nuisances, each with its prior.
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
@@ -35,7 +35,7 @@ impl Found<'_, '_> {
         all.into_iter().map(estimate).collect()
     }
 
-    /// In the order of the answer: common ones first, then by profile.
+    /// All nuisances in the order of the answer: common ones first, then by profile.
     pub(crate) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
         let of_profile = |i: usize| {
             let own = self.own_estimates(i, covariance, &reduced[i]);
@@ -66,7 +66,7 @@ impl Found<'_, '_> {
         })
     }
 
-    /// Once if all profiles share the blur.
+    /// The blur of a profile; None if it is held, or if it is shared with the first profile, which reports it.
     fn blur_estimate(&self, profile: usize, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
         let slot = self.system.slots[profile][BLUR];
         if !self.is_free(slot) || (profile > 0 && self.system.slots[0][BLUR] == slot) {

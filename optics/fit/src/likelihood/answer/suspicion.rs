@@ -1,7 +1,7 @@
-//! What is likely wrong where neither noise nor the set-up as it is known explains a channel.
+//! Finds the likeliest cause where neither noise nor the priors of the set-up explain a channel.
 //!
-//! Values that are coded for a screen and exchanged thicknesses are tried by fitting the corrected profiles. Else the part
-//! of the set-up is named whose estimate lies farthest from its prior.
+//! sRGB-coded values and exchanged thicknesses are tested by fitting the corrected profiles. Otherwise the part of the
+//! set-up is reported whose estimate lies farthest from its prior.
 
 use optics_model::fit::{Cause, FitOptions, MISFIT, Nuisance, NuisanceEstimate, Suspicion};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
@@ -13,7 +13,8 @@ use crate::likelihood::problem::channel::minimum;
 
 /// Share of the unexplained χ² that a cause must explain, …
 const CONVINCING: f64 = 0.6;
-/// … and the misfit that it may leave, or that share of the whole: a poor fit explains nothing.
+/// … and the greatest misfit that it may leave: this number, or this share of the whole misfit. A poor fit explains
+/// nothing.
 const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
 /// Standard deviations of its prior from which on an estimate is suspicious, however well the data are explained.
 const PULLED: f64 = 5.0;
@@ -34,7 +35,7 @@ impl Found<'_, '_> {
         pulled.or((misfit > MISFIT).then_some(unknown))
     }
 
-    /// The correction of the profiles that leaves least, if it explains most.
+    /// The correction of the profiles that leaves the least misfit, if it is convincing.
     fn corrected(&self, misfit: f64) -> Option<Suspicion> {
         let options = self.as_found().ok()?;
         let attempt = |(cause, profiles): (Cause, Vec<MeasuredProfile>)| {
@@ -48,7 +49,7 @@ impl Found<'_, '_> {
         tried.filter(|s| is_convincing(s, misfit)).min_by(|a, b| a.misfit_left.total_cmp(&b.misfit_left))
     }
 
-    /// With the common factor and the anisotropy as they were found.
+    /// The options with the common factor and the anisotropy at their estimates.
     fn as_found(&self) -> Result<FitOptions, Invalid> {
         let settings = self.data.options.settings();
         let options =
@@ -102,7 +103,7 @@ fn is_convincing(suspicion: &Suspicion, misfit: f64) -> bool {
         && left <= LEFT.0.max(LEFT.1 * misfit)
 }
 
-/// The profiles with linear values, if those that were measured may be coded as sRGB.
+/// The profiles with linear values, if the measured values lie between 0 and 1 and may be sRGB-coded.
 fn decoded(profiles: &[&MeasuredProfile]) -> Option<Vec<MeasuredProfile>> {
     let decode = |p: &&MeasuredProfile| {
         let values: Vec<(f64, f64)> = p.values().iter().map(|v| linear(*v)).collect();
@@ -162,7 +163,7 @@ mod tests {
         MeasuredProfile::new("G", thickness_mm, x, values, Some(vec![0.01; 10])).unwrap()
     }
 
-    /// Standard errors are decoded with the slope, and values that no screen shows are not coded.
+    /// Standard errors are decoded with the slope, and values outside 0 to 1 are not taken as coded.
     #[test]
     fn decoded_profiles_have_linear_errors() {
         let profiles = decoded(&[&profile(0.5, 0.5)]).unwrap();

@@ -1,4 +1,4 @@
-//! The Cramér–Rao bound: how well an ideal estimate of these pixels would do.
+//! Computes the Cramér–Rao bound: the least covariance of an unbiased estimate from these pixels.
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Bound, Ends, Z};
@@ -8,8 +8,7 @@ use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::{State, System};
 use crate::surrogate::{albedo, g, sigma_t};
 
-/// Covariance of all unknowns that the pixels, and what was known beforehand, allow at best. None if the information is
-/// singular.
+/// Least covariance of all unknowns that the pixels and the priors allow. None if the information is singular.
 pub(crate) fn ideal_covariance(system: &System, state: &State) -> Option<DMatrix<f64>> {
     let ideal = system.ideal();
     let own: Vec<Line> =

@@ -1,7 +1,6 @@
-//! The distribution of χ².
+//! Computes the distribution of χ².
 
-/// Probability that noise alone makes χ² at least as large, with these degrees of freedom (not whole numbers, since
-/// priors take some up).
+/// Probability that noise alone makes χ² at least as large, with these degrees of freedom.
 ///
 /// The cube root of χ²/k is close to normal (Wilson and Hilferty 1931): good to 1e-3 from three degrees of freedom on.
 pub(crate) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
@@ -17,7 +16,7 @@ pub(crate) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Priors may take up all degrees of freedom: then nothing is unlikely.
+    /// Without degrees of freedom nothing is unlikely.
     #[test]
     fn nothing_is_unlikely_without_freedom() {
         assert_eq!([0.0, -2.5].map(|k| exceedance(5.0, k)), [1.0; 2]);

@@ -1,4 +1,4 @@
-//! Intervals: how far a quantity can be moved, all else following, before −2 ln L has risen by 1.96².
+//! Computes intervals: the values of a quantity for which −2 ln L, minimised over all else, rises by at most 1.96².
 
 use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{Interval, Z};
@@ -11,17 +11,18 @@ use crate::likelihood::system::{Normal, State, System};
 
 /// Cost by which descents may miss their minimum.
 const TOLERANCE: f64 = 0.02;
-/// Share of the wanted rise that an end may be off by.
+/// Relative tolerance of the root of the rise at an end.
 const CLOSE: f64 = 0.08;
-/// Most places that are tried on each side.
+/// Maximum number of places that are tried on each side.
 const TRIALS: usize = 12;
-/// Stiffness of the spring that holds a quantity, over its information.
+/// Stiffness of the penalty that holds a quantity, over its information.
 const STIFF: f64 = 1e6;
-/// Most places at which parabolas are taken on the way to an end.
+/// Maximum number of places at which the quadratic is evaluated on the way to an end.
 const LOOKS: usize = 40;
 /// Steps may grow by this factor.
 const LONGER: f64 = 1.5;
-/// A parabola is good for steps up to this share of the way, if nothing else would lower −2 ln L by more than this.
+/// An end by the quadratic is accepted after a step of at most this share of the way, if no other unknowns would lower
+/// −2 ln L by more than this.
 const GOOD: (f64, f64) = (0.1, 0.3);
 
 /// One end of an interval; open if a limit comes first.
@@ -31,7 +32,7 @@ pub(crate) struct IntervalEnd {
     pub open: bool,
 }
 
-/// A minimum, and how far things may rise from it.
+/// A minimum, and the factor on the rise that intervals allow.
 #[derive(Debug)]
 pub(crate) struct ProfileLikelihood<'a> {
     pub system: &'a System<'a>,
@@ -49,7 +50,7 @@ impl ProfileLikelihood<'_> {
         let gradient = quantity.gradient(&self.optimum.x);
         let variance = gradient.dot(&(self.covariance * &gradient));
         if variance <= 0.0 {
-            // It is held.
+            // The quantity is held.
             let value = quantity.value(&self.optimum.x);
             return [IntervalEnd { value, open: false }; 2];
         }
@@ -83,7 +84,7 @@ impl ProfileLikelihood<'_> {
         };
         match reach(wanted, deviation, furthest, |distance| root_rise(distance, &mut warm)) {
             Some(distance) => {
-                // Where another quantity cannot follow any further, the dictionary ends the interval, not the data.
+                // If another quantity cannot follow any further, the dictionary ends the interval, not the data.
                 let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
                 IntervalEnd { value: from + side * distance, open }
             }
@@ -91,9 +92,10 @@ impl ProfileLikelihood<'_> {
         }
     }
 
-    /// A state at the end, and the quantity there, where −2 ln L is close to a parabola, as it mostly is: each look at
-    /// it tells how far its minimum, with the quantity held, is from the wanted rise, and the next look is there
-    /// (Venzon and Moolgavkar 1988). None if that does not settle at once, or if it leads beyond the furthest.
+    /// A state at the end, and the quantity there, where −2 ln L is close to a quadratic, as it mostly is: each
+    /// evaluation predicts the distance at which the minimum with the quantity held has the required rise, and the next
+    /// one is made there (Venzon and Moolgavkar 1988). None if that does not converge, or if it leads beyond the
+    /// furthest.
     fn by_parabolas(
         &self,
         quantity: Quantity,
@@ -107,7 +109,7 @@ impl ProfileLikelihood<'_> {
         let first = outwards(unknowns, &self.optimum.x, self.normal, &gradient, (rise, side))?;
         let mut state = self.optimum.clone();
         let mut inside = state.clone();
-        // How far the quantity may move at once: where a valley bends, parabolas are good for a part of the way only.
+        // Greatest step of the quantity: where a valley bends, the quadratic is good for a part of the way only.
         let mut furthest_step = f64::INFINITY;
         self.system.advance(&mut state, self.normal, &first.whole);
         for _ in 0..LOOKS {
@@ -135,8 +137,8 @@ impl ProfileLikelihood<'_> {
         None
     }
 
-    /// An end that a parabola has led to, if a descent with the quantity held there finds the wanted rise as well: at limits
-    /// of other unknowns parabolas may lead astray.
+    /// An end found by the quadratic, if a descent with the quantity held there has the required rise as well: at limits
+    /// of other unknowns the quadratic may mislead.
     fn confirmed(&self, state: State, held: &HeldQuantity, wanted: f64) -> Option<IntervalEnd> {
         let found = self.system.descend(state, Some(held), TOLERANCE);
         let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
@@ -144,7 +146,7 @@ impl ProfileLikelihood<'_> {
         ((rise / wanted - 1.0).abs() < CLOSE).then(|| IntervalEnd { value: held.at, open: open() })
     }
 
-    /// A state, moved as it would follow the quantity if all were linear.
+    /// A state at this value of the quantity, which the other unknowns follow as if all were linear.
     fn along(&self, from: &State, quantity: Quantity, at: f64) -> State {
         let mut state = from.clone();
         let gradient = quantity.gradient(&state.x);
@@ -156,22 +158,22 @@ impl ProfileLikelihood<'_> {
     }
 }
 
-/// Between a state and one to which its parabola has led too far.
+/// The middle between a state and one to which its quadratic has led too far.
 fn halfway(from: &State, to: &State) -> State {
     let between = |(a, b): (&Line, &Line)| a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
     let own = from.own.iter().zip(&to.own).map(between).collect();
     State { x: (&from.x + &to.x) * 0.5, own, cost: f64::INFINITY }
 }
 
-/// A step to where a parabola has risen as far as is wanted.
+/// A step to where the quadratic has the required rise.
 struct Outwards {
     whole: DVector<f64>,
-    /// How much lower the parabola would be with the quantity where it is.
+    /// The fall of the quadratic if the quantity stayed at its value.
     slack: f64,
 }
 
-/// The step along which a quantity moves to the given side until the least of −2 ln L is higher than here by `rise`.
-/// Unknowns that it would push over their limits go up to these.
+/// The step that moves a quantity to the given side until the least −2 ln L is higher than here by `rise`. Unknowns that
+/// the step would push over a limit stop there.
 fn outwards(
     unknowns: &[Unknown],
     x: &DVector<f64>,
@@ -209,8 +211,9 @@ fn outwards(
     }
 }
 
-/// At which distance the root of the rise is the wanted one; none if it is not up to the furthest, or if the least step
-/// rises more: from there no interval follows, since it is no minimum. At `deviation` it is one if all is linear.
+/// The distance at which the root of the rise is `wanted`; none if it is not reached up to the furthest, or if the least
+/// step rises more: then the start is no minimum, and no interval follows. If all is linear, the root is 1 at
+/// `deviation`.
 pub(crate) fn reach(
     wanted: f64,
     deviation: f64,
@@ -241,7 +244,7 @@ pub(crate) fn reach(
             None => (distance * (wanted / rise.max(0.2 * wanted)).min(3.0) * 1.02).min(furthest),
         };
     }
-    // What never rose enough, or always too much, has no end that was found.
+    // If the rise was never too small, or never too large, no end was found.
     outside.filter(|_| inside.0 > 0.0).map(|_| distance)
 }
 
@@ -261,7 +264,7 @@ mod tests {
         let curved = |distance: f64| distance + 0.3 * distance * distance;
         let found = reach(1.96, 1.0, 100.0, curved).unwrap();
         assert!((curved(found) / 1.96 - 1.0).abs() < CLOSE, "{found}");
-        // Far less than the deviation promised.
+        // The end is much nearer than the deviation predicts.
         let found = reach(1.96, 1e6, 1e9, |distance| 1e3 * distance).unwrap();
         assert!((1e3 * found / 1.96 - 1.0).abs() < CLOSE, "{found}");
     }

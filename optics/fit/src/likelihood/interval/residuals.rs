@@ -1,4 +1,4 @@
-//! Structure of the residuals: outliers, stretches, correlation.
+//! Analyses the structure of the residuals: outliers, stretches, correlation.
 
 use optics_model::fit::{OutlierPixel, Stretch};
 
@@ -8,9 +8,9 @@ use crate::likelihood::term::Linear;
 
 /// Least joint deviation of a stretch that is reported, in standard deviations.
 const STRETCH: f64 = 5.0;
-/// Widths of stretches that are looked at, in pixels.
+/// Widths of stretches that are tested, in pixels.
 const WIDTHS: [usize; 5] = [6, 12, 24, 48, 96];
-/// Most stretches that are reported.
+/// Maximum number of stretches that are reported.
 const STRETCHES: usize = 4;
 
 /// Pixels that were left out.
@@ -26,7 +26,7 @@ pub(crate) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> 
     system.terms.iter().zip(linear).flat_map(of_term).collect()
 }
 
-/// Where neighbouring residuals are large together, the largest first.
+/// Stretches in which neighbouring residuals are large together, the largest first.
 pub(crate) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
     let mut found: Vec<Stretch> = Vec::new();
     for (term, linear) in system.terms.iter().zip(linear) {
@@ -57,8 +57,8 @@ pub(crate) fn stretches(system: &System, linear: &[Linear]) -> Vec<Stretch> {
     kept
 }
 
-/// By how much correlated residuals carry less information than as many independent ones: 1 + 2 Σ of their correlations, up
-/// to the first that is not positive.
+/// Factor by which correlated residuals carry less information than as many independent ones: 1 + 2 Σ of their
+/// correlations, up to the first that is not positive.
 pub(crate) fn clustering(system: &System, linear: &[Linear]) -> f64 {
     let kept: Vec<Line> = linear
         .iter()

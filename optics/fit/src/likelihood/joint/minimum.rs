@@ -1,4 +1,4 @@
-//! All channels of a set at their common minimum, and each of them as a system of its own there.
+//! Keeps all channels of a set at their common minimum, and extracts each of them as a separate system.
 
 use nalgebra::{Cholesky, DMatrix};
 use optics_model::fit::Interval;
@@ -23,9 +23,9 @@ pub(super) struct Joint<'a> {
     pub normal: Normal,
     pub covariance: Option<DMatrix<f64>>,
     pub iors: Vec<usize>,
-    /// χ² of the channels' pulls on what they share, a degree of freedom, but at least 1.
+    /// χ² per degree of freedom of the channels' pulls on the shared unknowns, but at least 1.
     pub disagreement: f64,
-    /// Slots of what all channels share.
+    /// Slots of the unknowns that all channels share.
     pub common: Vec<usize>,
 }
 
@@ -50,12 +50,12 @@ impl<'a> Joint<'a> {
         interval(profile.ends(Quantity::Unknown(slot), limits), g, true)
     }
 
-    /// A channel as a system of its own, with the others as a quadratic.
+    /// A channel as a separate system, with the others as a quadratic.
     pub(super) fn channel(&self, channel: usize) -> (System<'a>, State) {
         let terms: Vec<usize> = self.assembly.terms[channel].clone().collect();
         let (whole, share) = (&self.assembly.system, 1.0 / self.disagreement);
         let (mut system, mut state) = whole.part(&terms, &self.state, &self.normal, share);
-        // For its own medium, noise that others share counts once.
+        // For the channel's own medium, noise that other profiles share counts once.
         system.terms.iter_mut().zip(&mut state.own).for_each(|(term, own)| term.count_alike(own, 1.0));
         let used = whole.used_by(&terms);
         let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
@@ -93,7 +93,7 @@ impl<'a> Joint<'a> {
     }
 }
 
-/// Slots of what all channels of an assembly share and the data determine.
+/// Slots of the unknowns that all channels of an assembly share and the data determine.
 pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
     [(LN_ONE_MINUS_G, sharing.g), (LN_SCALE, sharing.scale.is_some())]
         .into_iter()
@@ -103,11 +103,11 @@ pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
         .collect()
 }
 
-/// The minimum of a channel with the common unknowns where all channels together have them.
+/// The minimum of a channel with the common unknowns held at their joint estimates.
 ///
 /// A channel's own weights differ from those that it has among others, so that at the common values its gradient is not
-/// zero by itself. The coupling takes up what is left: the common values stay the minimum, and intervals begin there. What
-/// pulls over an end of the dictionary stays, as in any descent.
+/// zero. The coupling compensates the remaining gradient: the common values stay the minimum, and intervals begin there.
+/// A gradient that pulls over an end of the dictionary stays, as in any descent.
 fn descend_with(system: &mut System, from: State, common: &[usize]) -> State {
     let hold = |system: &mut System, held: bool| common.iter().for_each(|i| system.unknowns[*i].held = held);
     hold(system, true);

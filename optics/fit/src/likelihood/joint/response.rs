@@ -1,4 +1,5 @@
-//! Whether all values are a power of radiance factors, or too large as a whole, where residuals alone do not show it.
+//! Detects values that are a power of radiance factors, or too large by a common factor, where residuals alone do not
+//! show it.
 //!
 //! A set of materials can absorb either error in its media: χ² stays small and the media are wrong. Values v are therefore
 //! replaced by vᵖ, and their standard errors σ by p vᵖ⁻¹ σ, and all unknowns follow. The density of v gains the factor
@@ -12,29 +13,30 @@ use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::Term;
 
-/// Fall of −2 ln L from which on a cause is named: four standard deviations.
+/// Fall of −2 ln L from which on a cause is reported: four standard deviations.
 const CONVINCING: f64 = 16.0;
-/// Steps of ln p: the first, and the longest way from 1.
+/// The first step of ln p, and the greatest distance of ln p from 0.
 const STEP: f64 = 0.05;
 const FURTHEST: f64 = 1.0;
-/// Exponents nearer to 1 than this are not named.
+/// Exponents nearer to 1 than this are not reported.
 const NEAR_ONE: f64 = 0.02;
 /// Values below this share of the largest are too dark for their noise to follow the power.
 const DARK: f64 = 0.01;
-/// Limits of the logarithm of a factor that was given.
+/// Limits of the logarithm of a factor on the given μ.
 const SCALES: (f64, f64) = (-0.7, 0.7);
 
-/// What explains all channels better than the set-up as it was given, with the misfit that each channel would have.
+/// A cause that explains all channels better than the set-up as it was given, with the misfit that it leaves in each
+/// channel.
 pub(super) struct Response {
     cause: Cause,
     amount: f64,
-    /// By how much −2 ln L is lower.
+    /// The fall of −2 ln L.
     fall: f64,
     misfits_left: Vec<f64>,
 }
 
 impl Response {
-    /// The likelier of the two causes; none if neither is convincing. A factor that is searched is no cause.
+    /// The likelier of the two causes; none if neither is convincing. A factor that is being estimated is no cause.
     pub(super) fn find(joint: &Joint, scale_is_free: bool) -> Option<Self> {
         let factor = if scale_is_free { None } else { factor(joint) };
         [exponent(joint), factor].into_iter().flatten().max_by(|a, b| a.fall.total_cmp(&b.fall))

@@ -32,7 +32,7 @@ fn found(thicknesses_mm: [f64; 2], objective: Option<Objective>) -> Result<Measu
     measure(&dictionary, &[measured(thicknesses_mm)], &FitOptions::new(settings).unwrap(), &plan)
 }
 
-/// A common g is one number, to the last bit: renderers make one medium of such channels.
+/// A common g is the same number in all channels, to the last bit: renderers make one medium of such channels.
 #[test]
 fn common_g_is_identical_in_every_channel() {
     let found = found([0.5, 1.0], None).unwrap();

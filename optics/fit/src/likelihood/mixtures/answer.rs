@@ -1,4 +1,4 @@
-//! The answer for inks and mixtures.
+//! Computes the answer for inks and mixtures.
 
 use nalgebra::{DMatrix, DVector, Matrix2, Vector2};
 use optics_model::fit::{
@@ -25,7 +25,7 @@ use crate::surrogate::{albedo, g, sigma_t};
 /// Probability below which a disagreement counts as more than noise.
 const UNLIKELY: f64 = 0.01;
 
-/// What was asked, and what each slab's material by itself was found to be.
+/// The request, and the separate fit of each slab's material.
 #[derive(Clone, Copy)]
 pub(super) struct MixtureRequest<'b> {
     pub dictionary: &'b FitDictionary,
@@ -87,7 +87,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         let one = |(i, ink): (usize, &Ink)| {
             let found = &intervals[i];
             let x = &self.solved.state.x;
-            // For an absorber 1 − α must be known, for others α.
+            // For an absorber 1 − α must be determined, for others α.
             let a = found.albedo;
             let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
             let resolved =
@@ -114,7 +114,8 @@ impl<'a, 'b> Solution<'a, 'b> {
         self.slabs.iter().zip(self.request.fits).any(|(slab, fit)| pure(slab) && resolved(fit))
     }
 
-    /// Intervals of the inks of a channel, whose profiles are a system of their own: others bear on shared unknowns only.
+    /// Intervals of the inks of a channel, whose profiles form a separate system: others contribute to the shared
+    /// unknowns only.
     fn intervals(&self, channel: usize, inks: &[Ink], common_g: Option<Interval>) -> Vec<InkIntervals> {
         let Solved { system: whole, state, .. } = self.solved;
         let of_channel = self.members().filter(|(slab, _)| slab.data.channel == channel);
@@ -148,7 +149,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         })
     }
 
-    /// χ² of the pull of a slab's own profiles on its σ_t and α, away from those of the inks.
+    /// χ² of the pull of a slab's own profiles on its σ_t and α, away from the medium that the inks give.
     fn pull(&self, members: std::ops::Range<usize>) -> f64 {
         let (mut information, mut downhill) = (Matrix2::zeros(), Vector2::zeros());
         for reduced in &self.normal.reduced[members] {
@@ -176,7 +177,8 @@ impl<'a, 'b> Solution<'a, 'b> {
         ratio(pulls, freedom).max(ratio(chi2, pixels - 2.0 * inks as f64))
     }
 
-    /// χ² of the pixels that belong, with the deviations of the profiles' own set-ups; and the number of pixels.
+    /// χ² of the pixels that are not left out, with the deviations of the profiles' own nuisances from their priors; and
+    /// the number of these pixels.
     fn chi2(&self, members: std::ops::Range<usize>) -> (f64, f64) {
         let (mut chi2, mut pixels) = (0.0, 0.0);
         for i in members {
@@ -236,7 +238,7 @@ impl<'a, 'b> Solution<'a, 'b> {
         }
     }
 
-    /// Linear in ln(1 − g).
+    /// The interval of g, symmetric in ln(1 − g) within the limits.
     fn g_interval(&self, slot: usize, x: &DVector<f64>, deviation: f64) -> Interval {
         let (least, greatest) = self.solved.system.unknowns[slot].limits;
         let (low, high) = (x[slot] - Z * deviation, x[slot] + Z * deviation);
@@ -285,7 +287,8 @@ impl InkIntervals {
     }
 }
 
-/// The lower end of a search at nothing is one of the quantity: nothing scatters or absorbs less.
+/// The interval of a quantity that cannot be negative. Its lower limit is not one of the dictionary, so the lower end is
+/// not open.
 fn from_nothing(found: Interval) -> Interval {
     Interval { open_low: false, ..found }
 }

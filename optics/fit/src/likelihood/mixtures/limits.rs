@@ -1,12 +1,12 @@
-//! Which media the dictionary predicts for a slab, and what to compute where it does not.
+//! Determines the media that the dictionary predicts for a slab, and the grid to compute for others.
 
 use crate::dictionary::axes::list;
 use crate::likelihood::point::{LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::system::{State, System};
 use crate::surrogate::{Surrogate, albedo, sigma_t};
 
-/// Media that are predicted at a thickness. Albedos go on below the least by as much as the least two differ, where
-/// profiles are smooth and nearly dark.
+/// Limits of the media that are predicted at a thickness. Albedos are continued below the least by as much as the least
+/// two differ, where profiles are smooth and nearly dark.
 pub(super) fn predicted(surrogate: &Surrogate, thickness_mm: f64) -> [(f64, f64); 3] {
     let [_, (bright, dark), g] = surrogate.limits();
     let axis = surrogate.grid().albedo();
@@ -17,7 +17,7 @@ pub(super) fn predicted(surrogate: &Surrogate, thickness_mm: f64) -> [(f64, f64)
     [along, (bright, further), g]
 }
 
-/// Why the dictionary does not predict a profile, if it does not.
+/// The reason why the dictionary does not predict a profile; None if it does.
 pub(super) fn outside(system: &System, term: usize, state: &State) -> Option<String> {
     let (surrogate, term) = (system.surrogates[term], &system.terms[term]);
     let blend = term.blend.as_ref()?;

@@ -1,13 +1,13 @@
-//! Where the descent over inks begins: media that were measured one by one make linear equations for the inks.
+//! Computes the start of the descent over inks from linear equations, which the media that were measured one by one give.
 //!
-//! Each measured mixture determines σ_s (1 − g) and σ_a of its own medium, which similarity theory leaves alone, with their
-//! errors. Both are sums over the inks, so the inks follow by linear least squares, none being negative.
+//! Each measured mixture determines σ_s (1 − g) and σ_a of its own medium, which are invariant under similarity, with
+//! their errors. Both are sums over the inks, so the inks follow by linear least squares, none being negative.
 
 use nalgebra::{DMatrix, DVector};
 
-/// Sweeps of the solution; each lowers the sum of squares.
+/// Number of Gauss–Seidel sweeps; each lowers the sum of squares.
 const SWEEPS: usize = 2000;
-/// Share of its value that no measured medium is better than, since mixing is never exact.
+/// Least relative error of a measured medium, since mixing is never exact.
 const MIXING: f64 = 0.01;
 
 /// One equation: Σ fraction · unknown = value.
@@ -19,7 +19,7 @@ pub(super) struct Equation {
     pub std_error: f64,
 }
 
-/// The unknowns of least squares, none negative. `usual` is the value of an unknown that nothing determines.
+/// The unknowns of least squares, none negative. `usual` is the value of an unknown that the equations do not determine.
 pub(super) fn solve(equations: &[Equation], inks: usize, usual: f64) -> Vec<f64> {
     let mut normal = DMatrix::identity(inks, inks) * (1e-6 / (usual * usual));
     let mut right = DVector::from_element(inks, 1e-6 / usual);
@@ -42,7 +42,7 @@ pub(super) fn solve(equations: &[Equation], inks: usize, usual: f64) -> Vec<f64>
     found
 }
 
-/// How many inks the fractions of some materials distinguish.
+/// Number of inks that the fractions of some materials distinguish.
 pub(super) fn rank(fractions: &[Vec<f64>], inks: usize) -> usize {
     DMatrix::from_fn(fractions.len(), inks, |i, j| fractions[i][j]).rank(1e-6)
 }
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn inks_follow_from_their_mixtures() {
-        // The second ink by itself is hardly known.
+        // The second ink by itself is hardly determined.
         let equations = [
             equation(&[1.0, 0.0], 6.0, 0.01),
             equation(&[0.0, 1.0], 30.0, 1e4),
@@ -67,7 +67,7 @@ mod tests {
         assert!((found[0] - 6.0).abs() < 0.05 && (found[1] - 8.0).abs() < 0.4, "{found:?}");
     }
 
-    /// No ink is negative, and an ink that the equations leave open gets the usual value.
+    /// No ink is negative, and an ink that the equations do not determine has the usual value.
     #[test]
     fn no_ink_is_negative() {
         let equations = [equation(&[1.0, 0.0, 0.0], 6.0, 0.01), equation(&[0.5, 0.5, 0.0], 2.9, 0.01)];

@@ -1,4 +1,4 @@
-//! Inks from mixtures, with a dictionary that a formula makes and noise without walks.
+//! Tests inks from mixtures, with a dictionary from a formula and noise of the pixels alone.
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Mixture, Mixtures, Unmixed};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
@@ -28,7 +28,7 @@ fn slabs(material: &str, parts: &[(&str, f64)], seed: u64) -> Measurement {
     Measurement::new(material, vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
 }
 
-/// Name, fractions that are told, and true ones.
+/// Name, stated fractions, and true ones.
 type Recipe<'a> = (&'a str, &'a [(&'a str, f64)], &'a [(&'a str, f64)]);
 
 fn unmixed(recipes: &[Recipe], seed: u64) -> Result<Unmixed, Invalid> {
@@ -69,7 +69,7 @@ fn against_truth(found: &Unmixed) -> Vec<(String, Interval, f64)> {
     INKS.iter().filter_map(of_ink).flatten().collect()
 }
 
-/// The intervals of inks hold the truth as often as they claim.
+/// The intervals of inks contain the truth as often as they should.
 #[test]
 fn ink_intervals_cover_the_truth_as_claimed() {
     let (mut held, mut count) = (0, 0);

@@ -12,15 +12,15 @@ use crate::likelihood::system::{State, System};
 use crate::likelihood::term::{Term, blur};
 use crate::surrogate::Surrogate;
 
-/// How far, in the logarithm, a slab's thickness may be moved by a fit.
+/// Greatest change of the logarithm of a slab's thickness by a fit.
 const NEAR: f64 = 0.1;
 
-/// What several channels share in addition to the factor on μ.
+/// The unknowns that several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sharing {
-    /// All have the same anisotropy.
+    /// Whether all have the same anisotropy.
     pub g: bool,
-    /// Limits of the logarithm of a factor on μ of which nothing else is known.
+    /// Limits of the logarithm of the factor on μ, if it has no prior.
     pub scale: Option<(f64, f64)>,
 }
 
@@ -40,7 +40,7 @@ enum SetUpKey<'a> {
     Thickness(usize, f64),
 }
 
-/// The unknowns of a system under construction, and what they are.
+/// The unknowns of a system under construction, with the quantities that they are.
 #[derive(Debug, Default)]
 struct Builder<'a> {
     unknowns: Unknowns,
@@ -71,7 +71,7 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// Unknowns for the uncertain quantities of a grid's scene, in their order, of a slab; none without responses.
+/// Slots of a slab's unknowns for the uncertain quantities of a grid's scene, in their order; none without responses.
 fn scene_slots(builder: &mut Builder, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
     if grid.responses().is_none() {
         return Vec::new();
@@ -96,7 +96,7 @@ fn scene_slots(builder: &mut Builder, grid: &Grid, material: usize, thickness_mm
     grid.scene().priors().iter().enumerate().map(slot).collect()
 }
 
-/// All channels as one system, beginning at these media.
+/// All channels as one system, starting at these media.
 pub(crate) fn assemble<'a>(
     channels: &[ChannelData],
     surrogates: &[&'a Surrogate<'a>],

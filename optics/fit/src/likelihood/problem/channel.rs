@@ -1,4 +1,4 @@
-//! The lowest minimum of one channel.
+//! Finds the lowest minimum of one channel.
 
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
@@ -7,9 +7,9 @@ use crate::likelihood::system::State;
 use crate::likelihood::system::descent::COARSE;
 use crate::surrogate::Surrogate;
 
-/// A start in the basis is followed if its cost is at most this much above the lowest, and this factor.
+/// A start in the basis is followed if its cost is at most this much above the lowest, or at most this multiple of it.
 const FOLLOWED: (f64, f64) = (60.0, 1.3);
-/// Most starts that are followed.
+/// Maximum number of starts that are followed.
 const STARTS: usize = 3;
 
 /// Starts of a channel that are worth following.

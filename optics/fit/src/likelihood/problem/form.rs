@@ -1,5 +1,5 @@
-//! A measured profile as a quadratic form: what is loose about it is integrated out, with columns that are taken from the
-//! profile itself.
+//! Expresses a measured profile as a quadratic form: its nuisances are integrated out, with columns that are taken from
+//! the profile itself.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use optics_model::fit::FitSettings;
@@ -11,13 +11,13 @@ use crate::likelihood::term::blur;
 /// A quadratic form over pixels, with some columns integrated out.
 pub(crate) struct QuadraticForm<'a> {
     weights: &'a [f64],
-    /// Weighted columns, and the root of what their integral takes away.
+    /// Weighted columns, and the covariance of their coefficients.
     columns: Vec<Line>,
     root: DMatrix<f64>,
 }
 
 impl<'a> QuadraticForm<'a> {
-    /// The columns have coefficients of variance 1.
+    /// A form whose columns have coefficients of the prior variance 1.
     pub(crate) fn new(weights: &'a [f64], columns: &[Line]) -> Option<Self> {
         let weighted: Vec<Line> =
             columns.iter().map(|c| c.iter().zip(weights).map(|(c, w)| c * w).collect()).collect();
@@ -36,7 +36,7 @@ impl<'a> QuadraticForm<'a> {
     }
 }
 
-/// The measurement as the basis has it.
+/// The weighted least-squares fit of the measurement in the basis; none if that is singular.
 pub(crate) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mean: &[f64]) -> Option<Line> {
     let n = directions.len();
     let weighted: Vec<Line> =
@@ -53,7 +53,7 @@ pub(crate) fn smoothed(values: &[f64], weights: &[f64], directions: &[Line], mea
     Some(smooth)
 }
 
-/// What loose things do to the profile, per standard deviation; `gain` is that of its gain.
+/// Changes of the profile by one standard deviation of each nuisance; `gain` is the standard error of its gain.
 pub(crate) fn loose_columns(
     smooth: &[f64],
     sensor: optics_model::scene::Sensor,

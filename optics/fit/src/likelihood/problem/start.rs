@@ -1,11 +1,12 @@
-//! Where the descent begins, so that it ends at the lowest minimum over the whole dictionary.
+//! Finds starting points from which the descent ends at the lowest minimum over the whole dictionary.
 //!
 //! Every medium of the dictionary is compared: with its profiles in a basis of a few directions (`sketch`), −2 ln L is a
-//! quadratic form in their coefficients, once gain, zero, slope, origin and blur are integrated out with their priors. The
-//! columns of these are taken from the measurement itself, smoothed, and so are the same for all media. A minimum of the
-//! continuous likelihood lies next to a medium that is lower than its neighbours along all axes. From every such medium
-//! that is not hopeless a descent in the basis, between the records, finds that minimum; the lowest of them are where
-//! the full likelihood begins. `descent_finds_the_global_minimum` holds this against comparing everything.
+//! quadratic form in their coefficients, once gain, zero, slope, origin and blur are integrated out with their priors.
+//! The columns of these are taken from the measurement itself, smoothed, and so are the same for all media. A minimum of
+//! the continuous likelihood lies next to a medium that is lower than its neighbours along all axes. From every such
+//! medium within a limit a descent in the basis, between the records, finds that minimum; the lowest of them are the
+//! starting points of the full likelihood. The test `descent_finds_the_global_minimum` compares with descents from all
+//! over the dictionary.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
@@ -21,13 +22,13 @@ use crate::likelihood::term::robust::without_specks;
 use crate::surrogate::Surrogate;
 use crate::surrogate::resample::resample;
 
-/// Share of the value that neither the basis nor the records are better than.
+/// Least relative error of the basis and of the records.
 const FLOOR: f64 = 0.003;
-/// Media compared side by side.
+/// Number of media that are compared side by side.
 const BLOCK: usize = 256;
-/// Most minima that are followed.
+/// Maximum number of minima that are followed.
 const MINIMA: usize = 24;
-/// A minimum of media is hopeless if it is higher than the lowest by this factor, and by this much.
+/// A minimum of media is not followed if it is higher than the lowest by this factor, and by this much.
 const HOPELESS: (f64, f64) = (4.0, 200.0);
 /// Descents in the basis.
 const DESCENT: Descent = Descent { most_steps: 12, tolerance: 0.01 };
@@ -51,14 +52,14 @@ pub(crate) struct Compressed {
     ln_ratio: f64,
     /// Lᵀ of the form K = L Lᵀ, row by row.
     root: DMatrix<f64>,
-    /// L⁻¹ of the measurement's part, and of the basis' mean profile's.
+    /// L⁻¹ times the part of the measurement, and times that of the basis' mean profile.
     data: DVector<f64>,
     mean: DVector<f64>,
-    /// What no medium explains, as a quadratic in the scale: 1, s, s².
+    /// The cost that no medium explains, as a quadratic in the scale: coefficients of 1, s, s².
     left: [f64; 3],
 }
 
-/// A place to begin at.
+/// A starting point.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Start {
     pub medium: [f64; 3],
@@ -185,7 +186,7 @@ impl Compressed {
     }
 }
 
-/// What limits a search.
+/// The limits of a search.
 #[derive(Debug, Clone)]
 pub(crate) struct Region {
     /// As in `Admissible`, by index of the axes.
@@ -298,7 +299,7 @@ impl Scan<'_> {
         starts
     }
 
-    /// The lowest place with the anisotropy at each node of the dictionary, and one scale.
+    /// The lowest start with the anisotropy at each node of the dictionary, at one scale.
     pub(crate) fn by_anisotropy(&self, surrogates: &[Surrogate], costs: &[f32], scale: f64) -> Vec<Start> {
         let region = &self.region.admissible;
         let best = |g: usize| {
@@ -336,7 +337,7 @@ impl Scan<'_> {
         all
     }
 
-    /// Where a damped step leads that does not leave the limits.
+    /// The end of a damped step that does not leave the limits.
     fn step(&self, from: &Parabola, held: [bool; 3], damping: f64) -> Option<[f64; 3]> {
         let (x, mut matrix, mut pull) = (from.x, from.normal, from.downhill);
         for i in 0..3 {
@@ -365,7 +366,7 @@ struct Parabola {
 }
 
 impl Parabola {
-    /// The fall of −2 ln L on the way to another place.
+    /// The fall of −2 ln L that the quadratic predicts on the way to another place.
     fn fall(&self, to: [f64; 3]) -> f64 {
         let step = Vector3::from(to) - Vector3::from(self.x);
         2.0 * self.downhill.dot(&step) - step.dot(&(self.normal * step))

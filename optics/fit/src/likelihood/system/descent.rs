@@ -1,5 +1,6 @@
 //! The damped descent of Levenberg and Marquardt: Gauss–Newton steps whose damping follows from how well the quadratic
-//! model predicts the fall of the cost (Nielsen 1999). It ends where the undamped model promises less than a tolerance.
+//! model predicts the fall of the cost (Nielsen 1999). It ends where the undamped model predicts a fall of less than a
+//! tolerance.
 
 /// Tolerances of −2 ln L: of a start that is refined later, and of an estimate, which is then off by at most 1 % of its
 /// standard error.
@@ -13,7 +14,8 @@ const LEAST_DAMPING: f64 = 1e-4;
 const GROWTH: f64 = 4.0;
 /// Least factor on the damping after a step that lowered the cost.
 const DECAY: f64 = 1.0 / 3.0;
-/// A damped step that promises less than this share of the tolerance is not tried: the place is a kink of the cost.
+/// A damped step with a predicted fall of less than this share of the tolerance is the last: the place is a kink of the
+/// cost.
 const KINK: f64 = 0.01;
 
 /// A place with the fall of the cost that the quadratic model predicts for the step to it.
@@ -30,7 +32,7 @@ pub(crate) struct Descent {
 }
 
 impl Descent {
-    /// The end of a descent from `here`. `decrement` is the fall that an undamped step promises, `step` a damped step.
+    /// The end of a descent from `here`. `decrement` is the predicted fall of an undamped step, `step` a damped step.
     pub(crate) fn run<P>(
         &self,
         mut here: P,

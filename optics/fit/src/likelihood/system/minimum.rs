@@ -13,7 +13,7 @@ use crate::likelihood::term::reduced::Reduced;
 
 /// Information below which an unknown is hardly determined, in units in which it is of the order of 1.
 const UNDETERMINED: f64 = 100.0;
-/// A bound that no descent should reach.
+/// Maximum number of steps, which no descent should reach.
 const MOST_STEPS: usize = 400;
 
 /// A quantity held at a value by a stiff quadratic penalty.
@@ -24,7 +24,7 @@ pub(crate) struct HeldQuantity {
     pub stiffness: f64,
 }
 
-/// A state on the way down; the parabola there is taken if it is needed.
+/// A state on the way down; the quadratic there is computed when it is needed.
 struct Evaluation {
     state: State,
     linear: Vec<Linear>,
@@ -32,7 +32,7 @@ struct Evaluation {
 }
 
 impl System<'_> {
-    /// The minimum of −2 ln L below a state, with a quantity held, to within `tolerance`.
+    /// The minimum of −2 ln L by a descent from a state, with a quantity held, to within `tolerance`.
     pub(crate) fn descend(&self, from: State, held: Option<&HeldQuantity>, tolerance: f64) -> State {
         let spring =
             |x: &DVector<f64>| held.map_or(0.0, |h| h.stiffness * (h.quantity.value(x) - h.at).powi(2));
@@ -63,7 +63,7 @@ impl System<'_> {
     }
 
     /// Moves a state within its limits, each profile's own unknowns following, and returns the fall of the profiles'
-    /// −2 ln L that their quadratics promise.
+    /// −2 ln L that their quadratics predict.
     pub(crate) fn advance(&self, state: &mut State, normal: &Normal, step: &DVector<f64>) -> f64 {
         let from = state.x.clone();
         state.x = clamped(&self.unknowns, &state.x + step);
@@ -97,7 +97,7 @@ impl System<'_> {
         limited_step(&self.unknowns, x, &information, &downhill)
     }
 
-    /// The fall of −2 ln L that an undamped step of the shared unknowns promises.
+    /// The fall of −2 ln L that is predicted for an undamped step of the shared unknowns.
     fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
         let (information, downhill) = with_spring(x, normal, held);
         let step = limited_step(&self.unknowns, x, &information, &downhill);

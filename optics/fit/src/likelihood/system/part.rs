@@ -1,4 +1,4 @@
-//! Some of a system's profiles as a system of their own.
+//! Extracts some of a system's profiles as a separate system.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -23,7 +23,7 @@ impl System<'_> {
         (information, downhill)
     }
 
-    /// The unknowns that some profiles share, rising.
+    /// The unknowns that some profiles share, in ascending order.
     pub(crate) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
         let of_term = |i: &usize| -> Vec<usize> {
             match &self.terms[*i].blend {
@@ -37,8 +37,8 @@ impl System<'_> {
         used
     }
 
-    /// Some profiles as a system of their own at a state, with the others as a quadratic, weighted by
-    /// `share`. Its unknowns are those of [`Self::used_by`].
+    /// Some profiles as a separate system at a state, with the others as a quadratic, weighted by `share`. Its unknowns
+    /// are those of [`Self::used_by`].
     pub(crate) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
         let used = self.used_by(terms);
         let (own, own_downhill) = self.contribution(terms, state, normal);

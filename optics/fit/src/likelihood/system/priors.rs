@@ -1,4 +1,4 @@
-//! Priors of the unknowns: their −2 ln L, information and pull.
+//! Evaluates the priors of the unknowns: their −2 ln L, information and pull.
 
 use nalgebra::DVector;
 
@@ -8,7 +8,7 @@ use crate::likelihood::system::System;
 const FIRM: f64 = 2.0;
 
 impl System<'_> {
-    /// −2 ln L of what is known beforehand.
+    /// −2 ln L of all priors and of the coupling.
     pub(crate) fn prior_cost(&self, x: &DVector<f64>) -> f64 {
         let priors = (0..self.unknowns.len()).filter_map(|i| self.cost_of_prior(i, x[i]));
         priors.sum::<f64>() + self.coupling.as_ref().map_or(0.0, |c| c.cost(x))
@@ -22,7 +22,7 @@ impl System<'_> {
         Some(prior_cost(self.prior_weight(slot, off), off))
     }
 
-    /// How much a prior counts at `off` standard deviations. Those of the scene's quantities are rough guesses: beyond
+    /// Weight of a prior at `off` standard deviations. Priors of the scene's quantities are rough guesses: beyond
     /// [`FIRM`] they pull no harder, so that data that contradict them are followed.
     fn prior_weight(&self, slot: usize, off: f64) -> f64 {
         if self.of_scene.iter().any(|u| u.slot == slot) { rough_weight(off) } else { 1.0 }
@@ -51,7 +51,8 @@ fn prior_cost(weight: f64, off: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// A rough prior is normal up to two standard deviations; then its cost is 4 |u| − 4, with the slope that it pulls with.
+    /// A rough prior is normal up to two standard deviations; then its cost is 4 |u| − 4, with a slope that equals its
+    /// pull.
     #[test]
     fn rough_priors_are_linear_beyond_two() {
         let cost = |off: f64| prior_cost(rough_weight(off), off);

@@ -1,4 +1,4 @@
-//! Functions of the unknowns whose intervals are wanted.
+//! Defines the functions of the unknowns whose intervals are reported.
 
 use nalgebra::DVector;
 

@@ -1,4 +1,4 @@
-//! The steps from a first minimum of a system to its last: the noise of the records, and dust.
+//! Leads a system from a first minimum to the final one: adds the noise of the records, and leaves out dust.
 
 use nalgebra::{Cholesky, DVector};
 use rayon::prelude::*;
@@ -13,24 +13,26 @@ use crate::likelihood::term::robust::without_specks;
 use crate::likelihood::term::robust::{is_dust, specks};
 use crate::surrogate::{Coordinates, NoisePlace, Surrogate};
 
-/// How far an unknown may move before what depends on where the state is is looked at again: a hundredth of σ_t, say.
+/// Greatest change of an unknown before the parts that depend on the state are computed again: a hundredth of σ_t, for
+/// example.
 const FAR: f64 = 0.01;
 /// The same for a quantity of the scene, in standard deviations of its prior.
 const FAR_OF_SCENE: f64 = 0.1;
-/// How far off in mm a descent finds an edge from its stated origin.
+/// Greatest distance, in mm, of an edge from its stated origin at which a descent finds it.
 const FAR_MM: f64 = 0.06;
-/// By this factor the noise is made smaller at a time, on the way to a model without dust.
+/// Factor by which the noise is reduced at a time, on the way to a model without dust.
 const HARDER: f64 = 0.4;
 
 impl<'a> System<'a> {
-    /// A first minimum below a state, without the noise of records: specks are left out, and edges are looked for.
+    /// A first minimum by a descent from a state, without the noise of records: specks are left out, and edges are
+    /// located.
     pub(crate) fn approach(&mut self, mut state: State, tolerance: f64) -> State {
         self.leave_out_specks_by_neighbours();
         self.place_edges(&mut state);
         self.descend(state, None, tolerance)
     }
 
-    /// From a rough minimum to the last: with the noise of the records about, and without dust.
+    /// Descends from a rough minimum to the final one: with the noise of the neighbouring records, and without dust.
     pub(crate) fn settle(&mut self, mut state: State) -> State {
         self.add_modes(&mut state);
         let modes_at = state.clone();
@@ -38,8 +40,8 @@ impl<'a> System<'a> {
             term.robust = true;
             term.left_out.fill(false);
         }
-        // Dust pulls at a first model, and what is dust is not plain before there is a good one: so the noise is taken to be
-        // as large as most residuals are, and made smaller step by step.
+        // Dust biases a first model, and cannot be identified before the model is good: so the noise is first set to the
+        // size of most residuals, and then reduced step by step.
         let mut softness = f64::INFINITY;
         while softness > 1.0 {
             softness = (HARDER * softness).min(self.typical_residual(&state)).max(1.0);
@@ -64,7 +66,7 @@ impl<'a> System<'a> {
         state
     }
 
-    /// The state with some unknowns moved and held there, all else following in one step.
+    /// The state with some unknowns moved and held there, the others following in one step.
     pub(crate) fn held_at(&self, state: &State, places: &[(usize, f64)]) -> State {
         let mut x: DVector<f64> = state.x.clone();
         for (i, value) in places {
@@ -84,14 +86,14 @@ impl<'a> System<'a> {
         there
     }
 
-    /// Until there is a model, a pixel lies apart if its neighbours do not go along.
+    /// Leaves out pixels that deviate from their neighbours, before there is a model.
     fn leave_out_specks_by_neighbours(&mut self) {
         for term in &mut self.terms {
             term.left_out = without_specks(&term.values, &term.std_errors).iter().map(|c| !c).collect();
         }
     }
 
-    /// Looks along each profile for its edge, if it may lie so far off that a descent would not find it.
+    /// Searches along each profile for its edge, if it may lie so far off that a descent would not find it.
     fn place_edges(&self, state: &mut State) {
         for (i, (term, own)) in self.terms.iter().zip(&mut state.own).enumerate() {
             let origin = term.priors.iter().position(|p| p.own == Own::Origin && p.std_error > FAR_MM);
@@ -110,7 +112,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Updates what depends on the state in every profile: the records' noise, and all that `move_near` does.
+    /// Updates the parts of every profile that depend on the state: the records' noise, and those of `move_near`.
     fn add_modes(&mut self, state: &mut State) {
         self.move_near(&state.x);
         let places: Vec<NoisePlace> = self.places_of(Surrogate::noise_at, state);
@@ -133,7 +135,7 @@ impl<'a> System<'a> {
         }
     }
 
-    /// Something of every profile's medium and thickness.
+    /// The values of a function at every profile's medium and thickness.
     fn places_of<T: Send>(
         &self,
         of: impl Fn(&Surrogate<'a>, f64, Coordinates) -> T + Sync,
@@ -147,7 +149,8 @@ impl<'a> System<'a> {
     }
 
     /// The noise of the responses in every profile, as factors of its covariance. All modes of a profile are counted as
-    /// those of `alike` profiles: these factors count as those of the profiles that have a quantity in common instead.
+    /// those of `alike` profiles: these factors are scaled to count as those of the profiles that share a quantity
+    /// instead.
     fn response_factors(&self, state: &State, alike: &[f64]) -> Vec<Vec<Line>> {
         if self.of_scene.is_empty() {
             return vec![Vec::new(); self.terms.len()];
@@ -170,7 +173,8 @@ impl<'a> System<'a> {
         (0..self.terms.len()).into_par_iter().map(of_term).collect()
     }
 
-    /// What the standard deviation of residuals would be if those of most pixels were normal, in that of the noise.
+    /// Robust standard deviation of the residuals over the noise, from the median of their magnitudes: the greatest of
+    /// all profiles.
     fn typical_residual(&self, state: &State) -> f64 {
         let linear = self.linear(&state.x, &state.own);
         let median = |residuals: &Line| {
@@ -181,7 +185,7 @@ impl<'a> System<'a> {
         linear.iter().map(|l| median(&l.residuals)).fold(0.0, f64::max)
     }
 
-    /// Leaves out the pixels that do not belong to their profiles; false if they are the same as before.
+    /// Leaves out the pixels that are dust; false if nothing changed.
     fn leave_out_specks(&mut self, state: &State) -> bool {
         let linear = self.linear(&state.x, &state.own);
         let mut changed = false;

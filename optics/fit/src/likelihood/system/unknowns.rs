@@ -1,4 +1,4 @@
-//! Unknowns with their priors and limits, and the linear algebra of a quadratic form in them.
+//! Defines unknowns with their priors and limits, and the linear algebra of a quadratic form in them.
 
 use nalgebra::{Cholesky, DMatrix, DVector};
 use optics_model::fit::FitSettings;
@@ -9,14 +9,14 @@ const RIDGE: f64 = 1e-6;
 /// A quantity that profiles share.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Unknown {
-    /// Mean and standard deviation of what is known beforehand.
+    /// Mean and standard deviation of the prior.
     pub prior: Option<(f64, f64)>,
     pub limits: (f64, f64),
-    /// It cannot move: it was given, or the dictionary has one value only.
+    /// Whether it is held: it was given, or the dictionary has one value only.
     pub held: bool,
 }
 
-/// The unknowns of a system under construction, and where they begin.
+/// The unknowns of a system under construction, with their initial values.
 #[derive(Debug, Default)]
 pub(crate) struct Unknowns {
     pub all: Vec<Unknown>,
@@ -30,7 +30,7 @@ impl Unknowns {
         self.all.len() - 1
     }
 
-    /// One that begins at the mean of its prior, and is held there if it is exact.
+    /// Adds an unknown that starts at the mean of its prior, and is held there if the prior is exact.
     pub(crate) fn known(&mut self, prior: (f64, f64), limits: (f64, f64)) -> usize {
         self.add(Some(prior), limits, prior.1 == 0.0, prior.0)
     }
@@ -46,7 +46,7 @@ pub(crate) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, 
 pub(crate) struct SceneUnknown {
     /// Index into the scene's priors.
     pub prior: usize,
-    /// The material that it belongs to; none if it is the session's.
+    /// The material that it belongs to; none if it is common to the session.
     pub material: Option<usize>,
     /// Thickness of the slab that it belongs to.
     pub slab_mm: Option<f64>,
@@ -65,8 +65,8 @@ pub(crate) fn clamped(unknowns: &[Unknown], mut x: DVector<f64>) -> DVector<f64>
     x
 }
 
-/// The step to the least of a quadratic, of the unknowns that can move and are not pulled over their limits. An unknown
-/// that it would push over a limit goes up to it, and the others follow.
+/// The step to the minimum of a quadratic, over the unknowns that can move and are not pulled over their limits. An
+/// unknown that the step would push over a limit stops there, and the others follow.
 pub(crate) fn limited_step(
     unknowns: &[Unknown],
     x: &DVector<f64>,
@@ -103,7 +103,8 @@ pub(crate) fn limited_step(
     }
 }
 
-/// The inverse of an information matrix over the unknowns that can move, a little being added to each; zeros elsewhere.
+/// The inverse of an information matrix over the unknowns that can move, with `ridge` added to the diagonal; zeros
+/// elsewhere.
 pub(crate) fn inverse_over_free(
     unknowns: &[Unknown],
     information: &DMatrix<f64>,
@@ -140,7 +141,7 @@ pub(crate) fn subvector(vector: &DVector<f64>, indices: &[usize]) -> DVector<f64
     DVector::from_iterator(indices.len(), indices.iter().map(|i| vector[*i]))
 }
 
-/// A quadratic over some unknowns that is left when others follow.
+/// The quadratic over some unknowns that remains after the elimination of others.
 pub(crate) fn eliminate(
     information: &DMatrix<f64>,
     downhill: &DVector<f64>,

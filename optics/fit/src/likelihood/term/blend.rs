@@ -1,4 +1,4 @@
-//! The medium of a mixture as a function of its inks.
+//! Computes the medium of a mixture as a function of its inks.
 //!
 //! An ink's coordinates are σ_s, √σ_a and ln(1 − g). Mixtures are linear in the first, so the likelihood of dilutions is
 //! nearly normal in it, down to 0; profiles of a weak absorber are linear in the second; similar media lie on straight lines
@@ -18,15 +18,15 @@ pub(crate) struct InkPart {
     pub ink: Ink,
 }
 
-/// What a profile's medium is made of.
+/// The mixture of inks in a profile's medium.
 #[derive(Debug, Clone)]
 pub(crate) struct Blend {
     pub parts: Vec<InkPart>,
-    /// What the dictionary predicts, in its coordinates. Beyond it a profile stays as it is at the end.
+    /// Limits of the media that the dictionary predicts, in its coordinates. Beyond them a profile is that at the limit.
     pub limits: [(f64, f64); 3],
 }
 
-/// A profile's shared unknowns at some place of the system's, and their derivatives by those in `slots`.
+/// Values of a profile's shared unknowns, and their derivatives by the system's unknowns in `slots`.
 #[derive(Debug)]
 pub(crate) struct BlendPoint {
     pub point: Line,
@@ -34,7 +34,7 @@ pub(crate) struct BlendPoint {
     pub slopes: DMatrix<f64>,
 }
 
-/// A medium in the coordinates of the dictionary, and its derivatives by the inks' coordinates: three columns a part.
+/// A medium in the coordinates of the dictionary, and its derivatives by the inks' coordinates: three columns per ink.
 #[derive(Debug)]
 pub(crate) struct Blended {
     pub medium: [f64; 3],
@@ -73,7 +73,7 @@ impl Blend {
         Blended { medium: [sigma_t.ln(), root, (reduced / scattering).ln()], slopes }
     }
 
-    /// With the slots of the set-up: those from the factor on μ on.
+    /// The profile's shared unknowns, with those of the set-up: from the factor on μ on.
     pub(crate) fn place(&self, slots: &[usize], x: &DVector<f64>) -> BlendPoint {
         let blended = self.at(x);
         let parts = 3 * self.parts.len();
@@ -106,7 +106,7 @@ pub(crate) fn ink_medium(ink: Ink, x: &DVector<f64>) -> [f64; 3] {
     unlimited(vec![InkPart { fraction: 1.0, ink }]).at(x).medium
 }
 
-/// A mixture that need not be one that the dictionary predicts.
+/// A mixture without limits, which the dictionary need not predict.
 pub(crate) fn unlimited(parts: Vec<InkPart>) -> Blend {
     Blend { parts, limits: [(f64::NEG_INFINITY, f64::INFINITY); 3] }
 }

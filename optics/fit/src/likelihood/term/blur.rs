@@ -1,11 +1,11 @@
-//! The coordinate of the camera's blur: u = √(σ² + u₀²), with σ the blur's standard deviation in mm.
+//! Defines the coordinate of the camera's blur: u = √(σ² + u₀²), with σ the blur's standard deviation in mm.
 //!
-//! A blur that is narrow against a profile's features changes it as σ² does, one that is wide against a pixel changes a bend
-//! of it as σ does. In u both are close to linear.
+//! A blur that is narrower than a profile's features changes it in proportion to σ², one that is wider than a pixel
+//! changes a bend in proportion to σ. In u both changes are close to linear.
 
 use optics_model::fit::FitSettings;
 
-/// u₀ in mm: about where a blur grows wider than the pixels of photographs.
+/// u₀ in mm: about the width from which on a blur is wider than the pixels of photographs.
 const LEAST_MM: f64 = 0.01;
 
 /// u of a variance in mm².

@@ -1,8 +1,8 @@
-//! From a simulated profile to what a camera sees of it: shifted, blurred, averaged over the measurement's own pixels.
+//! Transforms a simulated profile to a camera's view of it: shifts, blurs, and averages it over the measurement's pixels.
 //!
-//! The simulated profile is known by its averages over the dictionary's pixels, so its integral is known exactly at their
-//! edges. Measured pixels take differences of that integral: pixels of any size and place are treated alike, and the
-//! measured ones stay as independent as they are.
+//! The simulated profile is given by its averages over the dictionary's pixels, so its integral is known exactly at their
+//! edges. Measured pixels take differences of that integral: pixels of any size and position are treated alike, and the
+//! measured values are not resampled, so their noise stays independent.
 
 use std::f64::consts::PI;
 
@@ -10,15 +10,16 @@ use crate::dictionary::wide::wide;
 use crate::likelihood::point::Line;
 use crate::surrogate::interpolation::Place;
 
-/// Pixels that a profile is carried on beyond its ends, on each side.
+/// Number of pixels by which a profile is continued beyond each end.
 const PADDING: usize = 40;
-/// Pixels at an end from which it is continued.
+/// Number of pixels at an end from which the profile is continued.
 const TAIL: usize = 16;
 /// Length of the circular kernel of the blur.
 const KERNEL: usize = 64;
 /// Taps of one side, the middle one included.
 const TAPS: usize = KERNEL / 2 + 1;
-/// So near to the edge between black and white, in pixels, a place counts as the edge itself: x in files is rounded.
+/// Distance from the edge between black and white, in pixels, within which a place counts as the edge itself: x in files
+/// is rounded.
 const AT_STEP: f64 = 1e-4;
 
 /// The pixels of a measurement over those of a dictionary.
@@ -36,11 +37,11 @@ pub(crate) struct Camera {
 #[derive(Debug)]
 pub(crate) struct ExposedProfile {
     pub values: Line,
-    /// By the quantities that the caller had derivatives of.
+    /// Derivatives by the quantities of the caller's `slopes`.
     pub slopes: Vec<Line>,
-    /// By the blur's variance in mm².
+    /// Derivative by the blur's variance in mm².
     pub by_blur: Line,
-    /// By the place of the edge in mm.
+    /// Derivative by the position of the edge in mm.
     pub by_origin: Line,
 }
 
@@ -53,7 +54,7 @@ impl Camera {
         Self { edges: (0..=x_mm.len()).map(edge).collect(), pitch_mm, pixels }
     }
 
-    /// What is seen of a profile on the dictionary's pixels, and of its derivatives.
+    /// A profile on the dictionary's pixels, and its derivatives, transformed to the measured pixels.
     pub(crate) fn expose(
         &self,
         values: &[f64],
@@ -88,7 +89,8 @@ impl Camera {
         average(&self.places(origin_mm), &integral(&kernel.blur(&pad(values))))
     }
 
-    /// The measured edges in a profile whose edge lies at `origin_mm` of the measurement.
+    /// The edges of the measured pixels in a padded profile whose step between black and white lies at `origin_mm` of the
+    /// measurement.
     fn places(&self, origin_mm: f64) -> Vec<Edge> {
         let shift = PADDING as f64 - origin_mm / self.pitch_mm;
         self.edges.iter().map(|e| self.edge(e + shift)).collect()
@@ -106,7 +108,7 @@ impl Camera {
         Edge { at, place }
     }
 
-    /// Averages change with the origin as the values at their ends differ.
+    /// Derivatives of the averages by the origin, from the difference of the values at both ends of each pixel.
     fn by_origin(&self, edges: &[Edge], integral: &[f64]) -> Line {
         let at_edges: Line = edges.iter().map(|e| e.place.integrand(integral)).collect();
         let change = |(v, e): (&[f64], &[Edge])| -(v[1] - v[0]) / (e[1].at - e[0].at) / self.pitch_mm;
@@ -120,7 +122,7 @@ struct Edge {
     place: Place,
 }
 
-/// The profile, carried on in a straight line at both ends.
+/// The profile, continued in a straight line at both ends.
 fn pad(values: &[f64]) -> Line {
     let (left, right) = (LevelTail::of(values.iter()), LevelTail::of(values.iter().rev()));
     let before = (1..=PADDING).rev().map(|k| left.beyond(k));
@@ -133,12 +135,12 @@ struct LevelTail {
     mean: f64,
     /// Per pixel inwards.
     slope: f64,
-    /// Pixels from the end to where the mean is.
+    /// Distance in pixels from the end to the place of the mean.
     middle: f64,
 }
 
 impl LevelTail {
-    /// From the end inwards.
+    /// The line of an end, whose values are given from the end inwards.
     fn of<'a>(values: impl ExactSizeIterator<Item = &'a f64> + Clone) -> Self {
         let count = TAIL.min(values.len());
         let middle = 0.5 * (count - 1) as f64;
@@ -151,7 +153,7 @@ impl LevelTail {
         Self { mean, slope: along / squares, middle }
     }
 
-    /// `k` pixels outside of the last.
+    /// The value `k` pixels beyond the last.
     fn beyond(&self, k: usize) -> f64 {
         self.mean - self.slope * (k as f64 + self.middle)
     }
@@ -174,7 +176,7 @@ fn average(edges: &[Edge], integral: &[f64]) -> Line {
     up_to.windows(2).zip(edges.windows(2)).map(|(v, e)| (v[1] - v[0]) / (e[1].at - e[0].at)).collect()
 }
 
-/// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for every variance, down to none.
+/// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for every variance, down to 0.
 struct BlurKernel {
     taps: [f64; TAPS],
     by_variance: [f64; TAPS],
@@ -198,7 +200,7 @@ impl BlurKernel {
                 (before, now) = (now, twice * now - before);
             }
         }
-        // On the circle both sides share the last one.
+        // On the circle both sides share the last tap.
         kernel.taps[TAPS - 1] *= 0.5;
         kernel.by_variance[TAPS - 1] *= 0.5;
         kernel
@@ -213,7 +215,7 @@ impl BlurKernel {
     }
 }
 
-/// Symmetric; what lies within the reach of the ends is left as it is: it is padding.
+/// Symmetric convolution. Pixels within the kernel's reach of the ends are left unchanged: they are padding.
 fn convolve(taps: &[f64; TAPS], padded: &[f64]) -> Line {
     let reach = TAPS - 1;
     let mut out = padded.to_vec();
@@ -248,7 +250,7 @@ mod tests {
         (0..pixels).map(|i| (i as f64 + 0.5) * pitch - 0.5 * WIDTH_MM + shift).collect()
     }
 
-    /// Averages over pixels of an edge of width w, which is what a Gaussian makes of a step.
+    /// Averages over pixels of a step that is blurred by a Gaussian of the standard deviation w.
     fn edge(pixels: usize, origin: f64, w: f64) -> Line {
         let pitch = WIDTH_MM / pixels as f64;
         // ∫ erf = t erf(t) + exp(−t²)/√π
@@ -275,7 +277,7 @@ mod tests {
         assert!(largest(&seen, &profile) < 1e-12);
     }
 
-    /// Within the bound of six-point interpolation.
+    /// Shift, blur and resampling match the formula within the error bound of six-point interpolation.
     #[test]
     fn shift_blur_and_resampling_match_the_formula() {
         let profile = edge(PIXELS, 0.0, 0.12);
@@ -295,7 +297,7 @@ mod tests {
         }
     }
 
-    /// What thin slabs show: a step that is as sharp in a shifted picture as in the dictionary's.
+    /// A step, as thin slabs show it, is as sharp in a shifted picture as in the dictionary's.
     #[test]
     fn steps_stay_sharp_between_pixels() {
         let stepped = |pixels: usize, origin: f64| -> Line {

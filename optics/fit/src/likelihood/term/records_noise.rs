@@ -1,16 +1,17 @@
-//! The noise of the dictionary's records as modes: it is alike in neighbouring pixels, since a walk lights many of them.
+//! Decomposes the noise of the dictionary's records into modes: it is correlated between neighbouring pixels, since a
+//! walk contributes to many of them.
 
 use crate::dictionary::sum::dot;
 use crate::likelihood::point::Line;
 use crate::likelihood::term::camera::Camera;
 use crate::surrogate::NoiseFactors;
 
-/// Most modes that are kept.
+/// Maximum number of modes.
 const MODES: usize = 20;
-/// The modes that are kept leave less than this, as a sum over pixels of variances over the pixels' own: what is left
-/// could be seen by no functional of the pixels better than with this χ².
+/// Modes are added until they leave less than this, as a sum over pixels of variances over the pixels' own: no functional
+/// of the pixels could detect the remainder with more than this χ².
 const LEFT: f64 = 0.2;
-/// Most by which variances are multiplied since few profiles show them.
+/// Maximum factor on variances that are estimated from few profiles.
 const MOST: f64 = 10.0;
 
 /// A low-rank part of a covariance, and the variances that it leaves.
@@ -59,7 +60,7 @@ impl Modes {
     }
 }
 
-/// By what a covariance of `degrees` profiles is too small in the directions that count.
+/// Factor by which a covariance of `degrees` profiles is too small in the directions that count.
 fn too_small_by(degrees: f64, directions: usize) -> f64 {
     let left = degrees - directions as f64 - 2.0;
     match directions {
@@ -80,12 +81,12 @@ mod tests {
             [too_small_by(0.0, 0), too_small_by(30.0, 8), too_small_by(1e9, 8).round()],
             [1.0, 1.45, 1.0]
         );
-        // As many directions as profiles, or more: nothing is known of it.
+        // With as many directions as profiles, or more, the covariance is undetermined.
         assert_eq!([too_small_by(10.5, 8), too_small_by(8.0, 8), too_small_by(1.2, 1)], [MOST; 3]);
     }
 
-    /// Noise counts by its variance over the pixel's own, where the camera sees it. What a pixel hides
-    /// is left to the diagonal.
+    /// Noise counts by its variance over that of the measured pixel on which it falls. Where the pixel's own noise hides
+    /// it, it stays on the diagonal.
     #[test]
     fn hidden_noise_becomes_no_mode() {
         let n = 20;
@@ -110,7 +111,7 @@ mod tests {
         assert!((moved.modes[0][9] - factor.sqrt()).abs() < 1e-9, "{:?}", moved.modes[0]);
     }
 
-    /// Smooth noise is kept nearly whole by a few modes, and what they leave is on the diagonal.
+    /// A few modes contain nearly all of a smooth noise, and the remainder is on the diagonal.
     #[test]
     fn modes_and_remainder_form_the_covariance() {
         let n = 60;

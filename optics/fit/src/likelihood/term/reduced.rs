@@ -48,23 +48,23 @@ impl Reduced {
         Self { all: self.all.clone(), ..Self::new(all, shared) }
     }
 
-    /// The fall of the cost that own unknowns alone promise.
+    /// The predicted fall of the cost by own unknowns alone.
     pub(crate) fn own_decrement(&self) -> f64 {
         self.own_downhill.dot(&self.own.solve(&self.own_downhill))
     }
 
-    /// The fall of the cost that a step of all unknowns promises.
+    /// The predicted fall of the cost by a step of all unknowns.
     pub(crate) fn fall(&self, shared: &DVector<f64>, own: &DVector<f64>) -> f64 {
         let step = DVector::from_iterator(shared.len() + own.len(), shared.iter().chain(own.iter()).copied());
         2.0 * self.all.downhill.dot(&step) - step.dot(&(&self.all.information * &step))
     }
 
-    /// How the profile's own unknowns follow a step of the shared ones.
+    /// The step of the profile's own unknowns that follows a step of the shared ones.
     pub(crate) fn own_step(&self, shared: &DVector<f64>) -> DVector<f64> {
         self.own.solve(&(&self.own_downhill - &self.mixed * shared))
     }
 
-    /// How the own unknowns respond where the shared ones respond so: they follow them to the least cost.
+    /// The response of the own unknowns to that of the shared ones: they follow to the least cost.
     pub(crate) fn own_response(&self, shared: &DVector<f64>) -> DVector<f64> {
         -self.own.solve(&(&self.mixed * shared))
     }

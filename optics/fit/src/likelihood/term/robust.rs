@@ -1,26 +1,26 @@
-//! Residuals that may be dust: a mixture of normal pixels and a few that can be anything.
+//! Weights residuals that may be dust, by a mixture of normal pixels and a few outliers.
 //!
-//! With ε the share of odd pixels and κ the width of their distribution, in standard deviations of the noise,
+//! With ε the share of outliers and κ the width of their distribution, in standard deviations of the noise,
 //!
 //! ρ(r) = −2 ln[(1 − ε) e^{−r²/2} + (ε/κ) e^{−r²/(2κ²)}], less its value at 0.
 //!
-//! Where no pixel is odd this is r², but for a share of about ε; beyond some four standard deviations a pixel hardly
-//! counts. ρ grows with r², less and less, so weights w = dρ/d(r²) make a reweighted least squares that never rises.
+//! Without outliers this is r², but for a share of about ε; beyond some four standard deviations a pixel hardly counts. ρ
+//! is concave in r², so least squares that are reweighted by w = dρ/d(r²) never raise the cost.
 
-/// Share of pixels that are taken to be odd.
+/// Assumed share of outliers.
 const SHARE: f64 = 0.01;
-/// How far odd pixels lie off.
+/// Width of the distribution of outliers, in standard deviations of the noise.
 const WIDTH: f64 = 30.0;
-/// A pixel whose weight is less does not belong to the profile.
+/// A pixel with a lower weight is an outlier.
 const ODD: f64 = 0.5;
-/// Most pixels that a speck is taken to reach beyond those that are odd by themselves.
+/// Maximum number of pixels by which a speck extends beyond its outliers.
 const RIM: usize = 4;
-/// A speck reaches as far as its sign does, while it is at least this many standard deviations.
+/// A speck extends over residuals of its sign, while they are above this many standard deviations.
 const RIM_LEVEL: f64 = 0.5;
 
-/// Standard deviations from its neighbours from which on a pixel is a speck before any fit.
+/// Deviation of a pixel from its neighbours, in standard deviations, above which it is a speck before any fit.
 const SPECK: f64 = 6.0;
-/// Longest run of pixels that specks make, two or three together.
+/// Longest run of pixels that specks cause, two or three together.
 const LONGEST: usize = 24;
 /// Greatest share of pixels that can be dust.
 const DUST: f64 = 0.4;
@@ -37,20 +37,20 @@ pub(crate) fn rho(r: f64) -> f64 {
     -2.0 * ((normal + odd).max(f64::MIN_POSITIVE) / at_zero).ln()
 }
 
-/// dρ/d(r²): 1 for pixels that belong to the profile.
+/// dρ/d(r²): close to 1 for inliers.
 pub(crate) fn weight(r: f64) -> f64 {
     let (normal, odd) = parts(r);
     (normal + odd / (WIDTH * WIDTH)) / (normal + odd).max(f64::MIN_POSITIVE)
 }
 
-/// Whether odd pixels lie in runs as short as specks make them, and are not too many: else it is the model that is wrong.
+/// Whether outliers form runs as short as those of specks, and are not too many: otherwise the model is wrong.
 pub(crate) fn is_dust(left_out: &[bool]) -> bool {
     let count = left_out.iter().filter(|o| **o).count();
     let longest = left_out.split(|o| !o).map(<[bool]>::len).max().unwrap_or(0);
     longest <= LONGEST && count as f64 <= DUST * left_out.len() as f64
 }
 
-/// Pixels that do not belong to the profile, with the rims of the specks that they are part of.
+/// Outliers, with the rims of their specks.
 pub(crate) fn specks(residuals: &[f64]) -> Vec<bool> {
     let n = residuals.len();
     let odd: Vec<bool> = residuals.iter().map(|r| weight(*r) < ODD).collect();
@@ -63,7 +63,7 @@ pub(crate) fn specks(residuals: &[f64]) -> Vec<bool> {
     left_out
 }
 
-/// Pixels close to their neighbours, by a median filter; a speck and its rims are not.
+/// Pixels close to their neighbours, by a median filter; specks and their rims are excluded.
 pub(crate) fn without_specks(values: &[f64], std_errors: &[f64]) -> Vec<bool> {
     let n = values.len();
     let apart = |i: usize| {

@@ -1,10 +1,10 @@
-//! The noise of profiles without standard errors.
+//! Estimates the noise of profiles without standard errors.
 
 use optics_model::measurement::MIN_PIXELS;
 
 use crate::likelihood::point::Line;
 
-/// Standard errors from how values scatter from pixel to pixel, on the dark and on the light side separately.
+/// Standard errors from the scatter of values from pixel to pixel, on the dark and on the light side separately.
 pub(crate) fn scatter_by_side(x_mm: &[f64], values: &[f64]) -> Line {
     let edge = x_mm.partition_point(|x| *x < 0.0);
     if edge.min(x_mm.len() - edge) < MIN_PIXELS {

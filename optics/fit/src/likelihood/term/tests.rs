@@ -1,4 +1,4 @@
-//! A profile's quadratic and its noise, with numbers that can be checked by hand.
+//! Tests a profile's quadratic and its noise, with numbers that can be checked by hand.
 
 use super::*;
 
@@ -21,7 +21,8 @@ fn own_unknowns_are_eliminated_exactly() {
     assert_eq!(reduced.own_covariance(&covariance)[(0, 0)], 5.0 / 16.0);
 }
 
-/// Damping by 3 makes the own information 16. A step promises the fall of the cost as it is, not of the damped one.
+/// Damping by 3 makes the own information 16. The predicted fall of a step is that of the actual cost, not of the damped
+/// one.
 #[test]
 fn damped_steps_promise_the_undamped_fall() {
     let damped = reduced().damped(3.0);
@@ -54,7 +55,8 @@ fn term() -> Term {
     }
 }
 
-/// The noise of four profiles with the same records has four times the variance; what the modes add to the model stays.
+/// The noise of four profiles with the same records has four times the variance; the contribution of the modes to the
+/// model is unchanged.
 #[test]
 fn alike_profiles_multiply_the_noise() {
     let mut term = term();
@@ -68,7 +70,7 @@ fn alike_profiles_multiply_the_noise() {
     assert_eq!((&term.modes, own[1]), (&vec![vec![1.0, -2.0]], 3.0));
 }
 
-/// Pixels that are left out weigh nothing, and residuals count in units of the softened noise.
+/// Pixels that are left out have no weight, and residuals count in units of the softened noise.
 #[test]
 fn weights_follow_dust_and_softness() {
     let mut term = term();

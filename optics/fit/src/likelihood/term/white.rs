@@ -1,16 +1,16 @@
-//! The response of a profile to an error of the white reference, through the ρ of the base.
+//! Computes the response of a profile to an error of the white reference, through the ρ of the base.
 
 use optics_model::scene::DARKER_WHITE;
 
 use crate::likelihood::point::Line;
 use crate::surrogate::{Coordinates, Surrogate};
 
-/// How an error of the white reference changes the simulated profile, since the base's ρ was measured with it.
+/// The response of the simulated profile to an error of the white reference, with which the base's ρ was measured.
 #[derive(Debug, Clone)]
 pub(crate) struct White {
-    /// By the logarithm of the reference, on the dictionary's pixels.
+    /// Derivative by the logarithm of the reference, on the dictionary's pixels.
     pub slope: Line,
-    /// The question's, from which factors are counted.
+    /// Logarithm of the question's μ, to which factors are relative.
     pub ln_mu: f64,
 }
 
@@ -29,7 +29,7 @@ impl White {
         Some(Self { slope, ln_mu })
     }
 
-    /// The same where the medium now is.
+    /// The same at the current medium.
     pub(crate) fn moved(
         &self,
         surrogate: &Surrogate,

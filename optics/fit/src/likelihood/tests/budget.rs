@@ -1,4 +1,4 @@
-//! The error budget against fits of data that are moved by one standard error of a source.
+//! Compares the error budget with fits of data that are moved by one standard error of a source.
 
 use optics_model::fit::{Bounds, ErrorSource, FitSettings, Refined};
 use optics_model::{MeasuredProfile, Measurement};
@@ -28,7 +28,7 @@ fn budget_shares_sum_to_one() {
     }
 }
 
-/// What σ_t's variance grows by as g is left free.
+/// The share of g is the part of σ_t's variance that is due to g being free.
 #[test]
 fn share_of_g_is_its_variance_increase() {
     let data = measured(MEDIUM, 2, Flaws::default());
@@ -40,8 +40,8 @@ fn share_of_g_is_its_variance_increase() {
     assert_eq!(share(&held, ErrorSource::G), 0.0);
 }
 
-/// Moving what a source gets wrong in one profile by one standard error moves the estimate by the root of what that profile
-/// adds to the variance; profiles err independently.
+/// A shift of one profile by one standard error of a source moves the estimate by the root of that profile's part of the
+/// variance; errors of profiles are independent.
 #[test]
 fn share_is_the_response_to_one_error() {
     let errors = FitSettings {
@@ -66,7 +66,7 @@ fn share_is_the_response_to_one_error() {
     }
 }
 
-/// One of the profiles with other values.
+/// The measurement with other values in one of its profiles.
 fn moved(data: &Measurement, which: usize, move_pixel: fn(f64, f64) -> f64) -> Measurement {
     let profile = |(i, p): (usize, &MeasuredProfile)| {
         let value = |(v, x): (&f64, &f64)| if i == which { move_pixel(*v, *x) } else { *v };

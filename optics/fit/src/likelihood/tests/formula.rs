@@ -1,4 +1,4 @@
-//! Intervals on a dictionary whose truth is a formula.
+//! Tests intervals on a dictionary that is computed from a formula.
 
 use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Outside, Refined};
 use optics_model::{MeasuredProfile, Measurement};
@@ -34,9 +34,8 @@ fn medium(seed: u64) -> (f64, f64, f64) {
     (3.5 * (0.5 * unit(0)).exp(), 0.65 + 0.25 * unit(1), 0.3)
 }
 
-/// 60 media, noise of 1 % in the measurement's pixels and of 1 % in the records' levels. The intervals claim 95 %; with
-/// 60 media at least 51 must hold the truth (the binomial probability of fewer is 0.3 %), and the errors must be well
-/// below the grid's.
+/// 60 media, noise of 1 % in the measurement's pixels and of 1 % in the records' levels. Of 60 intervals of 95 % at least
+/// 51 must contain the truth (the binomial probability of fewer is 0.3 %), and the errors must be well below the grid's.
 #[test]
 fn intervals_cover_the_truth_as_claimed() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.01);
@@ -57,12 +56,13 @@ fn intervals_cover_the_truth_as_claimed() {
     widths.sort_by(f64::total_cmp);
     assert!(sigma_t_held >= 51 && albedo_held >= 51, "{sigma_t_held} {albedo_held} of 60");
     assert!(better >= 50, "{better} of 60");
-    // Honest, but not by being useless: the grid's steps are 12 %.
+    // Intervals must not be useless either: the grid's steps are 12 %.
     assert!(widths[30] < 0.06, "{}", widths[30]);
 }
 
-/// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end. What similarity theory keeps is known
-/// all the same: at least 17 of 20 intervals of 95 % hold the truth (the binomial probability of fewer is 1.6 %).
+/// The formula depends on σ_t and g through σ_t (1 − g) alone: a valley without end. σ_s(1 − g), which is invariant under
+/// similarity, is determined nevertheless: at least 17 of 20 intervals of 95 % contain the truth (the binomial
+/// probability of fewer is 1.6 %).
 #[test]
 fn extinction_anisotropy_valley_is_reported() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
@@ -84,7 +84,7 @@ fn extinction_anisotropy_valley_is_reported() {
     assert!(held >= 17, "{held} of 20");
 }
 
-/// Where the profile does not depend on σ_t any more, the data give a bound on one side at best.
+/// Where the profile no longer depends on σ_t, the data give a bound on one side at best.
 #[test]
 fn flat_profile_is_unresolved() {
     let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
@@ -122,7 +122,7 @@ fn missing_noise_is_estimated() {
     let silent = silent.channels[0].refined.clone().unwrap();
     assert!(silent.sigma_t_per_mm.contains(told.best.medium.sigma_t_per_mm()), "{silent:?}");
     let ratio = silent.measurement_noise / told.measurement_noise;
-    // 360 pixels determine a standard deviation to 6 %; one number stands for a noise that is a share of the value.
+    // 360 pixels determine a standard deviation to 6 %; one number represents a noise that is a share of the value.
     assert!((0.75..1.25).contains(&ratio), "{ratio}");
     let width = |r: &Refined| (r.sigma_t_per_mm.high / r.sigma_t_per_mm.low).ln();
     assert!((0.7..1.4).contains(&(width(&silent) / width(&told))));
@@ -164,7 +164,7 @@ fn bounds_hold_between_nodes() {
     assert!(r.sigma_t_per_mm.open_low, "{r:?}");
 }
 
-/// Axes too short for local fits are interpolated; a dictionary of one medium has nowhere to go.
+/// Axes too short for local fits are interpolated; the only medium of a dictionary is held.
 #[test]
 fn short_axes_are_interpolated_or_held() {
     let dictionary = noisy_dictionary(coarse_axes(), 360, 0.0);

@@ -1,4 +1,4 @@
-//! Uncertain quantities of the scene, on a dictionary from a formula whose responses are known.
+//! Tests uncertain quantities of the scene on a dictionary from a formula whose responses are known.
 
 use optics_model::fit::SceneEstimate;
 use optics_model::grid::Responses;
@@ -7,7 +7,7 @@ use optics_model::scene::{Prior, PriorKind, Scope};
 use super::*;
 use crate::surrogate::{Surrogate, coordinates};
 
-/// What the quantities do to a profile, by their differences from the scene in standard deviations: the gel's brightens the
+/// The change of a profile by the quantities' differences from the scene in standard deviations: the gel's brightens the
 /// middle, not quite in proportion; the ring's darkens the rims.
 fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 {
     let middle = 0.02 * (-x * x).exp() * (1.0 - 0.3 * g);
@@ -75,7 +75,7 @@ fn scene_of(found: &Refined) -> &[SceneEstimate] {
     &found.likelihood.scene
 }
 
-/// Between the nodes responses are interpolated to 1 % of what one standard deviation does.
+/// Between the nodes responses are interpolated to 1 % of the effect of one standard deviation.
 #[test]
 fn responses_are_interpolated_between_nodes() {
     let dictionary = dictionary(true);
@@ -105,7 +105,8 @@ fn responses_are_interpolated_between_nodes() {
     }
 }
 
-/// The quantities are found with the medium: gel of each slab, ring of the session. An exact scene errs.
+/// The quantities are estimated together with the medium: the gel of each slab, the ring of the session. With an exact
+/// scene the medium or the misfit is wrong.
 #[test]
 fn scene_is_estimated_with_the_medium() {
     let [uncertain, exact] = [true, false].map(dictionary);
@@ -136,7 +137,7 @@ fn scene_is_estimated_with_the_medium() {
     }
 }
 
-/// Where the truth lies beyond the responses, the estimate ends there and is marked.
+/// Where the truth lies beyond the range of the responses, the estimate stops at its end and is marked.
 #[test]
 fn estimates_end_with_the_responses() {
     let measured = measured([6.0, 0.0], 0.0, 4);

@@ -29,7 +29,7 @@ fn medium_that_was_measured_is_found() {
     }
 }
 
-/// Eqs. 1 and 2 written down once more, as plainly as can be.
+/// Eqs. 1 and 2, evaluated directly for every medium.
 fn brute_force(dictionary: &FitDictionary, m: &Measurement, options: &FitOptions) -> Vec<(f64, Medium)> {
     let grid = dictionary.grid();
     let mut all = Vec::new();
@@ -143,7 +143,7 @@ fn bounds_are_kept_or_refused() {
     assert!(
         found.iter().all(|c| (1.5..=4.0).contains(&c.medium.sigma_t_per_mm()) && c.medium.albedo() <= 0.6)
     );
-    // Between two nodes both are looked at.
+    // A value between two nodes admits both.
     let between = options(|s| {
         s.sigma_t_per_mm = Bounds::fixed(3.0);
         s.top = 24;
@@ -158,7 +158,8 @@ fn bounds_are_kept_or_refused() {
     assert_eq!(above, "sigma_t_per_mm = 9 to inf is not valid: the dictionary has 1 to 8");
 }
 
-/// The view over a part of the pixels, and those of other wavelets, go through the same bounds and sums.
+/// Searches in views of a part of the pixels, or with other wavelets and levels, find the medium, and the order of the
+/// candidates does not depend on their number.
 #[test]
 fn parts_wavelets_and_levels_differ() {
     let dictionary = dictionary(360);
@@ -193,7 +194,7 @@ fn profiles_beyond_all_records_are_marked() {
     assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
 }
 
-/// Unknown channels and thicknesses, and an x that hardly overlaps with the dictionary's.
+/// Unknown channels and thicknesses, and an x that hardly overlaps with the dictionary's, are refused.
 #[test]
 fn profiles_outside_the_dictionary_are_refused() {
     let dictionary = dictionary(360);

@@ -1,18 +1,18 @@
-//! A profile on the same pixels as before, after its x was scaled about the edge.
+//! Scales the x of a profile about the edge, and keeps its pixels.
 //!
 //! The integral of the profile is interpolated, and not across the edge if that lies between two pixels.
 
 use crate::surrogate::interpolation::{NODES, Place};
 
-/// A tail is continued from the mean over this share of the pixels, at the end, and from its slope there.
+/// Share of the pixels, at an end, whose mean and slope determine the tail beyond it.
 const TAIL_SHARE: f64 = 1.0 / 15.0;
 
-/// How a profile goes on where its pixels end.
+/// The continuation of a profile beyond its pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Tail {
     /// Its slope decays, with this length in pixels.
     Levels(f64),
-    /// It decays itself, with this length in pixels.
+    /// The profile itself decays, with this length in pixels.
     Vanishes(f64),
 }
 
@@ -31,12 +31,12 @@ impl Tail {
 pub(super) struct Stretch {
     pixels: usize,
     ratio: f64,
-    /// Pixels that are needed beyond each end.
+    /// Number of pixels that are needed beyond each end.
     margin: usize,
     edges: Vec<CellEdge>,
 }
 
-/// An edge of a pixel, brought to the profile before it was scaled.
+/// An edge of a pixel, mapped to the profile before scaling.
 #[derive(Debug)]
 struct CellEdge {
     /// Pixels from x = 0.
@@ -66,7 +66,7 @@ impl Stretch {
         (values, slope)
     }
 
-    /// Means over the pixels from what the integral is up to their edges.
+    /// Means over the pixels, from the integral up to each edge.
     fn means(&self, integral: impl Fn(&CellEdge) -> f64) -> Vec<f64> {
         let mut before = integral(&self.edges[0]);
         let mean = |edge: &CellEdge| {
@@ -191,7 +191,7 @@ mod tests {
         }
     }
 
-    /// Tails of either kind with just that length come back; a level that is reached stays.
+    /// Exponential tails of either kind are continued, if they have the given decay length.
     #[test]
     fn exponential_tails_are_continued() {
         let length = 2.0;
@@ -205,7 +205,7 @@ mod tests {
         assert!(farthest(&stretched, &exact) < 1e-3, "{}", farthest(&stretched, &exact));
     }
 
-    /// Independent noise of the pixels is hardly amplified where the records are brought to thicknesses near by.
+    /// Independent noise of the pixels is not amplified on average where records are scaled to thicknesses near by.
     #[test]
     fn noise_is_hardly_amplified() {
         for ratio in [0.9, 1.03, 1.1] {

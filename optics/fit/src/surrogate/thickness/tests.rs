@@ -12,7 +12,7 @@ use crate::testing::dictionary_of;
 
 const PIXELS: usize = 120;
 
-/// Smooth in τ, α, g, and with an edge whose width is that of a slab plus that of the layers about it.
+/// A profile that is smooth in τ, α and g, with an edge whose width is that of a slab plus that of the layers about it.
 fn slab(x: f64, medium: &Medium, thickness_mm: f64) -> f64 {
     let tau = medium.sigma_t_per_mm() * thickness_mm;
     let lost = (1.0 - medium.albedo()).sqrt();
@@ -107,8 +107,8 @@ fn slopes_match_difference_quotients() {
     }
 }
 
-/// What is left of what scaling ignores is as small as what the model of the records is wrong by at most at their own
-/// thickness.
+/// The error of interpolation between thicknesses is as small as that of the records' model at their own thicknesses;
+/// scaling alone has several times that error.
 #[test]
 fn slabs_of_any_thickness_are_predicted() {
     let (two, one) = (dictionary(&[0.5, 1.0]), dictionary(&[0.5]));
@@ -202,7 +202,8 @@ fn basis_thicknesses_are_neighbours_or_well_separated() {
     assert_eq!(of(&[0.5, 5.0], 0.54), ThicknessBasis::One(0));
 }
 
-/// Profiles of slabs that differ in their thickness alone come from the same walks: noise is no part of what differs.
+/// Profiles of slabs that differ in their thickness alone, traced with the same walks: their differences contain no
+/// noise.
 ///
 /// A slab of t mm is traced as one of 1 mm in a scene whose clear layers and pixels are 1/t times as large.
 struct Traced {
@@ -242,8 +243,8 @@ impl Traced {
         optics_tracer::trace(&job, &AtomicBool::new(false)).unwrap().into_iter().map(profile).collect()
     }
 
-    /// A dictionary that ranges over σ_t from 1 to 20 and has nodes where a medium of this optical thickness needs
-    /// them, so few that they are interpolated: nothing but the thickness is wrong.
+    /// A dictionary that ranges over σ_t from 1 to 20 and has nodes where a medium of this optical thickness needs them,
+    /// so few that they are interpolated: the only error is that of the thickness.
     fn dictionary(&self, tau: f64, thickness_mm: &[f64]) -> FitDictionary {
         let mut sigma_t_per_mm = match tau {
             ..1.0 => vec![1.0, 2.0 * tau, 2.0, 20.0],
@@ -292,16 +293,16 @@ fn greatest(values: &[f64]) -> f64 {
     values.iter().copied().fold(0.0, f64::max)
 }
 
-/// Greatest error, with records at 0.5 and 1 mm, as a share of the records' noise.
+/// Greatest allowed error, with records at 0.5 and 1 mm, as a share of the records' noise.
 fn allowed(mm: f64) -> f64 {
     if [0.5, 1.0].iter().any(|record| (mm / record - 1.0).abs() < 0.1 + 1e-9) { 0.2 } else { 0.25 }
 }
 
-/// A fifth of the records' noise is what is allowed, where the clear layers count most: albedos near 1, scattering
-/// forward. The walks leave 0.04 of their own noise at most.
+/// The error is at most a fifth of the records' noise where the clear layers count most: at albedos near 1, with forward
+/// scattering. The walks leave 0.04 of their own noise at most.
 ///
-/// Below an optical thickness of 1 and above 10 one of the two records has to be guessed, which may cost a quarter of the
-/// noise where the thickness is more than a tenth off both.
+/// Below an optical thickness of 1 and above 10 the dictionary lacks one of the two records: there the error may be a
+/// quarter of the noise where the thickness is more than a tenth off both.
 #[test]
 fn error_stays_below_allowed_noise_share() {
     let albedo = vec![0.8, 0.95, 0.99, 0.999];
@@ -317,7 +318,7 @@ fn error_stays_below_allowed_noise_share() {
     }
 }
 
-/// Records at one thickness are scaled, as far as that stays below a fifth of their noise, and no further.
+/// Records at one thickness are scaled as far as the error stays below a fifth of their noise, and no further.
 #[test]
 fn one_thickness_serves_similar_slabs() {
     let traced = Traced { g: 0.8, albedo: vec![0.8, 0.95, 0.99, 0.999], walks: 200_000 };
@@ -333,7 +334,7 @@ fn one_thickness_serves_similar_slabs() {
     }
 }
 
-/// Below a fifth of the records' noise. The table of the document, in some minutes:
+/// Errors over the grid are within the allowed share of the noise. Prints the table of the document, in some minutes:
 /// `cargo test -p optics-fit --lib over_the_grid -- --ignored --nocapture`.
 #[test]
 #[ignore = "traces for some minutes"]
