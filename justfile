@@ -1,6 +1,6 @@
 # Shortcuts; everything works with cargo alone. `just --list` shows them.
 
-# What CI runs: format, lints, documents, dependencies, all tests.
+# The checks of CI: format, lints, documents, dependencies, all tests.
 ci:
     bash .ci/run
 

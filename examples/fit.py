@@ -1,4 +1,4 @@
-"""A fit query from Python, made from the published .proto files alone.
+"""Requests a fit from Python, with only the published .proto files.
 
     python3 -m venv venv && . venv/bin/activate
     pip install grpcio-tools
@@ -28,17 +28,17 @@ def connect(farm):
     if farm.startswith("http://"):
         address = farm.removeprefix("http://").rstrip("/")
         direct = [("grpc.enable_http_proxy", 0)]
-        # A coordinator without an access file has a socket here, which its user's programs alone can reach.
+        # A coordinator without an access file has a socket here, which only its user's programs can reach.
         for folder in (f"/run/user/{os.geteuid()}/resin-farm", f"/tmp/resin-farm-{os.geteuid()}"):
             if (socket := pathlib.Path(folder, address.rpartition(":")[2])).is_socket():
-                # A path is no name of a host, which HTTP/2 wants to see.
+                # HTTP/2 requires the name of a host, which a path is not.
                 return grpc.insecure_channel(f"unix:{socket}", [*direct, ("grpc.default_authority", "localhost")])
         return grpc.insecure_channel(address, direct)
     if farm.startswith("https://"):
         sys.exit(f"{farm}: an access file is needed, which holds the certificate to know the coordinator by")
     with open(farm, "rb") as file:
         access = tomllib.load(file)
-    # The key and certificate are only there if the coordinator asks for them.
+    # The key and certificate are present only if the coordinator requires them.
     keys = [access[name].encode() if name in access else None for name in ("ca_certificate", "key", "certificate")]
     secure = grpc.composite_channel_credentials(
         grpc.ssl_channel_credentials(*keys), grpc.access_token_call_credentials(access["token"])

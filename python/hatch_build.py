@@ -1,7 +1,7 @@
 """Adds the three programs and the modules of the gRPC interface to a wheel.
 
-`cargo build --release` makes the programs, or FARM_PROGRAMS names the folder where they are. The wheel runs on what the
-programs run on: any Python, and a C library at least as new as the newest symbol that they use.
+`cargo build --release` builds the programs, unless FARM_PROGRAMS is the folder where they are. The wheel runs where the
+programs run: with any Python, and with a C library at least as new as the newest symbol that they use.
 """
 
 import os
@@ -23,7 +23,7 @@ MESSAGES = ["model", "fits", "dictionaries"]
 
 
 class Version(MetadataHookInterface):
-    """The version is that of the programs."""
+    """Sets the version to that of the programs."""
 
     PLUGIN_NAME = "custom"
 

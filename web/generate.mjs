@@ -1,4 +1,4 @@
-// Makes src/gen, the page's clients, from descriptors on standard input (cargo run -p farm-proto --example descriptors).
+// Generates src/gen, the page's clients, from descriptors on standard input (cargo run -p farm-proto --example descriptors).
 import { spawnSync } from 'node:child_process';
 import { mkdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { dirname, join } from 'node:path';

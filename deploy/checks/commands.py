@@ -1,4 +1,4 @@
-"""All command lines and variables of the programs in the deployment's files, compared with the programs.
+"""Compares all command lines and variables in the deployment's files with the programs.
 
 usage: commands.py FILE...   units, compose.yaml, rendered Kubernetes objects, Containerfile, README.md
 """

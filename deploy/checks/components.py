@@ -1,4 +1,4 @@
-"""Prints what is compiled into the programs, as CycloneDX 1.6 in JSON, from Cargo's own metadata and lock file.
+"""Prints the packages that are compiled into the programs, as CycloneDX 1.6 in JSON, from Cargo's metadata and lock file.
 
     python3 deploy/checks/components.py > resin-farm.cdx.json
 """
@@ -24,7 +24,7 @@ def host():
 
 
 def compiled_in(found):
-    """Identities of the packages that the programs need when they run: neither for building nor for tests."""
+    """Identities of the packages that the programs need at run time, without those for building and for tests."""
     nodes = {node["id"]: node for node in found["resolve"]["nodes"]}
     waiting = [package["id"] for package in found["packages"] if package["name"] in PROGRAMS]
     needed = set()
@@ -52,7 +52,7 @@ def main():
         name, version = package["name"], package["version"]
         component = {"type": "library", "name": name, "version": version, "purl": f"pkg:cargo/{name}@{version}"}
         if package["license"]:
-            # "MIT/Apache-2.0" is how "or" was once written.
+            # "MIT/Apache-2.0" is a former notation of "or".
             component["licenses"] = [{"expression": package["license"].replace("/", " OR ")}]
         if checksum := checksums.get((name, version)):
             component["hashes"] = [{"alg": "SHA-256", "content": checksum}]

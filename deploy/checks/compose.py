@@ -1,4 +1,4 @@
-"""Asserts about compose.yaml what its schema does not say.
+"""Checks rules of compose.yaml that are not in its schema.
 
 usage: compose.py COMPOSE       checks it
        compose.py --run COMPOSE SERVICE   prints variables and command of a service, a word a line, for a trial
@@ -41,7 +41,7 @@ def port_problems(name, service):
 
 
 def file_problems(name, service):
-    """Whatever names a secret's file, names one that the service has."""
+    """Yields a problem for each file of a secret that the service does not have."""
     named = [*service["command"], *map(str, service.get("environment", {}).values())]
     for word in named:
         _, found, secret = word.partition("/run/secrets/")

@@ -1,4 +1,4 @@
-"""Asserts about the Containerfile what a linter does not know.
+"""Checks rules of the Containerfile that a linter does not have.
 
 usage: containerfile.py CONTAINERFILE CHECKOUT
 """
@@ -45,7 +45,7 @@ def base_problems(found):
 
 
 def context_problems(containerfile, found, checkout):
-    """What is copied exists, and every crate of the workspace is let through by the ignore file."""
+    """Checks that copied files exist, and that the ignore file lets every crate of the workspace through."""
     ignore = containerfile.with_name(containerfile.name + ".dockerignore").read_text().splitlines()
     let_in = {line[1:] for line in ignore if line.startswith("!")}
     if "*" not in ignore:
@@ -55,7 +55,7 @@ def context_problems(containerfile, found, checkout):
             yield f"the ignore file lets in {name}, which does not exist"
     workspace = tomllib.loads((checkout / "Cargo.toml").read_text())["workspace"]
     for name in ["Cargo.toml", "Cargo.lock", *workspace["members"]]:
-        # A folder lets in what it holds.
+        # A folder includes its content.
         if name.partition("/")[0] not in let_in:
             yield f"the ignore file does not let in {name}, without which nothing is built"
     for words in (rest.split() for name, rest in found if name == "COPY"):

@@ -1,4 +1,4 @@
-"""Time to stop: what a program needs, and what it is given."""
+"""Compares the time that a program needs to stop with the time that it is given."""
 
 import re
 

@@ -2,8 +2,9 @@
 
     htcondor_jobs.py SUBMIT_FILE WORKERS
 
-The jobs must differ in their labels and ask for whole numbers of cores and MiB; who ends well or is refused for good must
-leave the queue, and everybody else stay. The program and what is sent along must be in the folder where this runs.
+The jobs must differ in their arguments and request whole numbers of cores and MiB; jobs that end with success or are
+refused for good must leave the queue, and all others must stay. The program and the transferred files must be in the
+current folder.
 """
 
 import os

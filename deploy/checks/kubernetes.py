@@ -1,4 +1,4 @@
-"""Asserts about rendered Kubernetes objects what their schemas do not say.
+"""Checks rules of rendered Kubernetes objects that are not in their schemas.
 
 usage: kubernetes.py RENDERED
 """
@@ -26,7 +26,7 @@ class Objects:
         return self.of("StatefulSet", "Deployment")
 
     def pods_with(self, labels):
-        """Templates of pods that a selector finds."""
+        """Templates of pods that a selector matches."""
         templates = (workload["spec"]["template"] for workload in self.workloads())
         return [template for template in templates if labels.items() <= template["metadata"]["labels"].items()]
 
@@ -149,7 +149,7 @@ def service_problems(objects, service):
 
 
 def policy_problems(objects):
-    """Everything is denied, and what workers need is allowed on both sides."""
+    """Checks that everything is denied by default, and that the connection of workers is allowed on both sides."""
     policies = objects.of("NetworkPolicy")
     denied = [p for p in policies if not p["spec"]["podSelector"] and not p["spec"].keys() & {"ingress", "egress"}]
     if not any(sorted(policy["spec"]["policyTypes"]) == ["Egress", "Ingress"] for policy in denied):

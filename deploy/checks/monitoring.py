@@ -1,10 +1,10 @@
-"""Tries the dashboard and the alerts with a real Prometheus that scrapes a farm at work.
+"""Tests the dashboard and the alerts with a real Prometheus that scrapes a working farm.
 
     monitoring.py MONITORING_FOLDER SCALED_OBJECT METRICS_ADDRESS PROMETHEUS_ADDRESS
 
-Prometheus runs with the folder's configuration and scrapes the farm. Each query of the dashboard, and that by which KEDA
-scales the workers, must be answered, and name metrics that the farm has; those of a farm that computes must have figures;
-each alert must have been evaluated.
+Prometheus runs with the folder's configuration and scrapes the farm. Each query of the dashboard, and the one by which KEDA
+scales the workers, must be answered, and contain only metrics that the farm has; queries that a computing farm answers
+must have results; each alert must have been evaluated.
 """
 
 import json
@@ -17,7 +17,7 @@ import urllib.request
 
 import yaml
 
-# What only some farms have: none is seen while nothing fails and no backup is due.
+# Parts of queries without a result in this farm: nothing fails, no fit or check is made, and no backup is due.
 MAY_BE_EMPTY = ("code!=", "farm_backup_age_seconds", "farm_fit_seconds", "farm_verifications_total", "farm_jobs_failed_total")
 
 
@@ -39,7 +39,7 @@ def queries(folder, scaled_object):
     dashboard = json.loads((folder / "dashboard.json").read_text())
     for panel in dashboard["panels"]:
         for target in panel["targets"]:
-            # A farm that has been scraped for seconds has rates over seconds.
+            # The farm has been scraped for seconds only, so rates are taken over seconds.
             expression = target["expr"].replace("$job", "resin-farm")
             yield panel["title"], re.sub(r"\[(5m|1h)\]", "[10s]", expression)
 
@@ -47,7 +47,7 @@ def queries(folder, scaled_object):
 def known_metrics(metrics):
     """Names of the farm's metrics, without the suffixes for buckets and sums of histograms."""
     names = set(re.findall(r"^# TYPE (\S+) ", fetch(f"http://{metrics}/metrics"), flags=re.MULTILINE))
-    # Before the first backup there is no age of it.
+    # This metric does not exist before the first backup.
     return {re.sub("_total$", "", name) for name in names} | {"farm_backup_age_seconds"}
 
 

@@ -1,4 +1,4 @@
-"""What the farm's programs understand, read from their --help."""
+"""Reads the options of the farm's programs from their --help, and checks command lines with them."""
 
 import functools
 import os
@@ -8,7 +8,7 @@ import subprocess
 PROGRAMS = ("farm-coordinator", "farm-worker", "farmctl")
 # Read by the logging library, and in no --help.
 FURTHER_VARIABLES = {"FARM_LOG"}
-# Anything stands for itself in a document: GRID.toml, $HOME, 8.
+# Values are not checked, since documents contain placeholders: GRID.toml, $HOME, 8.
 OPTION = re.compile(r"^\s+(?:-(?P<short>\w), )?--(?P<long>[a-z][a-z-]*)(?:[ =]<(?P<value>[^>]+)>)?", re.MULTILINE)
 
 
@@ -49,7 +49,7 @@ def all_variables():
 
 
 def problems(argv):
-    """What the program would not understand of a command line."""
+    """Yields the errors of a command line."""
     command, rest = [argv[0]], list(argv[1:])
     while rest:
         word = rest.pop(0)

@@ -1,12 +1,12 @@
 # shellcheck shell=bash
-# The image's final stage without an engine: the programs, the libraries that they name, a user and nothing else; a
-# read-only root, /data and /tmp to write to, no capabilities. Sourced by ../check within namespaces of its own, where it
-# is process 1: whatever runs when it ends is killed. Commands and variables are those of compose.yaml.
+# Tests the image's final stage without an engine: the programs, the libraries that they need, a user and nothing else; a
+# read-only root, /data and /tmp to write to, no capabilities. Sourced by ../check within separate namespaces, where it
+# is process 1: all other processes are killed when it ends. Commands and variables are those of compose.yaml.
 #
 # root_trial FOLDER: the folder is empty, and removed by the caller, who also sets these:
 : "${bin:?}" "${deploy:?}" "${checks:?}" "${python:?}"
 
-# What gcr.io/distroless/cc-debian12 has of what programs may name.
+# Libraries of gcr.io/distroless/cc-debian12 that programs may need.
 readonly base_libraries="libc.so.6 libm.so.6 libgcc_s.so.1 ld-linux-x86-64.so.2 ld-linux-aarch64.so.1"
 
 root_trial() {
@@ -55,7 +55,7 @@ close_tree() {
   if touch "$tree/usr/local/bin/x" 2>/dev/null; then fail "the root can be written to"; fi
 }
 
-# inside COMMAND...: as the image's user, who can get no further privileges, with the variables of the service.
+# inside COMMAND...: runs a command as the image's user, without further privileges, with the variables of the service.
 inside() { (become "$@"); }
 
 # Replaces the shell, so that its process number is the program's.
@@ -80,7 +80,7 @@ start() {
   pids[$1]=$!
 }
 
-# stop NAME SECONDS: SIGTERM, and the exit code must be 0 in time.
+# stop NAME SECONDS: sends SIGTERM; the program must end in time with exit code 0.
 stop() {
   local began=$SECONDS status=0
   kill -TERM "${pids[$1]}"
@@ -98,7 +98,7 @@ healthy() {
   inside "${words[@]}" >"$work/health.log" 2>&1
 }
 
-# http PATH: the whole answer on the metrics port.
+# http PATH: prints the whole answer of the metrics port.
 http() {
   exec 9<>/dev/tcp/127.0.0.1/7701 || return 1
   printf 'GET %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n' "$1" >&9
@@ -109,7 +109,7 @@ http() {
 # Whether the first scheduled backup is made; leaves the metrics in the file.
 backed_up() { http /metrics >"$work/answer" && grep -q '^farm_backup_age_seconds ' "$work/answer"; }
 
-# The metrics that the alerts in README.md ask for exist.
+# Checks that the metrics of the alerts in README.md exist.
 check_metrics() {
   local name
   while read -r name; do
@@ -124,7 +124,7 @@ as_client() {
 
 digest_of() { grep -o '"records_digest":"[^"]*"' | cut -d '"' -f 4; }
 
-# The first figure is that of the whole farm.
+# The first number is that of the whole farm.
 leased() { [[ $(as_client --json status | grep -o '"jobs_leased":[0-9]*' | head -n 1) != '"jobs_leased":0' ]]; }
 
 write_grid() {

@@ -1,4 +1,4 @@
-// Holds KEDA's objects among rendered ones (a JSON array on standard input) against KEDA's schema.
+// Compares KEDA's objects among rendered ones (a JSON array on standard input) with KEDA's schema.
 //
 // usage: node scaled.mjs FOLDER      with @kubernetes-models/keda below FOLDER
 
@@ -6,10 +6,11 @@ import { createRequire } from 'node:module';
 import { text } from 'node:stream/consumers';
 
 const require = createRequire(`${process.argv[2]}/`);
-// By its path: the package's own classes look at copies.
+// Loaded by its path, since the package's classes validate copies of the objects.
 const { validate } = require('./node_modules/@kubernetes-models/keda/_schemas/KedaShV1alpha1ScaledObject.js');
 
-// The schema lets unknown fields pass, and a cluster silently drops them. A validator reads all fields of its schema, so fields that it does not read are unknown.
+// The schema accepts unknown fields, and a cluster silently drops them. A validator reads all fields of its schema, so
+// fields that it does not read are unknown.
 function watched(value, path, unseen) {
   if (value === null || typeof value !== 'object') return value;
   const keys = Array.isArray(value) ? [] : Object.keys(value);

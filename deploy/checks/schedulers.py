@@ -1,4 +1,4 @@
-"""Command lines in the files for PBS, HTCondor and Nomad, compared with the programs; the forms of the files.
+"""Compares command lines in the files for PBS, HTCondor and Nomad with the programs; checks the syntax of the files.
 
 usage: schedulers.py FILE...
 """

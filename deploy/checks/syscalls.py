@@ -12,7 +12,7 @@ from units import settings
 
 
 def groups():
-    """Every group of systemd, with what stands in it."""
+    """Every group of systemd, with its members."""
     done = subprocess.run(["systemd-analyze", "syscall-filter", "--no-pager"], capture_output=True, text=True, check=True)
     found, current = {}, None
     for line in done.stdout.splitlines():

@@ -1,4 +1,4 @@
-"""Asserts about the systemd units what systemd-analyze does not know.
+"""Checks rules of the systemd units that systemd-analyze does not have.
 
 usage: units.py UNIT...
 """
@@ -11,7 +11,7 @@ from durations import enough_to_stop, seconds
 
 
 def settings(text):
-    """Every value that a key was given."""
+    """All values of each key."""
     found = {}
     for line in text.splitlines():
         key, separator, value = line.partition("=")

@@ -1,4 +1,4 @@
-# Workers on Nomad. The program lies on the clients, the access file in a variable that this job alone reads:
+# Workers on Nomad. The program is on the clients, the access file in a variable that only this job reads:
 #
 #   nomad var put nomad/jobs/farm-worker access=@worker.toml
 #   nomad job run farm-worker.nomad.hcl
@@ -47,7 +47,7 @@ job "farm-worker" {
         perms       = "600"
       }
 
-      # Time to deliver what is done, and to hand the leases back.
+      # Time to deliver finished results, and to hand the leases back.
       kill_signal  = "SIGTERM"
       kill_timeout = "45s"
 

@@ -25,7 +25,7 @@ def farmctl(farm: resin_farm.Farm, *arguments: str) -> dict[str, Any]:
 
 
 def same(a: object, b: object, where: str = "") -> None:
-    """Equal to the last bit."""
+    """Asserts equality to the last bit."""
     if isinstance(a, tuple | list):
         assert isinstance(b, tuple | list) and len(a) == len(b), where
         for i, (x, y) in enumerate(zip(a, b, strict=True)):
@@ -152,7 +152,7 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
         "x_mm": 360,
     }
     assert dataset.attrs["records_digest"] == dictionary.records_digest
-    # Against the records as farmctl prints them.
+    # Compared with the records that farmctl prints.
     command = [_programs.program("farmctl"), "--server", farm.address, "--quiet", "export", dictionary.name]
     records = pd.read_csv(
         io.StringIO(subprocess.run(command, check=True, capture_output=True, encoding="utf-8").stdout)
@@ -164,7 +164,7 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
     at = {"sigma_t_per_mm": 6, "albedo": 0.999, "g": 0.4, "thickness_mm": 0.5}
     profile = dictionary.profile(sigma_t=6, albedo=0.999, g=0.4, thickness_mm=0.5)
     assert profile.recorded
-    # By the model between the records, which does not follow each one's noise.
+    # The profile comes from the model between the records, which does not follow the noise of each record.
     record = dataset["value"].sel(at, method="nearest").isel(sample_ior=0)
     np.testing.assert_allclose(profile["G"], record.sel(channel="G"), atol=0.01)
     options = "profile --sigma-t 6 --albedo 0.999 --g 0.4 --thickness 0.5 --channel G".split()

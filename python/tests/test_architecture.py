@@ -13,7 +13,7 @@ PACKAGE = pathlib.Path(resin_farm.__file__).parent
 
 
 def imported(source: str, modules: set[str]) -> Iterator[str]:
-    """The modules that a module names: at its top, within functions, or for types only."""
+    """The modules that a module imports: at its top, within functions, or for types only."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -34,7 +34,7 @@ def imported(source: str, modules: set[str]) -> Iterator[str]:
 def check(sources: dict[str, str]) -> None:
     """
     Raises:
-        CycleError: with the modules that name each other in a circle.
+        CycleError: with the modules that import each other in a cycle.
     """
     modules = {*sources, "_wire"}
     graphlib.TopologicalSorter({name: imported(source, modules) for name, source in sources.items()}).prepare()
@@ -58,6 +58,6 @@ def test_modules_name_each_other_in_no_circle() -> None:
     ],
 )
 def test_a_circle_is_found(line: str) -> None:
-    """However the import that closes it is written."""
+    """A cycle is found whatever the form of its imports."""
     with pytest.raises(graphlib.CycleError):
         check({"a": "from resin_farm.b import y", "b": line})

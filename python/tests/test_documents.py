@@ -1,4 +1,4 @@
-"""What docs/python.md shows does what it says."""
+"""The examples of docs/python.md run."""
 
 import pathlib
 import re

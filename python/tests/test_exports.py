@@ -113,7 +113,7 @@ def test_a_parquet_file_has_a_row_for_each_channel(
         assert pixels.dtype == np.float32
         np.testing.assert_array_equal(pixels.ravel(), arrays[name].values.ravel())
     assert list(rows["channel"][:4]) == ["R", "G", "B", "R"] and list(rows["record"][:4]) == [0, 0, 0, 1]
-    # A row's parameters lead to its pixels.
+    # The parameters of a row identify its pixels.
     row = rows.iloc[50]
     found = arrays["value"].sel({name: row[name] for name in [*keys, "channel"]})
     np.testing.assert_array_equal(row["value"], found)

@@ -71,7 +71,7 @@ def test_a_farm_that_is_killed_while_it_computes_goes_on(tmp_path: pathlib.Path)
 
 def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:
     code = f"import resin_farm, time\nresin_farm.Farm({str(tmp_path)!r})\nprint('up', flush=True)\ntime.sleep(600)"
-    # Without a name the farm would be collected at once.
+    # Without a name the farm would be garbage-collected at once.
     code = code.replace("\nresin_farm.Farm", "\nfarm = resin_farm.Farm")
     program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, encoding="utf-8")
     assert program.stdout is not None and program.stdout.readline() == "up\n"
@@ -167,7 +167,7 @@ def test_a_capture_is_measured_with_its_own_dictionary(tmp_path: pathlib.Path) -
         (material,) = capture.measurements
         assert material.channels == ("R", "G", "B") and capture.report.exists()
         assert material.profiles[0].std_errors is not None and "origin_mm" in material.profiles[0].set_up
-        # A coarse grid, for the time that it takes.
+        # A coarse grid, to save time.
         grid = capture.folder / "grid.toml"
         thicknesses = ", ".join(f"{t:g}" for t in material.thicknesses_mm)
         grid.write_text(
@@ -177,7 +177,7 @@ def test_a_capture_is_measured_with_its_own_dictionary(tmp_path: pathlib.Path) -
         )
         measured = farm.measure(capture)
         assert [fit.channel for fit in measured.materials[0].channels] == ["R", "G", "B"]
-        # By the white reference, and by what the data say of it.
+        # Estimated from the white reference and the data.
         assert abs(measured.mu - 1) < 0.03 and measured.mu_std_error < 0.02
         assert "media" in (capture.folder / "report.html").read_text(encoding="utf-8")
         assert farm.measure(str(capture.folder)).materials[0]["R"].medium == measured.materials[0]["R"].medium

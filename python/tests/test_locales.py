@@ -1,4 +1,4 @@
-"""Text is UTF-8, whatever the locale says."""
+"""Text is UTF-8 in every locale."""
 
 import os
 import pathlib
@@ -9,7 +9,7 @@ import pytest
 
 from conftest import WHITE
 
-# What goes through files, pipes and calls: a material of a file, of a frame and of an answer, and a message of farmctl.
+# Passes text through files, pipes and calls: names of materials from a file and a frame, and a message of farmctl.
 PROGRAM = """
 import pathlib, sys
 import resin_farm

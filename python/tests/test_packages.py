@@ -1,4 +1,4 @@
-"""The bounds of the packages that this one needs are true."""
+"""The version bounds of the required packages are correct."""
 
 import importlib.metadata
 import pathlib
@@ -10,7 +10,7 @@ import resin_farm
 
 
 def test_the_bounds_of_protobuf_are_those_of_the_generated_modules() -> None:
-    """They run from the version that they were made for to the end of the next major one."""
+    """The modules run from the version of protobuf that generated them to the end of the next major one."""
     made = pathlib.Path(resin_farm.__file__).parent / "_wire" / "model_pb2.py"
     version = re.search(r"Protobuf Python Version: (\d+)\.(\d+)\.(\d+)", made.read_text(encoding="utf-8"))
     assert version is not None

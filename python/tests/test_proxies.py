@@ -1,4 +1,4 @@
-"""Ways to a farm that lead over other programs."""
+"""Proxies between a program and its farm."""
 
 import socket
 

@@ -1,4 +1,4 @@
-"""Waiting for a dictionary outlives what happens to the coordinator, and to the way there."""
+"""Waiting for a dictionary survives failures of the coordinator, and of the connection to it."""
 
 import logging
 import os
@@ -31,7 +31,7 @@ def until(what: str, look: Callable[[], bool]) -> None:
 
 
 class Link:
-    """A port that leads to another one; connections can be frozen, as by a router that forgets them."""
+    """A proxy from one port to another; connections can be frozen, as by a router that loses their state."""
 
     def __init__(self, target: int) -> None:
         self._target = target
@@ -73,7 +73,7 @@ class Link:
                 for end in select.select([client, server], [], [])[0]:
                     read = end.recv(1 << 16)
                     if client in self._frozen:
-                        # Neither end learns of it.
+                        # Neither end is notified.
                         return
                     if not read:
                         client.close()
@@ -86,7 +86,7 @@ class Link:
 
 
 class Server:
-    """A coordinator on a port of its own, which it keeps over restarts."""
+    """A coordinator on a free port, which it keeps over restarts."""
 
     def __init__(self, data: pathlib.Path) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -153,7 +153,7 @@ def waiting(link: Link, caplog: pytest.LogCaptureFixture) -> Iterator[Future[res
         except resin_farm.FarmError as error:
             found.set_exception(error)
 
-    # One that never ends must not hang the test.
+    # A wait that never ends must not hang the test.
     threading.Thread(target=wait, daemon=True).start()
     assert began.wait(SOON)
     yield found
@@ -185,7 +185,7 @@ def test_a_coordinator_that_is_killed_and_comes_back_is_waited_for(
 def test_another_grid_of_the_same_name_is_not_waited_for(
     server: Server, link: Link, waiting: Future[resin_farm.Dictionary], caplog: pytest.LogCaptureFixture
 ) -> None:
-    # So that the wait sees nothing in between.
+    # So that the wait receives no state in between.
     link.refuses = True
     link.freeze()
     until("it is logged", lambda: "does not answer and is waited for" in caplog.text)

@@ -161,7 +161,7 @@ def trace_with_mitsuba(args):
     begin = time.perf_counter()
     passes = np.stack([render(seed, args.spp) for seed in range(args.passes)])
     seconds = time.perf_counter() - begin
-    # Mitsuba's rough dielectric gives a NaN now and then, which spoils a pixel of a pass: such a value is left out.
+    # Mitsuba's rough dielectric sometimes returns NaN, which spoils a pixel of a pass: such a value is left out.
     spoilt = np.isnan(passes).sum()
     if spoilt:
         print(f"{spoilt} of {passes.size} values of Mitsuba's passes are NaN and left out")
@@ -185,7 +185,7 @@ def main():
     variant = choose_variant(args.variant)
     values, errors, seconds = trace_with_mitsuba(args)
     ours, our_errors, our_seconds = simulate(args, args.walks)
-    # Time is proportional to 1/error², so error² × time does not depend on how long one has waited. Single pixels'
+    # Time is proportional to 1/error², so error² × time does not depend on the duration of the run. Single pixels'
     # errors are noisy: take the mean square over each side.
     half = args.pixels // 2
     sides = (slice(0, half), slice(half, None))

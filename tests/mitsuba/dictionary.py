@@ -77,7 +77,7 @@ def main():
         for side in (slice(0, half), slice(half, None)):
             theirs, mine = (math.sqrt((e[side] ** 2).mean()) for e in (errors, our_errors))
             ratios.append((theirs / mine) ** 2)
-            # A walk serves many pixels, so our pixels err together; Mitsuba's do not.
+            # A walk serves many pixels, so the errors of farmctl's pixels are correlated; those of Mitsuba's are not.
             mean_error = math.hypot(theirs / math.sqrt(half), mine)
             zs.append((values[side].mean() - ours[side].mean()) / mean_error)
         needed.append(seconds * sum(ratios) / len(ratios))

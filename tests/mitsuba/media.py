@@ -40,7 +40,7 @@ def parse():
 
 
 def read_expected(path):
-    """The measured values, from a list or from what `farmctl measure --json` printed."""
+    """The measured values, from a list or from the output of `farmctl measure --json`."""
     measured = json.loads(path.read_text(encoding="utf-8"))
     if isinstance(measured, list):
         return measured
@@ -68,7 +68,7 @@ def probe(wavelength_nm=None):
 
 
 class Loaded:
-    """A medium of Mitsuba, asked for what a walk would meet in it."""
+    """A medium of Mitsuba, with the coefficients that a walk would meet in it."""
 
     def __init__(self, medium):
         self.medium = medium
@@ -101,14 +101,14 @@ def load(source):
 
 
 def xml_media(path):
-    """The elements of the one root; the parser is stricter than Mitsuba's, about comments for one."""
+    """The elements of the only root; the parser is stricter than Mitsuba's, for example about comments."""
     root = ElementTree.parse(path).getroot()
     assert root.tag == "scene" and all(child.tag == "medium" for child in root), "a scene of media"
     return list(root)
 
 
 def kinds(source):
-    """rgb, spectrum or scalar, of each medium."""
+    """The kind of each medium: rgb, spectrum or scalar."""
     if isinstance(source, dict):
         return [m["sigma_t"]["type"] if isinstance(m["sigma_t"], dict) else "scalar" for m in source.values()]
     tags = [medium.find("*[@name='sigma_t']").tag for medium in xml_media(source)]
@@ -156,13 +156,13 @@ def walk(kind_of_each, materials):
 
 
 def wavelengths(channels):
-    """Each measured wavelength with its channel, and beyond them the ends, where the outer ones go on."""
+    """Each measured wavelength with its channel, and the ends of the spectrum, where the outer channels continue."""
     pairs = [(float(c["channel"]), c) for c in channels]
     return [(min(RENDERED_NM[0], pairs[0][0]), channels[0]), *pairs, (max(RENDERED_NM[1], pairs[-1][0]), channels[-1])]
 
 
 def check_mitsuba(check, label, source, materials):
-    """rgb in an RGB variant, spectra in a spectral one, scalars in both; rgb must at least load in both."""
+    """Checks rgb in an RGB variant, spectra in a spectral one, scalars in both; rgb must at least load in both."""
     for variant in ("scalar_rgb", "scalar_spectral"):
         mi.set_variant(variant)
         spectral = variant == "scalar_spectral"
@@ -179,8 +179,8 @@ def check_mitsuba(check, label, source, materials):
                 for i, channel in enumerate(channels):
                     check.coefficients(f"{what} {channel['channel']}", (sigma_t[i], sigma_s[i]), channel)
             elif kind == "rgb":
-                # What Mitsuba makes of a colour is not ours, but it must stay within the range of the channels or
-                # near it: a wrong scale, or values cut off at 1, would not.
+                # Mitsuba's conversion of a colour is not checked, but the result must be within the range of the
+                # channels or near it, unlike with a wrong scale or values cut off at 1.
                 greatest = max(c["sigma_t_per_mm"] for c in channels)
                 peak = max(medium.at(float(nm))[0][0] for nm in range(400, 701, 10))
                 check.equal(f"{what}: greatest sigma_t {peak}, for {greatest}", 0.5 < peak / greatest < 10, True)

@@ -1,4 +1,4 @@
-"""From the parts that session.py renders to the numbers of a camera: strips, shadows, mosaic, noise, session file."""
+"""Turns the parts that session.py renders into the numbers of a camera: strips, shadows, mosaic, noise, session file."""
 
 import math
 
@@ -12,15 +12,15 @@ from compare import RING_DEG
 # Radiance of a perfect white in air under the ring, whose radiance is 1.
 WHITE = math.sin(math.radians(RING_DEG[1])) ** 2 - math.sin(math.radians(RING_DEG[0])) ** 2
 
-# As wide as the bins of `capture` and, but for what it finds of the edge, in the same places: neighbours share little.
+# As wide as the bins of `capture` and, except for its estimate of the edge, at the same places: neighbours share little.
 STRIP_MM = 10 / 360
 # Beyond this, wide strips suffice for the sides, which are not measured.
 STRIPS_TO_MM = 5.45
 WIDE_MM = 0.5
 SHADOW_MM = 0.25
 
-# 15 bits, so that the noise of few paths never clips. Numbers above black of a perfect white; numbers an electron;
-# standard deviation of reading.
+# 15 bits, so that the noise of few paths never clips. Numbers above black of a perfect white; numbers per electron;
+# standard deviation of the read noise.
 FULL = {"R": 9500.0, "G": 13000.0, "B": 11000.0}
 PER_ELECTRON = 12.0
 READ = 6.0
@@ -34,7 +34,7 @@ GLARE = 0.002
 
 
 def load(folder, name):
-    """A picture as radiance factors of each pixel, with how many passes it has."""
+    """A picture as radiance factors of each pixel, and the number of its passes."""
     path = folder / f"{name}.npz"
     if not path.exists():
         raise SystemExit(f"{path} is missing: go on with `render`")
@@ -69,7 +69,7 @@ def window_of(image, window):
 
 
 def means(values, indices, count):
-    """Mean by index; NaN where there is none."""
+    """Mean of the values of each index; NaN where there are none."""
     known = (indices >= 0) & (indices < count)
     n = np.bincount(indices[known], minlength=count)
     with np.errstate(invalid="ignore"):
@@ -77,7 +77,7 @@ def means(values, indices, count):
 
 
 class Parts:
-    """All that was rendered, put together."""
+    """All rendered parts, combined."""
 
     def __init__(self, folder, camera):
         self.folder, self.camera = folder, camera
@@ -89,9 +89,9 @@ class Parts:
         self.levels = {c: self.bare_levels(c) for c in session.MEDIA}
 
     def bare_levels(self, channel):
-        """The bare board seen straight from above, light and dark, each with its standard error; and what both gain by
-        the square of the angle of view. The coat's own reflection of the ring makes half of the dark, and rises as the
-        view turns towards the ring; the ring being round, it knows no direction."""
+        """Levels of the bare board seen straight from above, light and dark, each with its standard error; and the
+        increase of both with the square of the angle of view. Half of the dark level is the coat's reflection of the
+        ring, which rises as the view turns towards the ring, equally in all directions, since the ring is round."""
         image, _ = load(self.folder, f"bare_{channel}")
         is_light, is_dark = self.cover > 0.9999, self.cover < 1e-4
         tilt = self.tilt[is_dark]
@@ -147,7 +147,7 @@ class Parts:
         factors = np.ones(self.cover.shape)
         bare = self.bare("G")
         for share in (self.cover, 1 - self.cover):
-            # Of whole squares, above and below the slab together.
+            # Ratios over whole squares, above and below the slab together.
             indices, ratios = [], []
             for i, window in enumerate(session.BEYOND):
                 whole = window_of(share, window) > 0.9999
@@ -167,7 +167,7 @@ class Parts:
 
 
 class Sensor:
-    """Takes pictures of radiance factors as mosaics."""
+    """Turns pictures of radiance factors into mosaics."""
 
     def __init__(self, camera):
         u = (np.arange(camera.width) + 0.5) / camera.width - 0.5

@@ -38,8 +38,8 @@ THICKNESSES = (0.5, 1.0)
 SHOTS = 3
 PATCHES = (0.956, 0.594, 0.361, 0.193, 0.090, 0.032)
 SHEET = 0.9
-# The lens, near to a Gaussian: places of the picture against the sensor in pixels, each with paths of its own. Sideways
-# and up and down in another order, so that both are unrelated.
+# The lens, close to a Gaussian: offsets of the picture against the sensor in pixels, each with separate paths. The vertical
+# ones have another order than the horizontal ones, so that both are uncorrelated.
 LENS_PX = (-1.4609, 1.4609, -0.2688, 0.2688, -0.6852, 0.6852)
 UP_PX = (-0.2688, 0.2688, -0.6852, -1.4609, 1.4609, 0.6852)
 PLACES = len(LENS_PX)
@@ -64,7 +64,7 @@ def parse():
 
 
 class Picture:
-    """Sums of a window's values and how many there are, kept in a file after each pass."""
+    """Sums of a window's values and their numbers, kept in a file after each pass."""
 
     def __init__(self, path):
         self.path = path
@@ -75,7 +75,7 @@ class Picture:
             self.passes, self.sum, self.count = int(kept["passes"]), kept["sum"], kept["count"]
 
     def add(self, image):
-        # Mitsuba's rough dielectric gives a NaN now and then: such a value is left out.
+        # Mitsuba's rough dielectric sometimes returns NaN: such a value is left out.
         fine = np.isfinite(image)
         self.sum = self.sum + np.where(fine, image, 0.0)
         self.count = self.count + fine
@@ -91,7 +91,7 @@ class Renderer:
         self.scenes = {}
 
     def passes(self, name, build, spp, wanted, seed):
-        """Renders up to this many passes of a picture, each with another place of the lens."""
+        """Renders up to this many passes of a picture, each with another offset of the lens."""
         picture = Picture(self.folder / f"{name}.npz")
         while picture.passes < wanted:
             if name not in self.scenes:

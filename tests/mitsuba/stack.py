@@ -1,4 +1,4 @@
-"""Scenes for session.py: a slab of finite size on a checkerboard under a ring of light, before a perspective camera.
+"""Builds scenes for session.py: a slab of finite size on a checkerboard under a ring of light, before a perspective camera.
 
 Lengths are in mm. The board lies at z = 0 with the edge in use at x = 0, dark where x < 0 and |y| < half a square.
 """
@@ -18,19 +18,19 @@ COLUMNS, ROWS = 10, 9
 # Half of the slab's sides: a free line of the board lies 2 mm beyond its long sides.
 SLAB_MM = (15.0, 10.0)
 SAMPLE_IOR = 1.53
-# Long before that a walk has ended, but for one that slips through a seam between two faces and would never.
+# Walks end long before this depth, except for those that slip through a seam between two faces and would never end.
 ROULETTE_DEPTH = 3000
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Straight above but for a small tilt, and turned against the edge."""
+    """A camera straight above, except for a small tilt, and turned against the edge."""
 
     width: int = 600
     height: int = 580
     px_per_mm: float = 20.0
     distance_mm: float = 1000.0
-    # Its place next to the edge: a tilt of 0.3° across it and 0.2° along it.
+    # Its position relative to the edge: a tilt of 0.3° across it and 0.2° along it.
     aside_mm: tuple = (5.2, -3.5)
     turn_deg: float = 1.4
 
@@ -62,14 +62,14 @@ class Camera:
 
 
 def rectangle(z, x, y, bsdf, **more):
-    """Spans x = (from, to) and y = (from, to), its outside above."""
+    """A rectangle that spans x = (from, to) and y = (from, to), its outside above."""
     t = mi.ScalarTransform4f
     to_world = t().translate([sum(x) / 2, sum(y) / 2, z]) @ t().scale([(x[1] - x[0]) / 2, (y[1] - y[0]) / 2, 1])
     return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf, **more}
 
 
 def dielectric(inside, outside, roughness=0.0):
-    """Between two indices; the inside is below a face, or within a wall."""
+    """An interface between two indices; the inside is below a face, or within a wall."""
     bsdf = {"type": "dielectric", "int_ior": inside, "ext_ior": outside}
     return bsdf | ({"type": "roughdielectric", "distribution": "ggx", "alpha": roughness} if roughness else {})
 
@@ -140,7 +140,7 @@ def around_the_slab():
 
 
 def heights(thickness):
-    """Of the coat, the sample's lower and upper face, the glass and the air."""
+    """Heights of the coat, the sample's lower and upper face, the glass and the air."""
     z = [COAT_MM]
     for layer in (GEL[1], thickness, GEL[1], GLASS[1]):
         z.append(z[-1] + layer)
@@ -155,7 +155,7 @@ def slab(camera, medium, thickness, rho, window=None):
         "sigma_t": sigma_t,
         "albedo": albedo,
         "phase": {"type": "hg", "g": g},
-        # Interfaces between it and the light stop every shadow ray.
+        # Interfaces between the sample and the light stop every shadow ray.
         "sample_emitters": False,
     }
     ref = {"type": "ref", "id": "sample"}
@@ -182,14 +182,14 @@ def slab(camera, medium, thickness, rho, window=None):
 
 
 def lit(camera, shape, radiance):
-    """A shape that glows, before black: how much of each pixel it covers."""
+    """A scene of a glowing shape before black, which renders the share of each pixel that it covers."""
     integrator = {"type": "path", "max_depth": 1}
     glowing = shape | {"emitter": {"type": "area", "radiance": radiance}}
     return {"type": "scene", "integrator": integrator, "sensor": camera.sensor(None, "multijitter"), "shape": glowing}
 
 
 def lit_board(camera):
-    """The board's light squares."""
+    """A scene that renders the share of each pixel that is covered by the board's light squares."""
     shape = board(1.0, 0.0)
     return lit(camera, shape, shape["bsdf"]["reflectance"])
 
@@ -200,7 +200,7 @@ def lit_slab(camera, thickness):
 
 
 def patches(camera, rho):
-    """Grey squares of a chart on grey, in air: where they lie, and the scene."""
+    """Grey squares of a chart on grey, in air: their places, and the scene."""
     width = 4.0
     places = [(4.6 * (i - (len(rho) - 1) / 2), 0.0) for i in range(len(rho))]
     things = {

@@ -7,7 +7,7 @@ use optics_model::fit::{FitSettings, MuRange, Objective, Wavelet};
 use super::bounds::BoundsArg;
 use super::set_up::SetUpArgs;
 
-/// What all questions to a dictionary have in common.
+/// The options of all fits to a dictionary.
 #[derive(Debug, Args)]
 pub(crate) struct OptionArgs {
     /// Dictionary to search [default: the only one, or paper].

@@ -24,7 +24,7 @@ pub(crate) enum SlurmCommand {
     Autoscale(SlurmAutoscaleArgs),
 }
 
-/// What each worker is, and how it gets to its place.
+/// Size of each worker, and the way in which it is started.
 #[derive(Debug, Args)]
 pub(crate) struct SlurmWorkerArgs {
     /// Walltime of each worker: minutes, MM:SS, HH:MM:SS, D-HH, D-HH:MM or D-HH:MM:SS.

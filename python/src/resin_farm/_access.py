@@ -1,4 +1,4 @@
-"""Access to one farm: opens it, makes its calls, and opens it again after it has gone."""
+"""Opens a farm, makes calls to it, and reconnects after it has gone."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Answer = TypeVar("Answer", bound=Message)
 # Without a handler its warnings go to standard error.
 _log = logging.getLogger("resin_farm")
 
-# Seconds that a call may take, and one that may read a large database or fit a million pixels.
+# Time limits of calls in seconds: of most, and of those that may read a large database or fit a million pixels.
 _CALL_S = 300.0
 _PATIENT_S = 12 * 3600.0
 _PATIENT = ("Fits/Fit", "Fits/Map", "Fits/Measure", "Dictionaries/Delete")
@@ -93,7 +93,7 @@ class FarmAccess:
         return self._open().call(method, request, answer.FromString, timeout_s)
 
     def _stream(self, method: str, request: Message, answer: type[Answer]) -> Iterator[Answer]:
-        """The answers. While the farm does not answer it retries without end, and logs that."""
+        """Yields the answers. While the farm does not answer, retries without end, and logs that."""
         away = False
         while True:
             connection, begun, came = self._open(), time.monotonic(), False

@@ -1,4 +1,4 @@
-"""Calls to a coordinator."""
+"""Makes calls to a coordinator."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from resin_farm import errors
 
 Answer = TypeVar("Answer")
 
-# Answers about whole dictionaries; the coordinator's own limit is smaller.
+# Limit of a message in bytes, for answers about whole dictionaries; the coordinator's limit is smaller.
 _LARGEST = 256 << 20
 
 # Pings detect links that were cut without a reset.
@@ -120,7 +120,7 @@ def not_in_a_fork() -> None:
 
 def of_loopback(url: str) -> Connection:
     """A coordinator without an access file. That of this user is reached by its Unix socket; another one by its port,
-    unless another user of this machine holds that."""
+    unless another user of this machine listens on it."""
     address = url.removeprefix("http://").rstrip("/")
     port = address.rpartition(":")[2]
     if _is_loopback(address):
@@ -152,7 +152,7 @@ def _socket(port: str) -> pathlib.Path | None:
 
 
 def _listeners(port: int) -> set[int]:
-    """The users whose programs listen on a port of this machine, where the kernel has a table of them."""
+    """The users whose programs listen on a port of this machine, if the kernel has a table of them."""
     owners = set()
     for table in map(pathlib.Path, ("/proc/net/tcp", "/proc/net/tcp6")):
         for line in table.read_text("ascii").splitlines()[1:] if table.exists() else []:
@@ -169,7 +169,7 @@ def of_access_file(path: pathlib.Path) -> Connection:
     for key in ("server", "ca_certificate", "token"):
         if key not in access:
             raise errors.FarmError(f"{path}: {key} is missing; an access file is made by `farmctl access create`")
-    # The key and the certificate are there only if the coordinator requires them.
+    # The key and the certificate are present only if the coordinator requires them.
     keys = [access[name].encode() if name in access else None for name in ("ca_certificate", "key", "certificate")]
     credentials = grpc.composite_channel_credentials(
         grpc.ssl_channel_credentials(*keys), grpc.access_token_call_credentials(access["token"])

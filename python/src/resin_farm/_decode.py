@@ -1,4 +1,4 @@
-"""Answers of fits, from messages and, for what only farmctl does, from its JSON."""
+"""Decodes the answers of fits, from messages or, for functions that only farmctl has, from its JSON."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _likelihood(wire: fits_pb2.Likelihood) -> Likelihood:
     )
 
 
-# From farmctl's JSON, for what only farmctl does.
+# From farmctl's JSON, for functions that only farmctl has.
 
 
 def measured_of_json(found: Mapping[str, Any]) -> Measured:

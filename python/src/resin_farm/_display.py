@@ -1,4 +1,4 @@
-"""Tables for terminals and notebooks."""
+"""Formats tables for terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Columns aligned: the first two to the left, numbers to the right."""
+    """A table with aligned columns: the first two to the left, numbers to the right."""
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
 
     def line(row: Sequence[str]) -> str:
@@ -32,7 +32,7 @@ def html_lines(lines: Sequence[str]) -> str:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """With a number of significant digits."""
+    """A value with this number of significant digits."""
     return f"{value:.{digits}g}"
 
 
@@ -48,7 +48,7 @@ def end(value: float) -> str:
 
 
 def albedo(value: float) -> str:
-    """With three digits of 1 − α."""
+    """An albedo with three digits of 1 − α."""
     missing = 1 - value
     places = 3 if missing <= 0 or missing >= 0.1 else min(9, 3 + max(0, int(f"{missing:e}".split("e-")[1]) - 1))
     return f"{value:.{places}f}"

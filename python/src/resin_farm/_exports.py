@@ -1,4 +1,4 @@
-"""Files of a dictionary's records for other programs."""
+"""Writes the records of a dictionary to files for other programs."""
 
 from __future__ import annotations
 

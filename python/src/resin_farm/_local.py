@@ -1,4 +1,4 @@
-"""A farm of this machine, in a process of its own that ends with this one."""
+"""Runs a farm of this machine in a separate process, which ends with this one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class LocalFarm:
             stdout=subprocess.PIPE,
             stderr=errors,
             encoding="utf-8",
-            # Ctrl-C is for this process, which then ends that one.
+            # Ctrl-C signals this process only, which then ends the other one.
             process_group=0,
         )
         self._finalizer = weakref.finalize(self, _end, self._process)
@@ -70,7 +70,7 @@ class LocalFarm:
 
 
 def _let_go() -> None:
-    """In a fork: the farm ends with the process that started it, which alone is to hold its standard input."""
+    """Releases the farms in a fork, since only the process that started a farm may hold its standard input open."""
     for farm in _running:
         farm._finalizer.detach()
         if farm._process.stdin is not None:

@@ -1,4 +1,4 @@
-"""Packages that only some methods need."""
+"""Imports packages that only some methods need."""
 
 from __future__ import annotations
 

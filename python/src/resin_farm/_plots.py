@@ -1,4 +1,4 @@
-"""Charts, drawn by matplotlib, which is imported when the first chart is drawn."""
+"""Draws charts with matplotlib, which is imported when the first chart is drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The farm's programs, which are part of the wheel."""
+"""Runs the farm's programs, which are part of the wheel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Remarks on an answer that affect how it may be used, in the words of farmctl."""
+"""Writes remarks on an answer that affect how it may be used, worded as in farmctl."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from resin_farm import _display
 from resin_farm.channel_fit import ChannelFit
 from resin_farm.medium import Interval
 
-# Below this, noise and what is known of the set-up do not explain a measurement; as farmctl has it.
+# Probability below which noise and the priors of the set-up do not explain a measurement; the same as in farmctl.
 _UNLIKELY = 1e-3
 
 
 def of_assumed(names: Sequence[str], channels: Iterable[ChannelFit]) -> list[str]:
-    """What was assumed of the set-up; records alone need no assumption."""
+    """The assumptions about the set-up; records alone need none."""
     is_refined = any(fit.refined is not None for fit in channels)
     return [f"assumed: {', '.join(names)}"] if names and is_refined else []
 
@@ -51,7 +51,7 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
 
 
 def _unresolved(sigma_t: Interval) -> str:
-    """Why: the data, or a dictionary that ends where they would go on."""
+    """The reason: the data, or a dictionary that ends before the interval of σ_t does."""
     if sigma_t.high > 2 * sigma_t.low or sigma_t.open_low == sigma_t.open_high:
         return "the data do not determine the medium"
     side, end = ("above", sigma_t.high) if sigma_t.open_high else ("below", sigma_t.low)

@@ -1,4 +1,4 @@
-"""Photographs, turned into profiles."""
+"""Profiles that were made from photographs, with their session and report."""
 
 from __future__ import annotations
 

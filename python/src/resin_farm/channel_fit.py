@@ -46,7 +46,7 @@ class SourceShare:
     reduced_scattering: float
     absorption: float
     quantity: str | None = None
-    """Which quantity of the scene, where the source is `scene`."""
+    """The quantity of the scene, if the source is `scene`."""
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class SceneEstimate:
     """An estimate of an uncertain quantity of the scene, with its prior."""
 
     quantity: str
-    """As `gel thickness`."""
+    """Name, such as `gel thickness`."""
     unit: str
     """`mm`, `°`, or empty for pure numbers."""
     scope: str
-    """What has this value: `session`, `slab` or `material`."""
+    """The scope within which the quantity has this value: `session`, `slab` or `material`."""
     slab_mm: float | None
     """The slab that it belongs to, by its nominal thickness."""
     value: float
@@ -66,7 +66,7 @@ class SceneEstimate:
     prior: float
     prior_std_error: float
     at_end: bool
-    """The estimate lies where the dictionary's responses end: the truth may lie beyond."""
+    """The estimate lies at the end of the range of the dictionary's responses: the true value may lie beyond it."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Likelihood:
     chi2: float
     degrees_of_freedom: float
     probability: float
-    """Of a χ² at least as large from noise alone."""
+    """Probability of a χ² at least as large from noise alone."""
     nuisances: tuple[NuisanceEstimate, ...]
     outliers: int
     """Pixels that were given no weight."""
@@ -100,14 +100,14 @@ class Refined:
     resolved: bool
     """Whether the data determine σ_t and the albedo: both intervals are bounded and narrow."""
     resolved_at_g: bool
-    """Whether they would with g held at its best value; if this alone is true, g is open."""
+    """Whether the data would determine them with g held at its best value; if this alone is true, g is open."""
     valley: bool
-    """σ_t and g trade off along media that similarity theory calls equal."""
+    """σ_t and g trade off along media that are equivalent by similarity theory."""
     misfit: float
     """Root mean square of the residuals over the noise: 1 if noise alone explains them."""
     error: float
     covariance: Array = field(repr=False)
-    """Of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
+    """Covariance of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
     likelihood: Likelihood = field(repr=False)
     suspicion: str | None = None
     """The most likely single cause of a misfit beyond noise."""
@@ -120,7 +120,7 @@ class Curves:
     thickness_mm: float
     x_mm: Array
     measured: Array
-    """Times μ, on the dictionary's pixels."""
+    """Measured values times μ, on the dictionary's pixels."""
     best_record: Array
     refined: Array | None
 

@@ -1,4 +1,4 @@
-"""How well sets of slabs would determine a medium, before anything is photographed."""
+"""The precision with which sets of slabs would determine a medium, before they are photographed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SlabSet:
 
 @dataclass(frozen=True)
 class Design:
-    """Sets of slabs, in the order of the question."""
+    """Sets of slabs, in the order of the request."""
 
     medium: Medium
     channel: str

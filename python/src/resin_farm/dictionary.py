@@ -27,7 +27,7 @@ _ENDED = ("done", "failed", "cancelled", "outdated", "paused")
 
 
 class Dictionary:
-    """A dictionary of a farm, with the state of its last refresh; `refresh()` asks again."""
+    """A dictionary of a farm, with the state of its last refresh; `refresh()` updates it."""
 
     def __init__(self, farm: FarmAccess, status: wire.Dictionary) -> None:
         self._farm = farm
@@ -80,7 +80,7 @@ class Dictionary:
         return tuple(channel.name for channel in self._status.grid.scene.channels)
 
     def refresh(self) -> Dictionary:
-        """Asks the farm for the current state."""
+        """Requests the current state from the farm."""
         self._status = self._farm._call("Dictionaries/Get", wire.GetRequest(name=self.name), wire.Dictionary)
         return self
 
@@ -127,7 +127,7 @@ class Dictionary:
         return self
 
     def resume(self) -> Dictionary:
-        """Goes on after a pause or a cancellation."""
+        """Continues after a pause or a cancellation."""
         self._status = self._farm._call("Dictionaries/Resume", wire.ResumeRequest(name=self.name), wire.Dictionary)
         return self
 
@@ -181,8 +181,8 @@ class Dictionary:
         )
 
     def to_xarray(self) -> xarray.Dataset:
-        """All records, which must be done: `value` and `std_error`, with derivatives also these, over sample_ior,
-        sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
+        """All records, which must be done: `value` and `std_error`, also of derivatives if the grid has them, over
+        sample_ior, sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
 
         Raises:
             ImportError: if xarray is not installed.
@@ -200,9 +200,9 @@ class Dictionary:
         """The profiles of varied scenes, in which one uncertain quantity has another value.
 
         The variables are those of `to_xarray`, over variant and the axes, at the nodes where they were traced. The
-        coordinates `quantity`, `step` and `unit` name what is larger in a variant, and by how much. The last one is the
-        baseline, the scene itself with the walks of the variants of roughnesses and indices: what a step does to a
-        profile is the difference from it.
+        coordinates `quantity`, `step` and `unit` are the varied quantity, its difference from the scene's value, and
+        the unit. The last variant is the baseline, the scene itself with the walks of the variants of roughnesses and
+        indices: the effect of a step on a profile is the difference from it.
 
         Raises:
             FarmError: if the scene is exact, or records are missing.
@@ -213,7 +213,7 @@ class Dictionary:
 
     def to_zarr(self, path: str | os.PathLike[str]) -> None:
         """Writes all records as a Zarr store (format 3), with the variables and axes of `to_xarray`. Its attributes are
-        what `farmctl show --json` reports, the axes and the units.
+        the report of `farmctl show --json`, the axes and the units.
 
         Raises:
             FileExistsError: if there is something at the path.
@@ -235,7 +235,7 @@ class Dictionary:
         _exports.write_parquet(dataset, about, pathlib.Path(path))
 
     def _records(self, *options: str) -> tuple[xarray.Dataset, dict[str, Any]]:
-        """All records that these options of `farmctl export` mean, and the description that comes with them."""
+        """All records that these options of `farmctl export` select, and their description."""
         _optional.require("data", "xarray")
         import xarray
 
@@ -248,7 +248,7 @@ class Dictionary:
         dims = about["axes"]
         coords = {name: arrays.pop(name) for name in dims}
         units = about["units"]
-        # Arrays with a unit have all axes, others that of the variants.
+        # Arrays with a unit have all axes, others only that of the variants.
         variables = {
             name: (dims, values, {"units": units[name]}) if name in units else (dims[:1], values)
             for name, values in arrays.items()
@@ -276,7 +276,7 @@ def _of_bytes(farm: FarmAccess, status: bytes) -> Dictionary:
 
 
 class _Progress:
-    """A line that is written over: on standard error in a terminal, as a display of its own in a notebook."""
+    """A line that is overwritten: on standard error in a terminal, as a separate display in a notebook."""
 
     def __init__(self, name: str) -> None:
         self._name = name

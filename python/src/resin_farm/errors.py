@@ -8,7 +8,7 @@ from grpc_status import rpc_status
 
 
 class FarmError(Exception):
-    """The farm, or one of its programs, could not do what was asked."""
+    """The farm, or one of its programs, could not fulfil a request."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message)
@@ -32,7 +32,7 @@ class Deleted(NotFound):
 
 
 class Refused(FarmError):
-    """The farm does not let this token do that, or the state of a dictionary does not allow it."""
+    """The farm refuses this call to the token, or the state of a dictionary does not allow it."""
 
 
 class Unavailable(FarmError):
@@ -41,7 +41,7 @@ class Unavailable(FarmError):
 
 def of_call(error: grpc.RpcError) -> FarmError:
     """The exception for a failed call."""
-    # grpc raises errors of calls that are calls themselves.
+    # Errors that grpc raises for failed calls are calls themselves.
     if not isinstance(error, grpc.Call):
         return FarmError(str(error))
     code, message = error.code(), error.details() or ""

@@ -1,4 +1,4 @@
-"""A farm: it computes dictionaries, and fits measurements to them."""
+"""Computes dictionaries on a farm, and fits measurements to them."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measuremen
 
 
 class Farm(FarmAccess):
-    """A farm of this machine, with its data in a folder; `Farm.connect` finds one that runs elsewhere.
+    """A farm of this machine, with its data in a folder; `Farm.connect` opens one that runs elsewhere.
 
     It starts when it is opened, with a worker on all cores, and ends with `close`, with the `with` block, or with this
     process. Several programs may open the same folder at once.
 
-    A farm that is handed to another process of `multiprocessing` ("spawn" or "forkserver") is opened there anew. In a
+    A farm that is handed to another process of `multiprocessing` ("spawn" or "forkserver") is opened there again. In a
     fork of this process its calls raise a `FarmError`.
     """
 
     def __init__(self, folder: Path = "farm-data") -> None:
-        """Opens the farm of a folder, which is made if it is not there.
+        """Opens the farm of a folder, which is created if it does not exist.
 
         Raises:
             FarmError: if it does not start.
@@ -47,7 +47,7 @@ class Farm(FarmAccess):
 
     @classmethod
     def connect(cls, where: Path) -> Self:
-        """The farm of an access file (as `client.toml`), or at a URL of this machine (as "http://127.0.0.1:7700")."""
+        """The farm of an access file (`client.toml`), or at a URL of this machine (such as "http://127.0.0.1:7700")."""
         farm = cls.__new__(cls)
         farm._begin(None, os.fspath(where))
         farm._open()
@@ -65,7 +65,7 @@ class Farm(FarmAccess):
         wait: bool = True,
         progress: bool = True,
     ) -> Dictionary:
-        """Computes a dictionary; if it exists with the same grid, carries on with it.
+        """Computes a dictionary; if it exists with the same grid, continues it.
 
         Args:
             grid: a grid, or the path of a grid file; the paper's if None.
@@ -127,8 +127,8 @@ class Farm(FarmAccess):
         Args:
             measurement: of one material: a `Measurement`, a frame or a file with the columns of a measurement file.
             dictionary: its name; the only one or "paper" if None.
-            refine: go on from the best record to a continuous optimum.
-            given: the options of `FitOptions` that are known, as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
+            refine: continue from the best record to a continuous optimum.
+            given: the options of `FitOptions` that are known, such as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
 
         Raises:
             InvalidArgument: if a value is not valid; `fields` names it.
@@ -150,7 +150,7 @@ class Farm(FarmAccess):
         free_g: bool = False,
         **given: Unpack[options.FitOptions],
     ) -> results.Measured:
-        """The whole job for materials of one set-up: scale factor, common anisotropy, media with error bars.
+        """All steps for materials of one set-up: scale factor, common anisotropy, media with error bars.
 
         Args:
             materials: measurements, a frame, a measurement file, or the answer of `capture`. For the last, the
@@ -158,7 +158,7 @@ class Farm(FarmAccess):
                 and its report is completed.
             dictionary: its name; the only one or "paper" if None.
             free_g: let every channel have its own anisotropy.
-            given: the options of `FitOptions` that are known. Without `mu` it is searched for.
+            given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
         """
         folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
         if folder is not None:
@@ -184,7 +184,7 @@ class Farm(FarmAccess):
     def map(
         self, measurement: Materials, dictionary: str | None = None, **given: Unpack[options.FitOptions]
     ) -> list[maps.DistanceMap]:
-        """How far a material's profiles are from every medium of a dictionary, one map for each channel.
+        """The distance of a material's profiles to every medium of a dictionary, one map for each channel.
 
         Args:
             measurement: of one material, as for `fit`.
@@ -212,7 +212,7 @@ class Farm(FarmAccess):
         free_mu: bool = False,
         **given: Unpack[options.FitOptions],
     ) -> design.Design:
-        """How well sets of slabs would determine a medium, before anything is photographed (Cramér–Rao bounds).
+        """The precision with which sets of slabs would determine a medium, before any photograph (Cramér–Rao bounds).
 
         Args:
             medium: a guess: the information in the pixels depends on the medium.
@@ -221,7 +221,7 @@ class Farm(FarmAccess):
             shots: photographs of each slab; 1 and 2 if there are none.
             channel: the dictionary's first if None.
             noise: standard error of a pixel of one photograph, as a share of its value; 0.01 if None.
-            noise_floor: that of a dark pixel, as a radiance factor; 0.0005 if None.
+            noise_floor: standard error of a dark pixel, as a radiance factor; 0.0005 if None.
             free_mu: the scale factor has no prior.
             given: options about the set-up, as for `fit`.
         """
@@ -239,7 +239,7 @@ class Farm(FarmAccess):
         return design.of_wire(self._call("Fits/Design", request, fits_pb2.DesignResponse))
 
     def similar(self, medium: Medium, g: Sequence[float]) -> list[Medium]:
-        """Media that similarity theory calls equal to one, at other anisotropies (Eqs. 4 to 6 of the paper)."""
+        """Media that are equivalent to one by similarity theory, at other anisotropies (Eqs. 4 to 6 of the paper)."""
         request = fits_pb2.SimilarRequest(medium=_wire_medium(medium), g=g)
         answer = self._call("Fits/Similar", request, fits_pb2.SimilarResponse)
         return [Medium._of_wire(one) for one in answer.media]
@@ -289,7 +289,7 @@ class Farm(FarmAccess):
     # The farm itself.
 
     def __reduce__(self) -> tuple[object, tuple[pathlib.Path | None, str | None]]:
-        """Pickled as its place, so that another process opens it there."""
+        """Pickles the folder or the address, so that another process opens the farm there."""
         return _opened_later, (self._folder, self._where)
 
     def _repr_html_(self) -> str:

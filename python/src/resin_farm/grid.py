@@ -1,4 +1,4 @@
-"""Grids of parameters that a dictionary is computed for."""
+"""Grids of parameters for which dictionaries are computed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Grid:
     """Random walks at each transport point, instead of a quality: a multiple of 500 from 1,000 on."""
     seed: int | None = None
     derivatives: bool | None = None
-    """Also ∂/∂α and ∂/∂σ_t."""
+    """Also compute ∂/∂α and ∂/∂σ_t."""
 
     def __post_init__(self) -> None:
         # Axes as tuples, so that grids are immutable and can be compared.

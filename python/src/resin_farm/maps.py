@@ -25,7 +25,7 @@ class DistanceMap:
     sigma_t_per_mm: Array
     albedo: Array
     errors: Array = field(repr=False)
-    """Over g, σ_t and albedo: Eq. 1 of the paper; by the likelihood the root mean square of residuals over noise."""
+    """Distances over g, σ_t and albedo: Eq. 1, or by the likelihood the root mean square of residuals over noise."""
     best: tuple[Medium, ...] = field(repr=False)
     """The best medium at each g."""
     similar: tuple[Medium | None, ...] = field(repr=False)

@@ -56,7 +56,7 @@ class MeasuredProfile:
     ) -> None:
         if unknown := set(set_up) - set(_SET_UP):
             raise TypeError(f"{', '.join(sorted(unknown))}: the parameters of a profile are {', '.join(_SET_UP)}")
-        # A frozen dataclass with its own constructor, so that lists are taken as well.
+        # A frozen dataclass with its own constructor, so that lists are accepted as well.
         for name, value in (
             ("channel", channel),
             ("thickness_mm", float(thickness_mm)),
@@ -168,7 +168,7 @@ def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
     and names of columns. Assumptions and likely errors cause a `MeasurementWarning`.
 
     Raises:
-        InvalidArgument: with line and column, if it cannot be read, or holds what no medium can show.
+        InvalidArgument: with line and column, if it cannot be read, or contains values that no medium can show.
     """
     return _read(os.fspath(path), None)
 
@@ -204,7 +204,7 @@ def _rows(material: Measurement) -> Iterator[dict[str, Any]]:
 
 
 def _read(path: str, name: str | None) -> list[Measurement]:
-    """Reads a file through farmctl; messages call it by `name`."""
+    """Reads a file through farmctl; messages refer to it by `name`."""
     try:
         found = _programs.farmctl(["check", path])
     except FarmError as error:

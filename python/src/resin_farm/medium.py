@@ -43,7 +43,7 @@ class Medium:
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a quantity lies with a confidence of 95 %."""
+    """The 95 % confidence interval of a quantity."""
 
     low: float
     high: float

@@ -29,7 +29,7 @@ class FitOptions(SetUp, total=False):
     wavelet: Literal["spline", "haar"]
     level: int
     top: int
-    """How many records to return for each channel."""
+    """Number of records to return for each channel."""
     curves: bool
     """Return the compared profiles, to plot them."""
 

@@ -73,7 +73,7 @@ def simulate(
         scene: "lab", "paper", "smooth" or the path of a scene file.
         sample_ior: refractive index of the slab.
         walks: random walks, a multiple of 500 from 1,000 on.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
 
     Raises:
         FarmError: if an argument is not valid; its message names it.

@@ -26,7 +26,7 @@ class ScaleCurve:
     error: Array = field(repr=False)
     best_mu: float
     std_error: float | None
-    """Of `best_mu`, by leaving out one channel after the other; None for one."""
+    """Standard error of `best_mu`, by leaving out one channel after the other; None for one channel."""
     best_g: float
     """The anisotropy with the least error common to all materials."""
 
@@ -81,7 +81,7 @@ class MaterialFit:
 
         Raises:
             ValueError: if it has other channels, or if their anisotropies differ: a homogeneous medium has one phase
-                function. Hold g, or let `farmctl measure -o` write media of their own.
+                function. Hold g, or let `farmctl measure -o` write separate media.
         """
         media = {fit.channel: fit.medium for fit in self.channels}
         if sorted(media) != ["B", "G", "R"]:
@@ -100,7 +100,7 @@ class MaterialFit:
         }
 
     def plot(self) -> Figure:
-        """Measured profiles with their fits; needs curves, which `curves=True` asks for."""
+        """Measured profiles with their fits; needs curves, which `curves=True` requests."""
         lines = [
             _plots.Line(
                 curves.thickness_mm,

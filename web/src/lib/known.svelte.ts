@@ -1,4 +1,4 @@
-// The farm's dictionaries: shared by the places.
+// The farm's dictionaries, shared by the tabs.
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import type { FitOptionsSchema } from '../gen/farm/v1/fits_pb';
@@ -26,7 +26,7 @@ export async function listDictionaries(): Promise<Dictionary[]> {
   return all;
 }
 
-// What `farmctl` asks without --dictionary: the usual ones, in this order, or the only one.
+// The dictionary that `farmctl` uses without --dictionary: the only one, or the first of the usual ones.
 export function usual(all: Dictionary[]): Dictionary | undefined {
   const named = ['lab', 'paper'].map((name) => all.find((d) => d.name === name)).find((d) => d !== undefined);
   return all.length === 1 ? all[0] : named;

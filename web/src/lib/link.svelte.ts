@@ -1,4 +1,4 @@
-// Whether the farm and this page's server can be reached, for the banner on top.
+// Keeps whether the farm and this page's server can be reached, for the banner on top.
 type Kind = 'farm' | 'page';
 
 class Link {

@@ -21,7 +21,7 @@ class Measured {
   // Name of the file, or of the capture's folder.
   name = $state('');
   capture = $state.raw<OpenCaptureResponse | null>(null);
-  // It is the documentation's example.
+  // Whether it is the documentation's example.
   example = $state(false);
   materials = $state.raw<Measurement[]>([]);
   notes = $state.raw<Note[]>([]);
@@ -29,7 +29,7 @@ class Measured {
   // The current action, as shown to users.
   busy = $state('');
   wrong = $state('');
-  // It was measured before a reload, so it is measured again.
+  // Whether it was measured before a reload, so that it is measured again.
   again = $state(false);
   // Answers for an older file are discarded.
   turn = 0;
@@ -47,7 +47,7 @@ class Measured {
     return this.#open(folder, true);
   }
 
-  // Follows the address: a capture that a link names is opened, and one that is open is named.
+  // Follows the address: a capture in the link is opened, and an open one is added to the link.
   follow(folder: string | null): void {
     if (folder && folder !== this.#asked) void this.#open(folder, false);
     else if (!folder && this.capture) route.set({ capture: this.name });
@@ -60,7 +60,7 @@ class Measured {
     if (before) void this.#read(() => Promise.resolve(before), false);
   }
 
-  // Parameters of a link that belong to another measurement.
+  // Removes parameters of the link that belong to another measurement.
   #forget(capture: string | null): void {
     this.#asked = capture;
     this.capture = null;

@@ -6,7 +6,7 @@ export function significant(value: number, digits = 3): string {
   return (text.includes('.') ? text.replace(/\.?0+$/, '') : text).replace('-', '−');
 }
 
-// As many digits as 1 − α needs.
+// An albedo with the digits that 1 − α needs.
 export function albedo(value: number): string {
   const co = 1 - value;
   if (co <= 0) return '1';
@@ -47,7 +47,7 @@ export function quoted(text: string): string {
   return /^[\p{L}\p{N}_./:@=+-]+$/u.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
-// A share of the work, rounded down: so that 100 % means done.
+// A share of the work, rounded down, so that 100 % means done.
 export function percent(share: number): string {
   return `${Math.floor(1000 * share) / 10} %`;
 }

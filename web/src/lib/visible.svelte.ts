@@ -1,4 +1,4 @@
-// Whether the page is visible: a tab in the background needs no stream, and browsers allow six connections.
+// Keeps whether the page is visible: a tab in the background needs no stream, and browsers allow six connections.
 class Visible {
   now = $state(document.visibilityState === 'visible');
 

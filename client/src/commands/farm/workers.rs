@@ -43,8 +43,7 @@ pub(crate) struct DrainArgs {
 
 #[derive(Debug, Args)]
 pub(crate) struct ReadmitArgs {
-    /// What its worker was called, as `farmctl events` shows it, or TOKEN@ADDRESS: the name of its token and where it came
-    /// from.
+    /// The name of its worker, as `farmctl events` shows it, or TOKEN@ADDRESS: the name of its token and its address.
     worker: String,
 }
 
