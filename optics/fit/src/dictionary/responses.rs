@@ -95,10 +95,12 @@ impl VariedRecords {
     fn linear(&self, steps: &[(usize, f64)], curve: ResponseCurve, records: &Records) -> Vec<f32> {
         let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
         let square: f64 = heights.iter().map(|h| h * h).sum();
-        let (mut linear, mut of_scene) = (Vec::new(), Vec::new());
+        let weights: Vec<f64> = heights.iter().map(|h| h / square).collect();
+        let room = || Vec::with_capacity(self.values.len() / self.variants());
+        let (mut linear, mut of_scene) = (room(), room());
         let mut add = |differences: &[Vec<f64>], row: &[f32]| {
-            let of_pixel = |p: usize| heights.iter().zip(differences).map(|(h, d)| h * d[p]).sum::<f64>();
-            linear.extend((0..row.len()).map(|p| (of_pixel(p) / square) as f32));
+            let of_pixel = |p: usize| weights.iter().zip(differences).map(|(w, d)| w * d[p]).sum::<f64>();
+            linear.extend((0..row.len()).map(|p| of_pixel(p) as f32));
             of_scene.extend_from_slice(row);
         };
         self.each_row(steps, records, &mut add);
@@ -143,6 +145,7 @@ impl VariedRecords {
             &self.values[row * pixels..][..pixels]
         };
         let (first, ..) = steps[0];
+        let mut differences = vec![vec![0.0; pixels]; steps.len()];
         let at_nodes = (0..grid.nominal_jobs()).filter(|job| grid.response_job(Some(first), *job).is_some());
         for (nominal, albedo) in at_nodes.flat_map(|job| (0..albedos).map(move |albedo| (job, albedo))) {
             let baseline = responses.is_by_baseline(first).then(|| grid.response_job(None, nominal));
@@ -150,13 +153,18 @@ impl VariedRecords {
                 Some(job) => Cow::Borrowed(row(job, albedo)),
                 None => records.values(grid.first_record(nominal) + albedo, 0..pixels),
             };
-            let difference = |(variant, _): &(usize, f64)| {
+            for (difference, (variant, _)) in differences.iter_mut().zip(steps) {
                 let job = grid.response_job(Some(*variant), nominal).expect("variants have the same nodes");
                 let values = row(job, albedo).iter().zip(&*of_scene);
-                values.map(|(v, s)| f64::from(*v) - f64::from(*s)).collect()
-            };
-            each(&steps.iter().map(difference).collect::<Vec<_>>(), &of_scene);
+                difference.iter_mut().zip(values).for_each(|(d, (v, s))| *d = f64::from(*v) - f64::from(*s));
+            }
+            each(&differences, &of_scene);
         }
+    }
+
+    /// Number of scenes other than the grid's that its records are traced in.
+    fn variants(&self) -> usize {
+        self.grid.responses().map_or(1, |responses| responses.variants().len().max(1))
     }
 
     fn pixels(&self) -> usize {

@@ -14,11 +14,11 @@ use crate::dictionary::wide::wide;
 /// Number of directions whose share of noise is estimated.
 const DIRECTIONS: usize = 16;
 /// Passes over the rows that turn the directions to those of the largest mean square.
-const PASSES: usize = 4;
+const PASSES: usize = 2;
 /// Least number of independent samples of the noise: with fewer, directions would be kept whose noise is small by chance.
 const LEAST_SAMPLES: usize = 6;
 /// Maximum number of rows of a pass.
-const MOST_ROWS: usize = 400;
+const MOST_ROWS: usize = 256;
 /// Radiance factor that is added to means of profiles before responses are divided by them: darker profiles count less.
 const DARK: f64 = 0.02;
 
