@@ -1,7 +1,6 @@
 //! Computes the Cramér–Rao bound of a planned measurement: that of `bound`, at a guess of the medium and with the model's
 //! values in place of measured ones.
 
-use nalgebra::DVector;
 use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
 use optics_model::scene::Scope;
 
@@ -96,21 +95,17 @@ impl DesignPlan<'_> {
             .zip(&known.scene)
             .map(|(prior, sd)| (prior.scope() != Scope::Slab).then(|| unknowns.known((0.0, *sd), ANYWHERE)))
             .collect();
-        let slots = slabs_mm.iter().map(|slab| {
+        let profile = |slab: &f64| {
             let thickness = unknowns.known(thickness_prior(*slab, set_up), ANYWHERE);
             let own = |(slot, sd): (&Option<usize>, &f64)| {
                 slot.unwrap_or_else(|| unknowns.known((0.0, *sd), ANYWHERE))
             };
             let scene: Vec<usize> = shared.iter().zip(&known.scene).map(own).collect();
-            [vec![s, a, g, scale, blur, thickness], scene].concat()
-        });
-        let slots: Vec<_> = slots.collect();
-        let terms: Vec<Term> = slabs_mm.iter().map(|slab| self.term(*slab, set_up)).collect();
-        let own: Vec<Line> = terms.iter().map(|t| vec![0.0; t.own_count()]).collect();
-        let surrogates = vec![self.surrogate; terms.len()];
-        let Unknowns { all: unknowns, x } = unknowns;
-        let mut system = System { terms, surrogates, slots, unknowns, of_scene: Vec::new(), coupling: None };
-        let state = State { x: DVector::from_vec(x), own, cost: 0.0 };
+            let slots = [vec![s, a, g, scale, blur, thickness], scene].concat();
+            (self.term(*slab, set_up), self.surrogate, slots)
+        };
+        let profiles = slabs_mm.iter().map(profile).collect();
+        let (mut system, state) = System::new(profiles, unknowns, Vec::new());
         let models = system.linear(&state.x, &state.own).into_iter().map(|linear| linear.model);
         for (term, model) in system.terms.iter_mut().zip(models.collect::<Vec<_>>()) {
             let noise = |v: &f64| (known.noise * v).hypot(known.noise_floor).max(f64::MIN_POSITIVE);

@@ -16,7 +16,7 @@ use crate::likelihood::term::reduced::Reduced;
 use crate::likelihood::term::{Linear, Term};
 use crate::surrogate::Surrogate;
 use quantity::Quantity;
-use unknowns::{SceneUnknown, Unknown, free, inverse_over_free};
+use unknowns::{SceneUnknown, Unknown, Unknowns, free, inverse_over_free};
 
 /// Number of terms from which on other threads are worth waking.
 const MANY: usize = 4;
@@ -65,6 +65,27 @@ pub(crate) struct Normal {
     pub information: DMatrix<f64>,
     pub downhill: DVector<f64>,
     pub reduced: Vec<Reduced>,
+}
+
+impl<'a> System<'a> {
+    /// The system of profiles, each with its surrogate and the slots of its shared unknowns, and the state at which all
+    /// unknowns have their initial values.
+    pub(crate) fn new(
+        profiles: Vec<(Term, &'a Surrogate<'a>, Vec<usize>)>,
+        unknowns: Unknowns,
+        of_scene: Vec<SceneUnknown>,
+    ) -> (Self, State) {
+        let own = profiles.iter().map(|(term, ..)| vec![0.0; term.own_count()]).collect();
+        let state = State { x: DVector::from_vec(unknowns.x), own, cost: f64::INFINITY };
+        let (mut terms, mut surrogates, mut slots) = (Vec::new(), Vec::new(), Vec::new());
+        for (term, surrogate, of_term) in profiles {
+            terms.push(term);
+            surrogates.push(surrogate);
+            slots.push(of_term);
+        }
+        let unknowns = unknowns.all;
+        (Self { terms, surrogates, slots, unknowns, of_scene, coupling: None }, state)
+    }
 }
 
 impl System<'_> {

@@ -1,15 +1,13 @@
 //! Joins the profiles of channels to one system, with one unknown for all profiles that share a quantity.
 
-use nalgebra::DVector;
 use optics_model::Grid;
 use optics_model::scene::{Prior, Scope};
 
 use crate::dictionary::axes::held;
-use crate::likelihood::point::Line;
 use crate::likelihood::problem::{ChannelData, ProfileData};
 use crate::likelihood::system::unknowns::{SceneUnknown, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
-use crate::likelihood::term::{Term, blur};
+use crate::likelihood::term::blur;
 use crate::surrogate::Surrogate;
 
 /// Greatest change of the logarithm of a slab's thickness by a fit.
@@ -112,7 +110,7 @@ pub(crate) fn assemble<'a>(
         None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
     };
     let mut common_g = None;
-    let (mut terms, mut slots, mut used, mut ranges) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+    let (mut profiles, mut terms) = (Vec::new(), Vec::new());
     for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
         let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
@@ -123,27 +121,17 @@ pub(crate) fn assemble<'a>(
             None => of_medium(2),
         };
         common_g = sharing.g.then_some(g);
-        let first = terms.len();
+        let first = profiles.len();
         for profile in &data.profiles {
             let blur = builder.blur(data.name, profile);
             let thickness = builder.thickness(data.material, profile);
             let grid = data.dictionary.grid();
             let scene = scene_slots(&mut builder, grid, data.material, profile.profile.thickness_mm());
-            slots.push([vec![s, a, g, scale_slot, blur, thickness], scene].concat());
-            terms.push(profile.term(surrogate, *medium));
-            used.push(*surrogate);
+            let slots = [vec![s, a, g, scale_slot, blur, thickness], scene].concat();
+            profiles.push((profile.term(surrogate, *medium), *surrogate, slots));
         }
-        ranges.push(first..terms.len());
+        terms.push(first..profiles.len());
     }
-    let own: Vec<Line> = terms.iter().map(|t: &Term| vec![0.0; t.own_count()]).collect();
-    let system = System {
-        terms,
-        surrogates: used,
-        slots,
-        unknowns: builder.unknowns.all,
-        of_scene: builder.of_scene,
-        coupling: None,
-    };
-    let state = State { x: DVector::from_vec(builder.unknowns.x), own, cost: f64::INFINITY };
-    (Assembly { system, terms: ranges }, state)
+    let (system, state) = System::new(profiles, builder.unknowns, builder.of_scene);
+    (Assembly { system, terms }, state)
 }
