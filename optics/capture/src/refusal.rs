@@ -162,10 +162,11 @@ pub enum Warning {
     )]
     Masked { label: String, count: usize, share: f64, area_mm2: f64, x_mm: f64 },
     #[error(
-        "the board's dark side is darker in {colour} than a black base under the scene's coat: ρ = {rho:.4}; the coat \
-         mirrors less of the lamps than the scene's, and its roughness is estimated in the fit"
+        "the board's dark side is darker than a black base under the scene's coat: ρ = {:.4}, {:.4}, {:.4} in red, green, \
+         blue; the coat mirrors less of the lamps than the scene's, and its roughness is estimated in the fit",
+        .rho[0], .rho[1], .rho[2]
     )]
-    DarkerThanBlack { colour: Colour, rho: f64 },
+    DarkerThanBlack { rho: [f64; 3] },
     #[error("left out: {why}")]
     LeftOut { why: Box<Refusal> },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]

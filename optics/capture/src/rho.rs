@@ -65,7 +65,12 @@ impl BoardRho {
         for ((side, rho), of_scene) in self.sides().into_iter().zip(of_scene) {
             if !is_possible(rho, of_scene) {
                 let field = format!("rho.{side}[{}]", colour.letter());
-                let allowed = "from 0 to 1; the scene or the white reference does not fit this board";
+                let allowed = if rho.value < 0.0 {
+                    "from 0 to 1; below 0 the board mirrors less of the lamps than the scene's coat: correct the coat's \
+                     roughness in the scene, or give it a std_error"
+                } else {
+                    "from 0 to 1; the scene or the white reference does not fit this board"
+                };
                 return Err(Invalid::new(field, format!("{:.4}", rho.value), allowed));
             }
         }

@@ -149,9 +149,10 @@ fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[B
     let of_scene = SeenBase::of(&found).std_errors()?;
     for ((colour, rho), of_scene) in Colour::ALL.into_iter().zip(&rho).zip(of_scene) {
         rho.check(colour, of_scene)?;
-        if rho.dark.value < -3.0 * rho.dark.std_error {
-            board.warnings.push(Warning::DarkerThanBlack { colour, rho: rho.dark.value });
-        }
+    }
+    let dark = rho.each_ref().map(|rho| rho.dark);
+    if dark.iter().any(|dark| dark.value < -3.0 * dark.std_error) {
+        board.warnings.push(Warning::DarkerThanBlack { rho: dark.map(|dark| dark.value) });
     }
     Ok(rho)
 }
