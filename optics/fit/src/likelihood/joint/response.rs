@@ -9,7 +9,7 @@ use optics_model::fit::{Cause, Suspicion};
 
 use super::minimum::Joint;
 use crate::likelihood::point::LN_SCALE;
-use crate::likelihood::system::descent::FINE;
+use crate::likelihood::system::descent::{COARSE, FINE};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::Term;
 
@@ -55,13 +55,14 @@ struct Tried {
 }
 
 fn exponent(joint: &Joint) -> Option<Response> {
-    let at = |ln_power: f64, from: &State| {
+    let at = |ln_power: f64, from: &State, tolerance: f64| {
         let system = with_terms(joint, |term| raised(term, ln_power.exp()));
-        let state = system.descend(from.clone(), None, FINE);
+        let state = system.descend(from.clone(), None, tolerance);
         Tried { ln_power, state }
     };
-    let start = at(0.0, &joint.state);
-    let sides = [-STEP, STEP].map(|ln_power| at(ln_power, &start.state));
+    let start = at(0.0, &joint.state, FINE);
+    // Rough minima show whether a fall of the required size can be expected.
+    let sides = [-STEP, STEP].map(|ln_power| at(ln_power, &start.state, COARSE));
     let [below, above] = &sides;
     let costs = [below, &start, above].map(|t| t.state.cost);
     let curvature = costs[0] - 2.0 * costs[1] + costs[2];
@@ -72,10 +73,11 @@ fn exponent(joint: &Joint) -> Option<Response> {
     }
     let first = costs[1];
     let [below, above] = sides;
-    let mut best = if below.state.cost < above.state.cost { below } else { above };
+    let side = if below.state.cost < above.state.cost { below } else { above };
+    let mut best = at(side.ln_power, &side.state, FINE);
     let mut step = best.ln_power;
     while step.abs() > 0.2 * STEP {
-        let there = at(best.ln_power + step, &best.state);
+        let there = at(best.ln_power + step, &best.state, FINE);
         if there.ln_power.abs() <= FURTHEST && there.state.cost < best.state.cost {
             best = there;
             step *= 1.5;
