@@ -7,6 +7,7 @@
 mod bases;
 mod design;
 mod dictionary;
+mod layers;
 mod likelihood;
 mod paper;
 mod profile;

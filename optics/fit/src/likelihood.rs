@@ -26,7 +26,8 @@ use rayon::prelude::*;
 
 use crate::dictionary::FitDictionary;
 use answer::Found;
-use problem::{ChannelData, channel};
+use problem::ChannelData;
+use problem::channel::{self, ChannelMinimum};
 
 pub(super) use design::{DesignPlan, KnownErrors};
 pub(super) use joint::measure;
@@ -52,10 +53,9 @@ pub(crate) fn fit(
 fn fit_channel(data: &ChannelData) -> Result<ChannelFit, Invalid> {
     let settings = data.options.settings();
     let surrogates = data.surrogates();
-    let scan = data.scan(&surrogates, settings.mu_std_error / settings.mu)?;
-    let (assembly, state, ior) = channel::minimum(data, &surrogates, &scan);
-    let sample_ior = data.dictionary.grid().sample_ior()[ior];
-    let found = Found { data, system: &assembly.system, state: &state, sample_ior, common_g: None };
+    let scan = data.scan(&surrogates, settings.ln_mu_std_error())?;
+    let ChannelMinimum { system, state, sample_ior } = channel::minimum(data, &surrogates, &scan);
+    let found = Found { data, system: &system, state: &state, sample_ior, common_g: None };
     let refined = settings.refine.then(|| found.refined());
     let nearest = scan.best(&scan.costs(1.0), settings.top as usize);
     Ok(found.fit(refined, &nearest, data.outside(&scan)))

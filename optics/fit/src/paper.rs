@@ -1,7 +1,6 @@
 //! Evaluates the paper's equations over the records of a dictionary: the exact search of Eq. 1, the scale factor of
 //! Eq. 3, maps of the distance, and similar media.
 
-pub(crate) mod layers;
 pub(crate) mod map;
 mod measure;
 mod question;

@@ -84,7 +84,7 @@ impl DesignPlan<'_> {
         let [s, a, g] = [0, 1, 2]
             .map(|i| unknowns.add(Some((self.medium[i], UNKNOWN)), ANYWHERE, self.held[i], self.medium[i]));
         let set_up = &known.set_up;
-        let scale = if known.mu_free { UNKNOWN } else { set_up.mu_std_error / set_up.mu };
+        let scale = if known.mu_free { UNKNOWN } else { set_up.ln_mu_std_error() };
         let scale = unknowns.known((0.0, scale), ANYWHERE);
         let blur = unknowns.known(blur::prior(set_up), ANYWHERE);
         let grid = self.surrogate.grid();

@@ -44,6 +44,8 @@ struct Set<'a> {
     channels: Vec<ChannelData<'a>>,
     surrogates: Vec<Vec<Surrogate<'a>>>,
     scans: Vec<Scan<'a>>,
+    /// The factor μ that others are relative to.
+    base: f64,
 }
 
 /// The lowest start of every channel at one scale and, if it is common, one anisotropy.
@@ -76,30 +78,26 @@ pub(crate) fn measure(
     plan: &MeasurePlan,
 ) -> Result<Measured, Invalid> {
     let set = Set::new(dictionary, materials, options)?;
-    let base = options.settings().mu;
-    let common_g = plan.common_g && !set.scans[0].region.held[2];
-    let scales = scales(plan.search_mu.as_ref(), base);
-    let limits = (scales[0], scales[scales.len() - 1]);
-    let sharing = Sharing { g: common_g, scale: plan.search_mu.map(|_| limits) };
-    let cells = set.mesh(&scales, common_g);
-    let lowest = cells.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).expect("a mesh has a point");
-    let joint = set.joint(lowest, sharing);
+    let (cells, joint) = set.search(plan);
     if let Some(range) = &plan.search_mu {
         let (min, max, _) = range.parts();
         // Standard deviation of the logarithm of a factor that is only known to lie in the range.
         let unknown = (max / min).ln() / 12.0_f64.sqrt();
         let deviation = joint.deviation(joint.assembly.system.slots[0][LN_SCALE]);
         if max > min && !(deviation > 0.0 && deviation <= unknown) {
+            // The data do not determine the factor: the range is its prior.
             let mu = 1.0_f64.clamp(min, max);
             let options = options.with_mu(mu, (unknown * mu).min(1.0))?;
-            let mut measured =
-                measure(dictionary, materials, &options, &MeasurePlan { search_mu: None, ..*plan })?;
+            let plan = MeasurePlan { search_mu: None, ..*plan };
+            let set = Set::new(dictionary, materials, &options)?;
+            let (cells, joint) = set.search(&plan);
+            let mut measured = set.answer(&joint, &plan, &cells);
             measured.common.mu_interval = Interval { low: min, high: max, open_low: true, open_high: true };
             measured.common.mu_chosen = true;
             return Ok(measured);
         }
     }
-    Ok(set.answer(&joint, plan, base, &cells))
+    Ok(set.answer(&joint, plan, &cells))
 }
 
 impl<'a> Set<'a> {
@@ -111,13 +109,25 @@ impl<'a> Set<'a> {
         let channels = all_channels(dictionary, materials, options)?;
         let surrogates: Vec<Vec<Surrogate>> = channels.iter().map(ChannelData::surrogates).collect();
         let settings = options.settings();
-        let deviation = settings.mu_std_error / settings.mu;
+        let deviation = settings.ln_mu_std_error();
         let scans = channels
             .par_iter()
             .zip(&surrogates)
             .map(|(data, surrogates)| data.scan(surrogates, deviation))
             .collect::<Result<_, _>>()?;
-        Ok(Self { dictionary, materials, channels, surrogates, scans })
+        Ok(Self { dictionary, materials, channels, surrogates, scans, base: settings.mu })
+    }
+
+    /// The mesh of a plan, and the common minimum below its lowest cell.
+    fn search(&self, plan: &MeasurePlan) -> (Vec<Cell>, Joint<'_>) {
+        let common_g = plan.common_g && !self.scans[0].region.held[2];
+        let scales = scales(plan.search_mu.as_ref(), self.base);
+        let limits = (scales[0], scales[scales.len() - 1]);
+        let sharing = Sharing { g: common_g, scale: plan.search_mu.map(|_| limits) };
+        let cells = self.mesh(&scales, common_g);
+        let lowest = cells.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).expect("a mesh has a point");
+        let joint = self.joint(lowest, sharing);
+        (cells, joint)
     }
 
     /// Cells at every scale and, with a common anisotropy, at every one of the dictionary's.
@@ -196,12 +206,10 @@ impl<'a> Set<'a> {
         let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
         let iors = starts.iter().map(|s| s.ior).collect();
         let common = common_slots(&assembly.system, sharing);
-        let mut joint = Joint { assembly, state, normal, covariance, iors, disagreement: 1.0, common };
-        joint.disagreement = joint.disagreement();
-        joint
+        Joint { assembly, state, normal, covariance, iors, disagreement: 1.0, common }.with_disagreement()
     }
 
-    fn answer(&self, joint: &Joint, plan: &MeasurePlan, base: f64, cells: &[Cell]) -> Measured {
+    fn answer(&self, joint: &Joint, plan: &MeasurePlan, cells: &[Cell]) -> Measured {
         let system = &joint.assembly.system;
         let (g_slot, scale_slot) = (system.slots[0][LN_ONE_MINUS_G], system.slots[0][LN_SCALE]);
         let common_g = cells[0].g.is_some();
@@ -236,9 +244,9 @@ impl<'a> Set<'a> {
             material: m.material().to_owned(),
             channels: fits.by_ref().take(m.channels().len()).collect(),
         });
-        let mu = base * joint.state.x[scale_slot].exp();
+        let mu = self.base * joint.state.x[scale_slot].exp();
         let mu_std_error = mu * joint.deviation(scale_slot);
-        let by_g = by_g(cells, joint.state.x[scale_slot], base);
+        let by_g = by_g(cells, joint.state.x[scale_slot], self.base);
         Measured {
             scale: None,
             common: Common {

@@ -4,9 +4,9 @@ use optics_model::fit::{Candidate, DistanceMap, FitOptions, MapLayer};
 use optics_model::{Invalid, Measurement, Medium};
 
 use crate::dictionary::FitDictionary;
+use crate::layers::of_layers;
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::start::Scan;
-use crate::paper::layers::of_layers;
 
 /// One map per channel: the root of −2 ln L per pixel, in the basis of `start`, and so accurate to a few per cent.
 pub(crate) fn distance_map(
@@ -21,7 +21,7 @@ pub(crate) fn distance_map(
 fn channel(data: &ChannelData) -> Result<DistanceMap, Invalid> {
     let settings = data.options.settings();
     let surrogates = data.surrogates();
-    let scan = data.scan(&surrogates, settings.mu_std_error / settings.mu)?;
+    let scan = data.scan(&surrogates, settings.ln_mu_std_error())?;
     let costs = scan.costs(1.0);
     let best = scan.best(&costs, 1);
     let ior = best.first().map_or(0, |m| m[0]);

@@ -15,7 +15,7 @@ use crate::fit;
 use crate::likelihood::point::SHARED;
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::assembly::{Sharing, assemble};
-use crate::likelihood::problem::channel;
+use crate::likelihood::problem::channel::{self, ChannelMinimum};
 use crate::likelihood::problem::start::Start;
 use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::unknowns::inverse_over_free;
@@ -223,7 +223,7 @@ fn descent_finds_the_global_minimum() {
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let starts = channel::starts(&scan, &surrogates);
-        let (_, chosen, _) = channel::lowest(&data, &surrogates, &starts);
+        let chosen = channel::lowest(&data, &surrogates, &starts).state;
         let axes = dense_axes();
         let mut lowest = f64::INFINITY;
         let all = axes.sigma_t_per_mm.iter().flat_map(|s| {
@@ -233,7 +233,7 @@ fn descent_finds_the_global_minimum() {
         for (sigma_t, albedo, g) in all.step_by(5) {
             let medium = [sigma_t.ln(), (1.0 - albedo).sqrt(), (1.0 - g).ln()];
             let start = Start { medium, ior: 0, cost: 0.0 };
-            lowest = channel::lowest(&data, &surrogates, &[start]).1.cost.min(lowest);
+            lowest = channel::lowest(&data, &surrogates, &[start]).state.cost.min(lowest);
         }
         assert!(chosen.cost <= lowest + 1.0, "{medium:?}: {} against {lowest}", chosen.cost);
     }
@@ -370,8 +370,7 @@ fn estimates_do_not_depend_on_the_tolerance() {
         let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
-        let (assembly, state, _) = channel::minimum(&data, &surrogates, &scan);
-        let system = &assembly.system;
+        let ChannelMinimum { system, state, .. } = channel::minimum(&data, &surrogates, &scan);
         let linear = system.linear(&state.x, &state.own);
         let normal = system.normal(&state.x, &state.own, &linear);
         let covariance = inverse_over_free(&system.unknowns, &normal.information, 1e-9).unwrap();

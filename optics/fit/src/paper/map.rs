@@ -5,7 +5,7 @@ use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
 
 use crate::dictionary::FitDictionary;
-use crate::paper::layers::of_layers;
+use crate::layers::of_layers;
 use crate::paper::question::{GridPlace, Question, questions};
 
 /// The error of Eq. 1 over every admissible medium, by channel.

@@ -158,6 +158,11 @@ with_quantities!(options settings);
 pub struct FitOptions(FitSettings);
 
 impl FitSettings {
+    /// Standard error of ln μ.
+    pub fn ln_mu_std_error(&self) -> f64 {
+        self.mu_std_error / self.mu
+    }
+
     /// The same settings with the profile's own values where it has any.
     #[must_use]
     pub fn of_profile(mut self, profile: &ProfileSetup) -> Self {

@@ -54,7 +54,7 @@ impl Found<'_, '_> {
 
     fn scale_estimate(&self, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
         let (settings, slot) = (self.data.options.settings(), self.slots()[LN_SCALE]);
-        let (prior, relative) = (1.0 / settings.mu, settings.mu_std_error / settings.mu);
+        let (prior, relative) = (1.0 / settings.mu, settings.ln_mu_std_error());
         let value = (-self.x(LN_SCALE)).exp() / settings.mu;
         self.is_free(slot).then(|| NuisanceEstimate {
             nuisance: Nuisance::Scale,

@@ -9,7 +9,7 @@ use optics_model::{Invalid, MeasuredProfile, Measurement};
 use crate::likelihood::answer::{Found, Goodness};
 use crate::likelihood::point::LN_SCALE;
 use crate::likelihood::problem::ChannelData;
-use crate::likelihood::problem::channel::minimum;
+use crate::likelihood::problem::channel::{ChannelMinimum, minimum};
 
 /// Share of the unexplained χ² that a cause must explain, …
 const CONVINCING: f64 = 0.6;
@@ -61,11 +61,9 @@ impl Found<'_, '_> {
         let changed = Measurement::new(self.data.measurement.material(), profiles)?;
         let data = ChannelData::new(self.data.dictionary, &changed, 0, self.data.name, options)?;
         let surrogates = data.surrogates();
-        let scan = data.scan(&surrogates, options.settings().mu_std_error / options.settings().mu)?;
-        let (assembly, state, ior) = minimum(&data, &surrogates, &scan);
-        let sample_ior = data.dictionary.grid().sample_ior()[ior];
-        let (system, state) = (&assembly.system, &state);
-        let found = Found { data: &data, system, state, sample_ior, common_g: None };
+        let scan = data.scan(&surrogates, options.settings().ln_mu_std_error())?;
+        let ChannelMinimum { system, state, sample_ior } = minimum(&data, &surrogates, &scan);
+        let found = Found { data: &data, system: &system, state: &state, sample_ior, common_g: None };
         Ok(found.goodness(&system.linear(&state.x, &state.own)).misfit())
     }
 

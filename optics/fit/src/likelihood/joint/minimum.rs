@@ -8,6 +8,7 @@ use crate::likelihood::interval::profile_likelihood::{ProfileLikelihood, interva
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::likelihood::problem::assembly::{Assembly, Sharing};
 use crate::likelihood::system::descent::FINE;
+use crate::likelihood::system::part::slot_in;
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::eliminate;
 use crate::likelihood::system::{Normal, State, System};
@@ -58,13 +59,17 @@ impl<'a> Joint<'a> {
         // For the channel's own medium, noise that other profiles share counts once.
         system.terms.iter_mut().zip(&mut state.own).for_each(|(term, own)| term.count_alike(own, 1.0));
         let used = whole.used_by(&terms);
-        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
-        let common: Vec<usize> = self.common.iter().map(place).collect();
+        let common: Vec<usize> = self.common.iter().map(|slot| slot_in(&used, *slot)).collect();
         let state = descend_with(&mut system, state, &common);
         (system, state)
     }
 
-    pub(super) fn disagreement(&self) -> f64 {
+    /// The same with the disagreement of its channels.
+    pub(super) fn with_disagreement(self) -> Self {
+        Self { disagreement: self.found_disagreement(), ..self }
+    }
+
+    fn found_disagreement(&self) -> f64 {
         let unknowns = &self.assembly.system.unknowns;
         let shared = &self.common;
         let channels = self.assembly.terms.len();

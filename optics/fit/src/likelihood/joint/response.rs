@@ -113,14 +113,7 @@ fn factor(joint: &Joint) -> Option<Response> {
 /// The system with other terms.
 fn with_terms<'a>(joint: &Joint<'a>, change: impl Fn(&Term) -> Term) -> System<'a> {
     let system = &joint.assembly.system;
-    System {
-        terms: system.terms.iter().map(change).collect(),
-        surrogates: system.surrogates.clone(),
-        slots: system.slots.clone(),
-        unknowns: system.unknowns.clone(),
-        of_scene: system.of_scene.clone(),
-        coupling: None,
-    }
+    System { terms: system.terms.iter().map(change).collect(), coupling: None, ..system.clone() }
 }
 
 fn raised(term: &Term, power: f64) -> Term {

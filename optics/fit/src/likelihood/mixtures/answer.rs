@@ -16,6 +16,7 @@ use crate::likelihood::interval::chi2::exceedance;
 use crate::likelihood::interval::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::system::Normal;
+use crate::likelihood::system::part::slot_in;
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::likelihood::term::Linear;
@@ -135,7 +136,7 @@ impl<'a, 'b> Solution<'a, 'b> {
             covariance: &covariance,
             inflation,
         };
-        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        let place = |slot: &usize| slot_in(&used, *slot);
         inks.iter().map(|ink| InkIntervals::of(&profile, ink.each_ref().map(place), common_g)).collect()
     }
 

@@ -104,7 +104,7 @@ pub(crate) fn assemble<'a>(
 ) -> (Assembly<'a>, State) {
     let mut builder = Builder::default();
     let settings = channels[0].options.settings();
-    let deviation = settings.mu_std_error / settings.mu;
+    let deviation = settings.ln_mu_std_error();
     let scale_slot = match sharing.scale {
         Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
         None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),

@@ -3,8 +3,8 @@
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
 use crate::likelihood::problem::start::{Scan, Start};
-use crate::likelihood::system::State;
 use crate::likelihood::system::descent::COARSE;
+use crate::likelihood::system::{State, System};
 use crate::surrogate::Surrogate;
 
 /// A start in the basis is followed if its cost is at most this much above the lowest, or at most this multiple of it.
@@ -21,30 +21,38 @@ pub(crate) fn starts(scan: &Scan, surrogates: &[Surrogate]) -> Vec<Start> {
     starts
 }
 
-/// The system of a channel by itself at the lowest of its minima, and the refractive index of the sample there.
+/// The system of a channel by itself at the lowest of its minima.
+pub(crate) struct ChannelMinimum<'a> {
+    pub system: System<'a>,
+    pub state: State,
+    pub sample_ior: f64,
+}
+
+/// The lowest of the minima below some starts, without the noise of the records.
 pub(crate) fn lowest<'a>(
     data: &ChannelData,
     surrogates: &'a [Surrogate<'a>],
     starts: &[Start],
-) -> (Assembly<'a>, State, usize) {
+) -> ChannelMinimum<'a> {
     let follow = |start: &Start| {
         let one = std::slice::from_ref(data);
-        let (mut assembly, state) =
+        let (Assembly { mut system, .. }, state) =
             assemble(one, &[&surrogates[start.ior]], &[start.medium], 0.0, Sharing::default());
-        let state = assembly.system.approach(state, COARSE);
-        (assembly, state, start.ior)
+        let state = system.approach(state, COARSE);
+        ChannelMinimum { system, state, sample_ior: data.dictionary.grid().sample_ior()[start.ior] }
     };
     let followed = starts.iter().map(follow);
-    followed.min_by(|a, b| a.1.cost.total_cmp(&b.1.cost)).expect("a dictionary has a lowest medium")
+    followed.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost)).expect("a dictionary has a lowest medium")
 }
 
-/// The lowest minimum of a channel by itself, and the refractive index of the sample there.
+/// The lowest minimum of a channel by itself.
 pub(crate) fn minimum<'a>(
     data: &ChannelData,
     surrogates: &'a [Surrogate<'a>],
     scan: &Scan,
-) -> (Assembly<'a>, State, usize) {
-    let (mut assembly, state, ior) = lowest(data, surrogates, &starts(scan, surrogates));
-    let state = assembly.system.settle(state);
-    (assembly, state, ior)
+) -> ChannelMinimum<'a> {
+    let ChannelMinimum { mut system, state, sample_ior } =
+        lowest(data, surrogates, &starts(scan, surrogates));
+    let state = system.settle(state);
+    ChannelMinimum { system, state, sample_ior }
 }

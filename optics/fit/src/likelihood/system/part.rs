@@ -7,6 +7,14 @@ use crate::likelihood::system::unknowns::{SceneUnknown, eliminate};
 use crate::likelihood::system::{Coupling, Normal, State, System};
 use crate::likelihood::term::Term;
 
+/// The slot of an unknown in a part with these unknowns, in ascending order.
+///
+/// # Panics
+/// If the part does not have it.
+pub(crate) fn slot_in(used: &[usize], slot: usize) -> usize {
+    used.binary_search(&slot).expect("a part has the unknowns of its profiles")
+}
+
 impl System<'_> {
     /// The information of some profiles on the unknowns at a state, and their pull.
     pub(crate) fn contribution(
@@ -53,7 +61,7 @@ impl System<'_> {
         let centre = DVector::from_iterator(used.len(), used.iter().map(|i| state.x[*i]));
         let coupling =
             Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
-        let place = |slot: &usize| used.iter().position(|u| u == slot).unwrap_or(0);
+        let place = |slot: &usize| slot_in(&used, *slot);
         let term = |i: &usize| {
             let term = self.terms[*i].clone();
             Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
