@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use farm_proto::lease::LeaseKey;
+use farm_proto::lease::{HeldLease, LeaseKey};
 use optics_model::Digest;
 
 /// Stops the tracing of a set of jobs that share their walks once all of them are stopped.
@@ -108,8 +108,13 @@ impl HeldLeases {
     }
 
     /// All leases, whether each job is being traced, and the identity of each job.
-    pub(crate) fn all(&self) -> Vec<(LeaseKey, bool, Digest)> {
-        self.map().iter().map(|(key, e)| (*key, e.switches.is_running(), e.identity)).collect()
+    pub(crate) fn all(&self) -> Vec<HeldLease> {
+        let lease = |(key, entry): (&LeaseKey, &LeaseEntry)| HeldLease {
+            key: *key,
+            running: entry.switches.is_running(),
+            identity: entry.identity,
+        };
+        self.map().iter().map(lease).collect()
     }
 
     /// Removes a lost lease and stops its job; false if the job has a result or had ended already.
@@ -178,9 +183,10 @@ mod tests {
     fn only_the_traced_job_is_reported_running() {
         let (held, _, keys) = one_of_each();
         let mut all = held.all();
-        all.sort_unstable_by_key(|(key, ..)| *key);
+        all.sort_unstable_by_key(|lease| lease.key);
         let identity = job(1).identity();
-        assert_eq!(all, [(keys[0], false, identity), (keys[1], true, identity), (keys[2], false, identity)]);
+        let lease = |i: usize, running| HeldLease { key: keys[i], running, identity };
+        assert_eq!(all, [lease(0, false), lease(1, true), lease(2, false)]);
     }
 
     /// A lost lease stops its job and no other.

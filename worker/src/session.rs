@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use farm_link::Link;
-use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use farm_proto::status::MachineFacts;
 use farm_proto::wire::leases_client::LeasesClient;
 use farm_proto::wire::{
-    AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, HeldLease,
-    RegisterRequest, RenewRequest,
+    AcquireRequest, CompleteRequest, CompletionOutcome, FailRequest, HandBackRequest, RegisterRequest,
+    RenewRequest,
 };
-use farm_proto::{PROTOCOL_VERSION, RequestLimits, to_status};
+use farm_proto::{PROTOCOL_VERSION, RequestLimits, to_status, wire};
 use optics_model::{Digest, PHYSICS_VERSION};
 use tokio::sync::watch;
 use tokio::time::Instant;
@@ -133,12 +133,9 @@ impl CoordinatorSession {
     }
 
     /// Extends leases; returns the lost ones, and whether the worker should leave.
-    pub(crate) async fn renew(
-        &self,
-        leases: Vec<(LeaseKey, bool, Digest)>,
-    ) -> Result<(Vec<LeaseKey>, bool), Status> {
+    pub(crate) async fn renew(&self, leases: Vec<HeldLease>) -> Result<(Vec<LeaseKey>, bool), Status> {
         let worker_token = self.worker_token();
-        let mut leases: Vec<HeldLease> = leases.into_iter().map(on_wire).collect();
+        let mut leases: Vec<wire::HeldLease> = leases.into_iter().map(Into::into).collect();
         let (mut lost, mut drain) = (Vec::new(), false);
         // Also without leases, as a sign of life.
         loop {
@@ -159,7 +156,8 @@ impl CoordinatorSession {
     /// Announces that jobs begin, so that they can be identified as the cause if this process dies at once.
     pub(crate) async fn begin(&self, jobs: Vec<(LeaseKey, Digest)>) {
         let Some(job) = jobs.first().map(|(key, _)| key.job) else { return };
-        let leases = jobs.into_iter().map(|(key, identity)| on_wire((key, true, identity))).collect();
+        let lease = |(key, identity)| HeldLease { key, running: true, identity }.into();
+        let leases = jobs.into_iter().map(lease).collect();
         let request = RenewRequest { worker_token: self.worker_token(), leases };
         let mut client = self.client.clone();
         let announced = client.renew(timed(request, BEGIN));
@@ -262,7 +260,7 @@ impl CoordinatorSession {
     /// leased its own jobs again.
     async fn announce(&self) {
         let SessionRegistration { worker_token, lease } = self.registration().clone();
-        let mut leases = self.held.all().into_iter().map(on_wire).peekable();
+        let mut leases = self.held.all().into_iter().map(wire::HeldLease::from).peekable();
         while leases.peek().is_some() {
             let leases = leases.by_ref().take(RequestLimits::LEASES as usize).collect();
             let request = RenewRequest { worker_token: worker_token.clone(), leases };
@@ -281,10 +279,6 @@ impl CoordinatorSession {
     fn registration(&self) -> MutexGuard<'_, SessionRegistration> {
         self.registration.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn on_wire((key, running, identity): (LeaseKey, bool, Digest)) -> HeldLease {
-    HeldLease { key: Some(key.into()), running, identity: identity.as_bytes().to_vec() }
 }
 
 fn timed<T>(message: T, limit: Duration) -> tonic::Request<T> {

@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::lease::LeaseKey;
+use farm_proto::lease::{HeldLease, LeaseKey};
 use farm_proto::status::{DictionaryStatus, JobState, WorkerStatus};
-use optics_model::{Digest, Walks};
+use optics_model::Walks;
 
 use super::outbox::{Count, Effect, EventKind, Outbox};
 use super::part::{JobRef, PartId, Purpose};
@@ -251,12 +251,12 @@ impl Dispatcher {
         &mut self,
         now: Duration,
         worker: &WorkerId,
-        mut leases: Vec<(LeaseKey, bool, Digest)>,
+        mut leases: Vec<HeldLease>,
     ) -> Result<(Vec<LeaseKey>, bool), DispatchError> {
         let machine = self.seen(now, worker)?;
         let holder = self.roster.access_token(machine);
         leases.retain(|lease| !self.schedule.renew(now, worker, holder, lease));
-        Ok((leases.into_iter().map(|(key, ..)| key).collect(), self.roster.get(worker)?.draining))
+        Ok((leases.into_iter().map(|lease| lease.key).collect(), self.roster.get(worker)?.draining))
     }
 
     /// Takes leases back without blame; those that are not held are passed over.

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use farm_proto::status::{DictionaryState, DictionaryStatus, MachineFacts};
 use optics_model::grid::Axes;
 use optics_model::{Digest, Grid, Scene, Walks};
@@ -157,8 +157,8 @@ impl Bench {
     }
 
     fn renew(&mut self, at: u64, name: &str, lease: &Lease, running: bool) -> bool {
-        let held = vec![(lease.key, running, lease.job.identity())];
-        self.farm.renew(seconds(at), &worker(name), held).unwrap().0.is_empty()
+        let held = HeldLease { key: lease.key, running, identity: lease.job.identity() };
+        self.farm.renew(seconds(at), &worker(name), vec![held]).unwrap().0.is_empty()
     }
 
     fn state(&self) -> DictionaryState {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use farm_proto::PROTOCOL_VERSION;
 use farm_proto::ids::WorkerId;
-use farm_proto::lease::LeaseKey;
+use farm_proto::lease::{HeldLease, LeaseKey};
 use optics_model::{Digest, PHYSICS_VERSION};
 use tokio_util::sync::CancellationToken;
 
@@ -101,11 +101,7 @@ impl Farm {
     }
 
     /// Extends leases. Returns those that are lost, and whether the worker is to leave.
-    pub(crate) fn renew(
-        &self,
-        worker: &WorkerId,
-        leases: Vec<(LeaseKey, bool, Digest)>,
-    ) -> Result<(Vec<LeaseKey>, bool)> {
+    pub(crate) fn renew(&self, worker: &WorkerId, leases: Vec<HeldLease>) -> Result<(Vec<LeaseKey>, bool)> {
         Ok(self.scheduler.transition(|dispatcher, now| dispatcher.renew(now, worker, leases))?)
     }
 

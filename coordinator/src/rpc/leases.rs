@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use farm_proto::lease::LeaseKey;
+use farm_proto::lease::{HeldLease, LeaseKey, job_identity};
 use farm_proto::status::MachineFacts;
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_server::Leases;
@@ -12,7 +12,7 @@ use farm_proto::wire::{
     RenewRequest, RenewResponse,
 };
 use farm_proto::{RequestLimits, to_status, wire};
-use optics_model::{Digest, Invalid};
+use optics_model::Invalid;
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
 
@@ -82,11 +82,8 @@ impl Leases for Context {
             let allowed = format!("at most {most} are allowed");
             return Err(to_status(&Invalid::new("leases", request.leases.len(), allowed)));
         }
-        let held = request.leases.into_iter().map(|lease| {
-            let key = LeaseKey::from(required("key", lease.key)?);
-            Ok((key, lease.running, identity(&lease.identity).or_status()?))
-        });
-        let held = held.collect::<Result<_, Status>>()?;
+        let held =
+            request.leases.into_iter().map(HeldLease::try_from).collect::<Result<_, _>>().or_status()?;
         let (lost, drain) = self.farm.renew(&self.farm.verify_worker(&request.worker_token)?, held)?;
         Ok(Response::new(RenewResponse { lost: lost.into_iter().map(Into::into).collect(), drain }))
     }
@@ -126,12 +123,6 @@ impl Leases for Context {
     }
 }
 
-/// The digest of all that a job's records depend on, as it was sent with the job.
-fn identity(bytes: &[u8]) -> Result<Digest, Invalid> {
-    let digest = bytes.try_into().map(Digest::from_bytes);
-    digest.map_err(|_| Invalid::new("identity", format_args!("{} bytes", bytes.len()), "32 are needed"))
-}
-
 fn facts(facts: wire::MachineFacts) -> MachineFacts {
     let wire::MachineFacts { cores, memory_bytes, kernel, log } = facts;
     MachineFacts { cores, memory_bytes, kernel: short_line(&kernel), log: one_line(&log) }
@@ -142,7 +133,7 @@ fn piece(message: CompleteRequest, farm: &Farm) -> Result<Piece, Status> {
     Ok(match required("content", message.content)? {
         Content::Header(header) => Piece::Header(Header {
             key: LeaseKey::from(required("key", header.key)?),
-            identity: identity(&header.identity).or_status()?,
+            identity: job_identity(&header.identity).or_status()?,
             worker: farm.verify_worker(&header.worker_token)?,
         }),
         Content::Records(bytes) => Piece::Records(bytes),
@@ -162,7 +153,7 @@ fn outcome(delivered: Result<Outcome, Refusal>) -> CompletionOutcome {
                 "other records than these are stored: this worker or an earlier one computes wrongly";
             (CompletionKind::Conflict, message.to_owned())
         }
-        Ok(OutcomeKind::Unwanted) => (CompletionKind::Refused, "not wanted any more".to_owned()),
+        Ok(OutcomeKind::Unwanted) => (CompletionKind::Refused, "no longer needed".to_owned()),
     };
     CompletionOutcome { kind: kind.into(), message }
 }

@@ -2,7 +2,7 @@
 
 use super::mirror::required;
 use crate::ids::{DictionaryId, Token};
-use crate::lease::{Lease, LeaseKey};
+use crate::lease::{HeldLease, Lease, LeaseKey, job_identity};
 use crate::wire;
 use optics_model::grid::Walks;
 use optics_model::invalid::{Invalid, Result};
@@ -27,6 +27,22 @@ impl From<wire::LeaseKey> for LeaseKey {
             token: Token::parse(&key.token),
             part: key.part,
         }
+    }
+}
+
+impl From<HeldLease> for wire::HeldLease {
+    fn from(lease: HeldLease) -> Self {
+        let HeldLease { key, running, identity } = lease;
+        Self { key: Some(key.into()), running, identity: identity.as_bytes().to_vec() }
+    }
+}
+
+impl TryFrom<wire::HeldLease> for HeldLease {
+    type Error = Invalid;
+
+    fn try_from(lease: wire::HeldLease) -> Result<Self> {
+        let key = LeaseKey::from(required("key", lease.key)?);
+        Ok(Self { key, running: lease.running, identity: job_identity(&lease.identity)? })
     }
 }
 

@@ -56,7 +56,7 @@ pub fn check_pixels(field: &str, materials: &[wire::Measurement], most: usize) -
     let pixels: usize = profiles.map(|p| p.x_mm.len().max(p.values.len()).max(p.std_errors.len())).sum();
     if pixels > most {
         let allowed =
-            format!("a coordinator takes at most {most} in one question; {}", FitLimits::MANY_PIXELS_ADVICE);
+            format!("a coordinator accepts at most {most} in one request; {}", FitLimits::MANY_PIXELS_ADVICE);
         return Err(Invalid::new(field, format_args!("{pixels} pixels"), allowed));
     }
     Ok(())
@@ -73,7 +73,7 @@ mod tests {
         assert!(check_pixels("materials", &both, 16).is_ok());
         let refused = check_pixels("materials", &both, 15).unwrap_err().to_string();
         assert!(
-            refused.starts_with("materials = 16 pixels is not valid: a coordinator takes at most 15"),
+            refused.starts_with("materials = 16 pixels is not valid: a coordinator accepts at most 15"),
             "{refused}"
         );
     }

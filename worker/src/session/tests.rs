@@ -168,7 +168,7 @@ async fn renewals_are_split_at_the_request_limit() {
     let mut keys = hold(&held, 2 * RequestLimits::LEASES + 7);
     // In the first call and in the last.
     let all = held.all();
-    let lost = [all[0].0, all[2 * most + 6].0];
+    let lost = [all[0].key, all[2 * most + 6].key];
     for key in lost {
         coordinator.lose(key);
     }

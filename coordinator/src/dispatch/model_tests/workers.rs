@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use farm_proto::status::MachineFacts;
 use optics_model::Digest;
 
@@ -139,14 +139,19 @@ impl World {
         let Process { id, held, .. } = self.processes[worker].clone();
         let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
         let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
-        let leases: Vec<_> = chosen.map(|(i, l)| (l.key, bit(running, i), l.job.identity())).collect();
+        let lease = |(i, lease): (usize, &Lease)| HeldLease {
+            key: lease.key,
+            running: bit(running, i),
+            identity: lease.job.identity(),
+        };
+        let leases: Vec<HeldLease> = chosen.map(lease).collect();
         let mine = |farm: &Dispatcher, key: &LeaseKey| {
             farm.schedule.leases().get(key).is_some_and(|h| h.worker == id)
         };
-        let valid: Vec<_> = leases.iter().filter(|l| mine(&self.farm, &l.0)).map(|l| l.0).collect();
+        let valid: Vec<_> = leases.iter().map(|l| l.key).filter(|key| mine(&self.farm, key)).collect();
         let answer = self.farm.renew(self.now, &id, leases.clone());
         let Some((lost, _)) = self.answer(worker, answer) else { return };
-        for (key, running, _) in leases {
+        for HeldLease { key, running, .. } in leases {
             let is_lost = lost.contains(&key);
             self.insist(!(is_lost && valid.contains(&key)), || format!("{key:?} was valid and is lost"));
             let held = self.farm.schedule.leases().get(&key).filter(|h| h.worker == id);
@@ -175,7 +180,8 @@ impl World {
         let before = self.farm.schedule.leases().get(&key).cloned();
         let in_use = self.is_held(key.token);
         let id = self.processes[worker].id.clone();
-        let answer = self.farm.renew(self.now, &id, vec![(key, true, job.identity())]);
+        let held = HeldLease { key, running: true, identity: job.identity() };
+        let answer = self.farm.renew(self.now, &id, vec![held]);
         if let Some((lost, _)) = self.answer(worker, answer) {
             // After a restart the coordinator may accept another worker's lease, since it has no record of the holder.
             let kept = before.is_some_and(|held| held.worker != id) || in_use || how > 0;

@@ -3,8 +3,7 @@
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::lease::{Lease, LeaseKey};
-use optics_model::Digest;
+use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 
 use super::{Dictionary, OpenLease, Schedule, lease_token};
 use crate::dispatch::outbox::{Count, Outbox};
@@ -109,33 +108,28 @@ impl Schedule {
 
     /// Extends a lease; false if it is lost. A lease that is not known (the coordinator was restarted, or it had expired)
     /// is taken up again if its part still waits.
-    pub fn renew(
-        &mut self,
-        now: Duration,
-        worker: &WorkerId,
-        holder: &str,
-        (key, running, identity): &(LeaseKey, bool, Digest),
-    ) -> bool {
-        let (deadline, running) = (now + self.settings.lease, *running);
-        if let Some(held) = self.leases.get(key) {
+    pub fn renew(&mut self, now: Duration, worker: &WorkerId, holder: &str, lease: &HeldLease) -> bool {
+        let HeldLease { key, running, identity } = *lease;
+        let deadline = now + self.settings.lease;
+        if let Some(held) = self.leases.get(&key) {
             let own = held.worker == *worker;
             if own {
                 self.leases.extend(key.token, deadline, running);
             }
             return own;
         }
-        if !lease_token::verify(&self.settings.secret, key, holder) || self.leases.has(key.token) {
+        if !lease_token::verify(&self.settings.secret, &key, holder) || self.leases.has(key.token) {
             return false;
         }
         let Some(dictionary) = self.dictionaries.get_mut(&key.dictionary) else { return false };
-        let wanted = dictionary.job(PartId::from(key)).is_some()
+        let wanted = dictionary.job(PartId::from(&key)).is_some()
             && dictionary.is_active()
-            && dictionary.spec(key.job, key.part).identity() == *identity;
+            && dictionary.spec(key.job, key.part).identity() == identity;
         if !wanted || !dictionary.take(key.job, key.part, key.attempt) {
             return false;
         }
         dictionary.lease_began();
-        let (key, worker) = (*key, worker.clone());
+        let worker = worker.clone();
         self.leases.insert(OpenLease { key, worker, purpose: Purpose::Retry, since: now, deadline, running });
         true
     }

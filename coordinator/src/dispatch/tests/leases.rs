@@ -1,7 +1,7 @@
 //! Tests the leases of parts: their holders and their ends.
 
 use farm_proto::ids::{DictionaryId, Token};
-use farm_proto::lease::LeaseKey;
+use farm_proto::lease::{HeldLease, LeaseKey};
 use farm_proto::status::DictionaryState;
 
 use super::{Bench, DIGEST, about, job_of, seconds, worker};
@@ -57,7 +57,7 @@ fn leases_survive_a_restart_of_the_coordinator() {
     let mut after = Bench::new(&[]);
     assert!(after.renew(0, "a", &lease[0], true), "the part waits: it is the worker's again");
     assert!(!job_of(&after.acquire(1, "b", 9)).contains(&lease[0].key.job));
-    let other_grid = vec![(lease[0].key, true, DIGEST)];
+    let other_grid = vec![HeldLease { key: lease[0].key, running: true, identity: DIGEST }];
     let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
     assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
 }
@@ -145,7 +145,7 @@ fn lease_token_is_valid_for_one_part() {
     let other = bench.acquire(0, "b", 2);
     bench.farm.hand_back(&[other[0].key]);
     let forged = LeaseKey { token: lease[0].key.token, attempt: u32::MAX, ..other[0].key };
-    let held = vec![(forged, true, other[0].job.identity())];
+    let held = vec![HeldLease { key: forged, running: true, identity: other[0].job.identity() }];
     assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
     assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
 }
@@ -155,7 +155,7 @@ fn lease_token_is_valid_for_one_part() {
 fn renewals_after_a_restart_are_checked() {
     let lease = Bench::new(&[]).acquire(0, "a", 1).remove(0);
     let mut after = Bench::new(&[]);
-    let other_grid = vec![(lease.key, true, DIGEST)];
+    let other_grid = vec![HeldLease { key: lease.key, running: true, identity: DIGEST }];
     assert_eq!(after.farm.renew(seconds(0), &worker("a"), other_grid).unwrap().0, [lease.key]);
     after.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
     assert!(!after.renew(0, "a", &lease, true), "nothing is computed for it now");
