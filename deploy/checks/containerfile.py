@@ -52,12 +52,12 @@ def context_problems(containerfile, found, checkout):
         yield "the ignore file must begin with *: only what is named goes in"
     for name in sorted(let_in):
         if not (checkout / name).exists():
-            yield f"the ignore file lets in {name}, which does not exist"
+            yield f"the ignore file admits {name}, which does not exist"
     workspace = tomllib.loads((checkout / "Cargo.toml").read_text())["workspace"]
     for name in ["Cargo.toml", "Cargo.lock", *workspace["members"]]:
         # A folder includes its content.
         if name.partition("/")[0] not in let_in:
-            yield f"the ignore file does not let in {name}, without which nothing is built"
+            yield f"the ignore file does not admit {name}, without which nothing is built"
     for words in (rest.split() for name, rest in found if name == "COPY"):
         if not any(word.startswith("--from=") for word in words):
             sources = [word for word in words if not word.startswith("--")][:-1]

@@ -80,7 +80,7 @@ def test_a_farm_ends_when_its_program_is_killed(tmp_path: pathlib.Path) -> None:
     program.wait()
     end = time.monotonic() + 30
     while (tmp_path / "coordinator.addr").exists():
-        assert time.monotonic() < end, "the farm goes on without its program"
+        assert time.monotonic() < end, "the farm outlives its program"
         time.sleep(0.1)
     program.stdout.close()
 
@@ -113,6 +113,22 @@ def test_grids_take_arrays_and_can_be_compared(tmp_path: pathlib.Path) -> None:
 def test_without_a_dictionary_the_error_says_what_to_do(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:
     with resin_farm.Farm(tmp_path) as farm, pytest.raises(resin_farm.FarmError, match=r"submit\(\)"):
         farm.fit(white)
+
+
+def test_without_a_name_the_dictionary_is_that_of_farmctl(tmp_path: pathlib.Path) -> None:
+    with resin_farm.Farm(tmp_path) as farm:
+        for submitted, usual in [("fine", "fine"), ("paper", "paper"), ("lab", "lab")]:
+            farm.submit(GRID, submitted, progress=False)
+            assert farm.dictionary().name == usual
+            arguments = ["--server", farm.address, "profile", "--sigma-t", "6", "--albedo", "0.999", "--g", "0.4"]
+            found = _programs.farmctl([*arguments, "--thickness", "0.5"])
+            assert found["dictionary"] == usual
+        farm.submit(SMALL, "other", progress=False)
+        assert farm.dictionary().name == "lab"
+        for usual in ("lab", "paper"):
+            farm.dictionary(usual).delete()
+        with pytest.raises(resin_farm.FarmError, match="several dictionaries: name one, of "):
+            farm.dictionary()
 
 
 def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:

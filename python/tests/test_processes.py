@@ -85,7 +85,7 @@ def test_a_fork_does_not_keep_a_farm_alive(tmp_path: pathlib.Path) -> None:
         child.start()
     end = time.monotonic() + SOON
     while (tmp_path / "coordinator.addr").exists():
-        assert time.monotonic() < end, "the farm goes on without its program"
+        assert time.monotonic() < end, "the farm outlives its program"
         time.sleep(0.1)
     hold.set()
     child.join()

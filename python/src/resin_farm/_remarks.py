@@ -25,13 +25,13 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
         yield f"{name}: outside the dictionary, {fit.outside} than every record: check levels, or compute a wider one"
     if refined is None:
         return
-    cause = f"; the likeliest cause: {refined.suspicion}" if refined.suspicion else ""
+    cause = f"; the most likely cause: {refined.suspicion}" if refined.suspicion else ""
     likelihood = refined.likelihood
     chi2 = f"χ² {likelihood.chi2:.0f} of {likelihood.degrees_of_freedom:.0f}"
     if likelihood.probability < _UNLIKELY:
         yield (
-            f"{name}: {chi2}, p < {_UNLIKELY}: noise and what is known of the set-up do not explain the data; the "
-            f"intervals were widened, but are not to be trusted blindly{cause}"
+            f"{name}: {chi2}, p < {_UNLIKELY}: noise and the priors of the set-up do not explain the data; the "
+            f"intervals were widened and may still be wrong{cause}"
         )
     elif refined.suspicion:
         yield (
@@ -45,7 +45,7 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
     if not refined.resolved_at_g and fit.outside is None:
         yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
     elif not refined.resolved and fit.outside is None:
-        yield f"{name}: g open: σ_t and α hold together with this g only"
+        yield f"{name}: g open: σ_t and α are valid for this g only"
     if refined.valley:
         yield f"{name}: σ_t and g trade off, trust σ_s(1−g) and σ_a"
 

@@ -43,7 +43,7 @@ class SlabSet:
     best: bool
     """No other set determines σ_t and 1 − α together better, g held."""
     best_of_its_effort: bool
-    """The same among sets of at most as many photographs."""
+    """No other set of at most as many photographs determines them better."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 Path: TypeAlias = str | os.PathLike[str]
 Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
 
+# Defaults among several dictionaries, in order of preference; the same as in farmctl.
+_USUAL = ("lab", "paper")
+
 
 class Farm(FarmAccess):
     """A farm of this machine, with its data in a folder; `Farm.connect` opens one that runs elsewhere.
@@ -68,8 +71,9 @@ class Farm(FarmAccess):
         """Computes a dictionary; if it exists with the same grid, continues it.
 
         Args:
-            grid: a grid, or the path of a grid file; the paper's if None.
-            name: if None the file's name, "grid" for a `Grid`, "paper" for the paper's.
+            grid: a grid, the path of a grid file, or "lab" for the paper's axes in the scene of a laboratory; the
+                paper's grid if None.
+            name: if None the file's name, "grid" for a `Grid`, "lab" or "paper" for these two.
             quality: the noise of the records, instead of the grid's.
             priority: from -1000 to 1000; higher goes first.
             wait: wait until it is done.
@@ -92,7 +96,7 @@ class Farm(FarmAccess):
         return dictionary.wait(progress=progress) if wait else dictionary
 
     def dictionary(self, name: str | None = None) -> Dictionary:
-        """A dictionary by its name; without a name the only one, or "paper".
+        """A dictionary by its name; without a name the only one, else "lab", else "paper".
 
         Raises:
             NotFound: if there is none of this name.
@@ -126,7 +130,7 @@ class Farm(FarmAccess):
 
         Args:
             measurement: of one material: a `Measurement`, a frame or a file with the columns of a measurement file.
-            dictionary: its name; the only one or "paper" if None.
+            dictionary: its name; the only one, else "lab", else "paper" if None.
             refine: continue from the best record to a continuous optimum.
             given: the options of `FitOptions` that are known, such as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
 
@@ -156,7 +160,7 @@ class Farm(FarmAccess):
             materials: measurements, a frame, a measurement file, or the answer of `capture`. For the last, the
                 session's own dictionary is computed unless it exists, the scale factor comes from its white reference,
                 and its report is completed.
-            dictionary: its name; the only one or "paper" if None.
+            dictionary: its name; the only one, else "lab", else "paper" if None.
             free_g: let every channel have its own anisotropy.
             given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
         """
@@ -188,7 +192,7 @@ class Farm(FarmAccess):
 
         Args:
             measurement: of one material, as for `fit`.
-            dictionary: its name; the only one or "paper" if None.
+            dictionary: its name; the only one, else "lab", else "paper" if None.
             given: the options of `FitOptions` that are known.
         """
         request = fits_pb2.MapRequest(
@@ -216,7 +220,7 @@ class Farm(FarmAccess):
 
         Args:
             medium: a guess: the information in the pixels depends on the medium.
-            dictionary: its name; the only one or "paper" if None.
+            dictionary: its name; the only one, else "lab", else "paper" if None.
             slabs: sets of thicknesses in mm; sets of one to three of the dictionary's if there are none.
             shots: photographs of each slab; 1 and 2 if there are none.
             channel: the dictionary's first if None.
@@ -297,16 +301,20 @@ class Farm(FarmAccess):
         return _display.html_table(("dictionary", "state", "records", "of"), rows, repr(self))
 
     def _name(self, given: str | None) -> str:
-        """The given name; without one the only dictionary, or "paper"."""
+        """The given name; without one the only dictionary, else the first of the usual ones, as in farmctl."""
         if given is not None:
             return given
         names = [dictionary.name for dictionary in self.dictionaries()]
         if len(names) == 1:
             return names[0]
-        if "paper" in names:
-            return "paper"
+        for usual in _USUAL:
+            if usual in names:
+                return usual
         if not names:
-            raise FarmError("there is no dictionary yet: submit() computes the paper's")
+            raise FarmError(
+                'there is no dictionary yet: submit("lab") computes one for a laboratory\'s own measurements, submit() '
+                "the paper's"
+            )
         raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
 
 
