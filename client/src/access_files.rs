@@ -31,7 +31,7 @@ const BACKDATED: Duration = Duration::days(1);
 const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
 /// Comment above the tokens in the coordinator's file.
 const TOKENS_HEAD: &str = "
-# Whom it lets in: `farmctl access add` and `farmctl access revoke`, or by hand, with the hash of a random token
+# Its members: `farmctl access add` and `farmctl access revoke`, or by hand, with the hash of a random token
 # (`printf %s TOKEN | b3sum`). A running coordinator reads it again.
 ";
 

@@ -155,7 +155,7 @@ fn doubts(channels: &[RenderedChannel]) -> Vec<String> {
         doubts.push(format!("Unresolved: the measurement does not determine {unresolved}; best values."));
     }
     if !open.is_empty() {
-        doubts.push(format!("g open: sigma_t and albedo of {open} hold together with this g only."));
+        doubts.push(format!("g open: sigma_t and albedo of {open} are valid for this g only."));
     }
     doubts
 }
@@ -234,7 +234,7 @@ mod tests {
         let mut white = medium("white", vec![channel("R", 6.0, 0.9991)]);
         white.channels[0].refined.as_mut().unwrap().resolved = false;
         let notes = &blocks(&[white])[0].notes;
-        assert_eq!(notes[1], "g open: sigma_t and albedo of \"R\" hold together with this g only.");
+        assert_eq!(notes[1], "g open: sigma_t and albedo of \"R\" are valid for this g only.");
     }
 
     /// The channels R, G and B are sorted to one medium; it needs all three and no other.

@@ -72,7 +72,7 @@ fn job_number_is_text_or_json() -> Result {
     let message = cluster.farmctl(&FARM)?;
     assert!(
         text(&message.stdout)
-            .starts_with("job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, told")
+            .starts_with("job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, which stop")
     );
     assert_eq!(text(&cluster.farmctl(&[&FARM[..], &["--quiet"]].concat())?.stdout), "17\n");
     let json = cluster.farmctl(&[&FARM[..], &["--json"]].concat())?;

@@ -200,7 +200,7 @@ fn let_in(admitted: Admitted, shared: &Shared, request: &mut Request<Body>) -> R
     Ok(Means { _place: None, account })
 }
 
-/// The same for a call that needs no token.
+/// Prepares a call that needs no token.
 fn open(
     connection: Option<Admission>,
     shared: &Shared,

@@ -34,14 +34,14 @@ pub struct Args {
     /// Largest number of connections; further ones are refused.
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub max_connections: u32,
-    /// Memory for the dictionaries that are fitted with, in MiB. What was not asked for longest makes room [default: 4096,
-    /// or half of the memory that this process may use if that is less].
+    /// Memory for dictionaries that fits use, in MiB; the least recently used are evicted [default: 4096, or half of the
+    /// memory that this process may use if that is less].
     #[arg(long, value_name = "MIB", env = "FARM_FIT_MEMORY")]
     pub fit_memory: Option<usize>,
     /// Make a verified backup by itself, as in 6h or 1d [default: none].
     #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
     pub backup_every: Option<Duration>,
-    /// Scheduled backups that are kept; the oldest go.
+    /// Scheduled backups that are kept; older ones are deleted.
     #[arg(long, value_name = "N", default_value_t = 7, env = "FARM_BACKUP_KEEP", value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
     pub keep: u32,
     /// Folder for scheduled backups, of this farm alone and best on another disk [default: backups, in the folder of the
@@ -54,15 +54,15 @@ pub struct Args {
     /// Log format: text, or one JSON object per line. FARM_LOG sets how much is logged, as in FARM_LOG=debug.
     #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
     pub log_format: LogFormat,
-    /// Let everybody who reaches the address do everything, without encryption or tokens; only for networks, and users of
-    /// this machine, that you trust.
+    /// Give full access to every client that reaches the address, without encryption or tokens; only for trusted networks
+    /// and machines.
     #[arg(long)]
     pub insecure: bool,
 }
 
 const EXAMPLES: &str = "\
-Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker get in by
-themselves, nobody else does.
+Without --access it serves the user who starts it, on this machine: that user's farmctl and farm-worker have access by
+themselves, and only those.
 
 Examples:
   farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700

@@ -70,7 +70,7 @@ pub enum FarmError {
     NotComplete { name: DictionaryName, done: usize, total: usize },
     #[error(
         "dictionary {name} is too large to fit with: {channels} of its channels take {mib} MiB of memory, {limit_mib} are \
-         allowed (fewer channels in one question take less; --fit-memory of farm-coordinator or FARM_FIT_MEMORY allow more)"
+         allowed (request fewer channels, or raise --fit-memory (FARM_FIT_MEMORY) of farm-coordinator)"
     )]
     TooLarge { name: DictionaryName, channels: usize, mib: usize, limit_mib: usize },
     #[error("this worker {does} version {found}, the coordinator version {own}: install the same")]
@@ -79,9 +79,7 @@ pub enum FarmError {
     WrongState { name: DictionaryName, state: &'static str, allowed: &'static str },
     #[error("storing a result failed")]
     Broken,
-    #[error(
-        "this question met a defect of the farm: the coordinator's log tells more; please report it with the question"
-    )]
+    #[error("internal error: see the coordinator's log, and please report it with this request")]
     Defect,
     #[error(
         "{whose} would have {entries} jobs and waiting blocks, of which the coordinator keeps account in memory; {most} are \

@@ -98,10 +98,7 @@ impl Gate {
                 Ok(true) => {
                     let tokens = access.tokens();
                     let names: Vec<&str> = tokens.names().map(|(_, name)| name).collect();
-                    tracing::info!(
-                        tokens = names.join(", "),
-                        "the access file has changed: these are let in now"
-                    );
+                    tracing::info!(tokens = names.join(", "), "the access file has changed: its members now");
                 }
                 Err(error) => {
                     tracing::error!(%error, "the access file has changed and cannot be used: nothing is changed");

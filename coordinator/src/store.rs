@@ -83,7 +83,7 @@ pub enum StoreError {
     /// The common error of several results that were stored together.
     #[error(transparent)]
     Together(#[from] Arc<StoreError>),
-    #[error("storing a result failed by a defect of this program: its log tells more")]
+    #[error("internal error while a result was stored: see this program's log")]
     Defect,
     #[error("the database is closed")]
     Closed,

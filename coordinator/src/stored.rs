@@ -186,7 +186,7 @@ pub enum Outcome {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum OutcomeKind {
     Stored,
-    /// The same result was stored before.
+    /// An equal result was stored before.
     Duplicate,
     /// Different records are stored.
     Conflict,
@@ -209,7 +209,7 @@ impl OutcomeKind {
     /// The labels under which outcomes are counted.
     pub const LABELS: [&str; 3] = ["stored", "duplicate", "conflict"];
 
-    /// The label under which it is counted. None for unwanted results.
+    /// The label under which it is counted. None for results that are not needed.
     pub fn label(self) -> Option<&'static str> {
         Self::LABELS.get(self as usize).copied()
     }

@@ -37,7 +37,7 @@ def load(folder, name):
     """A picture as radiance factors of each pixel, and the number of its passes."""
     path = folder / f"{name}.npz"
     if not path.exists():
-        raise SystemExit(f"{path} is missing: go on with `render`")
+        raise SystemExit(f"{path} is missing: continue with `render`")
     kept = np.load(path)
     return kept["sum"] / np.maximum(kept["count"], 1) / WHITE, int(kept["passes"])
 
@@ -119,7 +119,7 @@ class Parts:
         if passes % session.PLACES:
             raise SystemExit(
                 f"{name}: {passes} passes; a multiple of {session.PLACES} is needed, or its lens is not the board's: "
-                "go on with `render`"
+                "continue with `render`"
             )
         x = window_of(self.x, session.MIDDLE)
         strips = means(image, self.strip_of(x), count)

@@ -6,7 +6,7 @@ A perspective camera 1 m above a checkerboard takes an even sheet, grey patches,
 and a mosaic: see mosaic.py.
 
     python3 -m venv venv && venv/bin/pip install mitsuba numpy
-    venv/bin/python tests/mitsuba/session.py render -o rendered      # an hour or more; goes on where it was stopped
+    venv/bin/python tests/mitsuba/session.py render -o rendered      # an hour or more; continues where it was stopped
     venv/bin/python tests/mitsuba/session.py shoot rendered -o photographs
     farmctl capture photographs/session.toml -o resin
     farmctl measure resin --g 0.4

@@ -52,7 +52,7 @@ impl Farm {
         Self::with_data(folder, data, options)
     }
 
-    /// The same with a simulated wall clock, also for the workers.
+    /// Starts a farm with a simulated wall clock, also for the workers.
     ///
     /// # Panics
     /// If it does not answer.
@@ -330,7 +330,7 @@ impl Farm {
         Target::new(None, Some(&self.url())).unwrap().connect_lazy()
     }
 
-    /// The same with an access file of the farm's folder.
+    /// A link with an access file of the farm's folder.
     ///
     /// # Panics
     /// If it cannot be read.

@@ -27,7 +27,7 @@ impl Page {
         Self::start_at(folder, &format!("127.0.0.1:{}", free_port()), options)
     }
 
-    /// The same at an address.
+    /// Starts it in a folder at an address.
     ///
     /// # Panics
     /// If it does not print its address.

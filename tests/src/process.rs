@@ -170,7 +170,7 @@ impl Process {
         Self::spawn(name, &mut Surroundings::default().command(name, args), log)
     }
 
-    /// The same for a command with arguments, without settings from the environment.
+    /// Starts a command with arguments, without settings from the environment.
     ///
     /// # Panics
     /// If it does not start.
@@ -178,7 +178,7 @@ impl Process {
         Self::spawn_into(name, command, log, Stdio::null())
     }
 
-    /// The same with a place for standard output.
+    /// Starts a command with a place for standard output.
     ///
     /// # Panics
     /// If it does not start.
@@ -189,7 +189,7 @@ impl Process {
         process
     }
 
-    /// The same with standard error to `log`, which may be a pipe without a reader.
+    /// Starts a command with standard error to `log`, which may be a pipe without a reader.
     ///
     /// # Panics
     /// If it does not start.

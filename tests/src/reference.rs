@@ -39,7 +39,7 @@ pub fn files_below(folder: &Path, extension: &str) -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The same for the whole project, with paths from its root.
+/// The project's own files with an extension, with paths from its root.
 ///
 /// # Panics
 /// If there are none, or one cannot be read.

@@ -238,7 +238,7 @@ async fn question_with_too_many_pixels_is_refused() -> Result<()> {
     let request = FitRequest { dictionary: "small".to_owned(), measurement, options: None };
     let refused = farm.fits().fit(request).await.unwrap_err();
     assert_eq!(refused.code(), Code::InvalidArgument);
-    let expected = "measurement = 1100000 pixels is not valid: a coordinator takes at most 1048576";
+    let expected = "measurement = 1100000 pixels is not valid: a coordinator accepts at most 1048576";
     assert!(refused.message().starts_with(expected), "{}", refused.message());
     assert_eq!(farm.stop_coordinator(), 0);
     Ok(())

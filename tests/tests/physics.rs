@@ -220,7 +220,7 @@ fn standard_errors_match_the_spread_of_seeds() {
     }
 }
 
-/// The same walks at α ± h give the difference quotient without noise; its own error is of order h².
+/// Common walks at α ± h give the difference quotient without noise; its own error is of order h².
 #[test]
 fn albedo_derivative_matches_differences() {
     let (albedo, h) = (0.9, 1e-3);

@@ -38,7 +38,7 @@ const MARGIN: Duration = Duration::from_secs(5);
 const MOST_JOBS: usize = 16;
 const MOST_BYTES: usize = 64 << 20;
 
-/// The reason for which a worker ended.
+/// The reason why a worker ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EndReason {
     /// Its caller stopped it.

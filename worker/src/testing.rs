@@ -41,7 +41,7 @@ pub(crate) fn endless_job() -> JobSpec {
     endless_job_of(0)
 }
 
-/// The same with separate walks.
+/// A job that ends only when it is stopped, with walks of this seed.
 pub(crate) fn endless_job_of(seed: u64) -> JobSpec {
     job_of_walks(seed, 1_000_000 * BATCH_WALKS)
 }

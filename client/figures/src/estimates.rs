@@ -10,7 +10,7 @@ use crate::numbers::{minus, with_error};
 
 /// Limits of the standard errors in the rows.
 pub const NOTE: &str = "the noise of the dictionary's responses makes errors of what a session shares too small, by a \
-                        factor of up to 1.2 in tests";
+                        factor of up to 1.2 in tests, and 1.5 with three anisotropies only";
 
 /// Estimate and prior of one quantity, and the profiles that share it.
 #[derive(Debug, Clone, PartialEq, Eq)]

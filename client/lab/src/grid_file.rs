@@ -60,7 +60,7 @@ pub fn read_scene(name: &str) -> Result<Scene> {
     named_scene(name, Path::new("."))
 }
 
-/// The same for a name in a file of `folder`.
+/// The scene with a name that stands in a file of `folder`.
 pub fn read_scene_in(name: &str, folder: &Path) -> Result<Scene> {
     named_scene(name, folder)
 }

@@ -25,11 +25,11 @@ const LONGEST_BYTES: u64 = 1 << 20;
 pub enum MemberError {
     #[error("name {0:?} must be 1 to 64 letters, digits, '_', '.' or '-'")]
     Name(String),
-    #[error("{} lets in somebody of the name {name} already: choose another name", .file.display())]
+    #[error("{} already has a member {name}: choose another name", .file.display())]
     Taken { file: PathBuf, name: String },
-    #[error("{} lets in nobody of the name {name:?}; it knows: {known}", .file.display())]
+    #[error("{} has no member {name:?}; its members: {known}", .file.display())]
     Unknown { file: PathBuf, name: String, known: String },
-    #[error("{name} is the last whom {} lets in: add another before", .file.display())]
+    #[error("{name} is the last member of {}: add another first", .file.display())]
     Last { file: PathBuf, name: String },
     #[error("{} exists, and access files are never overwritten", .0.display())]
     Exists(PathBuf),
@@ -246,17 +246,18 @@ mod tests {
             );
         }
         assert!(
-            message(add(&folder, Role::Client, "worker").unwrap_err()).contains("of the name worker already")
+            message(add(&folder, Role::Client, "worker").unwrap_err())
+                .contains("already has a member worker")
         );
         assert!(
             message(add(&folder, Role::Client, "coordinator").unwrap_err()).contains("never overwritten")
         );
         let error = message(revoke(&folder, "bob").unwrap_err());
-        assert!(error.contains("nobody of the name \"bob\"; it knows: worker, client, admin"), "{error}");
+        assert!(error.contains("has no member \"bob\"; its members: worker, client, admin"), "{error}");
         assert_eq!(fs::read_to_string(folder.join(COORDINATOR)).unwrap(), before);
         revoke(&folder, "worker").unwrap();
         revoke(&folder, "client").unwrap();
-        assert!(message(revoke(&folder, "admin").unwrap_err()).contains("admin is the last"));
+        assert!(message(revoke(&folder, "admin").unwrap_err()).contains("admin is the last member of"));
         let error = message(add(Path::new("/nowhere"), Role::Client, "a").unwrap_err());
         assert!(error.starts_with("reading /nowhere/coordinator.toml"), "{error}");
         fs::write(folder.join(COORDINATOR), "token = 'secret-secret\n").unwrap();

@@ -115,7 +115,7 @@ fn media(fits: &[MaterialFit]) -> String {
         note += "\n(…) unresolved: these data leave the medium open within the given bounds";
     }
     if any(Refined::g_is_open) {
-        note += "\n(…) g open: σ_t and α hold together with this g only";
+        note += "\n(…) g open: σ_t and α are valid for this g only";
     }
     if any(|r| r.from_mixtures) {
         note += "\n* from mixtures with other inks";
@@ -176,7 +176,7 @@ mod tests {
             "assumed: origin ± 0.05 mm, gain ± 0.3 %\n",
             "white R: χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004,",
             "white R, white G: 2 pixels left out: 0.5 mm at x = −1.23 mm",
-            "white G: χ² 1130 of 716, p < 0.001: noise and what is known",
+            "white G: χ² 1130 of 716, p < 0.001: noise and the priors",
         ];
         let places: Vec<usize> =
             expected.iter().map(|t| message.find(t).unwrap_or_else(|| panic!("{t}\n{message}"))).collect();
@@ -207,9 +207,9 @@ mod tests {
         assert!(shared < media, "what is known best comes first");
         let flat = text.replace("\n  ", " ");
         for message in [
-            "Vero White Plus R: χ² 1130 of 716, p < 0.001: noise and what is known of the set-up do not explain the \
-             data; the intervals were widened, but are not to be trusted blindly; likeliest is an edge at x = 0.071 mm \
-             instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)",
+            "Vero White Plus R: χ² 1130 of 716, p < 0.001: noise and the priors of the set-up do not explain the \
+             data; the intervals were widened and may still be wrong; most likely cause: an edge at x = 0.071 mm \
+             instead of 0 in the profile of 0.5 mm; shift its x_mm (misfit 1 without that)",
             "Vero White Plus G, Vero White Plus B: unresolved: the data do not determine the medium",
         ] {
             assert!(flat.contains(message), "{message}\n{flat}");

@@ -65,13 +65,13 @@ fn media(unmixed: &Unmixed) -> String {
     format!("{}\n{note}", table(&head, &[2, 4, 6], rows(unmixed, cells)))
 }
 
-/// Mixtures that their inks do not explain, and mixtures that were left out.
+/// Mixtures that deviate from the ink model, and mixtures that were left out.
 fn disagreements(mixtures: &[MixtureFit]) -> Vec<String> {
     let line = |m: &MixtureFit| {
         let who = format!("{} {}", m.material, m.channel);
         match (&m.agreement, &m.left_out) {
             (Some(a), _) if a.pull > PULL || a.misfit > MISFIT => Some(format!(
-                "{who}: its inks do not explain it: σ_t and α lie off by {} of their errors, misfit {}; check how it \
+                "{who}: it deviates from the ink model: σ_t and α by {} σ, misfit {}; check how it \
                  was mixed",
                 significant(a.pull, 2),
                 significant(a.misfit, 2)
@@ -111,7 +111,7 @@ mod tests {
             "cyan  R*",
             "8.69…9.64",
             "0.12…0.62",
-            "paler R: its inks do not explain it: σ_t and α lie off by 7.3 of their errors",
+            "paler R: it deviates from the ink model: σ_t and α by 7.3 σ",
             "deep R: left out: sigma_t_per_mm = 35",
             "2 slabs and channels; largest deviation from the ink model: paler R, 7.3 σ",
         ] {

@@ -18,8 +18,8 @@ pub(crate) fn misfit(refined: &Refined) -> Option<String> {
         Cause::Unknown => format!("; {}", reason(s)),
         _ => format!("; {} (misfit {} without that)", reason(s), significant(s.misfit_left, 2)),
     });
-    let meaning = "noise and what is known of the set-up do not explain the data; the intervals were widened, but are \
-                   not to be trusted blindly";
+    let meaning = "noise and the priors of the set-up do not explain the data; the intervals were widened and may \
+                   still be wrong";
     Some(format!("{}: {meaning}{reason}", goodness(&refined.likelihood)))
 }
 
@@ -35,33 +35,33 @@ fn reason(s: &Suspicion) -> String {
                 .to_owned()
         }
         Cause::EdgeOffset => format!(
-            "likeliest is an edge at x = {} mm instead of 0 in {of}: shift its x_mm",
+            "most likely cause: an edge at x = {} mm instead of 0 in {of}; shift its x_mm",
             significant(s.amount, 2)
         ),
         Cause::Gain => format!(
-            "likeliest are values that are {percent} % too {large} in {of}: check exposure and white reference"
+            "most likely cause: values {percent} % too {large} in {of}; check exposure and white reference"
         ),
         Cause::Zero => format!(
-            "likeliest are values that are too {large} by {} in {of}: check black level and stray light",
+            "most likely cause: values too {large} by {} in {of}; check black level and stray light",
             size(2)
         ),
         Cause::Slope => format!(
-            "likeliest is a light that gets {percent} % {rises} from dark to light side in {of}: divide by a flat field"
+            "most likely cause: light that gets {percent} % {rises} from dark to light side in {of}; divide by a flat field"
         ),
         Cause::Blur => format!(
-            "likeliest is a camera that blurs by {} mm (standard deviation) in {of}: focus, or a smaller aperture",
+            "most likely cause: a camera that blurs by {} mm (standard deviation) in {of}; focus, or use a smaller aperture",
             size(2)
         ),
         Cause::GammaCoded => {
-            "likeliest are values coded for a screen (sRGB): develop the photographs linearly".to_owned()
+            "most likely cause: values coded for a screen (sRGB); develop the photographs linearly".to_owned()
         }
         Cause::Exponent => format!(
-            "likeliest are values that are the power {} of linear ones, as a camera's curve or coding for a screen (sRGB: \
-             0.45) makes them: develop the photographs linearly",
+            "most likely cause: values that are the power {} of linear ones, as from a camera's curve or coding for a \
+             screen (sRGB: 0.45); develop the photographs linearly",
             size(2)
         ),
         Cause::ThicknessesSwapped => {
-            "likeliest are thicknesses that were exchanged: check thickness_mm".to_owned()
+            "most likely cause: exchanged thicknesses; check thickness_mm".to_owned()
         }
     }
 }
@@ -78,13 +78,13 @@ mod tests {
     fn unlikely_chi2_warns_at_any_misfit() {
         let mut refined = channel("R", 6.0, 3.4).refined.unwrap();
         refined.likelihood = likelihood(1130.2, 2e-9);
-        let with_reason = "χ² 1130 of 716, p < 0.001: noise and what is known of the set-up do not explain the data; the \
-                           intervals were widened, but are not to be trusted blindly; likeliest is an edge at x = 0.071 \
-                           mm instead of 0 in the profile of 0.5 mm: shift its x_mm (misfit 1 without that)";
+        let with_reason = "χ² 1130 of 716, p < 0.001: noise and the priors of the set-up do not explain the data; the \
+                           intervals were widened and may still be wrong; most likely cause: an edge at x = 0.071 mm \
+                           instead of 0 in the profile of 0.5 mm; shift its x_mm (misfit 1 without that)";
         assert_eq!(misfit(&refined).unwrap(), with_reason);
         assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: edge 0.071 mm off?");
         refined.suspicion = None;
-        assert!(misfit(&refined).unwrap().ends_with("not to be trusted blindly"));
+        assert!(misfit(&refined).unwrap().ends_with("may still be wrong"));
         assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: not explained");
         refined.likelihood = likelihood(712.0, 0.5);
         let (cause, amount) = (Cause::Exponent, 0.9);

@@ -12,7 +12,7 @@ pub(super) fn remarks(channel: &ChannelFit) -> Vec<String> {
     let findings = channel.refined.as_ref().map(findings).unwrap_or_default();
     let advice = valley.then(|| "σ_t and g trade off: trust σ_s(1−g) and σ_a".to_owned());
     let g_is_open = channel.refined.as_ref().is_some_and(Refined::g_is_open);
-    let open = g_is_open.then(|| "g open: σ_t and α hold together with this g only".to_owned());
+    let open = g_is_open.then(|| "g open: σ_t and α are valid for this g only".to_owned());
     warnings(channel).into_iter().chain(findings).chain(open).chain(advice).collect()
 }
 

@@ -10,7 +10,7 @@ use super::set_up::SetUpArgs;
 /// The options of all fits to a dictionary.
 #[derive(Debug, Args)]
 pub(crate) struct OptionArgs {
-    /// Dictionary to search [default: the only one, or paper].
+    /// Dictionary to search [default: the only one, else lab, else paper].
     #[arg(long, value_name = "NAME")]
     pub(crate) dictionary: Option<String>,
     /// Only this anisotropy, or a range such as 0.2..0.6 [default: any].
@@ -39,7 +39,7 @@ pub(crate) struct OptionArgs {
 }
 
 /// Headings of the help.
-const MEDIUM: &str = "What is known of the medium";
+const MEDIUM: &str = "Bounds of the medium";
 const OBJECTIVE: &str = "Objective of the fit";
 const SEARCH: &str = "Search of the scale factor";
 

@@ -8,7 +8,7 @@ use optics_model::quantities::Unit;
 use optics_model::with_quantities;
 
 /// Heading of the help.
-pub(crate) const SET_UP: &str = "What is known of the set-up";
+pub(crate) const SET_UP: &str = "Accuracy of the set-up";
 
 macro_rules! arguments {
     ($($name:ident { $unit:ident, $default:literal, $range:tt, $form:ident, $label:literal, $help:literal })+) => {

@@ -1,3 +1,5 @@
+//! Implements `farmctl completions`: prints the completion script of a shell.
+
 use std::io::Write as _;
 
 use anyhow::Result;

@@ -14,7 +14,7 @@ use crate::output::write_whole;
 Examples:
   farmctl manual ~/.local/share/man/man1    then: man farmctl-measure")]
 pub(crate) struct ManualArgs {
-    /// Folder for the pages, which is made if it is not there.
+    /// Folder for the pages, created if it does not exist.
     folder: PathBuf,
 }
 

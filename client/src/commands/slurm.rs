@@ -144,7 +144,7 @@ async fn submit(global: &Global, args: SlurmSubmitArgs, output: &Output) -> Resu
 
 fn text(job_id: u64, submission: &Submission) -> String {
     format!(
-        "job {job_id}: {} with {} and a walltime of {}, told to stop at least {} before it",
+        "job {job_id}: {} with {} and a walltime of {}, which stop at least {} before it",
         counted(submission.workers.get().into(), "worker"),
         counted(submission.threads.into(), "thread"),
         submission.walltime,

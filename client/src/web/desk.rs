@@ -170,7 +170,8 @@ async fn answer<T: Send + 'static>(
     work: impl FnOnce() -> Result<T> + Send + 'static,
 ) -> Result<Response<T>, Status> {
     let done = tokio::task::spawn_blocking(work).await;
-    let done = done.map_err(|_| Status::internal("this question met a defect of farmctl"))?;
+    let done =
+        done.map_err(|_| Status::internal("internal error of farmctl: please report it with this request"))?;
     done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
         // Reported with its field, as by the coordinator.
         Some(invalid) if error.chain().count() == 1 => to_status(invalid),

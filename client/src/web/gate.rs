@@ -102,7 +102,7 @@ impl PageGate {
         format!("{}?token={}", self.path, self.token)
     }
 
-    /// The same address relative to the page's folder; `None` outside it.
+    /// An address relative to the page's folder; `None` outside it.
     pub fn within(&self, uri: &Uri) -> Option<Uri> {
         let below = uri.path_and_query()?.as_str().strip_prefix(&self.folder)?;
         Some(format!("/{below}").parse::<PathAndQuery>().ok()?.into())

@@ -129,7 +129,11 @@ mod tests {
         }
         let mut another = TcpStream::connect(address).await.unwrap();
         assert_eq!(ask(&mut another, "/owner").await.as_deref(), Some("200"));
-        assert_eq!(ask(&mut owner, "/owner").await.as_deref(), Some("200"), "who was let in stays");
+        assert_eq!(
+            ask(&mut owner, "/owner").await.as_deref(),
+            Some("200"),
+            "an admitted connection stays open"
+        );
     }
 
     /// Incomplete requests and idle connections are closed.

@@ -97,7 +97,7 @@ async fn answer(gate: &PageGate, mut request: Request, next: Next) -> Result<Res
 
 fn refusal(refused: RequestRefusal) -> Response {
     let page = format!(
-        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>farmctl web</title><h1>Not let in</h1><p>{}</p>",
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>farmctl web</title><h1>Access denied</h1><p>{}</p>",
         refused.reason()
     );
     (refused.status(), Html(page)).into_response()

@@ -142,7 +142,7 @@ pub(super) fn is_let_in_still(gate: &Gate, caller: &Caller) -> bool {
 /// The status that ends a call whose caller is no longer admitted.
 pub(super) fn revoked(caller: &Caller) -> Status {
     let Caller { name, .. } = caller;
-    Status::unauthenticated(format!("the token of this call ({name}) is not let in any more"))
+    Status::unauthenticated(format!("the token of this call ({name}) was revoked"))
 }
 
 /// The token in `authorization: Bearer TOKEN`.

@@ -100,7 +100,7 @@ async fn unknown_paths_are_counted_together() {
 async fn handlers_get_request_id_but_no_token() {
     let (mut service, _) = guarded(answering(|request| {
         assert!(request.headers().get("authorization").is_none());
-        assert!(request.extensions().get::<Caller>().is_none(), "nobody is asked who he is");
+        assert!(request.extensions().get::<Caller>().is_none(), "no caller is identified");
         assert_eq!(request.extensions().get::<RequestId>().unwrap().as_str(), "my-id");
         stream(Some("0"))
     }));

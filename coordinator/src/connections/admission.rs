@@ -112,7 +112,7 @@ impl Admission {
         Unread { stay: self.stay.clone(), number }
     }
 
-    /// The reason for which the connection ends now; None if it stays.
+    /// The reason why the connection ends now; None if it stays.
     pub(crate) fn is_over(&self, now: Instant) -> Option<&'static str> {
         if lock(&self.unauthenticated).as_ref().is_some_and(|peer| peer.evicted.load(Ordering::Relaxed)) {
             return Some("others of this address wait, and the other end has shown no token");
@@ -126,7 +126,7 @@ impl Admission {
             return None;
         }
         let revoked = *stay.revoked.get_or_insert(now);
-        (revoked + LAST_WORDS <= now).then_some("the token is not let in any more")
+        (revoked + LAST_WORDS <= now).then_some("the token was revoked")
     }
 
     pub(crate) fn is_admitted(&self) -> bool {

@@ -67,7 +67,7 @@ impl Watch {
         }
     }
 
-    /// The reason for which the admission has ended, checked at intervals, since reads are many.
+    /// The reason why the admission has ended, checked at intervals, since reads are many.
     fn look(&mut self, admission: &Admission) -> Option<io::Error> {
         let now = Instant::now();
         if now < self.looked + LOOK {
@@ -256,7 +256,7 @@ mod tests {
         about(overdue_after(&mut guarded).await, SILENCE);
     }
 
-    /// A connection without a token ends, however much it sends. One with a token goes on.
+    /// A connection without a token ends, however much it sends. One with a token stays.
     #[tokio::test(start_paused = true)]
     async fn connection_without_token_ends() {
         for admitted in [false, true] {

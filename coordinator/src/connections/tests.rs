@@ -22,7 +22,7 @@ async fn is_closed(stream: &mut TcpStream) -> bool {
     matches!(timeout(SOON, stream.read(&mut [0])).await, Ok(Ok(0) | Err(_)))
 }
 
-/// A connection above the limit is closed; the others go on.
+/// A connection above the limit is closed; the others stay.
 #[tokio::test]
 async fn surplus_connection_is_closed() {
     let (mut incoming, address) = listen(2).await;
@@ -67,7 +67,10 @@ async fn new_peer_evicts_oldest_unauthenticated() {
     authenticated.connect_info().admission.admit();
     let _third = TcpStream::connect(address).await.unwrap();
     let _other = next(&mut incoming).await;
-    assert!(authenticated.connect_info().admission.is_over(Instant::now()).is_none(), "who is in stays in");
+    assert!(
+        authenticated.connect_info().admission.is_over(Instant::now()).is_none(),
+        "an authenticated connection stays"
+    );
     assert_eq!((connections.open(), connections.refused()), (2, 0));
 }
 

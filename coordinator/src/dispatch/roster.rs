@@ -328,7 +328,7 @@ impl Roster {
         origins.filter(move |origin| self.pause_left(now, *origin).is_none())
     }
 
-    /// Whether a worker has missed so many heartbeats that its leases have expired.
+    /// Whether a worker has been silent for so long that its leases have expired.
     pub fn is_silent(&self, now: Duration, worker: &Worker) -> bool {
         now.saturating_sub(worker.last_seen) > self.settings.lease
     }

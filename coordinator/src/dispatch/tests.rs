@@ -255,7 +255,7 @@ fn priorities_and_desires_order_the_leases() {
     assert!(bench.acquire(0, "a", 9).is_empty());
     assert_eq!((bench.state(), bench.status().reason.as_str()), (DictionaryState::Cancelled, "enough"));
     bench.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
-    assert_eq!(bench.acquire(1, "a", 9).len(), 3, "what was out when it was cancelled is out no more");
+    assert_eq!(bench.acquire(1, "a", 9).len(), 3, "leases from before the cancellation are not kept");
 }
 
 /// The explanation of a dictionary lists why its jobs wait.

@@ -105,7 +105,7 @@ impl FitCache {
         found
     }
 
-    /// Drops other channels until there is room for the wanted ones. Returns those of the wanted ones that are in memory,
+    /// Drops other channels until there is room for the requested ones. Returns those of them that are in memory,
     /// and the number of times that records have changed.
     fn make_room(&self, id: DictionaryId, wanted: &[usize], each: usize) -> (Vec<(usize, FitChannel)>, u64) {
         let mut kept = self.lock();

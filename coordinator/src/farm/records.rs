@@ -63,7 +63,8 @@ impl Farm {
         Ok(self.store.job_read_again(id, grid, job).await?.err().map(|damaged| damaged.what))
     }
 
-    /// Reads a job once more. If that finds damage too, the job is computed again, as far as its dictionary goes on.
+    /// Reads a job once more. If that finds damage too, the job is computed again unless its dictionary is paused or
+    /// cancelled.
     pub(super) async fn forget_if_damaged(
         &self,
         id: DictionaryId,

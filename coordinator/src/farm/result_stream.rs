@@ -194,10 +194,10 @@ where
                 (Some(Piece::Records(piece)), None) | (Some(Piece::Sums(piece)), Some(_)) => piece,
                 (after @ (None | Some(Piece::Header(_))), _) => return Ok((whole.freeze(), after)),
                 (Some(Piece::Records(_)), Some(_)) => {
-                    return Err(refused("content", "records", "the job is divided: sums are wanted"));
+                    return Err(refused("content", "records", "the job is divided: send sums"));
                 }
                 (Some(Piece::Sums(_)), None) => {
-                    return Err(refused("content", "sums", "the job is not divided: records are wanted"));
+                    return Err(refused("content", "sums", "the job is not divided: send records"));
                 }
             };
             if piece.is_empty() {

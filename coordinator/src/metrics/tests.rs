@@ -268,7 +268,7 @@ async fn hanging_answer_does_not_delay_the_stop() {
     timeout(Duration::from_secs(2), served.task).await.expect("it waits for the answer").unwrap();
 }
 
-/// A handler that panics ends its own connection; the server goes on.
+/// A handler that panics ends its own connection; the server keeps running.
 #[tokio::test]
 async fn panic_ends_only_its_own_connection() {
     let served = start(MetricsServer::new(fresh(), || panic!("no snapshot"), || Ok(()))).await;

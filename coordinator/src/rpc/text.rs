@@ -12,7 +12,7 @@ pub(super) fn one_line(text: &str) -> String {
     text[..most].chars().map(|c| if is_printable(c) { c } else { ' ' }).collect::<String>().trim().to_owned()
 }
 
-/// The same for texts that appear in every list of workers, with a lower limit.
+/// One line of a text that appears in every list of workers, with a lower limit.
 pub(super) fn short_line(text: &str) -> String {
     let mut line = one_line(text);
     line.truncate(line.floor_char_boundary(SHORT_BYTES));

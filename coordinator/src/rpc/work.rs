@@ -62,7 +62,7 @@ pub(super) fn check_design(grid: &Grid, question: &DesignQuestion) -> Result<(),
     }
     let given = format!("{slabs} slabs with {} numbers of shots and {pixels} pixels", settings.shots.len());
     let allowed = format!(
-        "at most {DESIGN_PIXELS} pixels in all may be asked for: ask about fewer sets at a time, or coarser pixels"
+        "at most {DESIGN_PIXELS} pixels in all may be requested: request fewer sets at a time, or coarser pixels"
     );
     Err(Invalid::new("slab_sets", given, allowed))
 }

@@ -115,7 +115,7 @@ impl Store {
             .bind(id.0)
             .execute(self.writer()?)
             .await
-            .map_err(doing("storing what is wanted of a dictionary"))?;
+            .map_err(doing("storing the desired state of a dictionary"))?;
         Ok(())
     }
 

@@ -144,7 +144,7 @@ mod tests {
         assert_eq!(size(dir.path(), "farm.db-wal"), 0);
     }
 
-    /// A long write-ahead log is truncated while work goes on.
+    /// A long write-ahead log is truncated while work continues.
     #[tokio::test]
     async fn long_log_is_truncated_during_work() {
         let dir = tempfile::tempdir().unwrap();

@@ -176,7 +176,7 @@ async fn result_of_deleted_dictionary_is_ignored() {
     store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap();
     assert_eq!(complete(&store, &d, 0, 0.25).await, Outcome::Unwanted);
     let points = store.points_of(&[completion(&d, 0, 0.25).job.identity()]).await.unwrap();
-    assert!(points.is_empty(), "nobody would ever delete its records");
+    assert!(points.is_empty(), "its records would never be deleted");
 }
 
 /// A dictionary that shares the second point with [`grid`], and has one of its own.

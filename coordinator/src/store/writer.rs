@@ -103,7 +103,7 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
     results
 }
 
-/// If writing panics the transaction is rolled back, and the writer goes on.
+/// If writing panics the transaction is rolled back, and the writer continues.
 async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
     let mut writing = pin!(writing);
     poll_fn(|context| {
@@ -150,7 +150,7 @@ async fn write_in(connection: &mut SqliteConnection, completions: &[Completion])
         connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
     let stored = batch::store(&mut tx, completions).await?;
     #[cfg(test)]
-    assert!(completions.iter().all(|c| c.quality != Some(super::tests::defect())), "a defect, played");
+    assert!(completions.iter().all(|c| c.quality != Some(super::tests::defect())), "a simulated defect");
     tx.commit().await.map_err(doing("committing records"))?;
     Ok(stored)
 }

@@ -116,7 +116,7 @@ impl<'a> Radiance<'a> {
         Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
     }
 
-    /// The same under light that is brighter by a factor than interpolated for its time.
+    /// These radiances under light that is brighter by a factor than interpolated for its time.
     pub fn under(mut self, light: &[Estimate; 3]) -> Self {
         for (gain, light) in self.gain.iter_mut().zip(light) {
             *gain *= light.value;

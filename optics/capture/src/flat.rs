@@ -120,7 +120,7 @@ impl Flats {
 /// Root mean square deviation from the other flat shots above which a shot is left out: paper is more even than that.
 const APART: f64 = 0.03;
 
-/// The same where the shot turned by 180° deviates by less than half.
+/// Deviation above which a shot is left out if, turned by 180°, it deviates by less than half.
 const TURNED_APART: f64 = 0.008;
 
 /// Deviation of a shot's green light from the median of the others, as it is or turned by 180°.

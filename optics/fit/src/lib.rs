@@ -42,7 +42,7 @@ pub fn fit(
 }
 
 /// One map per channel of a measurement, over every admissible medium: the error of Eq. 1, or for the likelihood the root
-/// mean square of the residuals over their noise, with the nuisances of the set-up at their likeliest values.
+/// mean square of the residuals over their noise, with the nuisances of the set-up at their most likely values.
 pub fn distance_map(
     dictionary: &FitDictionary,
     measurement: &Measurement,

@@ -2,10 +2,10 @@
 //!
 //! −2 ln L of all pixels and priors is minimised over the medium, and over the quantities of the set-up that are not
 //! known exactly: a common factor, the camera's blur, the thickness of every slab, and of every profile its origin, gain,
-//! zero and slope (`term`). Dust is left out (`robust`). The noise of the dictionary's records, which is correlated
-//! between neighbouring pixels, is modelled by modes with priors (`records_noise`). The optimum is global over the
-//! dictionary (`start`). Intervals follow the profile likelihood, the least −2 ln L with one quantity held, up to a rise
-//! of 1.96² (`profile_likelihood`).
+//! zero and slope (`term`). Dust is left out (`term/robust`). The noise of the dictionary's records, which is correlated
+//! between neighbouring pixels, is modelled by modes with priors (`term/records_noise`). The optimum is global over the
+//! dictionary (`problem/start`). Intervals follow the profile likelihood, the least −2 ln L with one quantity held, up to
+//! a rise of 1.96² (`interval/profile_likelihood`).
 
 mod answer;
 mod design;

@@ -103,7 +103,7 @@ impl<'a> Surrogate<'a> {
         }
     }
 
-    /// The same over a board whose ρ were measured with a darker white reference, if the scene has them.
+    /// A surrogate over a board whose ρ were measured with a darker white reference, if the scene has them.
     pub(crate) fn under_darker_white(&self) -> Option<Self> {
         let channel = self.grid().scene().under_darker_white(self.channel)?;
         Some(Self::new(self.dictionary, channel, self.ior))
@@ -260,7 +260,7 @@ fn accumulate<R: Row>(
     }
 }
 
-/// The same for the pixels of one block.
+/// Adds the contribution of the records of one σ_t to the pixels of one block.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
 fn accumulate_block<R: Row, const N: usize>(

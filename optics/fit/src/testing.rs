@@ -74,7 +74,7 @@ pub(super) fn dictionary_of(grid: &Grid, record: impl Fn(usize) -> Record) -> Fi
     build(DictionaryBuilder::new(grid.clone()), grid, record)
 }
 
-/// The same with all values rounded.
+/// The dictionary of these records, with all values rounded.
 pub(super) fn rounded_dictionary_of(grid: &Grid, record: impl Fn(usize) -> Record) -> FitDictionary {
     build(DictionaryBuilder::rounded(grid), grid, record)
 }

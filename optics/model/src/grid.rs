@@ -121,7 +121,7 @@ impl Grid {
         Ok(())
     }
 
-    /// The same grid with responses of its scene's uncertain quantities.
+    /// This grid with responses of its scene's uncertain quantities.
     pub fn with_responses(self, responses: Responses) -> Result<Self> {
         let grid = Self { responses: Some(Arc::new(responses)), ..self };
         grid.check_records()?;
@@ -132,7 +132,7 @@ impl Grid {
         self.responses.as_deref()
     }
 
-    /// The same grid with more walks where the noise is above a target.
+    /// This grid with more walks where the noise is above a target.
     pub fn with_quality(self, quality: Quality) -> Result<Self> {
         let [_, first] = self.least_and_most_walks().map(Walks::get);
         if quality.max_walks().get() < first {
@@ -179,7 +179,7 @@ impl Grid {
         &self.axes.sample_ior
     }
 
-    /// The same grid with another effort.
+    /// This grid with another effort.
     pub fn with_effort(self, effort: impl Into<Effort>) -> Result<Self> {
         let quality = self.quality;
         let grid = Self { effort: effort.into(), quality: None, ..self };

@@ -33,7 +33,7 @@ impl Invalid {
         &self.allowed
     }
 
-    /// The same error with another field.
+    /// This error with another field.
     #[must_use]
     pub fn renamed(self, field: impl Into<String>) -> Self {
         Self { field: field.into(), ..self }

@@ -61,7 +61,7 @@ impl JobSpec {
             .numbered_from(grid.first_record(job))
     }
 
-    /// The same job with another number of walks.
+    /// This job with another number of walks.
     #[must_use]
     pub fn with_walks(self, walks: Walks) -> Self {
         if walks == self.walks {

@@ -20,7 +20,7 @@ impl FitLimits {
     /// Most pixels of one question to a coordinator in another process, of all its profiles together.
     pub const QUESTION_PIXELS: usize = 1 << 20;
     /// Advice for questions with more pixels.
-    pub const MANY_PIXELS_ADVICE: &str = "ask about fewer materials at a time, average neighbouring pixels, or use a \
+    pub const MANY_PIXELS_ADVICE: &str = "request fewer materials at a time, average neighbouring pixels, or use a \
                                           farm in the same process (--local), which takes any number";
     /// Most sets of slabs that are compared.
     pub const SLAB_SETS: usize = 256;

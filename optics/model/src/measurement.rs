@@ -117,7 +117,7 @@ impl MeasuredProfile {
         Self::new(channel, thickness_mm, x_mm, vec![value; PATCH_PIXELS], Some(of_pixel))?.with_setup(setup)
     }
 
-    /// The same profile with the priors of its set-up.
+    /// This profile with the priors of its set-up.
     pub fn with_setup(self, setup: ProfileSetup) -> Result<Self> {
         Ok(Self { setup: setup.check()?, ..self })
     }

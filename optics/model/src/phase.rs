@@ -26,13 +26,13 @@ impl PhaseFunction {
         Ok(Self { g: check_g(g)? })
     }
 
-    /// The same with g = 1 − e^y: the coordinate of a grid's anisotropies in the fit, for any y below ln 2.
+    /// The phase function with g = 1 − e^y: the coordinate of a grid's anisotropies in the fit, for any y below ln 2.
     #[must_use]
     pub fn at_ln_one_minus_g(self, y: f64) -> Self {
         Self { g: 1.0 - y.exp() }
     }
 
-    /// The same with all parameters in the precision of walks.
+    /// This phase function with all parameters in the precision of walks.
     #[must_use]
     pub fn in_single_precision(self) -> Self {
         Self { g: f64::from(self.g as f32) }

@@ -19,13 +19,13 @@ macro_rules! with_quantities {
             profiles {
                 origin_mm {
                     Length, 0.0, [-10.0, 10.0], Once, "",
-                    "Where the edge lies in the profile's x"
+                    "Position of the edge in x"
                 }
             }
             both {
                 origin_std_error_mm {
                     Length, 0.05, [0.0, 1.0], Once, "origin",
-                    "Standard error of the place of the edge in each profile"
+                    "Standard error of the position of the edge in each profile"
                 }
                 blur_mm {
                     Length, 0.0, [0.0, 1.0], PerChannel, "",
@@ -47,7 +47,7 @@ macro_rules! with_quantities {
                 }
                 slope_std_error {
                     SharePer10Mm, 0.002, [0.0, 1.0], Once, "slope",
-                    "Standard error of the light's rise across each profile, as a share per 10 mm"
+                    "Standard error of the slope of the light across each profile, as a share per 10 mm"
                 }
             }
         }

@@ -13,7 +13,7 @@ impl Digest {
         hasher.finalize()
     }
 
-    /// The same for contiguous records of `size` bytes each.
+    /// Digest of a job's records as contiguous bytes, `size` for each; `first` is the index of the first.
     pub(crate) fn of_packed(first: usize, records: &[u8], size: usize) -> Self {
         let mut hasher = RecordsHasher::new();
         for (index, record) in (first..).zip(records.chunks_exact(size)) {

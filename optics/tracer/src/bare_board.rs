@@ -301,7 +301,7 @@ mod tests {
         assert!((BareBoard::of(&scene).unwrap().specular - expected).abs() < 1e-5);
     }
 
-    /// The same three numbers by plain walks through the tracer's interface: 4 million for each, 4 standard errors. With
+    /// The board's three numbers by plain walks through the tracer's interface: 4 million for each, 4 standard errors. With
     /// 200 million they are 0.01156, 0.4077 and 0.52222, of which the last two digits are uncertain.
     #[test]
     fn rough_coat_agrees_with_walks() {

@@ -89,7 +89,7 @@ impl Light {
         let mut entering = [0.0; 2];
         for beam in &arrivals.in_sample(thickness, scattering) {
             let flux = scale * beam.flux / beam.cosine;
-            // The same for light that goes up, with the signs of the cosines changed.
+            // Light that goes up has the values of light that goes down, with the signs of the cosines changed.
             let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
             let phase: Vec<f64> = (0..=steps)
                 .map(|k| scattering.azimuthal_mean(number_at(mirrored(k, steps), steps), beam.cosine))
@@ -176,7 +176,7 @@ impl Light {
         (c, length as f32)
     }
 
-    /// The same for a hit on the base.
+    /// C at a hit on the base, and the mean length of its light in the sample (0 unless derivatives are requested).
     pub fn at_base(&self) -> (f64, f32) {
         (f64::from(self.base), if self.lengths.is_some() { self.base_length as f32 } else { 0.0 })
     }

@@ -83,9 +83,9 @@ pub fn scatter_until_out(
     if ray.clears(alpha, u, level) { ray.outgoing() } else { ray.follow(alpha, indices, u, stream) }
 }
 
-/// The same for a given first normal, with all directions in which light leaves and their shares: light reflected once,
-/// light refracted once, and of the light that then meets the surface again, one random path for each. Paths with a share
-/// below `faint` are subject to Russian roulette.
+/// Follows a ray with a given first normal until it leaves, losing nothing. Returns all directions in which light leaves,
+/// with their shares: light reflected once, light refracted once, and of the light that then meets the surface again, one
+/// random path for each. Paths with a share below `faint` are subject to Russian roulette.
 pub fn split_until_out(
     wi: Vec3,
     m: Vec3,

@@ -52,7 +52,7 @@ impl Stream {
         Self { key, counter: [FIRST_BLOCK, walk, chunk as u32, (chunk >> 32) as u32] }
     }
 
-    /// The same stream from a later block on.
+    /// This stream from a later block on.
     pub fn at_block(mut self, block: u32) -> Self {
         self.counter[0] = block;
         self

@@ -236,7 +236,7 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         self.at.waiting[self.faces[1]].push(self.simd, walks, lanes & !down);
     }
 
-    /// Roulette for the walks whose block is due; returns the lanes that go on.
+    /// Roulette for the walks whose block is due; returns the lanes that continue.
     #[inline(always)]
     fn play_roulette(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>) -> Mask<S> {
         let due = lanes & (walks.block & (ROULETTE_BLOCKS - 1)).simd_eq(0);

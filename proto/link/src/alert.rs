@@ -21,7 +21,7 @@ const NOT_ACCEPTED: [&str; 8] = [
     "UnsupportedCertificate",
 ];
 
-/// A status with the reason for which the coordinator refuses this certificate, or its absence; None if the call failed
+/// A status with the reason why the coordinator refuses this certificate, or its absence; None if the call failed
 /// for another reason. Other calls will fail in the same way, so that it is of no use to try again.
 pub fn refusal(error: &dyn Error) -> Option<Status> {
     let cause = root_cause(error);

@@ -164,7 +164,7 @@ mod tests {
         assert_eq!(tokens.role_of(&other(3)), None);
         assert_eq!(tokens.role_of(""), None);
         assert_eq!(tokens.role_of(&TOKEN[1..]), None);
-        assert_eq!(tokens.role_of(token_hash(TOKEN).to_hex().as_str()), None, "a hash lets nobody in");
+        assert_eq!(tokens.role_of(token_hash(TOKEN).to_hex().as_str()), None, "a hash gives no access");
         assert!(!format!("{access:?}").contains("PRIVATE KEY"));
         assert!(!access.is_mutual());
     }

@@ -18,7 +18,7 @@ const NO_MESSAGE: [&str; 2] = ["invalid compression flag", "grpc-status header m
 /// hyper's message for a connection whose peer answers no ping.
 const SILENT: &str = "keep-alive timed out";
 
-/// The reason for which the coordinator at a URL does not answer, and the remedy; None for a failure of another kind.
+/// The reason why the coordinator at a URL does not answer, and the remedy; None for a failure of another kind.
 pub fn failure(error: &(dyn Error + 'static), url: &str) -> Option<String> {
     if refusal(error).is_some() {
         return None;

@@ -50,7 +50,7 @@ impl Handshake {
         Some(Self { host, port, name, config: Arc::new(config(credentials)?) })
     }
 
-    /// The reason for which the coordinator does not accept the certificate, or its absence; None if it gives no such
+    /// The reason why the coordinator does not accept the certificate, or its absence; None if it gives no such
     /// reason.
     pub(crate) async fn refusal(&self) -> Option<Status> {
         let ended = tokio::time::timeout(PATIENCE, self.listen()).await;

@@ -105,7 +105,7 @@ async fn unless_refused(
     }
 }
 
-/// The reason for which the coordinator does not accept the certificate, or its absence; None if the call failed for
+/// The reason why the coordinator does not accept the certificate, or its absence; None if the call failed for
 /// another reason.
 async fn why_refused(error: &tonic::transport::Error, handshake: Option<Handshake>) -> Option<Status> {
     match (refusal(error), handshake) {

@@ -8,7 +8,7 @@ pub fn usable_bytes() -> Option<u64> {
     usable(|file| std::fs::read_to_string(file).ok())
 }
 
-/// The same, from the system's files as returned by `read`.
+/// The usable memory by the system's files as returned by `read`.
 fn usable(read: impl Fn(&Path) -> Option<String>) -> Option<u64> {
     let machine = read(Path::new("/proc/meminfo")).and_then(|table| machine_bytes(&table));
     let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();

@@ -247,7 +247,7 @@ async fn silent_connection_loses_its_place() {
     }
 }
 
-/// A connection above the limit is refused, and the others go on.
+/// A connection above the limit is refused, and the others stay.
 #[tokio::test]
 async fn surplus_connection_is_refused() {
     let farm = GuardedServer::start_with(Access::Tokens, Limits::new(2, None)).await;

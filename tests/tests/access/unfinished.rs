@@ -42,7 +42,7 @@ async fn unfinished(mut link: Link) -> Option<Code> {
 async fn unfinished_requests_are_bounded() {
     let farm = Farm::closed(&[], &[]);
     farm.let_in("client", "mallory");
-    wait_for("mallory is let in", SOON, || {
+    wait_for("mallory has access", SOON, || {
         (farm.farmctl_with("keys/mallory.toml", &["list"]).code == 0).then_some(())
     });
     let pid = farm.coordinator().id();

@@ -56,7 +56,7 @@ pub fn calibrate(session: &Session, look: &Look) -> Result<Calibration, Refusal>
     calibrate_by(session, session.neutral(), What::Chart, look)
 }
 
-/// The same with shots of any subject as patches.
+/// Calibration with shots of any subject as patches.
 pub fn calibrate_by(
     session: &Session,
     neutral: Neutral,
@@ -66,7 +66,7 @@ pub fn calibrate_by(
     calibrate_after(|photo| photo, session, neutral, subject, look)
 }
 
-/// The same with every photograph modified.
+/// Calibration with every photograph modified.
 pub fn calibrate_after(
     retouch: impl Fn(Photo) -> Photo,
     session: &Session,

@@ -217,7 +217,7 @@ fn interrupted_submission_can_continue_later() {
     assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
     let ran: Ran = submit.wait_with_output().unwrap().into();
     assert_eq!(ran.code, 130, "{}", ran.stdout);
-    assert!(ran.stdout.contains("submit again to go on"), "{}", ran.stdout);
+    assert!(ran.stdout.contains("submit again to continue"), "{}", ran.stdout);
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
 }
 

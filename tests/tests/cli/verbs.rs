@@ -29,7 +29,7 @@ impl Site {
         self.farm.farmctl_with(&format!("keys/{role}.toml"), args)
     }
 
-    /// The same with `--json`; checks the exit code.
+    /// Runs `farmctl --json` with the file of a role; checks the exit code.
     fn ends(&self, code: i32, role: &str, args: &[&str]) -> Value {
         let ran = self.run(role, &[args, &["--json"]].concat());
         assert_eq!(ran.code, code, "{args:?}: {} {}", ran.stdout, ran.stderr);

@@ -24,7 +24,7 @@ fn handles_interrupt(id: u32) -> bool {
     signals >> (Signal::INT.as_raw() - 1) & 1 == 1
 }
 
-/// After Ctrl-C the message states that the farm goes on, and the exit code is 130.
+/// After Ctrl-C the message states that the farm continues, and the exit code is 130.
 #[test]
 fn ctrl_c_reports_that_the_farm_continues() {
     let farm = Farm::start(&[]);
@@ -32,7 +32,7 @@ fn ctrl_c_reports_that_the_farm_continues() {
     let file = farm.folder().join("grid.toml");
     let ran = interrupted(&farm, &["submit", file.to_str().unwrap(), "--wait"]);
     assert_eq!(ran.code, 130, "{}", ran.stderr);
-    for part in ["the farm goes on computing", "`farmctl watch grid`", "`farmctl cancel grid`"] {
+    for part in ["the farm continues", "`farmctl watch grid`", "`farmctl cancel grid`"] {
         assert!(ran.stdout.contains(part), "{}", ran.stdout);
     }
     let ran = interrupted(&farm, &["wait", "grid"]);

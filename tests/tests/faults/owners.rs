@@ -24,7 +24,7 @@ fn only_owner_and_admins_change_a_dictionary() {
     let by = |name: &str, args: &[&str]| farm.farmctl_with(&format!("keys/{name}.toml"), args);
     std::fs::write(farm.path("grid.toml"), GRID).unwrap();
     // The coordinator reads its access files once per second.
-    wait_for("alice is let in", SOON, || (by("alice", &["submit", "grid.toml"]).code == 0).then_some(()));
+    wait_for("alice has access", SOON, || (by("alice", &["submit", "grid.toml"]).code == 0).then_some(()));
     assert_eq!(farm.show("grid")["owner"], "alice");
     for args in [
         &["cancel", "grid"][..],
@@ -59,7 +59,7 @@ fn only_owner_and_admins_change_a_dictionary() {
     // Revoked again, without a restart.
     let ran = farm.farmctl_with("keys/admin.toml", &["access", "revoke", "alice", "--folder", "keys"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
-    wait_for("alice is shut out", SOON, || (by("alice", &["list"]).code == 1).then_some(()));
+    wait_for("alice has no access", SOON, || (by("alice", &["list"]).code == 1).then_some(()));
     assert!(by("alice", &["list"]).stderr.contains("does not know the one given"));
     assert_eq!(by("bob", &["list"]).code, 0);
 }
@@ -83,7 +83,7 @@ async fn revoking_a_token_ends_its_idle_streams() {
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     let ended = tokio::time::timeout(SOON, updates.message()).await.unwrap().unwrap_err();
     assert_eq!(ended.code(), Code::Unauthenticated);
-    assert_eq!(ended.message(), "the token of this call (alice) is not let in any more");
+    assert_eq!(ended.message(), "the token of this call (alice) was revoked");
 }
 
 /// A result that arrives after its token was revoked is not stored.

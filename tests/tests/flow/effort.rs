@@ -121,7 +121,7 @@ async fn finer_grid_computes_only_missing_points() -> Result<()> {
     let status = farm.watched("fine").await?;
     let digests = (0..fine.job_count()).map(|job| Digest::of_records(&traced(&fine, job)));
     assert_eq!(status.records_digest, Some(Digest::of_jobs(digests)));
-    // The same grid under another name needs no computation.
+    // An equal grid under another name needs no computation.
     assert_eq!(farm.submit_grid("again", &coarse).await?.jobs_done, 12);
     assert_eq!(worker.terminate(SOON), 0);
     assert_eq!(farm.stop_coordinator(), 0);

@@ -42,7 +42,7 @@ fn found(spoil: Spoil, swap: bool) -> Refined {
     fit.channels[0].refined.clone().unwrap()
 }
 
-/// Spoilt photographs are reported with the likeliest reason. An exposure that differs between two slabs is not among
+/// Spoilt photographs are reported with the most likely reason. An exposure that differs between two slabs is not among
 /// them: another medium explains it.
 #[test]
 fn spoilt_photographs_get_the_likeliest_reason() {

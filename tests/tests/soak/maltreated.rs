@@ -202,7 +202,7 @@ fn worker(farm: &Farm, number: usize) -> Process {
     farm.worker_with(&format!("keys/{name}.toml"), &name, &["--grace", "2s"])
 }
 
-/// The same with a log without a reader.
+/// A worker with a log without a reader.
 fn worker_without_log(farm: &Farm, number: usize) -> Process {
     let name = format!("machine-{number}");
     let mut command = Command::new(program("farm-worker"));

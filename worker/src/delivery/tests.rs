@@ -34,7 +34,7 @@ impl Worker {
         }
     }
 
-    /// The same for one job, with a result of this nominal size.
+    /// Reports one job as traced, with a result of this nominal size.
     fn finish_large(&self, n: u32, bytes: usize) {
         let result = pending(n, bytes);
         assert!(self.held.add(result.key, result.identity, SetSwitch::new(1)).start());

@@ -34,7 +34,7 @@ impl Rgb {
         Self(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
     }
 
-    /// The same hue, pale: for areas below curves.
+    /// A pale tint of this hue, for areas below curves.
     pub(crate) fn tint(self) -> Self {
         let pale = |part: u8| (255.0 - 0.22 * (255.0 - f64::from(part))).round() as u8;
         Self(pale(self.0), pale(self.1), pale(self.2))

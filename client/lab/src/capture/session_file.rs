@@ -182,7 +182,7 @@ fn sample(folder: &Path, table: SampleTable) -> Result<Sample, Invalid> {
     };
     let named = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
     if !named {
-        let allowed = "a name is wanted, without spaces at its ends and without line breaks";
+        let allowed = "a name must not be empty, begin or end with a space, or contain a line break";
         return Err(Invalid::new("material", format_args!("{material:?}"), allowed));
     }
     Ok(Sample {

@@ -90,7 +90,7 @@ impl Shots {
                 Pattern::Bayer(given)
             }
             (SampleLayout::Mosaic(None), None) => bail!(
-                "the file does not tell the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
+                "the file does not state the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
                  under [camera], `--pattern` with --check (`dcraw -i -v` prints it as \"Filter pattern\"); of a \
                  monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
             ),

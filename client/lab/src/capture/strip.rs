@@ -58,7 +58,7 @@ impl Strip {
     }
 }
 
-/// The same picture of simulated profiles, which are constant along the edge.
+/// A picture of simulated profiles, which are constant along the edge.
 pub(super) fn simulated_uri(values: &[Vec<f64>; 3]) -> String {
     let width = values[0].len();
     let row: Vec<u8> =

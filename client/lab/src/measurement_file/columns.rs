@@ -138,7 +138,7 @@ impl Columns {
             let (field, name) = (meaning.field, meaning.field.name());
             if meaning.unit == ColumnUnit::Pixels {
                 bail!(
-                    "column {given:?} counts pixels; mm are wanted: multiply by the pixel pitch{}",
+                    "column {given:?} counts pixels: multiply by the pixel pitch to get mm{}",
                     if field == ColumnField::X { ", with 0 at the edge" } else { "" }
                 );
             }

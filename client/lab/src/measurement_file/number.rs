@@ -42,7 +42,7 @@ impl Decimal {
         let Some(comma) = comma else { return Ok(Self::Point) };
         if let Some(point) = point {
             bail!(
-                "line {} has {:?} and line {} has {:?}: with points and commas in one file it cannot be told which are decimal; use one of them",
+                "line {} has {:?} and line {} has {:?}: with points and commas in one file it is ambiguous which are decimal; use one of them",
                 comma.line,
                 comma.text,
                 point.line,

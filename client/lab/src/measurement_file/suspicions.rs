@@ -33,14 +33,15 @@ pub fn beyond_limits(materials: &[Measurement]) -> Vec<Note> {
     if pixels > most_pixels {
         let advice = FitLimits::MANY_PIXELS_ADVICE;
         let text = format!(
-            "{pixels} pixels, but a coordinator takes at most {most_pixels} in one question; {advice}"
+            "{pixels} pixels, but a coordinator accepts at most {most_pixels} in one request; {advice}"
         );
         notes.push(Note::new("MANY_PIXELS", text));
     }
     if materials.len() > most_materials {
         let count = materials.len();
-        let text =
-            format!("{count} materials, but `measure` takes at most {most_materials}; measure several files");
+        let text = format!(
+            "{count} materials, but `measure` accepts at most {most_materials}; measure several files"
+        );
         notes.push(Note::new("MANY_MATERIALS", text));
     }
     notes
@@ -75,7 +76,7 @@ mod tests {
         assert_eq!(beyond_limits(&[measurement(10)]), []);
         let many = beyond_limits(&[measurement(6), measurement(5)]);
         assert_eq!(many.iter().map(|n| n.code).collect::<Vec<_>>(), ["MANY_PIXELS"]);
-        let wanted = "1100000 pixels, but a coordinator takes at most 1048576 in one question; ask about fewer materials";
+        let wanted = "1100000 pixels, but a coordinator accepts at most 1048576 in one request; request fewer materials";
         assert!(many[0].text.starts_with(wanted), "{}", many[0].text);
         let small =
             Measurement::new("white", vec![MeasuredProfile::patch("R", 1.0, 0.5, 0.01).unwrap()]).unwrap();

@@ -190,7 +190,7 @@ fn refuse_preamble(body: &str, before: u64, first: &csv::StringRecord) -> Result
         }
     }
     if understood(first) == 0 && first.iter().filter(|cell| cell.parse::<f64>().is_ok()).count() >= 2 {
-        bail!("the first line holds numbers, where a line with the columns' names is wanted");
+        bail!("the first line has numbers: add a line with the columns' names before it");
     }
     Ok(())
 }

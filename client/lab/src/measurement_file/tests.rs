@@ -170,7 +170,7 @@ fn bad_files_are_refused_with_their_line() {
     );
     assert!(error(&text("")).contains("no rows"));
     assert_eq!(error("\n \n"), "the file is empty");
-    assert!(error(&start()).contains("the first line holds numbers"));
+    assert!(error(&start()).contains("the first line has numbers"));
     let short = error(&text(&start()));
     assert!(short.contains("line 3, material w, channel R, 0.5 mm: x_mm = 2 pixels is not valid"), "{short}");
     let gap = error(&text(&rows("w", "R", 0.5).replacen("w,R,0.5,-4.41667", "w,R,0.5,-4.40667", 1)));
@@ -193,7 +193,7 @@ fn measurement_mistakes_name_their_lines() {
     };
     let place = "line 2, material w, channel R, 0.5 mm: ";
     let bytes = change(|x, v| (x, (255.0 * v).round()));
-    assert!(bytes.starts_with(place) && bytes.contains("values up to 204: wanted are linear radiance factors, 1 for ideal white; these look like 8-bit pixel values"), "{bytes}");
+    assert!(bytes.starts_with(place) && bytes.contains("values up to 204, where linear radiance factors (1 for ideal white) are expected; these look like 8-bit pixel values"), "{bytes}");
     let pixel = change(|x, v| ((6.0 * x + 29.5).round(), v));
     assert!(
         pixel.starts_with(place)
@@ -289,7 +289,7 @@ fn edge_away_from_zero_needs_origin_mm() {
     );
     let wrong = refused("-1");
     let expected =
-        "does not rise at origin_mm = -1; its edge seems to be at x = 2.00 mm: tell origin_mm = 2.00";
+        "does not rise at origin_mm = -1; its edge seems to be at x = 2.00 mm: set origin_mm = 2.00";
     assert!(wrong.contains(expected), "{wrong}");
 }
 

@@ -55,6 +55,6 @@ impl MeasurementWriter<Vec<u8>> {
 /// Refuses names that would be read differently from how they were written.
 pub fn check_name(material: &str) -> Result<&str, Invalid> {
     let sound = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
-    let allowed = "a material's name is wanted, without spaces at its ends and without line breaks";
+    let allowed = "a name must not be empty, begin or end with a space, or contain a line break";
     if sound { Ok(material) } else { Err(Invalid::new("measurement", format_args!("{material:?}"), allowed)) }
 }

@@ -203,7 +203,7 @@ impl<'a> Chunks<'a> {
         if !fits {
             let has = jpeg.samples();
             return Err(UnreadablePhotograph::Damaged(format!(
-                "a lossless JPEG has {has} samples, {last} are wanted"
+                "a lossless JPEG has {has} samples instead of {last}"
             )));
         }
         Ok(Decoded { samples: jpeg.decode()?, row })

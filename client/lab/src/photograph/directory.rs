@@ -171,7 +171,7 @@ impl<'a> Directory<'a> {
                 return Err(UnreadablePhotograph::tag(
                     tag.name,
                     format_args!("type {kind}"),
-                    "numbers are wanted",
+                    "must be numbers",
                 ));
             }
         })
@@ -189,7 +189,7 @@ impl<'a> Directory<'a> {
             if sound {
                 Ok(value as u64)
             } else {
-                Err(UnreadablePhotograph::tag(tag.name, value, "whole numbers are wanted"))
+                Err(UnreadablePhotograph::tag(tag.name, value, "must be whole numbers"))
             }
         };
         self.numbers(tag)?.into_iter().map(whole).collect()

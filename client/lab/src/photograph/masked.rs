@@ -27,7 +27,7 @@ pub(super) fn black(
     };
     let refused = || {
         let allowed = format!(
-            "at most {MOST_AREAS} rectangles within {} × {} pixels are wanted",
+            "must be at most {MOST_AREAS} rectangles within {} × {} pixels",
             whole.width, whole.height
         );
         UnreadablePhotograph::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)

@@ -207,7 +207,7 @@ fn pattern(picture: &Directory) -> Result<[Colour; 4], UnreadablePhotograph> {
         UnreadablePhotograph::tag(
             Tag::CFA_PATTERN.name,
             format_args!("{codes:?}"),
-            "four of 0, 1 and 2 are wanted",
+            "must be four of 0, 1 and 2",
         )
     };
     colours.try_into().map_err(|_| refused())

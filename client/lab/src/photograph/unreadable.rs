@@ -47,11 +47,11 @@ pub enum UnreadablePhotograph {
     Pictures { count: usize },
     #[error(
         "the picture ends early, as after an interrupted copy: {rows} of its {height} rows are there; copy the file \
-         anew"
+         again"
     )]
     EndsEarly { rows: usize, height: usize },
     #[error(
-        "rows {from} to {to}, the last ones, hold nothing but zeros, as after an interrupted copy: copy the file anew, \
+        "rows {from} to {to}, the last ones, hold nothing but zeros, as after an interrupted copy: copy the file again, \
          or cut a margin that is no picture off"
     )]
     ZeroRows { from: usize, to: usize },

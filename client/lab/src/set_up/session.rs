@@ -88,7 +88,7 @@ impl Session {
     /// Unknown fields are ignored: they belong to other programs.
     fn parse(value: &Value) -> Result<Self, Invalid> {
         let Value::Object(fields) = value else {
-            return Err(Invalid::new("session", kind(value), "a JSON object is wanted"));
+            return Err(Invalid::new("session", kind(value), "must be a JSON object"));
         };
         match fields.get("format") {
             Some(Value::String(format)) if format == FORMAT => {}
@@ -219,6 +219,6 @@ mod tests {
             refused(r#"{"format": "farmctl-session/2"}"#),
             format!("format = \"farmctl-session/2\" {format}")
         );
-        assert_eq!(refused("[]"), "session = a list is not valid: a JSON object is wanted");
+        assert_eq!(refused("[]"), "session = a list is not valid: must be a JSON object");
     }
 }

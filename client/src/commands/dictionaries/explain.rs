@@ -1,3 +1,5 @@
+//! Implements `farmctl explain`: prints the reasons why a dictionary is not finished.
+
 use anyhow::Result;
 use farm_proto::DictionaryName;
 use farm_proto::wire::ExplainRequest;
@@ -45,5 +47,5 @@ pub(crate) async fn run(global: &Global, name: &str, output: &Output) -> Result<
 /// Replaces the reason for a coordinator that only this command has started: it needs no worker to be started.
 fn of_this_folder(name: &DictionaryName) -> String {
     let grid = if name.as_str() == "paper" { "" } else { " with the same grid file and name" };
-    format!("nothing computes in this folder at the moment: `farmctl submit`{grid} goes on with {name}")
+    format!("nothing computes in this folder at the moment: `farmctl submit`{grid} continues {name}")
 }

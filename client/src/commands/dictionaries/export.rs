@@ -1,3 +1,6 @@
+//! Implements `farmctl export`: writes the finished records of a dictionary as CSV, as arrays for NumPy, or as a measurement
+//! of one medium.
+
 mod arrays;
 mod chosen;
 mod npz;

@@ -82,7 +82,7 @@ pub(crate) async fn follow(
     Following::new(connection, status, quiet, false).run().await
 }
 
-/// The same with each job's state, on a terminal.
+/// Shows progress as [`follow`] does, on a terminal with each job's state.
 pub(crate) async fn follow_jobs(
     connection: &Connection,
     status: &mut DictionaryStatus,
@@ -215,7 +215,7 @@ impl<'a> Following<'a> {
     fn stopped(&self) -> Status {
         let name = &self.status.name;
         Status::unavailable(format!(
-            "the coordinator stopped before {name} was done: run the same command again to go on"
+            "the coordinator stopped before {name} was done: run the same command again to continue"
         ))
     }
 }

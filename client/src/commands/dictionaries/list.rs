@@ -1,3 +1,5 @@
+//! Implements `farmctl list`, and fetches the list of dictionaries for other verbs.
+
 use anyhow::Result;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::ListRequest;

@@ -1,3 +1,6 @@
+//! Implements `farmctl show`: prints the grid, progress, failed jobs and digest of a dictionary, with `--noise` the noise of
+//! its records. `--plot` draws profiles, or the noise.
+
 mod noise;
 mod overview;
 

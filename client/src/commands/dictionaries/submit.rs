@@ -1,3 +1,5 @@
+//! Implements `farmctl submit`: computes a dictionary or continues it. Other verbs use it to compute a missing one.
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -104,7 +106,7 @@ pub(crate) async fn ensure(
     let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
     let known = list::fetch(connection).await?.into_iter().find(|d| d.name == *name);
     if known.is_some_and(|d| d.state() == DictionaryState::Paused) {
-        bail!("dictionary {name} is paused: `farmctl resume {name}` goes on with it");
+        bail!("dictionary {name} is paused: `farmctl resume {name}` continues it");
     }
     let (status, end) = submit(connection, name, grid, &args, quiet).await?;
     match (&end, status.state()) {
@@ -141,11 +143,11 @@ fn text(status: &DictionaryStatus, end: &SubmitEnd) -> String {
     match end {
         SubmitEnd::Submitted => format!("{name}: {total} records are to be computed, {done} are done"),
         SubmitEnd::Left => format!(
-            "{name}: {done} of {total} records are done, and the farm goes on computing: `farmctl watch {name}` to \
+            "{name}: {done} of {total} records are done, and the farm continues: `farmctl watch {name}` to \
              look again, `farmctl cancel {name}` to stop"
         ),
         SubmitEnd::Followed(following::FollowEnd::Interrupted) => {
-            format!("{name}: stopped, {done} of {total} records are stored; submit again to go on")
+            format!("{name}: stopped, {done} of {total} records are stored; submit again to continue")
         }
         SubmitEnd::Followed(following::FollowEnd::Ended(elapsed))
             if status.state() == DictionaryState::Done =>

@@ -102,7 +102,7 @@ async fn look_again(connection: &Connection, status: &mut DictionaryStatus) {
 /// Refuses to wait for a coordinator that only this command has started, since it computes nothing.
 fn must_progress(connection: &Connection, status: &DictionaryStatus) -> Result<()> {
     if connection.is_embedded() && status.state().is_open() {
-        bail!("nothing is running in this folder: `farmctl submit` goes on with {}", status.name);
+        bail!("nothing is running in this folder: `farmctl submit` continues {}", status.name);
     }
     Ok(())
 }

@@ -1,3 +1,5 @@
+//! Implements `farmctl access`: creates a set of access files, and adds, revokes and lists members.
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Result;
@@ -24,7 +26,7 @@ Examples:
   farmctl access revoke alice
   farmctl access revoke node7 --folder /etc/farm")]
     Revoke(AccessRevokeArgs),
-    /// List the names that are let in, with their roles.
+    /// List the members with their roles.
     #[command(after_help = "\
 Example:
   farmctl access list --folder /etc/farm")]
@@ -130,8 +132,8 @@ fn add(args: &AccessAddArgs, output: &Output) -> Result<()> {
     output.print("access_added", &data, || {
         let coordinator = folder.join("coordinator.toml");
         format!(
-            "{name} is let in as {role}, with {}\na coordinator that reads {} knows it within a second; one that was given \
-             a copy needs it anew",
+            "{name} has access as {role}, with {}\na coordinator that reads {} accepts it within a second; a copy of that \
+             file must be replaced",
             file.display(),
             coordinator.display()
         )
@@ -143,7 +145,7 @@ fn revoke(args: &AccessRevokeArgs, output: &Output) -> Result<()> {
     members::revoke(folder, name)?;
     output.print("access_revoked", &RevokedJson { name: name.clone() }, || {
         let coordinator = folder.join("coordinator.toml");
-        format!("{name} is shut out of what reads {}", coordinator.display())
+        format!("{name} no longer has access to a coordinator that reads {}", coordinator.display())
     })
 }
 
@@ -173,7 +175,7 @@ fn create(args: &AccessCreateArgs, output: &Output) -> Result<()> {
 
 fn text(data: &AccessJson) -> String {
     let mut text = format!("access files for {}:\n", data.server);
-    text += &format!("  {}  for farm-coordinator --access, and for nobody else\n", data.coordinator);
+    text += &format!("  {}  for farm-coordinator --access; keep it there only\n", data.coordinator);
     for MemberJson { role, file } in &data.members {
         let whom = match *role {
             "worker" => "for farm-worker --access",

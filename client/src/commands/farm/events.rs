@@ -1,3 +1,5 @@
+//! Implements `farmctl events`: prints what has happened on the farm, with `--follow` also what happens next.
+
 use std::time::Duration;
 
 use anyhow::Result;

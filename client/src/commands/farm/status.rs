@@ -1,3 +1,5 @@
+//! Implements `farmctl status`: prints what the farm is doing.
+
 use anyhow::Result;
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use farm_proto::wire::{StatusRequest, StatusResponse};

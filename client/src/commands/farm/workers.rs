@@ -1,3 +1,5 @@
+//! Implements `farmctl workers`: lists the workers, lets one leave, and readmits a machine that was fenced off.
+
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use farm_proto::status::{MachineFacts, WorkerStatus};

@@ -10,8 +10,8 @@ use crate::cli::Global;
 use crate::commands::dictionaries::list;
 use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
 
-/// Defaults among several dictionaries, in order of preference. `measure` computes the first if there is none, since
-/// real surfaces lose no light.
+/// Defaults among several dictionaries, in order of preference, as the help of `--dictionary` states. `measure` computes
+/// the first if there is none, since real surfaces lose no light.
 const USUAL: [&str; 2] = ["lab", "paper"];
 
 /// Checks a given name before any connection.
@@ -119,7 +119,33 @@ fn pick(names: &[String]) -> Result<String> {
 
 #[cfg(test)]
 mod tests {
+    use clap::{Arg, Command, CommandFactory as _};
+
     use super::*;
+    use crate::commands::Cli;
+
+    /// The verbs with an argument `--dictionary`, each with the argument's help.
+    fn helps(command: &Command) -> Vec<(String, String)> {
+        let own = command.get_arguments().filter(|arg| arg.get_id() == "dictionary");
+        let help = |arg: &Arg| arg.get_help().map(ToString::to_string).unwrap_or_default();
+        let own = own.map(|arg| (command.get_name().to_owned(), help(arg)));
+        own.chain(command.get_subcommands().flat_map(helps)).collect()
+    }
+
+    /// Of all verbs with `--dictionary`, only `events` has no default: there it is a filter.
+    #[test]
+    fn help_states_the_usual_dictionaries() {
+        let stated = format!("[default: the only one, else {}]", USUAL.join(", else "));
+        let (with, without): (Vec<_>, Vec<_>) =
+            helps(&Cli::command()).into_iter().partition(|(_, help)| help.contains(&stated));
+        let names = |verbs: Vec<(String, String)>| {
+            let mut names: Vec<String> = verbs.into_iter().map(|(verb, _)| verb).collect();
+            names.sort();
+            names
+        };
+        assert_eq!(names(with), ["design", "fit", "map", "measure", "profile", "scale"]);
+        assert_eq!(names(without), ["events"]);
+    }
 
     #[test]
     fn only_dictionary_needs_no_name() {

@@ -1,3 +1,5 @@
+//! Implements `farmctl design`: compares sets of slabs by how well photographs of them would determine a medium.
+
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -28,7 +30,7 @@ Examples:
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --slabs 0.5,1 --slabs 0.5,0.5,1,1 --plot sets.svg
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --shots 1,4,16 --thickness-std-error-mm 0.002")]
 pub(crate) struct DesignArgs {
-    /// Dictionary to predict the profiles from [default: the only one, or paper].
+    /// Dictionary to predict the profiles from [default: the only one, else lab, else paper].
     #[arg(long, value_name = "NAME")]
     dictionary: Option<String>,
     /// Extinction coefficient, per mm.
@@ -125,7 +127,7 @@ impl FromStr for PixelsArg {
     fn from_str(text: &str) -> Result<Self, String> {
         let numbers = numbers(text)?;
         let count = numbers.len();
-        let three = |_| format!("{count} numbers where three are wanted, as in -4,4,0.02");
+        let three = |_| format!("{count} numbers instead of three, as in -4,4,0.02");
         numbers.try_into().map(Self).map_err(three)
     }
 }
@@ -232,6 +234,6 @@ mod tests {
         assert_eq!("".parse::<SlabList>(), Err("\"\" is not a number".to_owned()));
         assert_eq!("-4,4,0.02".parse(), Ok(PixelsArg([-4.0, 4.0, 0.02])));
         let message = "-4,4".parse::<PixelsArg>().unwrap_err();
-        assert!(message.starts_with("2 numbers where three are wanted"), "{message}");
+        assert!(message.starts_with("2 numbers instead of three"), "{message}");
     }
 }

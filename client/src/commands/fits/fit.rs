@@ -1,3 +1,5 @@
+//! Implements `farmctl fit`: finds the media that best explain the profiles of each material, with error bars.
+
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};

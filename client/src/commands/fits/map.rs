@@ -1,3 +1,5 @@
+//! Implements `farmctl map`: maps how far measured profiles are from every medium of a dictionary.
+
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};

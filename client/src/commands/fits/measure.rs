@@ -46,8 +46,8 @@ Examples:
   farmctl measure materials.csv --objective paper      as the paper did")]
 pub(crate) struct MeasureArgs {
     /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
-    /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it is not there.
-    /// Without --dictionary, a farm on this machine that has none computes `lab` first, and goes on with one that
+    /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it does not exist.
+    /// Without --dictionary, a farm on this machine that has none computes `lab` first, and continues one that
     /// was interrupted.
     measurements: PathBuf,
     #[command(flatten)]

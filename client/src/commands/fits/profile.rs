@@ -1,3 +1,5 @@
+//! Implements `farmctl profile`: predicts the profile of a slab of a medium from a dictionary.
+
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -20,7 +22,7 @@ Examples:
   farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.5
   farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.7 --channel R,G,B --plot profile.svg")]
 pub(crate) struct ProfileArgs {
-    /// Dictionary to ask [default: the only one, or paper].
+    /// Dictionary to ask [default: the only one, else lab, else paper].
     #[arg(long, value_name = "NAME")]
     dictionary: Option<String>,
     /// Extinction coefficient, per mm.

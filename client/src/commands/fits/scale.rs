@@ -1,3 +1,5 @@
+//! Implements `farmctl scale`: finds the scale factor and the anisotropy common to a set of materials.
+
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};

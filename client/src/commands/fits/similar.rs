@@ -1,3 +1,5 @@
+//! Implements `farmctl similar`: lists the media that similarity theory considers equivalent to a given one.
+
 use anyhow::Result;
 use clap::Args;
 use farm_figures::numbers::{albedo, significant};

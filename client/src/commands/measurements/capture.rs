@@ -1,3 +1,6 @@
+//! Implements `farmctl capture`: turns the photographs of a session into edge profiles. It also checks single photographs,
+//! and writes a board to print.
+
 mod check;
 
 use std::path::{Path, PathBuf};
@@ -33,7 +36,7 @@ pub(crate) struct CaptureArgs {
     /// session file's name without its ending].
     #[arg(long, short, value_name = "DIR", requires = "session")]
     output: Option<PathBuf>,
-    /// Go on to measure the media, as `farmctl measure DIR` does.
+    /// Then measure the media, as `farmctl measure DIR` does.
     #[arg(long, requires = "session")]
     measure: bool,
     /// Check whether single photographs are usable; the exit code is 1 if one is not.
@@ -57,7 +60,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     if !args.check.is_empty() {
         return check::run(&args, output);
     }
-    let session = args.session.as_deref().context("a session file is wanted")?;
+    let session = args.session.as_deref().context("name a session file")?;
     let folder = match &args.output {
         Some(folder) => folder.clone(),
         None => {

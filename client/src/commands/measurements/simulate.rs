@@ -1,3 +1,5 @@
+//! Implements `farmctl simulate`: traces edge profiles without a farm, as rows or as a measurement.
+
 mod camera;
 mod changes;
 

@@ -208,7 +208,7 @@ fn missing_workers_are_retried_with_growing_pauses() {
             other => panic!("{other:?}"),
         }
         now += LOOK;
-        assert!(now < Duration::from_hours(3), "it goes on");
+        assert!(now < Duration::from_hours(3), "no end after three hours");
     }
     let between: Vec<u64> = tries.windows(2).map(|pair| pair[1].saturating_sub(pair[0]).as_secs()).collect();
     assert_eq!(between, [90, 150, 270, 510], "a look, and a pause that doubles");

@@ -38,7 +38,7 @@ impl World {
                     }
                     self.find_blocks();
                 }
-                Effect::LiftFence { .. } => unreachable!("nobody asks for that"),
+                Effect::LiftFence { .. } => unreachable!("no test asks for that"),
             }
             // Applies the effects that this one has caused.
             self.settle();

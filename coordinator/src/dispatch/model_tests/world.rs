@@ -144,10 +144,10 @@ impl World {
         self.settle();
         let (now, woken) = (self.offers(), self.woken);
         self.insist(woken.0 || now.0 <= offers.0 && now.1 <= offers.1, || {
-            format!("nobody is told of new work: {offers:?} before, now {now:?}")
+            format!("new work is not signalled: {offers:?} before, now {now:?}")
         });
         let same = seen == self.seen();
-        self.insist(woken.1 || same, || "nobody is told of what has changed".to_owned());
+        self.insist(woken.1 || same, || "a change is not signalled".to_owned());
     }
 
     fn perform(&mut self, op: &Op) {

@@ -14,7 +14,7 @@ use super::plan::{self, Plan};
 use crate::dispatch::part::PartId;
 use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
 
-/// Counts that change with every job, kept so that they need not be computed anew.
+/// Counts that change with every job, kept so that they are not recomputed.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
 pub(super) struct Counts {
     pub done: usize,

@@ -40,7 +40,7 @@ impl Schedule {
             DictionaryState::Cancelled => {
                 let why =
                     if dictionary.reason().is_empty() { "no reason given" } else { dictionary.reason() };
-                let text = format!("it was cancelled: {why}; `farmctl resume` goes on");
+                let text = format!("it was cancelled: {why}; `farmctl resume` continues it");
                 reasons.push(Reason::new("CANCELLED", text));
             }
             DictionaryState::Outdated => reasons.push(Reason::new(
@@ -48,7 +48,7 @@ impl Schedule {
                 "it was begun with another physics version: submit its grid under another name",
             )),
             DictionaryState::Paused => {
-                reasons.push(Reason::new("PAUSED", "it is paused: `farmctl resume` goes on"));
+                reasons.push(Reason::new("PAUSED", "it is paused: `farmctl resume` continues it"));
             }
             DictionaryState::Failed => {}
             DictionaryState::Running => {

@@ -9,7 +9,7 @@ const MEMORY_S: f64 = 30.0;
 const PARTS_REMEMBERED: f64 = 3.0;
 /// Fewest completions from which a pace is computed.
 const FEWEST: usize = 3;
-/// After this time without work the pace is measured anew: the workers may have changed.
+/// After this time without work the pace is measured again: the workers may have changed.
 const FORGOTTEN: Duration = Duration::from_mins(10);
 /// Weight of the newest completion in the typical time of a part.
 const NEWEST: f64 = 0.05;

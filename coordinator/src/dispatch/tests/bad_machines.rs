@@ -54,7 +54,7 @@ fn suspended_machine_is_tried_with_one_job() {
     for second in (0..=40).step_by(4) {
         bench.farm.look_over(seconds(second));
     }
-    assert!(bench.farm.take_outbox().work, "it is told that its pause is over");
+    assert!(bench.farm.take_outbox().work, "the end of its pause is signalled");
     let lease = bench.acquire(40, "a", 9);
     assert_eq!(lease.len(), 1);
     bench.farm.register(seconds(40), worker("d"), Origin(1), on("a", "d")).unwrap();

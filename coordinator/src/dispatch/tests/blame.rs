@@ -107,7 +107,7 @@ fn crash_blames_only_running_jobs() {
     assert_eq!(status.failed.len(), 1);
     assert_eq!((status.failed[0].job, status.failed[0].quarantined), (2, true));
     assert!(status.failed[0].reason.contains("worker a fell silent"), "{}", status.failed[0].reason);
-    assert_eq!(job_of(&bench.acquire(300, "b", 9)), [1, 0], "the others go on");
+    assert_eq!(job_of(&bench.acquire(300, "b", 9)), [1, 0], "the others continue");
 }
 
 /// A worker that comes back lifts the blame from its jobs.
@@ -123,7 +123,7 @@ fn returning_worker_lifts_blame_from_jobs() {
         for second in (at + 4..at + 40).step_by(4) {
             bench.farm.look_over(seconds(second));
         }
-        assert!(bench.renew(at + 50, "a", &lease[0], true), "nobody else has it: it goes on");
+        assert!(bench.renew(at + 50, "a", &lease[0], true), "no other worker has it: it continues");
         bench.farm.hand_back(&[lease[0].key]);
         bench.farm.look_over(seconds(at + 54));
     }

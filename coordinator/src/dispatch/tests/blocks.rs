@@ -1,4 +1,4 @@
-//! Tests divided jobs, and jobs that go on to a target error.
+//! Tests divided jobs, and jobs that continue to a target error.
 
 use std::sync::Arc;
 
@@ -64,7 +64,7 @@ fn more_walks_restart_the_job() {
     let lease = bench.acquire(0, "a", 1);
     let more = Walks::new(500_000).unwrap();
     arrive("a", &lease[0], |arrived| bench.farm.prolong(seconds(1), arrived, more));
-    assert!(bench.admit("a", &lease[0]).is_err(), "what was computed with fewer walks is not wanted");
+    assert!(bench.admit("a", &lease[0]).is_err(), "a result with fewer walks is refused");
     let again = bench.acquire(2, "b", 1);
     assert_eq!((again[0].key.job, again[0].job.walks().get()), (lease[0].key.job, 500_000));
 }

@@ -20,7 +20,7 @@ fn expired_lease_goes_to_another_worker() {
     assert!(!bench.renew(32, "a", &old[0], true), "the lease is lost");
     assert!(matches!(bench.admit("a", &old[0]), Ok(Admission::Store { .. })), "but its result is as good");
     bench.finish(33, "a", &old[0]);
-    assert!(!bench.renew(34, "b", &new[0], true), "now nobody holds it");
+    assert!(!bench.renew(34, "b", &new[0], true), "now no worker holds it");
     assert!(matches!(bench.admit("b", &new[0]), Ok(Admission::Compare { stored: DIGEST, .. })));
 }
 
@@ -59,7 +59,7 @@ fn leases_survive_a_restart_of_the_coordinator() {
     assert!(!job_of(&after.acquire(1, "b", 9)).contains(&lease[0].key.job));
     let other_grid = vec![HeldLease { key: lease[0].key, running: true, identity: DIGEST }];
     let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
-    assert_eq!(lost.len(), 1, "what is computed must be what is wanted");
+    assert_eq!(lost.len(), 1, "a lease of another grid is lost");
 }
 
 /// After a restart a lease is taken up again only with the access token of its holder.
@@ -107,7 +107,7 @@ fn straggler_gets_a_second_copy() {
     assert!(bench.acquire(19, "c", 1).is_empty(), "two are enough");
     bench.finish(20, "b", &copy[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
-    assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is told to stop");
+    assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is stopped");
 }
 
 /// Parts that are leased stay leased when other jobs are reopened.

@@ -112,7 +112,7 @@ fn first_waits_for_walks_of_the_second() {
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 
-/// The check of a removed dictionary goes on in another one that has the records: otherwise they would never be checked.
+/// The check of a removed dictionary continues in another one that has the records: otherwise they would never be checked.
 #[test]
 fn check_outlives_its_dictionary() {
     for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {

@@ -42,7 +42,7 @@ fn worker_that_contradicts_itself_is_fenced() {
     // The machine repeats its own result.
     bench.compare("a", &lease[0], DIGEST, DIGEST);
     let check = bench.acquire(2, "b", 1);
-    assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still wanted");
+    assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still needed");
     bench.compare("b", &check[0], DIGEST, DIGEST);
     assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
     let agreed = bench.effects();

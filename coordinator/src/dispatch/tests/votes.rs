@@ -44,7 +44,7 @@ fn one_machine_has_one_vote() {
     }
     // Nor does it vote with its earlier lease.
     bench.compare("b", &check, DIGEST, WRONG);
-    assert!(bench.effects().is_empty(), "nobody is fenced off");
+    assert!(bench.effects().is_empty(), "no machine is fenced off");
     let third = bench.acquire(4, "c", 1).remove(0);
     bench.compare("c", &third, DIGEST, DIGEST);
     assert!(matches!(

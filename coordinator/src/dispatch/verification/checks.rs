@@ -38,7 +38,7 @@ struct Open {
 pub struct Checks {
     open: BTreeMap<PartId, Open>,
     /// Votes about blocks of jobs that have no such blocks at present: after a restart a job begins with its initial
-    /// number of walks, and finds its blocks again when it goes on to more. The store holds these votes too.
+    /// number of walks, and finds its blocks again when it continues to more. The store holds these votes too.
     aside: BTreeMap<PartId, Vec<Vote>>,
     /// Checks that the store has yet to note.
     changed: BTreeMap<PartId, Vec<Vote>>,

@@ -11,7 +11,7 @@ use super::*;
 /// A farm with a dictionary that is done, and memory for this many of its channels.
 async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
     let (farm, dir) = done().await;
-    let mut farm = Arc::into_inner(farm).expect("nobody else has the farm");
+    let mut farm = Arc::into_inner(farm).expect("no other handle of the farm");
     farm.fits = crate::farm::FitCache::new(channels * FitChannel::bytes_of(&grid()));
     (Arc::new(farm), dir)
 }

@@ -57,7 +57,7 @@ async fn refused_result_does_not_end_its_stream() {
     assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Duplicate), "{again:?}");
     let other = receive(&farm, pieces(&worker, &leases[0], 0.75)).await.unwrap();
     assert!(matches!(&other[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Conflict), "{other:?}");
-    assert_eq!(jobs_done(&farm), 0, "who contradicts itself is believed in nothing");
+    assert_eq!(jobs_done(&farm), 0, "a machine that contradicts itself loses all its results");
 }
 
 /// Malformed results are refused with the name of the field, and nothing of them is stored.

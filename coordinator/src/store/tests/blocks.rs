@@ -139,7 +139,7 @@ async fn blocks_of_other_albedos_are_not_mixed() {
     assert!(matches!(complete_block(&store, &b, 0, Origin(1)).await, Outcome::Finished { .. }));
 }
 
-/// A late block of a finished job is unwanted: its records are of all blocks, so there is nothing to compare one block with.
+/// A late block of a finished job is not needed: its records are of all blocks, so there is nothing to compare it with.
 #[tokio::test]
 async fn late_block_of_finished_job_is_unwanted() {
     let dir = tempfile::tempdir().unwrap();

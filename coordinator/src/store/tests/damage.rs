@@ -112,7 +112,7 @@ async fn held_database_fails_all_results_at_once() {
     assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }));
 }
 
-/// A defect, simulated by a panic before a commit: only the result that causes it fails, and the writer goes on.
+/// A defect, simulated by a panic before a commit: only the result that causes it fails, and the writer continues.
 #[tokio::test]
 async fn panic_while_writing_leaves_nothing() {
     let dir = tempfile::tempdir().unwrap();

@@ -37,7 +37,7 @@ impl CropCells {
         Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| of(c, k)).collect()))
     }
 
-    /// The same under light that is brighter by a factor.
+    /// These means, corrected for light that is brighter by a factor.
     pub fn under(mut self, light: &[Estimate; 3]) -> Self {
         for (cells, light) in self.0.iter_mut().zip(light) {
             for cell in cells {

@@ -136,7 +136,7 @@ impl Records {
         Self::kept(grid, exactly)
     }
 
-    /// The same, with values stored exactly or rounded, whatever their number.
+    /// Records whose values are all 0, stored exactly or rounded, whatever their number.
     pub(crate) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
         let (records, pixels) = (grid.record_count(), grid.scene().sensor().pixels());
         let stored = if exactly {

@@ -2,11 +2,11 @@
 //!
 //! Scattering and absorption coefficients of a mixture are the sums of those of its inks, weighted by their fractions. So
 //! the profiles of pure inks and of their mixtures are fitted together, over σ_s, √σ_a and ln(1 − g) of the inks
-//! (`blend`), with the set-up of every profile estimated as for one material. Each measured material is first fitted with
-//! a medium of its own: this identifies its dust, and gives the equations from which the inks' descent starts
-//! (`mixtures/start`). Intervals follow the profile likelihood (`profile_likelihood`); where mixtures contradict one
-//! another by more than their noise, as they do if one was mixed wrongly, intervals are widened by their χ² per degree of
-//! freedom (a Birge ratio).
+//! (`term/blend`), with the set-up of every profile estimated as for one material. Each measured material is first fitted
+//! with a medium of its own: this identifies its dust, and gives the equations from which the inks' descent starts
+//! (`mixtures/start`). Intervals follow the profile likelihood (`interval/profile_likelihood`); where mixtures contradict
+//! one another by more than their noise, as they do if one was mixed wrongly, intervals are widened by their χ² per degree
+//! of freedom (a Birge ratio).
 
 mod answer;
 mod limits;

@@ -31,7 +31,7 @@ impl Direction {
         self.cosine_where(other, |node, of_other| node == of_other)
     }
 
-    /// The same between two axes; `same` decides which of their nodes are the same.
+    /// Cosine of the angle between directions of two axes; `same` decides which of their nodes are the same.
     pub(crate) fn cosine_where(&self, other: &Self, same: impl Fn(usize, usize) -> bool) -> f64 {
         let products = self.nodes().flat_map(|(node, a)| {
             let alike = other.nodes().filter(|(of_other, _)| same(node, *of_other)).map(|(_, b)| b);

@@ -67,7 +67,7 @@ impl Surrogate<'_> {
         self.noise_place(x[ALBEDO], depths, directions)
     }
 
-    /// The same from given directions, with the optical thicknesses of their nodes.
+    /// The records of a prediction's noise, from given directions and the optical thicknesses of their nodes.
     pub(super) fn noise_place(
         &self,
         albedo_coordinate: f64,

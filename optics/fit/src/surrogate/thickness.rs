@@ -22,8 +22,9 @@ use stretch::{Stretch, Tail};
 /// Greatest distance from one of the dictionary's thicknesses at which profiles are predicted, as a share of it.
 const REACH: f64 = 0.1;
 
-/// The same where records are only scaled, times the ratio of the clear layers' thickness to the sample's: this product
-/// is the size of the neglected effect. 3.3 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm thick.
+/// Greatest distance at which records are only scaled, times the ratio of the clear layers' thickness to the sample's:
+/// this product is the size of the neglected effect. 3.3 % at 0.5 mm in the paper's set-up, whose clear layers are 0.21 mm
+/// thick.
 const SCALED_REACH: f64 = 0.033 * 0.21 / 0.5;
 
 /// Greatest ratio of two thicknesses between which profiles are interpolated.

@@ -41,7 +41,7 @@ pub struct Interval {
     pub high: f64,
     /// The data allow still lower values; `low` is merely the end of the dictionary or of the given bounds.
     pub open_low: bool,
-    /// The same for higher values.
+    /// The data allow still higher values; `high` is merely the end of the dictionary or of the given bounds.
     pub open_high: bool,
 }
 
@@ -88,7 +88,7 @@ pub struct Refined {
     /// Root mean square of the residuals over that of the noise, of the measurement and of the dictionary: 1 if noise
     /// explains all.
     pub misfit: f64,
-    /// The likeliest cause, if neither noise nor the set-up as it is known explains the data.
+    /// The most likely cause of a deviation that neither noise nor the priors of the set-up explain.
     pub suspicion: Option<Suspicion>,
     /// Results of the likelihood beyond the medium.
     pub likelihood: Likelihood,
@@ -234,7 +234,7 @@ pub struct Ends {
 /// Misfit above which a fit is reported not to explain its measurement.
 pub const MISFIT: f64 = 2.0;
 
-/// The likeliest single cause of residuals beyond the noise.
+/// The most likely single cause of residuals beyond the noise.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Suspicion {
     pub cause: Cause,
@@ -252,7 +252,7 @@ pub struct Suspicion {
 pub enum Cause {
     /// No single cause tried explains it.
     Unknown,
-    /// The edge lies off x = 0: offset in mm.
+    /// Offset of the edge from x = 0, in mm.
     #[serde(rename = "edge_offset_mm")]
     EdgeOffset,
     /// The values are too large by this share.

@@ -110,7 +110,11 @@ impl DesignQuestion {
         check("noise_floor", s.noise_floor, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
         if s.noise.hypot(s.noise_floor) < 1e-9 {
             let given = format!("{} with noise_floor = {}", s.noise, s.noise_floor);
-            return Err(Invalid::new("noise", given, "pixels without noise would tell everything"));
+            return Err(Invalid::new(
+                "noise",
+                given,
+                "at least one must be above 0: pixels without noise determine every medium exactly",
+            ));
         }
         if let Some(ior) = s.sample_ior {
             check_ior("sample_ior", ior)?;
@@ -257,7 +261,7 @@ pub struct SlabSet {
     pub g_free: Option<HalfWidths>,
     /// No other set of at most as many photographs determines σ_t and 1 − α together better, g held.
     pub best_of_its_effort: bool,
-    /// The same among all sets.
+    /// No other set, of any number of photographs, determines them better.
     pub best: bool,
     pub improvements: Vec<Improvement>,
 }

@@ -56,7 +56,7 @@ impl Mixture {
                 return Err(Invalid::new(field, ink, "a mixture cannot be a part of itself"));
             }
             if all.iter().any(|p| p.ink == ink) {
-                return Err(Invalid::new(field, ink, "each ink may be told once"));
+                return Err(Invalid::new(field, ink, "each ink may be listed once"));
             }
             all.push(MixturePart { ink, volume_fraction });
         }
@@ -93,11 +93,11 @@ impl Mixtures {
         }
         for (i, mixture) in all.iter().enumerate() {
             if all[..i].iter().any(|m| m.material == mixture.material) {
-                return Err(Invalid::new("mixture", &mixture.material, "each may be told once"));
+                return Err(Invalid::new("mixture", &mixture.material, "each may be listed once"));
             }
             let mixed = |p: &&MixturePart| all.iter().any(|m| m.material == p.ink && m.parts.len() > 1);
             if let Some(part) = mixture.parts.iter().find(mixed) {
-                let allowed = format!("{} is a mixture itself: tell the inks that it is made of", part.ink);
+                let allowed = format!("{} is a mixture itself: list its inks instead", part.ink);
                 return Err(Invalid::new(format!("parts of {}", mixture.material), &part.ink, allowed));
             }
         }

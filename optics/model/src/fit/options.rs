@@ -108,7 +108,7 @@ macro_rules! settings {
             pub g: Bounds,
             /// Number of neighbours to return.
             pub top: u32,
-            /// Go on from the best record to a continuous optimum with error bars.
+            /// Continue from the best record to a continuous optimum with error bars.
             pub refine: bool,
             /// Return the profiles and gradients that were compared.
             pub curves: bool,
@@ -163,7 +163,7 @@ impl FitSettings {
         self.mu_std_error / self.mu
     }
 
-    /// The same settings with the profile's own values where it has any.
+    /// These settings with the profile's own values where it has any.
     #[must_use]
     pub fn of_profile(mut self, profile: &ProfileSetup) -> Self {
         for (quantity, value) in self.set_up_mut() {
@@ -204,12 +204,12 @@ impl FitOptions {
         &self.0
     }
 
-    /// The same with another μ, and its standard error.
+    /// These options with another μ, and its standard error.
     pub fn with_mu(self, mu: f64, mu_std_error: f64) -> Result<Self> {
         Self::new(FitSettings { mu, mu_std_error, ..self.0 })
     }
 
-    /// The same with the anisotropy held at a value.
+    /// These options with the anisotropy held at a value.
     pub fn with_g(self, g: f64) -> Result<Self> {
         Self::new(FitSettings { g: Bounds::fixed(g), ..self.0 })
     }

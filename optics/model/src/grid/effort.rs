@@ -58,7 +58,7 @@ impl NoiseLevel {
 /// The effort for the points of a grid, or their initial effort if there is a target for their error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// The same for all.
+    /// An equal number for all points.
     Walks(Walks),
     Noise(NoiseLevel),
 }

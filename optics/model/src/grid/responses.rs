@@ -160,7 +160,7 @@ fn spread_extinctions(axis: &[f64]) -> Vec<usize> {
     spread(&logs, span.round() as usize + 1)
 }
 
-/// The same for ln(1 − g).
+/// The nodes next to evenly spread ln(1 − g), both ends included.
 fn spread_anisotropies(axis: &[f64]) -> Vec<usize> {
     let logs: Vec<f64> = axis.iter().map(|v| -(1.0 - v).ln()).collect();
     spread(&logs, MOST_G)

@@ -179,7 +179,7 @@ impl Prior {
 }
 
 impl Scene {
-    /// The same scene with these quantities uncertain.
+    /// This scene with these quantities uncertain.
     pub fn with_priors(self, priors: Vec<Prior>) -> Result<Self> {
         if priors.len() > MAX_PRIORS {
             return Err(Invalid::new("priors", priors.len(), format!("at most {MAX_PRIORS} are allowed")));

@@ -36,7 +36,7 @@ const PASSES: usize = 4;
 const LENGTHS: usize = 26;
 /// Number of rays where all interfaces are smooth, and where some are rough.
 const RAYS: [u32; 2] = [256, 1 << 15];
-/// Share of a ray's flux below which Russian roulette decides whether it goes on.
+/// Share of a ray's flux below which Russian roulette decides whether it is continued.
 const FAINT: f64 = 2e-3;
 /// Interfaces after which light is discarded. Only a ray that rounding has trapped between two faces that reflect totally
 /// meets this many.

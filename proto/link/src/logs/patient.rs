@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 
-/// Time limit for writing a line, after which the program goes on without it.
+/// Time limit for writing a line, after which the program continues without it.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// Largest number of lines that wait for a blocked output; further ones are dropped.
 const WAITING_LINES: usize = 1000;

@@ -92,7 +92,7 @@ async fn page_needs_token_and_same_site() {
         page.url().replace("127.0.0.1", OTHER_NAME),
     ] {
         browser.open(&address).await;
-        browser.shows("Not let in").await;
+        browser.shows("Access denied").await;
     }
     browser.complaints().await;
     browser.open(&page.url()).await;

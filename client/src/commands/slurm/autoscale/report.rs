@@ -112,7 +112,7 @@ impl<'a> Reporter<'a> {
 
 fn text(line: &StepJson) -> String {
     format!(
-        "{}  {} ({} running and {} queued of {} wanted; {} waiting, {} being computed)",
+        "{}  {} ({} running and {} queued of {} needed; {} waiting, {} being computed)",
         utc(line.unix_ms),
         line.message,
         line.workers_running,

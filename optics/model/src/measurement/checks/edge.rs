@@ -5,7 +5,7 @@ use super::{Kind, Seen};
 
 /// Standard deviations from which on a difference of two levels is significant.
 pub(super) const SURE: f64 = 5.0 * std::f64::consts::SQRT_2;
-/// The same for the greatest of hundreds of differences.
+/// Standard deviations from which on the greatest of hundreds of differences is significant.
 const SURE_OF_THE_GREATEST: f64 = 7.0 * std::f64::consts::SQRT_2;
 
 /// Half the width of the window in which a rise is measured.
@@ -63,7 +63,7 @@ fn elsewhere(trace: &Trace) -> Option<Seen> {
         ("x = 0".to_owned(), at, at_zero(at))
     } else {
         let place = at + trace.origin;
-        (format!("origin_mm = {}", trace.origin), place, format!("tell origin_mm = {place:.2}"))
+        (format!("origin_mm = {}", trace.origin), place, format!("set origin_mm = {place:.2}"))
     };
     if here < 0.5 * most {
         let text = format!(

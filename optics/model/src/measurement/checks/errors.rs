@@ -30,7 +30,7 @@ pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
     };
     let most = values.iter().copied().fold(f64::MIN, f64::max);
     if ratio > FAR && stated > COARSE * most && !is_simulated(profile) {
-        let cause = "are they in per cent? Radiance factors are wanted, so divide them by 100";
+        let cause = "they may be in per cent: divide them by 100";
         return Some(Seen::warning(Kind::ErrorScale, text(ratio, "larger", cause)));
     }
     let cause = "are they in another unit than the values, or of a mean over many profiles?";

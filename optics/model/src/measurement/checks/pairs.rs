@@ -75,7 +75,7 @@ pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
 struct EdgeContrast {
     /// Light less dark level next to the edge.
     rise: f64,
-    /// The same far from the edge.
+    /// Light less dark level far from the edge.
     ends: f64,
     noise: f64,
 }

@@ -12,13 +12,13 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
     let counted = x.iter().enumerate().all(|(i, x)| (x - first - i as f64).abs() < 1e-6);
     if counted && n >= 16 {
         let text = format!(
-            "{range} in steps of 1: these look like pixel numbers; x_mm is wanted, so multiply by the pixel pitch in mm and put 0 at the edge"
+            "{range} in steps of 1: these look like pixel numbers: multiply by the pixel pitch in mm, with 0 at the edge"
         );
         let kind = Kind::PixelNumbers;
         return Some(if span >= 50.0 { Seen::refusal(kind, text) } else { Seen::warning(kind, text) });
     }
     if span >= 1000.0 {
-        let text = format!("{range}: this looks like µm; x_mm is wanted, so divide by 1000");
+        let text = format!("{range}: this looks like µm: divide by 1000 to get mm");
         return Some(Seen::refusal(Kind::UnitOfX, text));
     }
     if span > 100.0 {
@@ -27,10 +27,8 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
     }
     // No lens resolves a tenth of the wavelength of light.
     if pitch < 5e-5 {
-        let text = format!(
-            "{range}, {:.3} nm a pixel: this looks like m; x_mm is wanted, so multiply by 1000",
-            1e6 * pitch
-        );
+        let text =
+            format!("{range}, {:.3} nm a pixel: this looks like m: multiply by 1000 to get mm", 1e6 * pitch);
         return Some(Seen::refusal(Kind::UnitOfX, text));
     }
     // A profile away from the edge is a patch.
@@ -45,7 +43,7 @@ pub(super) fn of_x(x: &[f64]) -> Option<Seen> {
 pub(super) fn of_thickness(thickness_mm: f64) -> Option<Seen> {
     let text = |what: &str| format!("the thickness is {thickness_mm} mm: {what}");
     if thickness_mm >= 100.0 {
-        let text = text("this looks like µm; thickness_mm is wanted, so divide by 1000");
+        let text = text("this looks like µm: divide by 1000 to get mm");
         return Some(Seen::refusal(Kind::UnitOfThickness, text));
     }
     (thickness_mm > 20.0).then(|| Seen::warning(Kind::UnitOfThickness, text("is it another unit?")))

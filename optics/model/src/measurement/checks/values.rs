@@ -32,7 +32,9 @@ pub(super) fn too_large(values: &[f64]) -> Option<Seen> {
         m if m > 3.0 => "these look like per cent: divide by 100".to_owned(),
         _ => "divide by the picture of a white reference under the same light".to_owned(),
     };
-    let text = format!("values up to {most}: wanted are linear radiance factors, 1 for ideal white; {cause}");
+    let text = format!(
+        "values up to {most}, where linear radiance factors (1 for ideal white) are expected; {cause}"
+    );
     Some(Seen::refusal(Kind::ValuesTooLarge, text).at(first))
 }
 
