@@ -4,7 +4,7 @@ use optics_model::Grid;
 use optics_model::fit::{DistanceMap, MapLayer};
 
 use crate::dictionary::axes::Admissible;
-use crate::paper::similarity::similar;
+use crate::similarity::similar;
 
 /// The map of a channel at one refractive index, given a layer for each admissible anisotropy.
 pub(crate) fn of_layers(

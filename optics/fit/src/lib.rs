@@ -11,6 +11,7 @@ mod layers;
 mod likelihood;
 mod paper;
 mod profile;
+mod similarity;
 mod stop;
 mod surrogate;
 #[cfg(test)]
@@ -25,8 +26,8 @@ pub use dictionary::gradient::{derivative, shown_derivative};
 pub use dictionary::{DictionaryBuilder, FitChannel, FitDictionary};
 pub use optics_model::fit::{MeasurePlan, Measured};
 pub use paper::scale::scale;
-pub use paper::similarity::similar;
 pub use profile::profile;
+pub use similarity::similar;
 pub use stop::{Stop, Stopped};
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.

@@ -6,7 +6,6 @@ mod measure;
 mod question;
 pub(crate) mod scale;
 mod search;
-pub(crate) mod similarity;
 
 use optics_model::fit::{Candidate, ChannelFit, Curve, FitCurves, FitOptions, MaterialFit};
 use optics_model::{Invalid, Measurement};

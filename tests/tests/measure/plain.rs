@@ -119,7 +119,7 @@ fn common_parameters_are_near_the_truth() {
         );
     }
     assert!(geometric(0) < 0.02 && geometric(1) < 0.04 && geometric(2) < 0.02 && geometric(3) < 0.05);
-    // Of 18 independent intervals of 95 %, fewer than 13 hold once in 10,000 times; but those of a set share the
+    // Fewer than 13 of 18 independent intervals of 95 % hold once in 10,000 times; but those of a set share the
     // estimated μ and g, so that a set may miss as a whole.
     let least = if long { 0.9 } else { 0.72 };
     (0..4).for_each(|k| assert!(held(k) >= least, "quantity {k}: {}", held(k)));

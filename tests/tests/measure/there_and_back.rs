@@ -69,7 +69,7 @@ fn retraced_media_are_recovered() {
     );
     assert!(sigma_t < 0.02 && co_albedo < 0.03);
     assert!(3.0 * sigma_t < grid_sigma_t && 3.0 * co_albedo < grid_co_albedo);
-    // Of 25 intervals of 95 %, fewer than 20 contain the truth once in 800 times.
+    // Fewer than 20 of 25 intervals of 95 % contain the truth once in 800 times.
     let (least, most) = if count >= 200 { (0.90, 0.99) } else { (0.80, 1.0) };
     assert!((least..=most).contains(&sigma_t_held) && (least..=most).contains(&albedo_held));
 }

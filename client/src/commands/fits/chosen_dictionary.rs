@@ -132,7 +132,7 @@ mod tests {
         own.chain(command.get_subcommands().flat_map(helps)).collect()
     }
 
-    /// Of all verbs with `--dictionary`, only `events` has no default: there it is a filter.
+    /// All verbs with `--dictionary` have the default but `events`, where it is a filter.
     #[test]
     fn help_states_the_usual_dictionaries() {
         let stated = format!("[default: the only one, else {}]", USUAL.join(", else "));

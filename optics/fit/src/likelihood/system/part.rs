@@ -66,10 +66,16 @@ impl System<'_> {
             let term = self.terms[*i].clone();
             Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
         };
+        // The medium of a mixture follows from its inks: its own slots are not read.
+        let slots = |i: &usize| -> Vec<usize> {
+            let unread = if self.terms[*i].blend.is_some() { LN_SCALE } else { 0 };
+            let read = self.slots[*i][unread..].iter().map(place);
+            std::iter::repeat_n(0, unread).chain(read).collect()
+        };
         let system = Self {
             terms: terms.iter().map(term).collect(),
             surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
-            slots: terms.iter().map(|i| self.slots[*i].iter().map(place).collect()).collect(),
+            slots: terms.iter().map(slots).collect(),
             unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
             of_scene: self
                 .of_scene
