@@ -194,16 +194,15 @@ fn glossary_names_exist() {
         let (owner, name) = path.rsplit_once("::").unwrap_or(("", path));
         let owner = owner.rsplit("::").next().unwrap().to_owned();
         let is_type = owner.starts_with(char::is_uppercase);
-        sources.iter().any(|(_, text)| match is_type {
-            true => defines(text, &owner) && has_word(text, name),
-            false => defines(text, name),
+        sources.iter().any(|(_, text)| {
+            if is_type { defines(text, &owner) && has_word(text, name) } else { defines(text, name) }
         })
     };
     let documents = documents();
     let rows = documents[Path::new("docs/glossary.md")].lines().filter(|line| line.starts_with('|'));
     let columns: Vec<&str> = rows.filter_map(|row| row.split('|').nth(2)).collect();
     let names = || columns.iter().flat_map(|column| column.split('`').skip(1).step_by(2));
-    let names: Vec<&str> = names().filter(|name| !name.contains(' ') && !name.contains(".")).collect();
+    let names: Vec<&str> = names().filter(|name| !name.contains(' ') && !name.contains('.')).collect();
     assert!(names.len() > 30, "{names:?}");
     let missing: Vec<_> = names.into_iter().filter(|name| !exists(name)).collect();
     assert!(missing.is_empty(), "docs/glossary.md names what is not defined: {missing:?}");
