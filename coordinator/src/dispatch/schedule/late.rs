@@ -17,7 +17,7 @@ impl Schedule {
         if let Some(last) = last
             && now.saturating_sub(last) > STALL
         {
-            self.leases.postpone(now.saturating_sub(last));
+            self.leases.postpone(now.saturating_sub(last), now, self.settings.lease);
         }
         last.unwrap_or_default()
     }

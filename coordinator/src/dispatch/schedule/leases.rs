@@ -150,12 +150,13 @@ impl Leases {
         self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|(_, token)| *token).collect()
     }
 
-    /// Moves all deadlines, and the times of the grants.
-    pub fn postpone(&mut self, by: Duration) {
-        self.deadlines = self.deadlines.iter().map(|(deadline, token)| (*deadline + by, *token)).collect();
+    /// Moves all deadlines, and the times of the grants, but not beyond those of a lease that is granted now: some may
+    /// have been granted or renewed since the coordinator continued.
+    pub fn postpone(&mut self, by: Duration, now: Duration, lease: Duration) {
         for held in self.all.values_mut() {
-            held.deadline += by;
-            held.since += by;
+            held.deadline = (held.deadline + by).min(now + lease);
+            held.since = (held.since + by).min(now);
         }
+        self.deadlines = self.all.iter().map(|(token, held)| (held.deadline, *token)).collect();
     }
 }

@@ -1,7 +1,7 @@
 //! Tests the leases of parts: their holders and their ends.
 
 use farm_proto::ids::{DictionaryId, Token};
-use farm_proto::lease::{HeldLease, LeaseKey};
+use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use farm_proto::status::DictionaryState;
 
 use super::{Bench, DIGEST, about, job_of, seconds, worker};
@@ -36,6 +36,27 @@ fn renewed_leases_do_not_expire() {
         assert_eq!(bench.farm.look_over(seconds(second)), 0);
     }
     assert_eq!(bench.farm.look_over(seconds(50)), 1);
+}
+
+/// After the coordinator was held up, leases last as long as after a renewal, also those that were granted or renewed
+/// before the first look.
+#[test]
+fn held_up_coordinator_prolongs_no_new_lease() {
+    let mut bench = Bench::new(&[]);
+    let old = bench.acquire(0, "a", 1);
+    let renewed = bench.acquire(0, "b", 1);
+    bench.farm.look_over(seconds(1));
+    assert!(bench.renew(1000, "b", &renewed[0], true));
+    let new = bench.acquire(1000, "c", 1);
+    assert_eq!(bench.farm.look_over(seconds(1001)), 0, "a's lease has 29 s left, as before");
+    bench.farm.check(seconds(1001)).unwrap();
+    let since = |lease: &Lease| bench.farm.schedule.leases().get(&lease.key).unwrap().since;
+    assert_eq!([&old[0], &new[0]].map(since), [seconds(1000), seconds(1001)]);
+    for second in (1002..1030).step_by(4) {
+        assert_eq!(bench.farm.look_over(seconds(second)), 0);
+    }
+    assert_eq!(bench.farm.look_over(seconds(1030)), 1);
+    assert_eq!(bench.farm.look_over(seconds(1031)), 2, "no worker has renewed its lease");
 }
 
 /// A guessed token ends no lease, nor does the token of another worker.
