@@ -220,7 +220,7 @@ fn std_error(set_up: &mut FitSettings, limitation: Limitation) -> Option<&mut f6
     })
 }
 
-/// The same with one standard error multiplied by a factor. A factor of 0 also makes a free scale exact.
+/// The errors with one of them multiplied by a factor. A factor of 0 also makes a free scale exact.
 fn times(known: &KnownErrors, better: Better, factor: f64) -> KnownErrors {
     let mut known = known.clone();
     match better.limitation {

@@ -273,7 +273,7 @@ impl Found<'_, '_> {
         self.system.terms.iter().zip(linear).enumerate().map(term).collect()
     }
 
-    /// Media of the dictionary, each with the other unknowns at their likeliest values, best first.
+    /// Media of the dictionary, each with the other unknowns at their most likely values, best first.
     fn candidates(&self, media: &[[usize; 4]]) -> Vec<(Candidate, State)> {
         let grid = self.grid();
         let slots = self.slots();

@@ -8,7 +8,7 @@ use crate::layers::of_layers;
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::start::Scan;
 
-/// One map per channel: the root of −2 ln L per pixel, in the basis of `start`, and so accurate to a few per cent.
+/// One map per channel: the root of −2 ln L per pixel, in the basis of `problem/start`, and so accurate to a few per cent.
 pub(crate) fn distance_map(
     dictionary: &FitDictionary,
     measurement: &Measurement,

@@ -97,7 +97,7 @@ impl System<'_> {
         }
     }
 
-    /// The same with normal pixels and a dictionary without noise.
+    /// This system with normal pixels and a dictionary without noise.
     pub(crate) fn ideal(&self) -> Self {
         let mut ideal = self.clone();
         for term in &mut ideal.terms {

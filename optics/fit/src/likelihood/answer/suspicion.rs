@@ -1,4 +1,4 @@
-//! Finds the likeliest cause where neither noise nor the priors of the set-up explain a channel.
+//! Finds the most likely cause where neither noise nor the priors of the set-up explain a channel.
 //!
 //! sRGB-coded values and exchanged thicknesses are tested by fitting the corrected profiles. Otherwise the part of the
 //! set-up is reported whose estimate lies farthest from its prior.
@@ -20,7 +20,7 @@ const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
 const PULLED: f64 = 5.0;
 
 impl Found<'_, '_> {
-    /// The likeliest cause; none if the residuals are noise.
+    /// The most likely cause; none if the residuals are noise.
     pub(crate) fn suspicion(&self, goodness: &Goodness, nuisances: &[NuisanceEstimate]) -> Option<Suspicion> {
         let misfit = goodness.misfit();
         if misfit > MISFIT

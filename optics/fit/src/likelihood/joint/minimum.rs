@@ -64,7 +64,7 @@ impl<'a> Joint<'a> {
         (system, state)
     }
 
-    /// The same with the disagreement of its channels.
+    /// This minimum with the disagreement of its channels.
     pub(super) fn with_disagreement(self) -> Self {
         Self { disagreement: self.found_disagreement(), ..self }
     }

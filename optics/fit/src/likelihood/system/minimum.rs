@@ -83,7 +83,7 @@ impl System<'_> {
         fall
     }
 
-    /// The same with all unknowns damped: in proportion to their information, and those that are hardly determined by more.
+    /// The quadratic with all unknowns damped: in proportion to their information, and hardly determined ones by more.
     fn damped(&self, normal: &Normal, x: &DVector<f64>, damping: f64) -> Normal {
         let mut damped = self.sum(x, normal.reduced.iter().map(|reduced| reduced.damped(damping)).collect());
         for i in 0..x.len() {

@@ -16,7 +16,7 @@ use crate::surrogate::{Coordinates, NoisePlace, Surrogate};
 /// Greatest change of an unknown before the parts that depend on the state are computed again: a hundredth of σ_t, for
 /// example.
 const FAR: f64 = 0.01;
-/// The same for a quantity of the scene, in standard deviations of its prior.
+/// That change of a quantity of the scene, in standard deviations of its prior.
 const FAR_OF_SCENE: f64 = 0.1;
 /// Greatest distance, in mm, of an edge from its stated origin at which a descent finds it.
 const FAR_MM: f64 = 0.06;

@@ -113,7 +113,7 @@ pub(crate) fn inverse_over_free(
     inverse_over(&free(unknowns), information, ridge)
 }
 
-/// The same over these unknowns.
+/// The inverse over the unknowns of these indices; zeros elsewhere.
 pub(crate) fn inverse_over(
     indices: &[usize],
     information: &DMatrix<f64>,

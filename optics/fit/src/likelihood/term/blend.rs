@@ -94,7 +94,7 @@ impl Blend {
         BlendPoint { point, slots: used, slopes }
     }
 
-    /// The same with other slots.
+    /// This blend with other slots.
     pub(crate) fn renumbered(&self, slot: impl Fn(&usize) -> usize) -> Self {
         let part = |part: &InkPart| InkPart { ink: part.ink.each_ref().map(&slot), ..*part };
         Self { parts: self.parts.iter().map(part).collect(), limits: self.limits }

@@ -40,7 +40,7 @@ impl Reduced {
         Self { downhill, information, own_downhill, mixed, own, all }
     }
 
-    /// The same with the profile's own unknowns damped.
+    /// The quadratic with the profile's own unknowns damped.
     pub(crate) fn damped(&self, damping: f64) -> Self {
         let mut all = self.all.clone();
         let shared = self.downhill.len();

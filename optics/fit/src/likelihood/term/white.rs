@@ -29,7 +29,7 @@ impl White {
         Some(Self { slope, ln_mu })
     }
 
-    /// The same at the current medium.
+    /// The response at the current medium.
     pub(crate) fn moved(
         &self,
         surrogate: &Surrogate,
