@@ -15,14 +15,14 @@ use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
 use crate::likelihood::interval::chi2::exceedance;
-use crate::likelihood::interval::profile_likelihood::{ProfileLikelihood, interval};
+use crate::likelihood::interval::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
 use crate::likelihood::interval::residuals::{clustering, outliers, stretches};
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, ROOT_CO_ALBEDO};
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::likelihood::system::{Normal, State, System};
-use crate::likelihood::term::Linear;
+use crate::likelihood::term::{Linear, Term};
 use crate::surrogate::{albedo, g, sigma_t};
 
 /// Probability of χ² below which residuals count as more than noise.
@@ -198,10 +198,7 @@ impl Found<'_, '_> {
             } else {
                 // The information is singular: the quantity is undetermined.
                 let (low, high) = all_limits[index];
-                [low, high].map(|value| crate::likelihood::interval::profile_likelihood::IntervalEnd {
-                    value,
-                    open: true,
-                })
+                [low, high].map(|value| IntervalEnd { value, open: true })
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
@@ -257,7 +254,7 @@ impl Found<'_, '_> {
     /// The two norms of Eq. 2 for every profile.
     fn errors(&self, linear: &[Linear]) -> Vec<ThicknessError> {
         let settings = self.data.options.settings();
-        let term = |(i, (term, linear)): (usize, (&crate::likelihood::term::Term, &Linear))| {
+        let term = |(i, (term, linear)): (usize, (&Term, &Linear))| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
             let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
             let rest: Line = term.values.iter().zip(&linear.model).map(|(v, m)| v - m).collect();
@@ -333,7 +330,7 @@ impl Found<'_, '_> {
         let models = |state: &State| self.system.linear(&state.x, &state.own);
         let best = models(self.state);
         let others: Vec<Vec<Linear>> = candidates.iter().map(|(_, state)| models(state)).collect();
-        let curves = |(i, term): (usize, &crate::likelihood::term::Term)| {
+        let curves = |(i, term): (usize, &Term)| {
             let pitch_mm = self.data.profiles[i].profile.pitch_mm();
             let slope = Slope { wavelet: settings.wavelet, level: settings.level, pitch_mm };
             let curve = |values: &Line| Curve { gradient: slope.shown(values), values: values.clone() };

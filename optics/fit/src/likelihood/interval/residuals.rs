@@ -4,7 +4,7 @@ use optics_model::fit::{OutlierPixel, Stretch};
 
 use crate::likelihood::point::Line;
 use crate::likelihood::system::System;
-use crate::likelihood::term::Linear;
+use crate::likelihood::term::{Linear, Term};
 
 /// Least joint deviation of a stretch that is reported, in standard deviations.
 const STRETCH: f64 = 5.0;
@@ -15,7 +15,7 @@ const STRETCHES: usize = 4;
 
 /// Pixels that were left out.
 pub(crate) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> {
-    let of_term = |(term, linear): (&crate::likelihood::term::Term, &Linear)| -> Vec<OutlierPixel> {
+    let of_term = |(term, linear): (&Term, &Linear)| -> Vec<OutlierPixel> {
         let pixel = |i: usize| OutlierPixel {
             profile_mm: term.thickness_mm,
             x_mm: term.x_mm[i],
