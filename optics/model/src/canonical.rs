@@ -6,6 +6,7 @@
 //! in `proto` compares the bytes with the current messages.
 
 use crate::grid::{Effort, Grid, NoiseLevel, Responses};
+use crate::phase::PhaseShape;
 use crate::scene::{Channel, Layer, LayerMedium, Scene};
 
 /// Protobuf's wire types.
@@ -16,7 +17,7 @@ const LENGTH: u32 = 2;
 pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
     let mut bytes = Vec::new();
     for layer in scene.layers() {
-        message(&mut bytes, 1, &self::layer(layer));
+        message(&mut bytes, 1, &self::layer(layer, scene.phase()));
     }
     for channel in scene.channels() {
         message(&mut bytes, 2, &self::channel(channel));
@@ -70,7 +71,7 @@ fn channel(channel: &Channel) -> Vec<u8> {
     bytes
 }
 
-fn layer(layer: &Layer) -> Vec<u8> {
+fn layer(layer: &Layer, phase: &PhaseShape) -> Vec<u8> {
     let mut bytes = Vec::new();
     text(&mut bytes, 1, layer.name());
     number(&mut bytes, 2, layer.roughness());
@@ -81,10 +82,34 @@ fn layer(layer: &Layer) -> Vec<u8> {
             number(&mut medium, 2, thickness_mm);
             3
         }
-        LayerMedium::Sample => 4,
+        LayerMedium::Sample => {
+            medium = self::phase(phase);
+            4
+        }
     };
     message(&mut bytes, field, &medium);
     bytes
+}
+
+fn phase(phase: &PhaseShape) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    match phase {
+        PhaseShape::Lobes(second) => {
+            number(&mut bytes, 1, second.weight());
+            number(&mut bytes, 2, second.g());
+        }
+        PhaseShape::Table(table) => {
+            let mut of_table = Vec::new();
+            message(&mut of_table, 1, &packed(table.angle_deg()));
+            message(&mut of_table, 2, &packed(table.value()));
+            message(&mut bytes, 3, &of_table);
+        }
+    }
+    bytes
+}
+
+fn packed(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
 pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
@@ -92,8 +117,7 @@ pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
     message(&mut bytes, 1, &scene(grid.scene()));
     let axes = [grid.sigma_t_per_mm(), grid.albedo(), grid.g(), grid.thickness_mm(), grid.sample_ior()];
     for (field, axis) in (2..).zip(axes) {
-        let packed: Vec<u8> = axis.iter().flat_map(|v| v.to_le_bytes()).collect();
-        message(&mut bytes, field, &packed);
+        message(&mut bytes, field, &packed(axis));
     }
     let (walks, level) = match grid.effort() {
         Effort::Walks(walks) => (walks.get(), 0),

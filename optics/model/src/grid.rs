@@ -14,7 +14,6 @@ use crate::invalid::{Invalid, Result};
 use crate::medium::{
     TransportPoint, check_albedo, check_ior, check_optical_thickness, check_sigma_t, check_thickness,
 };
-use crate::phase::check_g;
 use crate::profile::RecordShape;
 use crate::scene::Scene;
 pub use effort::{Effort, NoiseLevel};
@@ -66,7 +65,7 @@ impl Grid {
         let axes = Axes {
             sigma_t_per_mm: axis("sigma_t_per_mm", axes.sigma_t_per_mm, check_sigma_t)?,
             albedo: axis("albedo", axes.albedo, check_albedo)?,
-            g: axis("g", axes.g, check_g)?,
+            g: axis("g", axes.g, |g| scene.phase().function(g).map(|_| g))?,
             thickness_mm: axis("thickness_mm", axes.thickness_mm, check_thickness)?,
             sample_ior: axis("sample_ior", axes.sample_ior, |v| check_ior("sample_ior", v))?,
         };

@@ -42,9 +42,8 @@ impl Digest {
         for number in [walks.get(), seed, u64::from(derivatives)] {
             hasher.update(&number.to_le_bytes());
         }
-        hash_numbers(&mut hasher, &[point.sigma_t_per_mm()]);
-        hash_numbers(&mut hasher, &point.phase().parameters());
-        hash_numbers(&mut hasher, &[point.thickness_mm(), point.sample_ior()]);
+        let numbers = [point.sigma_t_per_mm(), point.g(), point.thickness_mm(), point.sample_ior()];
+        hash_numbers(&mut hasher, &numbers);
         hasher.update(&canonical::scene(scene));
         hasher.into()
     }
@@ -67,8 +66,7 @@ pub fn stream_key(seed: u64, point: &TransportPoint) -> [u32; 2] {
     hasher.update(&seed.to_le_bytes());
     let slab = point.walked_slab();
     hasher.update(&slab.optical_thickness.to_le_bytes());
-    hash_numbers(&mut hasher, &slab.phase.parameters());
-    hash_numbers(&mut hasher, &[slab.ior]);
+    hash_numbers(&mut hasher, &[slab.g, slab.ior]);
     let hash = hasher.finalize();
     let word = |i: usize| u32::from_le_bytes(hash.as_bytes()[4 * i..][..4].try_into().expect("4 bytes"));
     [word(0), word(1)]

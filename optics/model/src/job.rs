@@ -35,8 +35,9 @@ impl JobSpec {
         if albedo.is_empty() {
             return Err(Invalid::new("albedo", "0 values", "at least one is needed"));
         }
-        let albedo = each("albedo", albedo, check_albedo)?;
-        Ok(Self::checked(scene.into(), point, albedo, walks, seed, derivatives))
+        let (scene, albedo) = (scene.into(), each("albedo", albedo, check_albedo)?);
+        scene.phase().function(point.g())?;
+        Ok(Self::checked(scene, point, albedo, walks, seed, derivatives))
     }
 
     fn checked(

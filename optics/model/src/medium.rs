@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::invalid::{Result, check};
-use crate::phase::PhaseFunction;
+use crate::phase::check_g;
 
 /// Refuses a value that is not a usable extinction coefficient, in 1/mm.
 pub fn check_sigma_t(value: f64) -> Result<f64> {
@@ -39,13 +39,13 @@ pub fn check_ior(field: &str, value: f64) -> Result<f64> {
     check(field, value, |v| (1.0..=4.0).contains(&v), "allowed are 1 to 4")
 }
 
-/// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, phase function.
+/// A homogeneous scattering medium: extinction σ_t in 1/mm, single-scattering albedo α, mean cosine g of the phase
+/// function, whose shape is the scene's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Medium {
     sigma_t_per_mm: f64,
     albedo: f64,
-    #[serde(flatten)]
-    phase: PhaseFunction,
+    g: f64,
 }
 
 impl Medium {
@@ -53,7 +53,7 @@ impl Medium {
         Ok(Self {
             sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
             albedo: check_albedo(albedo)?,
-            phase: PhaseFunction::new(g)?,
+            g: check_g(g)?,
         })
     }
 
@@ -66,12 +66,12 @@ impl Medium {
     }
 
     pub fn g(&self) -> f64 {
-        self.phase.g()
+        self.g
     }
 
     /// Reduced scattering coefficient σ_s (1 − g): equal for similar media, as is [`Self::absorption_per_mm`].
     pub fn reduced_scattering_per_mm(&self) -> f64 {
-        self.sigma_t_per_mm * self.albedo * (1.0 - self.phase.anisotropy())
+        self.sigma_t_per_mm * self.albedo * (1.0 - self.g)
     }
 
     /// Absorption coefficient σ_a = σ_t (1 − α).
@@ -84,7 +84,7 @@ impl Medium {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransportPoint {
     sigma_t_per_mm: f64,
-    phase: PhaseFunction,
+    g: f64,
     thickness_mm: f64,
     sample_ior: f64,
 }
@@ -95,7 +95,7 @@ pub struct TransportPoint {
 pub struct WalkedSlab {
     /// In the precision of walks.
     pub optical_thickness: f32,
-    pub phase: PhaseFunction,
+    pub g: f64,
     pub ior: f64,
 }
 
@@ -103,7 +103,7 @@ impl TransportPoint {
     pub fn new(sigma_t_per_mm: f64, g: f64, thickness_mm: f64, sample_ior: f64) -> Result<Self> {
         let point = Self {
             sigma_t_per_mm: check_sigma_t(sigma_t_per_mm)?,
-            phase: PhaseFunction::new(g)?,
+            g: check_g(g)?,
             thickness_mm: check_thickness(thickness_mm)?,
             sample_ior: check_ior("sample_ior", sample_ior)?,
         };
@@ -115,12 +115,8 @@ impl TransportPoint {
         self.sigma_t_per_mm
     }
 
-    pub fn phase(&self) -> PhaseFunction {
-        self.phase
-    }
-
     pub fn g(&self) -> f64 {
-        self.phase.g()
+        self.g
     }
 
     pub fn thickness_mm(&self) -> f64 {
@@ -137,11 +133,7 @@ impl TransportPoint {
     }
 
     pub fn walked_slab(&self) -> WalkedSlab {
-        WalkedSlab {
-            optical_thickness: self.optical_thickness() as f32,
-            phase: self.phase,
-            ior: self.sample_ior,
-        }
+        WalkedSlab { optical_thickness: self.optical_thickness() as f32, g: self.g, ior: self.sample_ior }
     }
 }
 

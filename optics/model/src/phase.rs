@@ -3,85 +3,245 @@
 //! The tracer samples it and scores with the azimuthal mean; the fit's surrogate takes the shapes of its interpolation from
 //! the density.
 
+mod table;
+
 use std::f64::consts::PI;
+use std::sync::Arc;
 
-use serde::Serialize;
+use crate::invalid::{Invalid, Result, check};
+pub use table::PhaseTable;
 
-use crate::invalid::{Result, check};
+/// Largest |g| of a lobe.
+const MOST_G: f64 = 0.999;
+/// Largest weight of a second lobe.
+pub const MOST_SECOND_WEIGHT: f64 = 0.5;
+/// Weights of lobes are multiples of this in walks, whose cosines are drawn from as many numbers.
+const WALK_WEIGHT: f64 = 1.0 / 65_536.0;
 
-/// Refuses a value that is not a usable Henyey–Greenstein anisotropy.
+/// Refuses a value that is not a usable anisotropy.
 pub fn check_g(value: f64) -> Result<f64> {
-    check("g", value, |v| v.abs() <= 0.999, "allowed are -0.999 to 0.999")
+    check("g", value, |v| v.abs() <= MOST_G, "allowed are -0.999 to 0.999")
 }
 
-/// Henyey–Greenstein phase function with anisotropy g:
-/// p(cos θ) = (1 − g²) / (4π (1 + g² − 2 g cos θ)^{3/2}), in 1/sr.
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize)]
-pub struct PhaseFunction {
+/// The second lobe of a two-term Henyey–Greenstein phase function: its weight b, and the anisotropy g₂ of the lobe.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct SecondLobe {
+    weight: f64,
     g: f64,
 }
 
-impl PhaseFunction {
-    pub fn new(g: f64) -> Result<Self> {
-        Ok(Self { g: check_g(g)? })
+impl SecondLobe {
+    pub fn new(weight: f64, g: f64) -> Result<Self> {
+        Ok(Self {
+            weight: check(
+                "second_lobe_weight",
+                weight,
+                |v| (0.0..=MOST_SECOND_WEIGHT).contains(&v),
+                "allowed are 0 to 0.5",
+            )?,
+            g: check_g(g).map_err(|e| e.renamed("second_lobe_g"))?,
+        })
     }
 
-    /// The phase function with g = 1 − e^y: the coordinate of a grid's anisotropies in the fit, for any y below ln 2.
-    #[must_use]
-    pub fn at_ln_one_minus_g(self, y: f64) -> Self {
-        Self { g: 1.0 - y.exp() }
+    /// b.
+    pub fn weight(self) -> f64 {
+        self.weight
     }
 
-    /// This phase function with all parameters in the precision of walks.
-    #[must_use]
-    pub fn in_single_precision(self) -> Self {
-        Self { g: f64::from(self.g as f32) }
-    }
-
-    /// All parameters that distinguish phase functions, for digests.
-    pub fn parameters(self) -> [f64; 1] {
-        [self.g]
-    }
-
+    /// g₂.
     pub fn g(self) -> f64 {
         self.g
     }
 
-    /// The mean cosine of the scattering angle.
-    pub fn anisotropy(self) -> f64 {
-        self.g
+    /// The anisotropy of the first lobe with which the mean cosine is g: g₁ = (g − b g₂)/(1 − b).
+    fn first(self, g: f64) -> f64 {
+        (g - self.weight * self.g) / (1.0 - self.weight)
+    }
+}
+
+/// The shape of a phase function: all that its mean cosine leaves open.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PhaseShape {
+    /// Two-term Henyey–Greenstein; with a weight of 0, plain Henyey–Greenstein.
+    Lobes(SecondLobe),
+    /// A tabulated function, whose mean cosine is its own.
+    Table(Arc<PhaseTable>),
+}
+
+impl Default for PhaseShape {
+    fn default() -> Self {
+        Self::Lobes(SecondLobe::default())
+    }
+}
+
+impl PhaseShape {
+    /// The phase function with the mean cosine g.
+    pub fn function(&self, g: f64) -> Result<PhaseFunction> {
+        match self {
+            Self::Lobes(second) => {
+                check_g(g)?;
+                if second.first(g).abs() > MOST_G {
+                    let (b, g2) = (second.weight, second.g);
+                    let [low, high] = [-MOST_G, MOST_G].map(|first| (1.0 - b) * first + b * g2);
+                    let allowed = format!(
+                        "with a second lobe of weight {b} and anisotropy {g2}, allowed are {low:.3} to {high:.3}"
+                    );
+                    return Err(Invalid::new("g", g, allowed));
+                }
+                Ok(PhaseFunction::lobes(g, *second))
+            }
+            Self::Table(table) => {
+                // Grids and jobs carry the mean cosine in decimals.
+                let own = table.mean_cosine();
+                let allowed = format!("the tabulated phase function has a mean cosine of {own}");
+                check("g", g, |g| (g - own).abs() < 1e-9, &allowed)?;
+                Ok(PhaseFunction::Table(Arc::clone(table)))
+            }
+        }
     }
 
-    /// 1 − |g|: the angle in radians over which a narrow peak of the density falls to a third.
-    pub fn peak_width(self) -> f64 {
-        1.0 - self.g.abs()
+    /// The phase function with the mean cosine g, or with the nearest that the shape allows.
+    #[must_use]
+    pub fn function_near(&self, g: f64) -> PhaseFunction {
+        match self {
+            Self::Lobes(second) => {
+                let first = second.first(g).clamp(-MOST_G, MOST_G);
+                PhaseFunction::Lobes { first, second: *second }
+            }
+            Self::Table(table) => PhaseFunction::Table(Arc::clone(table)),
+        }
+    }
+
+    /// The second lobe; None for a table.
+    pub fn second_lobe(&self) -> Option<SecondLobe> {
+        match self {
+            Self::Lobes(second) => Some(*second),
+            Self::Table(_) => None,
+        }
+    }
+
+    pub fn table(&self) -> Option<&PhaseTable> {
+        match self {
+            Self::Lobes(_) => None,
+            Self::Table(table) => Some(table),
+        }
+    }
+}
+
+/// A phase function, in 1/sr.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PhaseFunction {
+    /// (1 − b) HG(g₁) + b HG(g₂), with the Henyey–Greenstein function of anisotropy g,
+    /// HG(cos θ) = (1 − g²) / (4π (1 + g² − 2 g cos θ)^{3/2}).
+    Lobes {
+        /// g₁.
+        first: f64,
+        second: SecondLobe,
+    },
+    Table(Arc<PhaseTable>),
+}
+
+impl PhaseFunction {
+    fn lobes(g: f64, second: SecondLobe) -> Self {
+        Self::Lobes { first: if second.weight == 0.0 { g } else { second.first(g) }, second }
+    }
+
+    /// Plain Henyey–Greenstein.
+    pub fn henyey_greenstein(g: f64) -> Result<Self> {
+        PhaseShape::default().function(g)
+    }
+
+    /// This phase function with a weight that walks can have; the mean cosine stays the same.
+    #[must_use]
+    pub fn with_walk_weight(&self) -> Self {
+        match self {
+            Self::Lobes { second, .. } if second.weight > 0.0 => {
+                let weight = (second.weight / WALK_WEIGHT).round() * WALK_WEIGHT;
+                Self::lobes(self.mean_cosine(), SecondLobe { weight, ..*second })
+            }
+            _ => self.clone(),
+        }
+    }
+
+    /// This phase function with anisotropies in single precision.
+    #[must_use]
+    pub fn in_single_precision(&self) -> Self {
+        let single = |v: f64| f64::from(v as f32);
+        match self {
+            Self::Lobes { first, second } => {
+                let second = SecondLobe { g: single(second.g), ..*second };
+                Self::Lobes { first: single(*first), second }
+            }
+            Self::Table(table) => Self::Table(Arc::clone(table)),
+        }
+    }
+
+    /// Whether it is plain Henyey–Greenstein.
+    pub fn is_single_lobe(&self) -> bool {
+        matches!(self, Self::Lobes { second, .. } if second.weight == 0.0)
+    }
+
+    /// The mean cosine of the scattering angle.
+    pub fn mean_cosine(&self) -> f64 {
+        match self {
+            Self::Lobes { first, second } => (1.0 - second.weight) * first + second.weight * second.g,
+            Self::Table(table) => table.mean_cosine(),
+        }
+    }
+
+    /// The angle in radians over which the narrowest peak of the density falls to a third: about 1 − |g| for a lobe.
+    pub fn peak_width(&self) -> f64 {
+        match self {
+            Self::Lobes { first, .. } if self.is_single_lobe() => 1.0 - first.abs(),
+            Self::Lobes { first, second } => 1.0 - first.abs().max(second.g.abs()),
+            Self::Table(table) => table.peak_width(),
+        }
     }
 
     /// 4π p(cos θ): the density as a multiple of isotropic scattering's.
-    pub fn over_isotropic(self, cosine: f64) -> f64 {
-        let g = self.g;
-        let square = 1.0 + g * g - 2.0 * g * cosine;
-        (1.0 - g * g) / (square * square.sqrt())
+    pub fn over_isotropic(&self, cosine: f64) -> f64 {
+        let lobe = |g: f64| {
+            let square = 1.0 + g * g - 2.0 * g * cosine;
+            (1.0 - g * g) / (square * square.sqrt())
+        };
+        match self {
+            Self::Lobes { first, second } => mixed(*first, *second, lobe),
+            Self::Table(table) => table.over_isotropic(cosine),
+        }
     }
 
     /// The density per steradian.
-    pub fn density(self, cosine: f64) -> f64 {
+    pub fn density(&self, cosine: f64) -> f64 {
         self.over_isotropic(cosine) / (4.0 * PI)
     }
 
     /// The density for light that goes down with the cosine μ and a walk that arrives with the cosine u, averaged over
-    /// the azimuth between them, in 1/sr. With the cosine of the angle uμ + √((1 − u²)(1 − μ²)) cos φ it is
+    /// the azimuth between them, in 1/sr. With the cosine of the angle uμ + √((1 − u²)(1 − μ²)) cos φ it is, for a lobe,
     ///
     /// (1 − g²)/(4π) · (2/π) E(m)/((a − b) √(a + b)), a = 1 + g² − 2guμ, b = 2|g| √((1 − u²)(1 − μ²)), m = 2b/(a + b),
     ///
     /// E being the complete elliptic integral (Gradshteyn and Ryzhik 2.575).
-    pub fn azimuthal_mean(self, u: f64, mu: f64) -> f64 {
-        let g = self.g;
-        let a = 1.0 + g * g - 2.0 * g * u * mu;
-        let b = 2.0 * g.abs() * ((1.0 - u * u).max(0.0) * (1.0 - mu * mu).max(0.0)).sqrt();
-        let sum = a + b;
-        (1.0 - g * g) / (4.0 * PI) * elliptic(2.0 * b / sum) / ((a - b) * sum.sqrt())
+    pub fn azimuthal_mean(&self, u: f64, mu: f64) -> f64 {
+        let across = ((1.0 - u * u).max(0.0) * (1.0 - mu * mu).max(0.0)).sqrt();
+        let lobe = |g: f64| {
+            let a = 1.0 + g * g - 2.0 * g * u * mu;
+            let b = 2.0 * g.abs() * across;
+            let sum = a + b;
+            (1.0 - g * g) / (4.0 * PI) * elliptic(2.0 * b / sum) / ((a - b) * sum.sqrt())
+        };
+        match self {
+            Self::Lobes { first, second } => mixed(*first, *second, lobe),
+            Self::Table(table) => table.azimuthal_mean(u * mu, across),
+        }
     }
+}
+
+/// (1 − b) f(g₁) + b f(g₂).
+fn mixed(first: f64, second: SecondLobe, of_lobe: impl Fn(f64) -> f64) -> f64 {
+    if second.weight == 0.0 {
+        return of_lobe(first);
+    }
+    (1.0 - second.weight) * of_lobe(first) + second.weight * of_lobe(second.g)
 }
 
 /// (2/π) E(m), by the arithmetic–geometric mean (Abramowitz and Stegun 17.6).
@@ -97,41 +257,4 @@ fn elliptic(m: f64) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const GS: [f64; 8] = [-0.9, -0.3, 0.0, 1e-4, 0.4, 0.8, 0.95, 0.97];
-
-    #[test]
-    fn density_integrates_to_one_over_the_sphere() {
-        for g in GS {
-            let phase = PhaseFunction::new(g).unwrap();
-            let n = 2_000_000;
-            let sum: f64 =
-                (0..n).map(|i| phase.density(-1.0 + (f64::from(i) + 0.5) * 2.0 / f64::from(n))).sum();
-            let integral = sum * 2.0 / f64::from(n) * std::f64::consts::TAU;
-            assert!((integral - 1.0).abs() < 1e-6, "g {g}: {integral}");
-        }
-    }
-
-    /// The trapezoidal rule over the azimuth converges faster than any power.
-    #[test]
-    fn azimuthal_mean_matches_the_density() {
-        for g in GS.into_iter().filter(|g| *g < 0.96) {
-            let phase = PhaseFunction::new(g).unwrap();
-            for u in [-1.0, -0.7, -0.1, 0.3, 0.9, 1.0] {
-                for mu in [0.05, 0.5, 0.88, 1.0_f64] {
-                    let n = 20_000;
-                    let at = |i: i32| {
-                        let phi = 2.0 * PI * f64::from(i) / f64::from(n);
-                        let across = ((1.0 - u * u) * (1.0 - mu * mu)).sqrt();
-                        phase.density(u * mu + across * phi.cos())
-                    };
-                    let mean = (0..n).map(at).sum::<f64>() / f64::from(n);
-                    let found = phase.azimuthal_mean(u, mu);
-                    assert!((found / mean - 1.0).abs() < 1e-10, "g {g}, u {u}, μ {mu}: {found}, not {mean}");
-                }
-            }
-        }
-    }
-}
+mod tests;

@@ -8,6 +8,7 @@ mod priors;
 
 use crate::invalid::{Invalid, Result, check};
 use crate::medium::{check_ior, check_thickness};
+use crate::phase::PhaseShape;
 pub use differences::SceneDifference;
 pub use priors::{MAX_PRIORS, Prior, PriorKind, Scope};
 
@@ -234,6 +235,7 @@ pub struct Scene {
     sensor: Sensor,
     multiple_scattering: bool,
     sample_ior_offset: f64,
+    phase: PhaseShape,
     priors: Vec<Prior>,
 }
 
@@ -259,8 +261,8 @@ impl Scene {
             ));
         }
         check_channels(&channels)?;
-        let (sample_ior_offset, priors) = (0.0, Vec::new());
-        Ok(Self { layers, channels, light, sensor, multiple_scattering, sample_ior_offset, priors })
+        let (sample_ior_offset, phase, priors) = (0.0, PhaseShape::default(), Vec::new());
+        Ok(Self { layers, channels, light, sensor, multiple_scattering, sample_ior_offset, phase, priors })
     }
 
     /// Index of the channel that models an error of the white reference of this one.
@@ -299,6 +301,17 @@ impl Scene {
     #[must_use]
     pub fn with_sample_ior_offset(self, sample_ior_offset: f64) -> Self {
         Self { sample_ior_offset, ..self }
+    }
+
+    /// The scene with another shape of the sample's phase function.
+    #[must_use]
+    pub fn with_phase(self, phase: PhaseShape) -> Self {
+        Self { phase, ..self }
+    }
+
+    /// The shape of the sample's phase function; its mean cosine is that of the transport point.
+    pub fn phase(&self) -> &PhaseShape {
+        &self.phase
     }
 
     /// Offset of the sample's refractive index from that of the transport point.

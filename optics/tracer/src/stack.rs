@@ -68,7 +68,8 @@ impl Stack {
             thickness,
             iors,
             sample,
-            phase: PhaseSampler::new(point.phase()),
+            // Jobs are refused whose g is none of the scene's phase function.
+            phase: PhaseSampler::new(&scene.phase().function_near(point.g())),
             sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
             ring_sin2: [inner, outer],
             multiple_scattering: scene.multiple_scattering(),

@@ -88,7 +88,7 @@ struct Wavefront<'a, S: Simd> {
     stack: &'a Stack,
     chunk: Chunk,
     random: Philox<S>,
-    sample: FlightSample,
+    sample: FlightSample<'a>,
     gates: Vec<WalkGate>,
     at: &'a mut Places,
     /// Gates below and above the sample.

@@ -1,10 +1,13 @@
 //! Converts scenes, grids, points, profiles and records.
 
+use std::sync::Arc;
+
 use super::mirror::{Numbered, mirror, mirror_enum, required};
 use crate::wire;
 use optics_model::grid::{Axes, Effort, Grid, NoiseLevel, Quality, Responses, Variant, Walks};
 use optics_model::invalid::{Invalid, Result, each};
 use optics_model::medium::{Medium, TransportPoint};
+use optics_model::phase::{PhaseShape, PhaseTable, SecondLobe};
 use optics_model::profile::{Derivatives, Estimate, Profile, Record};
 use optics_model::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
 
@@ -17,7 +20,7 @@ impl From<&Scene> for wire::Scene {
                 LayerMedium::Clear { ior, thickness_mm } => {
                     wire::layer::Medium::Clear(wire::ClearMedium { ior, thickness_mm })
                 }
-                LayerMedium::Sample => wire::layer::Medium::Sample(wire::SampleMedium {}),
+                LayerMedium::Sample => wire::layer::Medium::Sample(scene.phase().into()),
             }),
         };
         let (light, sensor) = (scene.light(), scene.sensor());
@@ -33,6 +36,29 @@ impl From<&Scene> for wire::Scene {
             multiple_scattering: scene.multiple_scattering(),
             sample_ior_offset: scene.sample_ior_offset(),
             priors: scene.priors().iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl From<&PhaseShape> for wire::SampleMedium {
+    fn from(phase: &PhaseShape) -> Self {
+        let second = phase.second_lobe().unwrap_or_default();
+        let table = phase.table().map(|table| wire::PhaseTable {
+            angle_deg: table.angle_deg().to_vec(),
+            value: table.value().to_vec(),
+        });
+        Self { second_lobe_weight: second.weight(), second_lobe_g: second.g(), table }
+    }
+}
+
+impl TryFrom<&wire::SampleMedium> for PhaseShape {
+    type Error = Invalid;
+
+    fn try_from(sample: &wire::SampleMedium) -> Result<Self> {
+        match &sample.table {
+            Some(table) => PhaseTable::new(table.angle_deg.clone(), table.value.clone())
+                .map(|table| Self::Table(Arc::new(table))),
+            None => SecondLobe::new(sample.second_lobe_weight, sample.second_lobe_g).map(Self::Lobes),
         }
     }
 }
@@ -99,6 +125,11 @@ impl TryFrom<wire::Scene> for Scene {
             wire::layer::Medium::Clear(c) => Layer::clear(l.name, c.ior, c.thickness_mm, l.roughness),
             wire::layer::Medium::Sample(_) => Layer::sample(l.name, l.roughness),
         };
+        let phase = |l: &wire::Layer| match &l.medium {
+            Some(wire::layer::Medium::Sample(sample)) => Some(PhaseShape::try_from(sample)),
+            _ => None,
+        };
+        let phase = scene.layers.iter().find_map(phase).transpose()?.unwrap_or_default();
         let light = required("light", scene.light)?;
         let sensor = required("sensor", scene.sensor)?;
         if !scene.sample_ior_offset.is_finite() {
@@ -115,7 +146,7 @@ impl TryFrom<wire::Scene> for Scene {
             Sensor::new(sensor.width_mm, sensor.pixels, sensor.polar_deg).map_err(|e| e.within("sensor"))?,
             scene.multiple_scattering,
         )?;
-        let exact = exact.with_sample_ior_offset(scene.sample_ior_offset);
+        let exact = exact.with_sample_ior_offset(scene.sample_ior_offset).with_phase(phase);
         exact.with_priors(each("priors", scene.priors, Prior::try_from)?)
     }
 }
@@ -195,7 +226,15 @@ fn effort(walks: u64, noise: i32) -> Result<Effort> {
 mirror!(TransportPoint::new(sigma_t_per_mm, g, thickness_mm, sample_ior));
 mirror!(Medium::new(sigma_t_per_mm, albedo, g));
 mirror_enum!(NoiseLevel { Draft, Paper, Fine });
-mirror_enum!(PriorKind { Roughness, Index, Thickness, RingAngle, SensorAngle });
+mirror_enum!(PriorKind {
+    Roughness,
+    Index,
+    Thickness,
+    RingAngle,
+    SensorAngle,
+    SecondLobeWeight,
+    SecondLobeG
+});
 mirror_enum!(Scope { Session, Slab, Material });
 
 impl From<Estimate> for wire::Estimate {
@@ -259,7 +298,11 @@ mod tests {
         let (scene, axes) = (Scene::lab(), paper.axes().clone());
         let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap();
         let lab = Grid::new(scene, axes, NoiseLevel::Draft, 1, false).unwrap();
-        for grid in [paper, lab.with_responses(responses.unwrap()).unwrap()] {
+        let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
+        let tabulated = Axes { g: vec![table.mean_cosine()], ..paper.axes().clone() };
+        let scene = Scene::paper().with_phase(PhaseShape::Table(Arc::new(table)));
+        let tabulated = Grid::new(scene, tabulated, NoiseLevel::Draft, 1, false).unwrap();
+        for grid in [paper, tabulated, lab.with_responses(responses.unwrap()).unwrap()] {
             assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
         }
     }
@@ -276,7 +319,17 @@ mod tests {
             sample_ior: vec![1.5],
         };
         let smooth = Grid::new(Scene::smooth(), axes, Walks::new(5000).unwrap(), u64::MAX, true).unwrap();
-        for grid in [Grid::paper(), smooth.clone(), smooth.with_quality(quality).unwrap()] {
+        let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
+        let paper = Grid::paper();
+        let with_phase = |phase: PhaseShape, g: f64| {
+            let axes = Axes { g: vec![g], ..paper.axes().clone() };
+            Grid::new(Scene::paper().with_phase(phase), axes, NoiseLevel::Draft, 1, false).unwrap()
+        };
+        let lobes = with_phase(PhaseShape::Lobes(SecondLobe::new(0.1, -0.5).unwrap()), 0.4);
+        let mean_cosine = table.mean_cosine();
+        let tabulated = with_phase(PhaseShape::Table(Arc::new(table)), mean_cosine);
+        let exact = smooth.clone().with_quality(quality).unwrap();
+        for grid in [paper.clone(), smooth, exact, lobes, tabulated] {
             let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
             hasher.update(&PHYSICS_VERSION.to_le_bytes());
             hasher.update(&wire::Grid::from(&grid).encode_to_vec());

@@ -2,7 +2,7 @@
 //!
 //! A model is a sum of powers of the coordinate, and of shapes that profiles are known to have along the axis.
 
-use optics_model::phase::PhaseFunction;
+use optics_model::phase::PhaseShape;
 
 use crate::bases::orthonormal;
 
@@ -53,15 +53,15 @@ impl Direction {
 const BACKWARDS: [f64; 2] = [-1.0, -0.6];
 
 /// Dependence of light that is scattered once on y = ln(1 − g): 4π p(cos θ) of the phase function with that g.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct BackscatterShape {
-    phase: PhaseFunction,
+    phase: PhaseShape,
     cosine: f64,
 }
 
 impl BackscatterShape {
-    fn at(self, y: f64) -> f64 {
-        self.phase.at_ln_one_minus_g(y).over_isotropic(self.cosine)
+    fn at(&self, y: f64) -> f64 {
+        self.phase.function_near(1.0 - y.exp()).over_isotropic(self.cosine)
     }
 }
 
@@ -94,16 +94,16 @@ impl LocalAxis {
         Self { nodes, powers, shapes: Vec::new(), half_width }
     }
 
-    /// Models along ln(1 − g) that have the shapes of backscattered light, too, as far as there are nodes for them. The g
-    /// of `phase` is not used.
-    pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: PhaseFunction) -> Self {
+    /// Models along ln(1 − g) that have the shapes of backscattered light, too, as far as there are nodes for them.
+    pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: PhaseShape) -> Self {
         let half_width = half_width(&nodes, reach);
         let (powers, room) = match nodes.len() {
             n @ 1..5 => (n, 0),
             7.. if half_width >= 3.5 => (3, BACKWARDS.len()),
             _ => (3, 1),
         };
-        let shapes = BACKWARDS[..room].iter().map(|&cosine| BackscatterShape { phase, cosine }).collect();
+        let shape = |&cosine: &f64| BackscatterShape { phase: phase.clone(), cosine };
+        let shapes = BACKWARDS[..room].iter().map(shape).collect();
         Self { nodes, powers, shapes, half_width }
     }
 
@@ -211,10 +211,12 @@ fn half_width(nodes: &[f64], reach: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::phase::PhaseFunction;
+
     use super::*;
 
-    fn phase(g: f64) -> PhaseFunction {
-        PhaseFunction::new(g).unwrap()
+    fn shape(cosine: f64) -> BackscatterShape {
+        BackscatterShape { phase: PhaseShape::default(), cosine }
     }
 
     /// The tracer samples the same function, and scores with its azimuthal mean.
@@ -222,8 +224,9 @@ mod tests {
     fn shapes_are_densities_of_the_phase_function() {
         for cosine in BACKWARDS {
             for g in [0.0_f64, 0.3, 0.6, 0.9] {
-                let density = 4.0 * std::f64::consts::PI * phase(g).density(cosine);
-                let shape = BackscatterShape { phase: phase(0.1), cosine }.at((1.0 - g).ln());
+                let phase = PhaseFunction::henyey_greenstein(g).unwrap();
+                let density = 4.0 * std::f64::consts::PI * phase.density(cosine);
+                let shape = shape(cosine).at((1.0 - g).ln());
                 assert!((shape / density - 1.0).abs() < 1e-12, "g {g}, cosine {cosine}");
             }
         }
@@ -280,7 +283,7 @@ mod tests {
     fn single_and_diffuse_scattering_is_recovered() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];
         let nodes: Vec<f64> = g.iter().map(|g: &f64| (1.0 - g).ln()).collect();
-        let axis = LocalAxis::along_g(nodes, 1.0, phase(0.0));
+        let axis = LocalAxis::along_g(nodes, 1.0, PhaseShape::default());
         let diffuse = |y: f64, depth: f64| 1.0 / (1.0 + depth * y.exp());
         for g in [0.0, 0.03, 0.13, 0.25, 0.4, 0.52, 0.65, 0.75, 0.8] {
             let y = f64::ln(1.0 - g);
@@ -290,10 +293,7 @@ mod tests {
                 (sum / f(y) - 1.0).abs()
             };
             for cosine in [-1.0, -0.85, -0.7, -0.6] {
-                assert!(
-                    off(&|y| BackscatterShape { phase: phase(0.0), cosine }.at(y)) < 2e-3,
-                    "g {g}, cosine {cosine}"
-                );
+                assert!(off(&|y| shape(cosine).at(y)) < 2e-3, "g {g}, cosine {cosine}");
             }
             for depth in [0.5, 2.0, 8.0, 30.0] {
                 assert!(off(&|y| diffuse(y, depth)) < 2e-3, "g {g}, depth {depth}");
@@ -305,7 +305,7 @@ mod tests {
     fn axes() -> Vec<LocalAxis> {
         let anisotropies = |n: usize, from: f64, to: f64| {
             let g = |i: usize| from + (to - from) * i as f64 / (n - 1) as f64;
-            LocalAxis::along_g((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, phase(0.0))
+            LocalAxis::along_g((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, PhaseShape::default())
         };
         let powers = [5, 9, 38].map(|n| LocalAxis::new(nodes(n), 0.75));
         let shapes = [2, 4, 5, 6, 9, 11, 25].map(|n| anisotropies(n, 0.0, 0.8));

@@ -5,7 +5,10 @@ mod numbers;
 
 use serde::{Deserialize, Serialize};
 
+use std::sync::Arc;
+
 use crate::invalid::{Invalid, Result};
+use crate::phase::{PhaseShape, PhaseTable, SecondLobe};
 use crate::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Sensor};
 use numbers::{LayerNumber, UncertainNumber, default_scope, priors, resolved};
 
@@ -65,6 +68,23 @@ pub struct LayerTable {
     /// GGX α of the upper face, or the name of the layer with the same value: the sample's name, for its lower face.
     #[serde(default)]
     pub roughness: LayerNumber,
+    /// Weight b of the second lobe of the sample's phase function; 0 if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_lobe_weight: Option<LayerNumber>,
+    /// Anisotropy g₂ of the second lobe; 0 if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_lobe_g: Option<LayerNumber>,
+    /// The sample's phase function as a table, in place of lobes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub phase_function: Option<PhaseTableFile>,
+}
+
+/// A phase function by the scattering angle; the values may have any unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhaseTableFile {
+    pub angle_deg: Vec<f64>,
+    pub value: Vec<f64>,
 }
 
 impl TryFrom<SceneFile> for Scene {
@@ -91,12 +111,14 @@ impl TryFrom<SceneFile> for Scene {
         };
         let tables = resolved(file.layers)?;
         let layers = crate::invalid::each("layer", &tables, layer)?;
+        let phases = crate::invalid::each("layer", &tables, phase)?;
         let scene = Scene::new(layers, channels, light, sensor, file.multiple_scattering);
         // The keys in a file are `[[layer]]` and `[[channel]]`.
         let scene = scene.map_err(|e| {
             let field = e.field().replacen("layers", "layer", 1).replacen("channels", "channel", 1);
             e.renamed(field)
         })?;
+        let scene = scene.with_phase(phases.into_iter().flatten().next().unwrap_or_default());
         let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, &angles)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
             // A file has no list of priors: the error names the key of the standard error instead.
@@ -114,6 +136,8 @@ impl LayerTable {
             PriorKind::Roughness => Some(&self.roughness),
             PriorKind::Thickness => self.thickness_mm.as_ref(),
             PriorKind::Index => self.ior.as_ref(),
+            PriorKind::SecondLobeWeight => self.second_lobe_weight.as_ref(),
+            PriorKind::SecondLobeG => self.second_lobe_g.as_ref(),
             PriorKind::RingAngle | PriorKind::SensorAngle => None,
         }
     }
@@ -141,7 +165,7 @@ fn layer(table: &LayerTable) -> Result<Layer> {
             )
         })
     };
-    let LayerTable { name, sample, ior, thickness_mm, roughness } = table;
+    let LayerTable { name, sample, ior, thickness_mm, roughness, .. } = table;
     let roughness = needed("roughness", Some(roughness))?;
     if !sample {
         let (ior, thickness_mm) =
@@ -154,6 +178,40 @@ fn layer(table: &LayerTable) -> Result<Layer> {
         return Err(Invalid::new("sample", "true with ior or thickness_mm", allowed));
     }
     Layer::sample(name, roughness)
+}
+
+/// The shape of the phase function, if a layer has one.
+fn phase(table: &LayerTable) -> Result<Option<PhaseShape>> {
+    let lobes = [
+        ("second_lobe_weight", table.second_lobe_weight.as_ref()),
+        ("second_lobe_g", table.second_lobe_g.as_ref()),
+    ];
+    let first = lobes.iter().find(|(_, number)| number.is_some()).map(|(field, _)| *field);
+    let first = first.or(table.phase_function.as_ref().map(|_| "phase_function"));
+    let Some(first) = first else { return Ok(None) };
+    if !table.sample {
+        let given = format!("a number of {}", table.name);
+        return Err(Invalid::new(first, given, "the sample alone has a phase function"));
+    }
+    if let Some(tabulated) = &table.phase_function {
+        if first != "phase_function" {
+            return Err(Invalid::new(
+                first,
+                "given with phase_function",
+                "a table has no lobes: give one of them",
+            ));
+        }
+        let tabulated = PhaseTable::new(tabulated.angle_deg.clone(), tabulated.value.clone())?;
+        return Ok(Some(PhaseShape::Table(Arc::new(tabulated))));
+    }
+    let value = |(field, number): (&str, Option<&LayerNumber>)| match number {
+        None => Ok(0.0),
+        Some(number) => number.value().ok_or_else(|| {
+            Invalid::new(field, "no number", "a number is needed, or a table with value and std_error")
+        }),
+    };
+    let [weight, g] = lobes;
+    Ok(Some(PhaseShape::Lobes(SecondLobe::new(value(weight)?, value(g)?)?)))
 }
 
 impl From<&Scene> for SceneFile {
@@ -175,12 +233,21 @@ impl From<&Scene> for SceneFile {
                 None => value.map(LayerNumber::Exact),
             }
         };
+        // Plain Henyey–Greenstein needs no second lobe.
+        let of_lobe = |kind: PriorKind, layer: usize| {
+            number(kind, layer).filter(|_| *scene.phase() != PhaseShape::default())
+        };
+        let table =
+            |t: &PhaseTable| PhaseTableFile { angle_deg: t.angle_deg().to_vec(), value: t.value().to_vec() };
         let layers = scene.layers().iter().enumerate().map(|(i, l)| LayerTable {
             name: l.name().to_owned(),
             sample: l.medium() == LayerMedium::Sample,
             ior: number(PriorKind::Index, i),
             thickness_mm: number(PriorKind::Thickness, i),
             roughness: number(PriorKind::Roughness, i).unwrap_or_default(),
+            second_lobe_weight: of_lobe(PriorKind::SecondLobeWeight, i),
+            second_lobe_g: of_lobe(PriorKind::SecondLobeG, i),
+            phase_function: scene.phase().table().filter(|_| l.medium() == LayerMedium::Sample).map(table),
         });
         let channels = scene.channels().iter().map(|c| ChannelTable {
             name: c.name().to_owned(),

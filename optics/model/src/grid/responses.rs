@@ -100,7 +100,8 @@ impl Responses {
                 .map_err(at)?;
             scene.varied(prior, variant.step, variant.channels.clone()).map(Arc::new).map_err(at)
         };
-        let scenes = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
+        let scenes: Vec<Arc<Scene>> = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
+        let g = spread_anisotropies(&axes.g, &scenes)?;
         let redraws = |variant: &Variant| scene.priors()[variant.prior].kind().redraws_walks();
         Ok(Self {
             by_baseline: variants.iter().map(|variant| walks_factor > 1 && redraws(variant)).collect(),
@@ -108,7 +109,7 @@ impl Responses {
             variants,
             scenes,
             sigma_t: spread_extinctions(&axes.sigma_t_per_mm),
-            g: spread_anisotropies(&axes.g),
+            g,
         })
     }
 
@@ -160,10 +161,19 @@ fn spread_extinctions(axis: &[f64]) -> Vec<usize> {
     spread(&logs, span.round() as usize + 1)
 }
 
-/// The nodes next to evenly spread ln(1 − g), both ends included.
-fn spread_anisotropies(axis: &[f64]) -> Vec<usize> {
-    let logs: Vec<f64> = axis.iter().map(|v| -(1.0 - v).ln()).collect();
-    spread(&logs, MOST_G)
+/// The nodes next to evenly spread ln(1 − g), both ends included, among those that are possible in all scenes: a heavy
+/// second lobe excludes large mean cosines.
+fn spread_anisotropies(axis: &[f64], scenes: &[Arc<Scene>]) -> Result<Vec<usize>> {
+    let in_scenes = |g: &f64| scenes.iter().try_for_each(|s| s.phase().function(*g).map(|_| ()));
+    let possible: Vec<usize> = (0..axis.len()).filter(|i| in_scenes(&axis[*i]).is_ok()).collect();
+    if possible.is_empty() {
+        in_scenes(&axis[0]).map_err(|e| {
+            let allowed = format!("the response of the second lobe would be traced there: {}", e.allowed());
+            Invalid::new("g", e.given(), allowed)
+        })?;
+    }
+    let logs: Vec<f64> = possible.iter().map(|i| -(1.0 - axis[*i]).ln()).collect();
+    Ok(spread(&logs, MOST_G).into_iter().map(|i| possible[i]).collect())
 }
 
 /// Indices of the rising nodes that are nearest to `count` evenly spread places, each once.
@@ -201,9 +211,9 @@ mod tests {
         let sigma_t: Vec<f64> = responses.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i]).collect();
         assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
         assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
-        assert_eq!(responses.variants().len(), 14);
+        assert_eq!(responses.variants().len(), 16);
         // The variants and the baseline.
-        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 15 * 6 * 3 * 2));
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 17 * 6 * 3 * 2));
         assert_eq!(spread(&[1.0], 3), [0]);
         assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
     }
@@ -227,9 +237,9 @@ mod tests {
             assert_eq!(grid.response_job(place.variant, place.nominal_job), Some(job));
             assert!(seen.insert((place.variant, place.nominal_job)), "each once");
         }
-        // Roughnesses and indices, and the baseline.
-        let more = (0..14).filter(|v| responses.is_by_baseline(*v)).count();
-        assert_eq!((more, seen.len()), (10, 15 * 36));
+        // Roughnesses, indices and the second lobe, and the baseline.
+        let more = (0..16).filter(|v| responses.is_by_baseline(*v)).count();
+        assert_eq!((more, seen.len()), (12, 17 * 36));
         assert_eq!(grid.response_of(5), None);
         assert_eq!(
             grid.response_job(Some(0), grid.job_at(&grid.point(3)).unwrap()),
@@ -247,13 +257,31 @@ mod tests {
         };
         let plain = Grid { responses: None, ..grid.clone() };
         let single = plain.with_responses(with_factor(1).unwrap()).unwrap();
-        assert_eq!(single.job_count(), 836 + 14 * 36);
+        assert_eq!(single.job_count(), 836 + 16 * 36);
         assert!((836..single.job_count()).all(|job| single.walks_of(job).get() == 1000));
         assert_eq!(single.response_job(None, 0), None);
         for bad in [0, 101] {
             let error = with_factor(bad).unwrap_err().to_string();
             assert!(error.ends_with("is not valid: allowed are 1 to 100"), "{error}");
         }
+    }
+
+    /// Responses are traced at the anisotropies that are possible with the heaviest second lobe.
+    #[test]
+    fn heavy_second_lobe_limits_the_nodes() {
+        let (scene, mut axes) = (Scene::lab(), Grid::paper().axes().clone());
+        let nodes = |axes: &Axes| {
+            let responses = Responses::of(&scene, axes, |s| Ok(s.channels().to_vec())).unwrap().unwrap();
+            responses.g().iter().map(|i| axes.g[*i]).collect::<Vec<_>>()
+        };
+        axes.g = vec![0.0, 0.3, 0.5, 0.8, 0.85, 0.9];
+        assert_eq!(nodes(&axes), [0.0, 0.5, 0.8]);
+        axes.g = vec![0.9];
+        let error = Responses::of(&scene, &axes, |s| Ok(s.channels().to_vec())).unwrap_err().to_string();
+        assert!(error.starts_with("g = 0.9 is not valid: the response of the second lobe"), "{error}");
+        axes.g = vec![0.0, 0.95];
+        let error = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap_err().to_string();
+        assert!(error.starts_with("g[1] = 0.95 is not valid: with a second lobe of weight 0.05"), "{error}");
     }
 
     /// Variants of another prior are refused, and so is a varied scene that is out of range.

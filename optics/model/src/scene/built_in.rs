@@ -2,6 +2,7 @@
 
 use super::{Channel, Layer, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
 use crate::invalid::Result;
+use crate::phase::{PhaseShape, SecondLobe};
 
 impl Scene {
     /// Names of the built-in scenes.
@@ -29,10 +30,10 @@ impl Scene {
         Self::built_in(layers)
     }
 
-    /// The set-up of the paper in a real laboratory: surfaces lose no light, and numbers that are rarely measured are
-    /// uncertain.
+    /// The set-up of the paper in a real laboratory: surfaces lose no light, pigments scatter some light back in a second
+    /// lobe, and numbers that are rarely measured are uncertain.
     pub fn lab() -> Self {
-        use PriorKind::{Index, RingAngle, Roughness, Thickness};
+        use PriorKind::{Index, RingAngle, Roughness, SecondLobeWeight, Thickness};
         use Scope::{Material, Session, Slab};
         let [slip, gels, sample, faces, coat] = [vec![0], vec![1, 3], vec![2], vec![2, 3], vec![4]];
         let priors = [
@@ -41,13 +42,15 @@ impl Scene {
             (Thickness, slip, 0.02, Session),
             (Thickness, gels.clone(), 0.02, Slab),
             (Index, gels, 0.01, Session),
-            (Index, sample, 0.01, Material),
+            (Index, sample.clone(), 0.01, Material),
             (Index, coat, 0.03, Session),
+            (SecondLobeWeight, sample, 0.05, Material),
             (RingAngle, Vec::new(), 1.0, Session),
         ];
         let prior = |(kind, layers, sd, scope)| Prior::new(kind, layers, sd, scope);
         let priors = priors.into_iter().map(prior).collect::<Result<_>>();
-        let scene = Self::paper().with_multiple_scattering(true);
+        let second_lobe = SecondLobe::new(0.05, -0.5).expect("both are in range");
+        let scene = Self::paper().with_multiple_scattering(true).with_phase(PhaseShape::Lobes(second_lobe));
         priors.and_then(|priors| scene.with_priors(priors)).expect("the built-in scenes are valid")
     }
 

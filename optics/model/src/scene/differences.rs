@@ -1,6 +1,7 @@
 //! Lists the quantities in which two scenes differ. Each value is a text with its prior.
 
 use super::{Channel, Layer, Prior, PriorKind, Scene, Scope};
+use crate::phase::PhaseTable;
 
 /// A quantity that has another value or another prior in another scene.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -30,10 +31,13 @@ impl Scene {
         let list = |names: Vec<&str>| names.join(", ");
         let layers = list(self.layers.iter().map(Layer::name).collect());
         let channels = list(self.channels.iter().map(Channel::name).collect());
+        let phase = |table: &PhaseTable| format!("tabulated, mean cosine {:.4}", table.mean_cosine());
+        let phase = self.phase.table().map_or_else(|| "lobes".to_owned(), phase);
         let kept = if self.multiple_scattering { "kept" } else { "lost" };
         let ring = format!("{}…{}", self.light.inner_deg(), self.light.outer_deg());
         let mut all = vec![
             ("layers".to_owned(), layers),
+            ("phase function".to_owned(), phase),
             ("light scattered repeatedly by rough surfaces".to_owned(), kept.to_owned()),
             ("ring".to_owned(), self.with_prior(PriorKind::RingAngle, None, &ring)),
         ];

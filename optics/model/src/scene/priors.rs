@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::invalid::{Invalid, Result};
+use crate::phase::{MOST_SECOND_WEIGHT, PhaseShape, SecondLobe};
 
 /// Most uncertain quantities of a scene.
 pub const MAX_PRIORS: usize = 32;
@@ -23,14 +24,26 @@ pub enum PriorKind {
     RingAngle,
     /// Polar angle of the viewing direction in degrees.
     SensorAngle,
+    /// Weight b of the second lobe of the sample's phase function, whose mean cosine stays the same.
+    SecondLobeWeight,
+    /// Anisotropy g₂ of the second lobe.
+    SecondLobeG,
 }
 
 impl PriorKind {
-    pub const ALL: [Self; 5] =
-        [Self::Roughness, Self::Index, Self::Thickness, Self::RingAngle, Self::SensorAngle];
+    pub const ALL: [Self; 7] = [
+        Self::Roughness,
+        Self::Index,
+        Self::Thickness,
+        Self::RingAngle,
+        Self::SensorAngle,
+        Self::SecondLobeWeight,
+        Self::SecondLobeG,
+    ];
 
     /// Numbers of layers, not of light or sensor, in the order of their priors in a scene file.
-    pub(crate) const OF_LAYERS: [Self; 3] = [Self::Roughness, Self::Thickness, Self::Index];
+    pub(crate) const OF_LAYERS: [Self; 5] =
+        [Self::Roughness, Self::Thickness, Self::Index, Self::SecondLobeWeight, Self::SecondLobeG];
 
     /// Name, unit, and key in a scene file.
     const fn row(self) -> [&'static str; 3] {
@@ -40,6 +53,8 @@ impl PriorKind {
             Self::Thickness => ["thickness", "mm", "thickness_mm"],
             Self::RingAngle => ["ring angle", "°", "light.std_error_deg"],
             Self::SensorAngle => ["sensor angle", "°", "sensor.std_error_deg"],
+            Self::SecondLobeWeight => ["second lobe weight", "", "second_lobe_weight"],
+            Self::SecondLobeG => ["second lobe g", "", "second_lobe_g"],
         }
     }
 
@@ -61,7 +76,12 @@ impl PriorKind {
     /// Whether a walk takes another course when the quantity has another value. Quantities that only shift walks or
     /// change their light leave the course unchanged, and differences have little noise.
     pub fn redraws_walks(self) -> bool {
-        matches!(self, Self::Roughness | Self::Index)
+        matches!(self, Self::Roughness | Self::Index) || self.is_of_phase()
+    }
+
+    /// Whether it is a number of the sample's phase function.
+    pub fn is_of_phase(self) -> bool {
+        matches!(self, Self::SecondLobeWeight | Self::SecondLobeG)
     }
 }
 
@@ -145,7 +165,9 @@ impl Prior {
         const LEAST: f64 = 0.25;
         let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
         match self.kind {
-            PriorKind::Thickness if value == 0.0 => vec![sd, 2.5 * sd],
+            PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
+            // A higher weight would leave too little of the first lobe where the mean cosine is large.
+            PriorKind::SecondLobeWeight => vec![-(2.0 * sd).min(value), 1.4 * sd],
             PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
                 // The responses hold over a wider range of thickness than of roughness.
                 let most =
@@ -173,6 +195,10 @@ impl Prior {
         const FAR: f64 = 5.0;
         match (self.kind, &self.steps(scene)[..]) {
             (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
+            (PriorKind::SecondLobeWeight, _) => {
+                let value = scene.value_of(self).unwrap_or_default();
+                (-value, (FAR * self.std_error).min(MOST_SECOND_WEIGHT - value))
+            }
             _ => (-FAR * self.std_error, FAR * self.std_error),
         }
     }
@@ -227,6 +253,12 @@ impl Scene {
         match (kind, layer.map(Layer::medium)) {
             (PriorKind::RingAngle, _) => Some(0.5 * (self.light.inner_deg() + self.light.outer_deg())),
             (PriorKind::SensorAngle, _) => Some(self.sensor.polar_deg()),
+            (PriorKind::SecondLobeWeight, Some(LayerMedium::Sample)) => {
+                self.phase.second_lobe().map(SecondLobe::weight)
+            }
+            (PriorKind::SecondLobeG, Some(LayerMedium::Sample)) => {
+                self.phase.second_lobe().map(SecondLobe::g)
+            }
             (PriorKind::Roughness, _) => layer.map(Layer::roughness),
             (PriorKind::Index, Some(LayerMedium::Clear { ior, .. })) => Some(ior),
             (PriorKind::Thickness, Some(LayerMedium::Clear { thickness_mm, .. })) => Some(thickness_mm),
@@ -246,6 +278,17 @@ impl Scene {
         if sample && prior.kind == PriorKind::Thickness {
             let allowed = "that of the sample is thickness_std_error_mm of a measurement";
             return Err(Invalid::new("layers", "the thickness of the sample", allowed));
+        }
+        if prior.kind.is_of_phase() && prior.layers != [self.sample_layer()] {
+            return Err(Invalid::new(
+                "layers",
+                format!("{:?}", prior.layers),
+                "the sample alone has a phase function",
+            ));
+        }
+        if prior.kind.is_of_phase() && self.phase.second_lobe().is_none() {
+            let allowed = "a tabulated phase function has no second lobe";
+            return Err(Invalid::new("kind", prior.kind.name(), allowed));
         }
         let values: Vec<_> = prior.layers.iter().map(|l| self.number(prior.kind, Some(*l))).collect();
         if values.iter().any(|v| *v != values[0]) {
@@ -283,6 +326,13 @@ impl Scene {
             PriorKind::SensorAngle => {
                 let (width, pixels) = (self.sensor.width_mm(), self.sensor.pixels() as u32);
                 scene.sensor = Sensor::new(width, pixels, self.sensor.polar_deg() + step)?;
+            }
+            PriorKind::SecondLobeWeight | PriorKind::SecondLobeG => {
+                let second = self.phase.second_lobe().unwrap_or_default();
+                let by = |own| if prior.kind == own { step } else { 0.0 };
+                let weight = second.weight() + by(PriorKind::SecondLobeWeight);
+                let second = SecondLobe::new(weight, second.g() + by(PriorKind::SecondLobeG))?;
+                scene.phase = PhaseShape::Lobes(second);
             }
             kind => {
                 for layer in &prior.layers {

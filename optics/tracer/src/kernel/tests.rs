@@ -1,8 +1,10 @@
 //! Compares every kernel with the scalar one, walk by walk and bit by bit.
 
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use optics_model::TransportPoint;
+use optics_model::phase::{PhaseShape, PhaseTable, SecondLobe};
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
 
 use super::Kernel;
@@ -62,10 +64,25 @@ fn clear(ior: f64, thickness_mm: f64, roughness: f64) -> Layer {
     Layer::clear("clear", ior, thickness_mm, roughness).expect("valid")
 }
 
+/// The paper's scene with another phase function.
+fn with_phase(phase: PhaseShape) -> Scene {
+    Scene::paper().with_phase(phase)
+}
+
+fn two_lobes(weight: f64, g: f64) -> PhaseShape {
+    PhaseShape::Lobes(SecondLobe::new(weight, g).expect("valid"))
+}
+
+/// Values at 0°, 60° and 180°.
+fn table(values: [f64; 3]) -> PhaseTable {
+    PhaseTable::new(vec![0.0, 60.0, 180.0], values.to_vec()).expect("valid")
+}
+
 /// The paper's scene at the corners of its grid; scenes of the exact cases; stacks that begin or end with the sample,
-/// repeat rough faces, match indices, and follow rays on the microsurface.
+/// repeat rough faces, match indices, and follow rays on the microsurface; phase functions of two lobes and of a table.
 fn cases() -> Vec<(Scene, [f64; 4])> {
     let everything = [0.0, 90.0];
+    let table = Arc::new(table([5.0, 0.5, 1.0]));
     vec![
         (Scene::paper(), [1.0, 0.0, 0.25, 1.53]),
         (Scene::paper(), [20.0, 0.9, 1.0, 1.48]),
@@ -73,6 +90,9 @@ fn cases() -> Vec<(Scene, [f64; 4])> {
         (Scene::paper(), [0.01, -0.5, 0.1, 1.53]),
         (Scene::smooth(), [6.0, 0.4, 0.5, 1.53]),
         (Scene::paper().with_multiple_scattering(true), [6.0, 0.4, 0.5, 1.53]),
+        (with_phase(two_lobes(0.1, -0.5)), [6.0, 0.4, 0.5, 1.53]),
+        (with_phase(two_lobes(0.3, 0.6)), [20.0, -0.2, 1.0, 1.53]),
+        (with_phase(PhaseShape::Table(Arc::clone(&table))), [6.0, table.mean_cosine(), 0.5, 1.53]),
         (scene(vec![sample(0.0)], everything, 0.0), [5.0, 0.8, 0.5, 1.5]),
         (scene(vec![sample(0.0)], everything, 45.0), [5.0, 0.8, 0.5, 1.0]),
         (scene(vec![sample(0.3), clear(1.0, 1.0, 0.0)], everything, 20.0), [2.0, 0.75, 1.0, 1.3]),

@@ -1,5 +1,8 @@
 //! Compares the light with sums over its rays, and with exact cases.
 
+use std::sync::Arc;
+
+use optics_model::phase::{PhaseShape, PhaseTable, SecondLobe};
 use optics_model::{Scene, TransportPoint};
 
 use super::*;
@@ -24,14 +27,22 @@ fn exact(stack: &Stack, arrivals: &Arrivals, z: f64, u: f64) -> f64 {
 /// The table gives the sum of the rays.
 #[test]
 fn table_matches_the_sum_of_rays() {
-    for point in [
-        [1.0, 0.0, 0.25, 1.53],
-        [6.0, 0.4, 0.5, 1.53],
-        [20.0, 0.9, 1.0, 1.48],
-        [600.0, -0.5, 0.5, 1.53],
-        [2.0, 0.97, 0.5, 1.53],
+    let table = PhaseTable::new(vec![0.0, 30.0, 60.0, 180.0], vec![9.0, 2.0, 0.5, 1.0]).unwrap();
+    let mean = table.mean_cosine();
+    let table = PhaseShape::Table(Arc::new(table));
+    let lobes = |weight, g| PhaseShape::Lobes(SecondLobe::new(weight, g).unwrap());
+    for (phase, point) in [
+        (PhaseShape::default(), [1.0, 0.0, 0.25, 1.53]),
+        (PhaseShape::default(), [6.0, 0.4, 0.5, 1.53]),
+        (PhaseShape::default(), [20.0, 0.9, 1.0, 1.48]),
+        (PhaseShape::default(), [600.0, -0.5, 0.5, 1.53]),
+        (PhaseShape::default(), [2.0, 0.97, 0.5, 1.53]),
+        (lobes(0.1, -0.5), [6.0, 0.4, 0.5, 1.53]),
+        (lobes(0.25, -0.65), [6.0, 0.4, 0.5, 1.53]),
+        (lobes(0.12, -0.5), [20.0, 0.8, 0.5, 1.53]),
+        (table, [6.0, mean, 0.5, 1.53]),
     ] {
-        let stack = stack(&Scene::paper(), point);
+        let stack = stack(&Scene::paper().with_phase(phase), point);
         let (light, arrivals) = (Light::new(&stack, false), Arrivals::of(&stack));
         let thickness = point[0] * point[2];
         let brightest = exact(&stack, &arrivals, thickness, 1.0);

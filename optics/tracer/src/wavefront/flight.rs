@@ -11,15 +11,15 @@ use crate::stack::Stack;
 
 /// The properties of the sample that flights depend on.
 #[derive(Debug, Clone, Copy)]
-pub struct FlightSample {
+pub struct FlightSample<'a> {
     /// In mean free paths.
     thickness: f32,
-    phase: PhaseSampler,
+    phase: &'a PhaseSampler,
 }
 
-impl FlightSample {
-    pub fn new(stack: &Stack) -> Self {
-        Self { thickness: stack.thickness[stack.sample], phase: stack.phase }
+impl<'a> FlightSample<'a> {
+    pub fn new(stack: &'a Stack) -> Self {
+        Self { thickness: stack.thickness[stack.sample], phase: &stack.phase }
     }
 
     /// Two flights of the chosen lanes. A walk that would pass a face stays where the flight began; returned are the

@@ -5,10 +5,10 @@ use std::f32::consts::{LN_2, SQRT_2};
 
 use fearless_simd::{Bytes, ExtractToken, Select, Simd, SimdBase, SimdFloat, SimdInt, i32x16, u64x8};
 
-use super::lanes::{Floats, Mask, Words};
+use super::lanes::{Floats, Mask, WIDTH, Words};
 use crate::exits::Chunk;
 use crate::math::{COS_PI, LN, SIN_PI};
-use crate::phase::Lanes;
+use crate::phase::{Lanes, QUANTILES};
 use crate::rng::{MULTIPLIERS, ROUNDS, WEYL};
 
 /// Blocks of random numbers for the walks of a chunk.
@@ -137,6 +137,21 @@ impl<S: Simd> Lanes for Floats<S> {
     #[inline(always)]
     fn flip(self, by: Self) -> Self {
         flip_bits(self, by.bitcast::<Words<S>>() & 0x8000_0000)
+    }
+
+    #[inline(always)]
+    fn below(self, limit: f32, [below, beyond]: [f32; 2]) -> Self {
+        choose(self.simd_lt(limit), constant(self, below), constant(self, beyond))
+    }
+
+    #[inline(always)]
+    fn look_up(table: &[f32; QUANTILES], bits: Words<S>) -> Self {
+        let mut cosines = [0.0; WIDTH];
+        let places: [u32; WIDTH] = (bits >> 16).into();
+        for (cosine, place) in cosines.iter_mut().zip(places) {
+            *cosine = table[place as usize];
+        }
+        Self::from_slice(bits.token(), &cosines)
     }
 }
 

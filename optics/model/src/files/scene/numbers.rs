@@ -141,13 +141,14 @@ pub(super) fn priors(
     Ok(priors)
 }
 
-/// The scope of a prior by default: the material for the sample's roughness and index; the slab for the thickness of a
-/// layer that touches the sample, since it depends on how the slab was mounted; otherwise the session.
+/// The scope of a prior by default: the material for the sample's roughness, index and phase function; the slab for the
+/// thickness of a layer that touches the sample, since it depends on how the slab was mounted; otherwise the session.
 pub(super) fn default_scope(scene: &Scene, kind: PriorKind, layers: &[usize]) -> Scope {
     let sample = scene.sample_layer();
     match kind {
-        PriorKind::Roughness | PriorKind::Index if layers.contains(&sample) => Scope::Material,
         PriorKind::Thickness if layers.iter().any(|l| l.abs_diff(sample) == 1) => Scope::Slab,
+        PriorKind::Thickness => Scope::Session,
+        _ if layers.contains(&sample) => Scope::Material,
         _ => Scope::Session,
     }
 }
