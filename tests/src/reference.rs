@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use optics_model::phase::PhaseTable;
 
 pub fn data_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
@@ -73,6 +74,15 @@ pub fn uniform() -> Result<Vec<UniformRow>> {
             Ok(UniformRow { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, rho, radiance_factor })
         })
         .collect()
+}
+
+/// A phase function of Mie spheres: `tio2` or `carbon`.
+pub fn phase_table(name: &str) -> Result<PhaseTable> {
+    let mut reader =
+        csv::ReaderBuilder::new().comment(Some(b'#')).from_path(data_file(&format!("phase/{name}.csv")))?;
+    let rows: Vec<(f64, f64)> = reader.deserialize().collect::<Result<_, _>>()?;
+    let (angle_deg, value) = rows.into_iter().unzip();
+    Ok(PhaseTable::new(angle_deg, value)?)
 }
 
 /// An edge profile path-traced by Mitsuba in the scene `paper`.

@@ -32,9 +32,9 @@ pub struct EstimateRow {
 pub fn estimate_rows(fits: &[MaterialFit]) -> Vec<EstimateRow> {
     let mut all: BTreeMap<(&str, String), &SceneEstimate> = BTreeMap::new();
     for fit in fits {
-        let refined = fit.channels.iter().filter_map(|c| c.refined.as_ref());
-        for estimate in refined.flat_map(|r| &r.likelihood.scene) {
-            let of = shared_by(estimate, &fit.material);
+        let refined = fit.channels.iter().filter_map(|c| Some((c.channel.as_str(), c.refined.as_ref()?)));
+        for (channel, estimate) in refined.flat_map(|(c, r)| r.likelihood.scene.iter().map(move |e| (c, e))) {
+            let of = shared_by(estimate, &fit.material, channel);
             let known = all.entry((estimate.quantity.as_str(), of)).or_insert(estimate);
             if estimate.std_error < known.std_error {
                 *known = estimate;
@@ -44,9 +44,10 @@ pub fn estimate_rows(fits: &[MaterialFit]) -> Vec<EstimateRow> {
     all.into_iter().map(|((_, of), estimate)| row(of, estimate)).collect()
 }
 
-fn shared_by(estimate: &SceneEstimate, material: &str) -> String {
+fn shared_by(estimate: &SceneEstimate, material: &str, channel: &str) -> String {
     match (estimate.scope, estimate.slab_mm) {
         (Scope::Session, _) => "all".to_owned(),
+        (Scope::Channel, _) => format!("{material} {channel}"),
         (_, None) => material.to_owned(),
         (_, Some(mm)) => format!("{material} {mm} mm"),
     }

@@ -1,6 +1,6 @@
 //! The settings of an answer as JSON.
 
-use optics_model::fit::{Bounds, FitOptions, FitSettings, Objective, Wavelet};
+use optics_model::fit::{Bounds, FitOptions, FitSettings, Objective, PhaseModel, Wavelet};
 use serde::{Serialize, Serializer};
 
 use farm_lab::measurement_file::Note;
@@ -32,6 +32,7 @@ pub(crate) struct UsedOptions<'a> {
     level: u32,
     /// Null for the likelihood.
     objective: Option<Objective>,
+    phase: PhaseModel,
     #[serde(flatten)]
     set_up: SetUpJson<'a>,
     /// The quantities of the set-up without a value for at least one profile.
@@ -64,6 +65,7 @@ impl<'a> UsedOptions<'a> {
             wavelet: s.wavelet,
             level: s.level,
             objective: s.objective,
+            phase: s.phase,
             set_up: SetUpJson(s),
             assumed: assumed.names(),
         }

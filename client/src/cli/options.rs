@@ -2,7 +2,7 @@
 
 use clap::{Args, ValueEnum};
 use farm_lab::set_up::SetUp;
-use optics_model::fit::{FitSettings, MuRange, Objective, Wavelet};
+use optics_model::fit::{FitSettings, MuRange, Objective, PhaseModel, Wavelet};
 
 use super::bounds::BoundsArg;
 use super::set_up::SetUpArgs;
@@ -25,6 +25,9 @@ pub(crate) struct OptionArgs {
     /// Objective to minimise [default: likelihood].
     #[arg(long, value_enum, help_heading = OBJECTIVE)]
     pub(crate) objective: Option<ObjectiveArg>,
+    /// Phase function of the medium.
+    #[arg(long, value_enum, default_value_t = PhaseArg::TwoLobes, help_heading = OBJECTIVE)]
+    pub(crate) phase: PhaseArg,
     /// Weight of the profiles' gradients in the paper's distance.
     #[arg(long, default_value_t = 20.0, allow_negative_numbers = true, help_heading = OBJECTIVE)]
     pub(crate) lambda: f64,
@@ -52,6 +55,17 @@ pub(crate) enum ObjectiveArg {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum PhaseArg {
+    /// Two-term Henyey–Greenstein: all channels of a material share the weight of the second lobe, which is estimated
+    /// if the dictionary's scene has one of uncertain weight, as `lab` has.
+    TwoLobes,
+    /// The same, with a weight for each channel.
+    PerChannel,
+    /// Henyey–Greenstein: the weight of the second lobe is 0.
+    Hg,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum WaveletArg {
     /// The quadratic spline.
     Spline,
@@ -68,6 +82,7 @@ impl Default for OptionArgs {
             sigma_t: None,
             albedo: None,
             objective: None,
+            phase: PhaseArg::TwoLobes,
             lambda,
             wavelet: WaveletArg::Spline,
             level,
@@ -84,6 +99,11 @@ impl OptionArgs {
             wavelet: match self.wavelet {
                 WaveletArg::Spline => Wavelet::QuadraticSpline,
                 WaveletArg::Haar => Wavelet::Haar,
+            },
+            phase: match self.phase {
+                PhaseArg::TwoLobes => PhaseModel::TwoLobes,
+                PhaseArg::PerChannel => PhaseModel::PerChannel,
+                PhaseArg::Hg => PhaseModel::HenyeyGreenstein,
             },
             level: self.level,
             objective: self.objective.map(|objective| match objective {

@@ -19,5 +19,5 @@ pub use design::{
 };
 pub use measured::{MeasurePlan, Measured, Z};
 pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
-pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, Wavelet};
+pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, PhaseModel, Wavelet};
 pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};

@@ -6,7 +6,7 @@ use super::mirror::{
 use crate::wire;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit,
-    Objective, Outside, Refined, Suspicion, ThicknessError, Wavelet,
+    Objective, Outside, PhaseModel, Refined, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::invalid::{Invalid, Result};
 use optics_model::with_quantities;
@@ -18,6 +18,7 @@ fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
 
 mirror_enum!(Objective { Paper, Likelihood });
 mirror_enum!(Wavelet { QuadraticSpline, Haar });
+mirror_enum!(PhaseModel { PerChannel, HenyeyGreenstein } or TwoLobes);
 
 fn objective(number: i32) -> Result<Option<Objective>> {
     let objective = Objective::of_number(number);
@@ -26,6 +27,14 @@ fn objective(number: i32) -> Result<Option<Objective>> {
         return Err(Invalid::new("objective", number, allowed));
     }
     Ok(objective)
+}
+
+fn phase(number: i32) -> Result<PhaseModel> {
+    let allowed = "allowed are 0 (two lobes), 1 (two lobes per channel) and 2 (Henyey–Greenstein)";
+    match wire::PhaseModel::try_from(number) {
+        Ok(_) => Ok(PhaseModel::of_number(number).unwrap_or_default()),
+        Err(_) => Err(Invalid::new("phase", number, allowed)),
+    }
 }
 
 fn wavelet(number: i32) -> Result<Wavelet> {
@@ -56,6 +65,7 @@ macro_rules! options {
                     mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
                     objective: objective(options.objective)?,
                     wavelet: wavelet(options.wavelet)?,
+                    phase: phase(options.phase)?,
                     level: options.level.unwrap_or(default.level),
                     sigma_t_per_mm: bounds("sigma_t_per_mm", options.sigma_t_per_mm)?,
                     albedo: bounds("albedo", options.albedo)?,
@@ -76,6 +86,7 @@ macro_rules! options {
                     mu: Some(s.mu),
                     mu_std_error: Some(s.mu_std_error),
                     wavelet: s.wavelet.number(),
+                    phase: s.phase.number(),
                     level: Some(s.level),
                     sigma_t_per_mm: Some(s.sigma_t_per_mm.into()),
                     albedo: Some(s.albedo.into()),

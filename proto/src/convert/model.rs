@@ -235,7 +235,7 @@ mirror_enum!(PriorKind {
     SecondLobeWeight,
     SecondLobeG
 });
-mirror_enum!(Scope { Session, Slab, Material });
+mirror_enum!(Scope { Session, Slab, Material, Channel });
 
 impl From<Estimate> for wire::Estimate {
     fn from(estimate: Estimate) -> Self {

@@ -4,6 +4,7 @@
 //! paper: all set-ups of one changed quantity, and set-ups with all quantities drawn from their priors.
 
 mod outcome;
+mod phase;
 mod scenes;
 mod session;
 

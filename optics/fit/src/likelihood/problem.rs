@@ -5,8 +5,9 @@ pub(crate) mod channel;
 pub(crate) mod form;
 pub(crate) mod start;
 
-use optics_model::fit::{FitOptions, FitSettings, Outside};
+use optics_model::fit::{FitOptions, FitSettings, Outside, PhaseModel};
 use optics_model::measurement::MIN_PIXELS;
+use optics_model::scene::{Prior, PriorKind};
 use optics_model::{Grid, Invalid, MeasuredProfile, Measurement};
 
 use crate::dictionary::FitDictionary;
@@ -101,6 +102,7 @@ impl<'a> ChannelData<'a> {
         options: &FitOptions,
     ) -> Result<Self, Invalid> {
         let channel = find_channel(dictionary.grid(), name)?;
+        check_phase(dictionary.grid(), options)?;
         let of_channel = measurement.profiles().iter().filter(|p| p.channel() == name);
         let surrogate = Surrogate::new(dictionary, channel, 0);
         let profile = |p: &'a MeasuredProfile| {
@@ -157,6 +159,24 @@ impl<'a> ChannelData<'a> {
             profile.outside(levels, self.options.settings().mu)
         })
     }
+}
+
+/// Refuses a phase function that the dictionary's scene cannot have.
+fn check_phase(grid: &Grid, options: &FitOptions) -> Result<(), Invalid> {
+    let scene = grid.scene();
+    let is_weight = |prior: &Prior| prior.kind() == PriorKind::SecondLobeWeight;
+    let is_uncertain = grid.responses().is_some() && scene.priors().iter().any(is_weight);
+    let is_plain = scene.phase().second_lobe().is_some_and(|second| second.weight() == 0.0);
+    let (given, allowed) = match options.settings().phase {
+        PhaseModel::HenyeyGreenstein if !is_uncertain && !is_plain => {
+            ("hg", "the phase function of the dictionary's scene is exact, and another: leave it out")
+        }
+        PhaseModel::PerChannel if !is_uncertain => {
+            ("per-channel", "the dictionary's scene has no second lobe of uncertain weight: leave it out")
+        }
+        _ => return Ok(()),
+    };
+    Err(Invalid::new("phase", given, allowed))
 }
 
 /// The measured standard errors, or estimates from the scatter of the values if there are none, or none but 0, as in

@@ -3,7 +3,8 @@
 //!
 //! With u a quantity's difference from the scene's value in units of its prior's standard deviation, the profile changes
 //! by h(u) L: see [`crate::dictionary::responses`]. L is interpolated by cubics in ln σ_t and √(1 − α), and by a parabola
-//! in ln(1 − g): responses are smooth, and a few per cent of a profile.
+//! in ln(1 − g): responses are smooth, and a few per cent of a profile. Those to a second lobe of the phase function grow
+//! as (1 − g)⁻³ in bright media, so there the parabola is one in (1 − g)^{−3/2}.
 
 use noise::Stencil;
 
@@ -100,11 +101,12 @@ impl Surrogate<'_> {
     fn linear_response(&self, records: &ResponseRecords, prior: usize, stencil: &Stencil) -> [Vec<f64>; 4] {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
-        let Stencil { thickness, sigma_t: s, g, albedo: a } = stencil;
+        let Stencil { thickness, sigma_t: s, albedo: a, .. } = stencil;
         let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; self.pixels()]);
-        for (i, (ws, ds)) in s.values.iter().zip(&s.slopes).enumerate() {
-            for (k, (wg, dg)) in g.values.iter().zip(&g.slopes).enumerate() {
-                for (j, (wa, da)) in a.values.iter().zip(&a.slopes).enumerate() {
+        for (j, (wa, da)) in a.values.iter().zip(&a.slopes).enumerate() {
+            let g = stencil.along_g(&grid.scene().priors()[prior], self.albedo[a.first + j]);
+            for (i, (ws, ds)) in s.values.iter().zip(&s.slopes).enumerate() {
+                for (k, (wg, dg)) in g.values.iter().zip(&g.slopes).enumerate() {
                     let (sigma_t, g) = (nodes.sigma_t()[s.first + i], nodes.g()[g.first + k]);
                     let record = grid.record_at(self.ior, sigma_t, g, *thickness, a.first + j);
                     let row = records.linear(prior, record).expect("responses are traced at their nodes");

@@ -329,7 +329,7 @@ mod tests {
             (format!("{sample}roughness = {{ std_error = 0.1 }}"), "layer[0].roughness = missing"),
             (
                 format!("{sample}ior = {{ std_error = 0.1, per = 'day' }}"),
-                "layer[0].ior.per = day is not valid: allowed are session, slab and material",
+                "layer[0].ior.per = day is not valid: allowed are session, slab, material and channel",
             ),
             (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = -1"), "light.std_error_deg = -1"),
             (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = 60"), "light.std_error_deg = 60"),

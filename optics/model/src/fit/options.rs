@@ -33,6 +33,19 @@ pub enum Objective {
     Likelihood,
 }
 
+/// The phase function that a fit assumes, if the dictionary's scene has a second lobe of uncertain weight.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PhaseModel {
+    /// As the scene has it: one weight for all channels of a material, unless the scene has another scope.
+    #[default]
+    TwoLobes,
+    /// One weight for each channel.
+    PerChannel,
+    /// Henyey–Greenstein: the weight is 0.
+    HenyeyGreenstein,
+}
+
 /// An interval that a parameter must lie in; one value if both ends are equal. An end that is open is null in JSON.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Bounds {
@@ -100,6 +113,8 @@ macro_rules! settings {
             pub mu_std_error: f64,
             /// The objective. None selects the likelihood.
             pub objective: Option<Objective>,
+            /// The phase function of the likelihood.
+            pub phase: PhaseModel,
             pub wavelet: Wavelet,
             /// Level of the wavelet: it smooths over about 2^level pixels.
             pub level: u32,
@@ -125,6 +140,7 @@ macro_rules! settings {
                     mu: 1.0,
                     mu_std_error: 0.0,
                     objective: None,
+                    phase: PhaseModel::TwoLobes,
                     wavelet: Wavelet::QuadraticSpline,
                     level: 4,
                     sigma_t_per_mm: Bounds::FREE,
@@ -197,6 +213,10 @@ impl FitOptions {
         s.sigma_t_per_mm.check(check_sigma_t)?;
         s.albedo.check(check_albedo)?;
         s.g.check(check_g)?;
+        if s.objective == Some(Objective::Paper) && s.phase != PhaseModel::TwoLobes {
+            let allowed = "the paper's objective compares with the records as they are: leave it out, or take the likelihood";
+            return Err(Invalid::new("phase", "given with the paper's objective", allowed));
+        }
         Ok(Self(settings))
     }
 

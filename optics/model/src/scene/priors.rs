@@ -95,16 +95,19 @@ pub enum Scope {
     Slab,
     /// All slabs of a material: they are cut and polished in the same way.
     Material,
+    /// All slabs of a material in one channel.
+    Channel,
 }
 
 impl Scope {
-    pub const ALL: [Self; 3] = [Self::Session, Self::Slab, Self::Material];
+    pub const ALL: [Self; 4] = [Self::Session, Self::Slab, Self::Material, Self::Channel];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Session => "session",
             Self::Slab => "slab",
             Self::Material => "material",
+            Self::Channel => "channel",
         }
     }
 }

@@ -6,13 +6,13 @@ use optics_model::scene::Scope;
 
 use super::scenes::lab;
 
-pub(super) const QUANTITIES: [&str; 4] = ["σ_t", "1 − α", "σ_s(1−g)", "σ_a"];
+pub(super) const QUANTITIES: [&str; 5] = ["σ_t", "1 − α", "σ_s(1−g)", "σ_a", "1 − g"];
 
 #[derive(Debug)]
 pub(super) struct SetUpOutcome {
-    truth: [f64; 4],
-    found: [f64; 4],
-    intervals: [Interval; 4],
+    truth: [f64; 5],
+    found: [f64; 5],
+    intervals: [Interval; 5],
     pub mu: f64,
     pub g: f64,
     pub probability: f64,
@@ -47,32 +47,44 @@ impl SetUpOutcome {
         measured: &Measured,
         fit: &MaterialFit,
         truth: &Medium,
-        difference: impl Fn(usize, Option<f64>, usize) -> f64,
+        difference: impl Fn(usize, Option<f64>, usize) -> Option<f64>,
     ) -> Self {
         let r = fit.channels[0].refined.as_ref().unwrap();
         let of = |m: &Medium| {
             let (s, a, g) = (m.sigma_t_per_mm(), m.albedo(), m.g());
-            [s, 1.0 - a, s * a * (1.0 - g), s * (1.0 - a)]
+            [s, 1.0 - a, s * a * (1.0 - g), s * (1.0 - a), 1.0 - g]
         };
-        let a = &r.albedo;
-        let co_albedo =
-            Interval { low: 1.0 - a.high, high: 1.0 - a.low, open_low: a.open_high, open_high: a.open_low };
+        let complement = |i: &Interval| Interval {
+            low: 1.0 - i.high,
+            high: 1.0 - i.low,
+            open_low: i.open_high,
+            open_high: i.open_low,
+        };
         let scene = lab();
         let named = |name: &str| scene.priors().iter().position(|p| scene.name_of(p) == name).unwrap();
         let estimates = r.likelihood.scene.iter();
         // Those of the session are the same for all materials.
         let own = estimates.filter(|e| material == 0 || e.scope != Scope::Session);
-        let of_scene = own.map(|e| SceneOutcome {
-            name: e.quantity.clone(),
-            off: e.value - e.prior - difference(material, e.slab_mm, named(&e.quantity)),
-            std_error: e.std_error,
-            share_of_prior: e.std_error / e.prior_std_error,
-            at_end: e.at_end,
+        let of_scene = own.filter_map(|e| {
+            let difference = difference(material, e.slab_mm, named(&e.quantity))?;
+            Some(SceneOutcome {
+                name: e.quantity.clone(),
+                off: e.value - e.prior - difference,
+                std_error: e.std_error,
+                share_of_prior: e.std_error / e.prior_std_error,
+                at_end: e.at_end,
+            })
         });
         Self {
             truth: of(truth),
             found: of(&r.best.medium),
-            intervals: [r.sigma_t_per_mm, co_albedo, r.reduced_scattering_per_mm, r.absorption_per_mm],
+            intervals: [
+                r.sigma_t_per_mm,
+                complement(&r.albedo),
+                r.reduced_scattering_per_mm,
+                r.absorption_per_mm,
+                complement(&r.g),
+            ],
             mu: measured.common.mu,
             g: r.best.medium.g(),
             probability: r.likelihood.probability,

@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use farm_tests::statistics::Normal;
+use optics_model::phase::PhaseShape;
 use optics_model::scene::{Channel, RingLight, Scene, Scope};
 use optics_tracer::SeenBase;
 
@@ -14,7 +15,7 @@ const COAT_ROUGHNESS: usize = 1;
 const GEL_THICKNESS: usize = 3;
 const GEL_INDEX: usize = 4;
 const SAMPLE_INDEX: usize = 5;
-const RING: usize = 7;
+const RING: usize = 8;
 
 /// The scene `lab` with the first channel alone.
 pub(super) fn lab() -> Scene {
@@ -30,6 +31,8 @@ pub(super) struct ChangedSetUp {
     differences: Vec<[Vec<f64>; 2]>,
     /// The ring light, if it differs from the scene's.
     ring: Option<RingLight>,
+    /// Phase functions by material, if they are not those of the scene and its prior.
+    phases: Option<Vec<PhaseShape>>,
     /// Channels of the base: coat and lamps are the session's, so they are the same for all slabs.
     channels: OnceLock<Vec<Channel>>,
 }
@@ -69,7 +72,12 @@ impl ChangedSetUp {
             differences[prior] = difference;
         }
         let ring = (name == "ring 32–58°").then(|| RingLight::new(32.0, 58.0).unwrap());
-        Self { differences: vec![[differences.clone(), differences]; 6], ring, channels: OnceLock::new() }
+        Self {
+            differences: vec![[differences.clone(), differences]; 6],
+            ring,
+            phases: None,
+            channels: OnceLock::new(),
+        }
     }
 
     /// All quantities from their priors, within the ranges of the responses.
@@ -92,24 +100,36 @@ impl ChangedSetUp {
                 for slab in slabs {
                     slab[p] = match prior.scope() {
                         Scope::Session => of_session,
-                        Scope::Material => of_material,
+                        Scope::Material | Scope::Channel => of_material,
                         Scope::Slab => draw(),
                     };
                 }
             }
         }
-        Self { differences, ring: None, channels: OnceLock::new() }
+        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
     }
 
     /// A set-up without differences.
     pub(super) fn none(materials: usize) -> Self {
         let zero = vec![0.0; lab().priors().len()];
-        Self { differences: vec![[zero.clone(), zero]; materials], ring: None, channels: OnceLock::new() }
+        let differences = vec![[zero.clone(), zero]; materials];
+        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
     }
 
-    pub(super) fn difference(&self, material: usize, slab_mm: Option<f64>, prior: usize) -> f64 {
+    /// This set-up with these phase functions of the materials.
+    pub(super) fn with_phases(self, phases: Vec<PhaseShape>) -> Self {
+        Self { phases: Some(phases), ..self }
+    }
+
+    /// None for the weight of a second lobe whose anisotropy is not the scene's, and of none.
+    pub(super) fn difference(&self, material: usize, slab_mm: Option<f64>, prior: usize) -> Option<f64> {
+        let scene = lab();
+        if let Some(phases) = self.phases.as_ref().filter(|_| scene.priors()[prior].kind().is_of_phase()) {
+            let (own, of_scene) = (phases[material].second_lobe()?, scene.phase().second_lobe()?);
+            return (own.g() == of_scene.g()).then(|| own.weight() - of_scene.weight());
+        }
         let slab = slab_mm.map_or(0, |mm| SLABS_MM.iter().position(|t| *t == mm).unwrap());
-        self.differences[material][slab][prior]
+        Some(self.differences[material][slab][prior])
     }
 
     /// The scene of a slab; the bare board looks the same in all.
@@ -123,6 +143,9 @@ impl ChangedSetUp {
         }
         if let Some(ring) = self.ring {
             scene = scene.with_light(ring);
+        }
+        if let Some(phases) = &self.phases {
+            scene = scene.with_phase(phases[material].clone());
         }
         let channels = self.channels.get_or_init(|| SeenBase::of(&lab).through(&scene).unwrap());
         scene.with_channels(channels.clone()).unwrap()

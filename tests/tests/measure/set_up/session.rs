@@ -7,6 +7,7 @@ use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
 use optics_model::fit::{FitOptions, FitSettings, MuRange};
 use optics_model::grid::{Axes, NoiseLevel, Responses};
 use optics_model::job::JobSpec;
+use optics_model::phase::PhaseShape;
 use optics_model::scene::Scene;
 use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
 use optics_tracer::SeenBase;
@@ -90,6 +91,22 @@ impl SetUpSession {
         let media = [(6.0, 0.9991), (4.5, 0.7), (7.5, 0.98), (2.5, 0.98), (3.75, 0.995), (5.5, 0.35)];
         let media = media.map(|(s, a)| Medium::new(s, a, 0.4).unwrap()).to_vec();
         Self { set_up, media, flawed: false, seed: 0 }
+    }
+
+    /// The six media of the table with a mean cosine of their own, without errors of the set-up.
+    pub(super) fn of_row_at(set_up: ChangedSetUp, g: f64) -> Self {
+        let of_row = Self::of_row(set_up);
+        let at = |m: &Medium| Medium::new(m.sigma_t_per_mm(), m.albedo(), g).unwrap();
+        Self { media: of_row.media.iter().map(at).collect(), ..of_row }
+    }
+
+    /// Random media with these phase functions, in the scene itself otherwise.
+    pub(super) fn of_phases(number: u64, phases: Vec<PhaseShape>) -> Self {
+        let materials = phases.len();
+        Self {
+            set_up: ChangedSetUp::none(materials).with_phases(phases),
+            ..Self::random(number, materials, false)
+        }
     }
 
     /// Random media within the dictionary, in a random set-up or in the scene itself.

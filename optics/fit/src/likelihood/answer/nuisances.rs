@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
+use optics_model::scene::{PriorKind, Scope};
 
 use crate::likelihood::answer::Found;
 use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS};
@@ -17,20 +18,23 @@ impl Found<'_, '_> {
         let estimate = |unknown: &SceneUnknown| {
             let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
             let (u, limits) = (self.state.x[slot], self.system.unknowns[slot].limits);
+            // A weight of 0 is an end of the quantity, not of the responses.
+            let is_low = u <= limits.0 && prior.kind() != PriorKind::SecondLobeWeight;
             let (mean, sd) = (scene.value_of(prior).unwrap_or(self.sample_ior), prior.std_error());
             SceneEstimate {
                 quantity: scene.name_of(prior),
                 unit: prior.kind().unit().to_owned(),
-                scope: prior.scope(),
+                scope: if unknown.channel.is_some() { Scope::Channel } else { prior.scope() },
                 slab_mm: unknown.slab_mm,
                 value: mean + sd * u,
                 std_error: sd * covariance[(slot, slot)].max(0.0).sqrt(),
                 prior: mean,
                 prior_std_error: sd,
-                at_end: u <= limits.0 || u >= limits.1,
+                at_end: is_low || u >= limits.1,
             }
         };
-        let mut all: Vec<&SceneUnknown> = self.system.of_scene.iter().collect();
+        let free = |unknown: &&SceneUnknown| self.is_free(unknown.slot);
+        let mut all: Vec<&SceneUnknown> = self.system.of_scene.iter().filter(free).collect();
         all.sort_by_key(|unknown| unknown.prior);
         all.into_iter().map(estimate).collect()
     }

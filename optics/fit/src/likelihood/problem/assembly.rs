@@ -1,7 +1,7 @@
 //! Joins the profiles of channels to one system, with one unknown for all profiles that share a quantity.
 
-use optics_model::Grid;
-use optics_model::scene::{Prior, Scope};
+use optics_model::fit::PhaseModel;
+use optics_model::scene::{Prior, PriorKind, Scope};
 
 use crate::dictionary::axes::held;
 use crate::likelihood::problem::{ChannelData, ProfileData};
@@ -69,26 +69,37 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// Slots of a slab's unknowns for the uncertain quantities of a grid's scene, in their order; none without responses.
-fn scene_slots(builder: &mut Builder, grid: &Grid, material: usize, thickness_mm: f64) -> Vec<usize> {
+/// The scope of a quantity in a fit.
+fn scope(prior: &Prior, phase: PhaseModel) -> Scope {
+    let is_per_channel = phase == PhaseModel::PerChannel && prior.kind().is_of_phase();
+    if is_per_channel { Scope::Channel } else { prior.scope() }
+}
+
+/// Slots of a profile's unknowns for the uncertain quantities of the scene, in their order; none without responses.
+fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> Vec<usize> {
+    let (grid, phase) = (data.dictionary.grid(), data.options.settings().phase);
     if grid.responses().is_none() {
         return Vec::new();
     }
     let slot = |(index, prior): (usize, &Prior)| {
-        let (material, slab_mm) = match prior.scope() {
-            Scope::Session => (None, None),
-            Scope::Material => (Some(material), None),
-            Scope::Slab => (Some(material), Some(thickness_mm)),
+        let (material, slab_mm, channel) = match scope(prior, phase) {
+            Scope::Session => (None, None, None),
+            Scope::Material => (Some(data.material), None, None),
+            Scope::Slab => (Some(data.material), Some(thickness_mm), None),
+            Scope::Channel => (Some(data.material), None, Some(data.channel)),
         };
-        let known =
-            builder.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm) == (index, material, slab_mm));
+        let wanted = (index, material, slab_mm, channel);
+        let known = builder.of_scene.iter().find(|u| (u.prior, u.material, u.slab_mm, u.channel) == wanted);
         if let Some(known) = known {
             return known.slot;
         }
         let (low, high) = prior.range(grid.scene());
         let limits = (low / prior.std_error(), high / prior.std_error());
-        let slot = builder.unknowns.known((0.0, 1.0), limits);
-        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, slot });
+        // Without weight the second lobe's anisotropy has no effect.
+        let without_lobe = phase == PhaseModel::HenyeyGreenstein && prior.kind().is_of_phase();
+        let at = if without_lobe && prior.kind() == PriorKind::SecondLobeWeight { limits.0 } else { 0.0 };
+        let slot = builder.unknowns.add(Some((0.0, 1.0)), limits, without_lobe, at);
+        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, channel, slot });
         slot
     };
     grid.scene().priors().iter().enumerate().map(slot).collect()
@@ -125,8 +136,7 @@ pub(crate) fn assemble<'a>(
         for profile in &data.profiles {
             let blur = builder.blur(data.name, profile);
             let thickness = builder.thickness(data.material, profile);
-            let grid = data.dictionary.grid();
-            let scene = scene_slots(&mut builder, grid, data.material, profile.profile.thickness_mm());
+            let scene = scene_slots(&mut builder, data, profile.profile.thickness_mm());
             let slots = [vec![s, a, g, scale_slot, blur, thickness], scene].concat();
             profiles.push((profile.term(surrogate, *medium), *surrogate, slots));
         }

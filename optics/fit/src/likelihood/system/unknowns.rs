@@ -50,6 +50,8 @@ pub(crate) struct SceneUnknown {
     pub material: Option<usize>,
     /// Thickness of the slab that it belongs to.
     pub slab_mm: Option<f64>,
+    /// The scene's channel that it belongs to.
+    pub channel: Option<usize>,
     pub slot: usize,
 }
 

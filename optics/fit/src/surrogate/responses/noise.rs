@@ -4,6 +4,10 @@
 //! nodes that vanish for such polynomials, each of unit length, have the noise of one response. Where the polynomial does
 //! not fit the response they are larger: the noise is then overestimated.
 
+use std::borrow::Cow;
+
+use optics_model::scene::Prior;
+
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
 use crate::bases::contrasts;
 use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
@@ -32,13 +36,38 @@ impl ResponseNoise {
     }
 }
 
+/// 1 − α of media halfway between bright and dark: the effect of a second lobe is that of many scatterings and of one.
+const CO_ALBEDO: f64 = 0.08;
+
 /// Weights of the nodes between which responses are interpolated.
 pub(super) struct Stencil {
     /// Index of the dictionary's thickness.
     pub thickness: usize,
     pub sigma_t: Weights,
-    pub g: Weights,
+    g: Weights,
+    /// For quantities of the phase function in bright media.
+    g_of_bright: Weights,
     pub albedo: Weights,
+}
+
+impl Stencil {
+    /// Weights of the nodes of g for a quantity, in a medium with this √(1 − α).
+    pub(super) fn along_g(&self, prior: &Prior, root_co_albedo: f64) -> Cow<'_, Weights> {
+        if !prior.kind().is_of_phase() {
+            return Cow::Borrowed(&self.g);
+        }
+        let co_albedo = root_co_albedo * root_co_albedo;
+        let dark = co_albedo / (co_albedo + CO_ALBEDO);
+        let mixed = |bright: &[f64], plain: &[f64]| {
+            bright.iter().zip(plain).map(|(b, p)| (1.0 - dark) * b + dark * p).collect()
+        };
+        let (bright, plain) = (&self.g_of_bright, &self.g);
+        Cow::Owned(Weights {
+            first: plain.first,
+            values: mixed(&bright.values, &plain.values),
+            slopes: mixed(&bright.slopes, &plain.slopes),
+        })
+    }
 }
 
 impl Surrogate<'_> {
@@ -49,7 +78,8 @@ impl Surrogate<'_> {
         let records = self.dictionary.responses(self.channel)?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let of_prior = |prior: usize| (records.curve(prior), self.scatter(records, prior, &stencil));
+        let of_prior =
+            |prior: usize| (records.curve(prior), self.scatter(records, prior, &stencil, at[ALBEDO]));
         let each = (0..grid.scene().priors().len()).map(of_prior).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
         let depths = responses.sigma_t().iter().map(depth).collect();
@@ -58,14 +88,21 @@ impl Surrogate<'_> {
     }
 
     /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated L.
-    fn scatter(&self, records: &ResponseRecords, prior: usize, stencil: &Stencil) -> Vec<Vec<f64>> {
+    fn scatter(
+        &self,
+        records: &ResponseRecords,
+        prior: usize,
+        stencil: &Stencil,
+        root_co_albedo: f64,
+    ) -> Vec<Vec<f64>> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         let x: Vec<f64> = nodes.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i].ln()).collect();
         let contrasts = contrasts(&x);
         let count = contrasts.len() * nodes.g().len();
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
-        let size = (square(&stencil.sigma_t) * square(&stencil.g) / count.max(1) as f64).sqrt();
+        let of_g = square(&stencil.along_g(&grid.scene().priors()[prior], root_co_albedo));
+        let size = (square(&stencil.sigma_t) * of_g / count.max(1) as f64).sqrt();
         let mut factors = Vec::with_capacity(count);
         for g in nodes.g() {
             for contrast in &contrasts {
@@ -97,14 +134,44 @@ impl Surrogate<'_> {
             thickness,
             sigma_t: interpolation(&s_nodes, clamped(&s_nodes, -x[SIGMA_T])),
             g: interpolation(&g_nodes, clamped(&g_nodes, x[G])),
+            g_of_bright: along_growth(&g_nodes, clamped(&g_nodes, x[G])),
             albedo: interpolation(&self.albedo, x[ALBEDO]),
         }
     }
 }
 
+/// Weights, with derivatives by y = ln(1 − g), of a parabola in (1 − g)^{−3/2} through the nodes of y.
+fn along_growth(nodes: &[f64], y: f64) -> Weights {
+    // Falling nodes, as interpolation requires.
+    let growth = |y: f64| -(-1.5 * y).exp();
+    let nodes: Vec<f64> = nodes.iter().map(|y| growth(*y)).collect();
+    let mut weights = interpolation(&nodes, growth(y));
+    weights.slopes.iter_mut().for_each(|slope| *slope *= -1.5 * growth(y));
+    weights
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Functions 1 and (1 − g)⁻³ of the nodes are reproduced, with their derivatives by ln(1 − g).
+    #[test]
+    fn growth_with_g_is_exact() {
+        let nodes = [0.0, 0.55, 0.8].map(|g: f64| (1.0 - g).ln());
+        for g in [0.1, 0.4, 0.7_f64] {
+            let y = (1.0 - g).ln();
+            let weights = along_growth(&nodes, y);
+            let sum = |weights: &[f64], power: f64| -> f64 {
+                weights.iter().zip(&nodes[weights.len() - 3..]).map(|(w, y)| w * (power * y).exp()).sum()
+            };
+            assert!(
+                (sum(&weights.values, 0.0) - 1.0).abs() < 1e-12 && sum(&weights.slopes, 0.0).abs() < 1e-9
+            );
+            let exact = (-3.0 * y).exp();
+            assert!((sum(&weights.values, -3.0) / exact - 1.0).abs() < 1e-12);
+            assert!((sum(&weights.slopes, -3.0) / exact + 3.0).abs() < 1e-9);
+        }
+    }
 
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]

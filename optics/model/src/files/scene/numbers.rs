@@ -24,7 +24,7 @@ pub struct UncertainNumber {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub value: Option<f64>,
     pub std_error: f64,
-    /// "session", "slab" or "material": the scope within which the number has one value.
+    /// "session", "slab", "material" or "channel": the scope within which the number has one value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub per: Option<String>,
 }
@@ -126,7 +126,7 @@ pub(super) fn priors(
         let scope = match &number.per {
             None => default_scope(scene, kind, &layers),
             Some(name) => Scope::ALL.into_iter().find(|s| s.name() == name).ok_or_else(|| {
-                Invalid::new(format!("{place}.per"), name, "allowed are session, slab and material")
+                Invalid::new(format!("{place}.per"), name, "allowed are session, slab, material and channel")
             })?,
         };
         let prior = Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(&place))?;
