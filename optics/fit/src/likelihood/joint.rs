@@ -2,7 +2,8 @@
 //! them at once.
 //!
 //! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `problem/start`; from its
-//! lowest point one descent over all unknowns of all channels finds the minimum. Intervals of a channel follow its own
+//! lowest point one descent over all unknowns of all channels finds the minimum. The mesh has the scene's phase function:
+//! where a second lobe is to be estimated, further descents begin at smaller and at larger anisotropies. Intervals of a channel follow its own
 //! likelihood, with the others' likelihood as a quadratic in the shared unknowns added (a Schur complement of their
 //! information). Where the pulls of channels on the shared unknowns scatter by more than their noise, as they do if the
 //! photographs contain effects that the model lacks, the others count less, by their χ² per degree of freedom (a Birge
@@ -24,8 +25,9 @@ use crate::dictionary::axes::held;
 use crate::likelihood::answer::Found;
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::likelihood::problem::ChannelData;
-use crate::likelihood::problem::assembly::{Sharing, assemble};
+use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
 use crate::likelihood::problem::start::{Scan, Start};
+use crate::likelihood::system::State;
 use crate::likelihood::system::descent::COARSE;
 use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::surrogate::{Surrogate, g};
@@ -46,6 +48,16 @@ struct Set<'a> {
     scans: Vec<Scan<'a>>,
     /// The factor μ that others are relative to.
     base: f64,
+}
+
+/// Difference of anisotropies from which on cells may lie in other valleys.
+const FAR_G: f64 = 0.2;
+
+/// All channels near a common minimum.
+struct Approached<'a> {
+    assembly: Assembly<'a>,
+    state: State,
+    iors: Vec<usize>,
 }
 
 /// The lowest start of every channel at one scale and, if it is common, one anisotropy.
@@ -125,9 +137,23 @@ impl<'a> Set<'a> {
         let limits = (scales[0], scales[scales.len() - 1]);
         let sharing = Sharing { g: common_g, scale: plan.search_mu.map(|_| limits) };
         let cells = self.mesh(&scales, common_g);
-        let lowest = cells.iter().min_by(|a, b| a.cost.total_cmp(&b.cost)).expect("a mesh has a point");
-        let joint = self.joint(lowest, sharing);
+        let approached = self.beginnings(&cells).into_iter().map(|cell| self.approach(cell, sharing));
+        let lowest = approached.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost));
+        let joint = Self::settle(lowest.expect("a mesh has a point"), sharing);
         (cells, joint)
+    }
+
+    /// The lowest cell, and the lowest at much smaller and much larger anisotropies if the phase function is uncertain.
+    fn beginnings<'c>(&self, cells: &'c [Cell]) -> Vec<&'c Cell> {
+        let lowest = |among: &dyn Fn(&Cell) -> bool| {
+            cells.iter().filter(|cell| among(cell)).min_by(|a, b| a.cost.total_cmp(&b.cost))
+        };
+        let Some(first) = lowest(&|_| true) else { return Vec::new() };
+        let Some(g) = first.g.filter(|_| self.channels[0].has_free_phase()) else { return vec![first] };
+        let than_first =
+            |cell: &Cell, by: f64| cell.g.is_some_and(|of_cell| (of_cell - g) * by.signum() >= by.abs());
+        let others = [-FAR_G, FAR_G].map(|by| lowest(&|cell| than_first(cell, by)));
+        std::iter::once(first).chain(others.into_iter().flatten()).collect()
     }
 
     /// Cells at every scale and, with a common anisotropy, at every one of the dictionary's.
@@ -178,8 +204,8 @@ impl<'a> Set<'a> {
         Cell { scale, g: None, starts, cost }
     }
 
-    /// The common minimum of all channels, by a descent from a cell of the mesh.
-    fn joint(&self, cell: &Cell, sharing: Sharing) -> Joint<'_> {
+    /// All channels near a common minimum, by a descent from a cell of the mesh.
+    fn approach(&self, cell: &Cell, sharing: Sharing) -> Approached<'_> {
         let starts: Vec<Start> = match cell.g {
             // The mesh may have left out some channels.
             Some(common) if cell.starts.len() < self.channels.len() => {
@@ -200,11 +226,16 @@ impl<'a> Set<'a> {
         let media: Vec<[f64; 3]> = starts.iter().map(|s| s.medium).collect();
         let (mut assembly, state) = assemble(&self.channels, &surrogates, &media, cell.scale, sharing);
         let state = assembly.system.approach(state, COARSE);
+        Approached { assembly, state, iors: starts.iter().map(|s| s.ior).collect() }
+    }
+
+    /// All channels at their common minimum.
+    fn settle(near: Approached<'_>, sharing: Sharing) -> Joint<'_> {
+        let Approached { mut assembly, state, iors } = near;
         let state = assembly.system.settle(state);
         let (_, normal) = assembly.system.look(&state);
         // Some materials may not determine their own media.
         let covariance = inverse_over_free(&assembly.system.unknowns, &normal.information, 1e-9);
-        let iors = starts.iter().map(|s| s.ior).collect();
         let common = common_slots(&assembly.system, sharing);
         Joint { assembly, state, normal, covariance, iors, disagreement: 1.0, common }.with_disagreement()
     }

@@ -114,6 +114,12 @@ impl<'a> ChannelData<'a> {
         Ok(Self { dictionary, material, measurement, name, channel, profiles, options: *options, admissible })
     }
 
+    /// Whether the weight of a second lobe of the phase function is estimated.
+    pub(crate) fn has_free_phase(&self) -> bool {
+        self.options.settings().phase != PhaseModel::HenyeyGreenstein
+            && has_uncertain_lobe(self.dictionary.grid())
+    }
+
     /// Number of compared pixels in all profiles.
     pub(crate) fn pixels(&self) -> usize {
         self.profiles.iter().map(|p| p.pixels.len()).sum()
@@ -161,12 +167,15 @@ impl<'a> ChannelData<'a> {
     }
 }
 
+fn has_uncertain_lobe(grid: &Grid) -> bool {
+    let is_weight = |prior: &Prior| prior.kind() == PriorKind::SecondLobeWeight;
+    grid.responses().is_some() && grid.scene().priors().iter().any(is_weight)
+}
+
 /// Refuses a phase function that the dictionary's scene cannot have.
 fn check_phase(grid: &Grid, options: &FitOptions) -> Result<(), Invalid> {
-    let scene = grid.scene();
-    let is_weight = |prior: &Prior| prior.kind() == PriorKind::SecondLobeWeight;
-    let is_uncertain = grid.responses().is_some() && scene.priors().iter().any(is_weight);
-    let is_plain = scene.phase().second_lobe().is_some_and(|second| second.weight() == 0.0);
+    let is_uncertain = has_uncertain_lobe(grid);
+    let is_plain = grid.scene().phase().second_lobe().is_some_and(|second| second.weight() == 0.0);
     let (given, allowed) = match options.settings().phase {
         PhaseModel::HenyeyGreenstein if !is_uncertain && !is_plain => {
             ("hg", "the phase function of the dictionary's scene is exact, and another: leave it out")

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use farm_tests::statistics::Normal;
 use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
-use optics_model::fit::{FitOptions, FitSettings, MuRange};
+use optics_model::fit::{FitOptions, FitSettings, MuRange, PhaseModel};
 use optics_model::grid::{Axes, NoiseLevel, Responses};
 use optics_model::job::JobSpec;
 use optics_model::phase::PhaseShape;
@@ -151,13 +151,18 @@ impl SetUpSession {
 
     /// Fits like `farmctl measure` without further options.
     pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<SetUpOutcome> {
+        self.measured_as(dictionary, PhaseModel::TwoLobes)
+    }
+
+    /// The same, with a phase function.
+    pub(super) fn measured_as(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Vec<SetUpOutcome> {
         let count = self.media.len();
         let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();
         let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
         let known = FitSettings::default().gain_std_error;
         let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
         let settings =
-            FitSettings { refine: true, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
+            FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
         let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
         let found = measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap();
         let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
