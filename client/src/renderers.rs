@@ -1,8 +1,8 @@
 //! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
 //!
 //! Both renderers describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
-//! one Henyey–Greenstein g. A material becomes one medium where its channels are R, G and B or wavelengths in nm and
-//! have a common g, and one medium per channel otherwise.
+//! one phase function. A material becomes one medium where its channels are R, G and B or wavelengths in nm and have a
+//! common phase function, and one medium per channel otherwise.
 
 mod mitsuba;
 mod pbrt;
@@ -11,6 +11,7 @@ use std::collections::HashSet;
 
 use optics_model::Medium;
 use optics_model::fit::{ChannelFit, MaterialFit, Refined};
+use optics_model::phase::SecondLobe;
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
@@ -43,13 +44,15 @@ struct RenderedChannel<'a> {
     /// R, G or B, a wavelength in nm, or any name.
     name: &'a str,
     medium: Medium,
+    second_lobe: Option<SecondLobe>,
     state: ChannelState,
 }
 
 impl<'a> RenderedChannel<'a> {
     fn of(fit: &'a ChannelFit) -> Option<Self> {
         let refined = fit.refined.as_ref()?;
-        Some(Self { name: &fit.channel, medium: refined.best.medium, state: ChannelState::of(refined) })
+        let (medium, second_lobe) = (refined.best.medium, refined.second_lobe);
+        Some(Self { name: &fit.channel, medium, second_lobe, state: ChannelState::of(refined) })
     }
 }
 
@@ -70,7 +73,15 @@ struct MediumBlock {
     /// Lines for people, for a comment: names in them are quoted, with control characters escaped.
     notes: Vec<String>,
     values: Values,
+    phase: BlockPhase,
+}
+
+/// The phase function of a medium.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct BlockPhase {
+    /// The mean cosine.
     g: f64,
+    second_lobe: Option<SecondLobe>,
 }
 
 #[derive(Debug, PartialEq)]
@@ -87,26 +98,27 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
     let mut blocks = Vec::new();
     for fit in fits {
         let channels: Vec<_> = fit.channels.iter().filter_map(RenderedChannel::of).collect();
-        let g = channels.first().map_or(0.0, |c| c.medium.g());
-        let common_g = channels.iter().all(|c| c.medium.g() == g);
-        let joint = if common_g { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
+        let of = |c: &RenderedChannel| BlockPhase { g: c.medium.g(), second_lobe: c.second_lobe };
+        let phase = channels.first().map(of).unwrap_or_default();
+        let is_common = channels.iter().all(|c| of(c) == phase);
+        let joint = if is_common { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
         if let Some((values, what)) = joint {
             let mut notes = vec![format!("{:?}: {what}", fit.material)];
             notes.extend(doubts(&channels));
-            blocks.push(MediumBlock { name: names.take(&fit.material), notes, values, g });
+            blocks.push(MediumBlock { name: names.take(&fit.material), notes, values, phase });
             continue;
         }
         for channel in &channels {
             let mut notes = vec![format!("{:?}: channel {:?}", fit.material, channel.name)];
             notes.extend(doubts(std::slice::from_ref(channel)));
-            if !common_g {
-                notes.push(
-                    "The channels differ in g and a medium takes one: one medium per channel.".to_owned(),
-                );
+            if !is_common {
+                let note =
+                    "The channels differ in phase function and a medium takes one: one medium per channel.";
+                notes.push(note.to_owned());
             }
             let name = names.take(&format!("{}_{}", fit.material, channel.name));
-            let (values, g) = (Values::Scalar(channel.medium), channel.medium.g());
-            blocks.push(MediumBlock { name, notes, values, g });
+            let values = Values::Scalar(channel.medium);
+            blocks.push(MediumBlock { name, notes, values, phase: of(channel) });
         }
     }
     blocks
@@ -224,6 +236,13 @@ mod tests {
         ]
     }
 
+    /// A medium whose phase function has a second lobe.
+    pub(super) fn two_lobes() -> MaterialFit {
+        let mut channel = channel("R", 6.0, 0.9991);
+        channel.refined.as_mut().unwrap().second_lobe = Some(SecondLobe::new(0.2, -0.5).unwrap());
+        medium("white", vec![channel])
+    }
+
     fn names(media: &[MaterialFit]) -> Vec<String> {
         blocks(media).into_iter().map(|b| b.name).collect()
     }
@@ -287,16 +306,27 @@ mod tests {
         let mut media = three_kinds();
         media[0].channels[1] = with_g(media[0].channels[1].clone(), 0.9991, -0.2);
         let blocks = blocks(&media[..1]);
-        let message: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.g)).collect();
+        let message: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.phase.g)).collect();
         assert_eq!(message, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
         for block in &blocks {
-            assert!(block.notes.iter().any(|n| n.contains("differ in g")), "{block:?}");
+            assert!(block.notes.iter().any(|n| n.contains("differ in phase function")), "{block:?}");
         }
         let expected = Medium::new(6.0, 0.9991, -0.2).unwrap();
         assert_eq!(blocks[1].values, Values::Scalar(expected));
         let only_of_green: Vec<_> =
             blocks.iter().map(|b| b.notes.iter().any(|n| n.contains("Unresolved"))).collect();
         assert_eq!(only_of_green, [false, false, true]);
+    }
+
+    /// Channels with the same g and another second lobe become separate media.
+    #[test]
+    fn channels_with_other_lobes_are_separate_media() {
+        let mut media = three_kinds();
+        media[0].channels[1].refined.as_mut().unwrap().second_lobe =
+            Some(SecondLobe::new(0.1, -0.5).unwrap());
+        let blocks = blocks(&media[..1]);
+        let weights: Vec<_> = blocks.iter().map(|b| b.phase.second_lobe.map(SecondLobe::weight)).collect();
+        assert_eq!(weights, [None, Some(0.1), None]);
     }
 
     #[test]

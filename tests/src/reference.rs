@@ -1,9 +1,10 @@
 //! Reads the reference values in `tests/data`, whose sources are in `tests/data/README.md`, and the project's own files.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, Result};
-use optics_model::phase::PhaseTable;
+use optics_model::phase::{PhaseShape, PhaseTable, SecondLobe};
 
 pub fn data_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data").join(name)
@@ -50,30 +51,65 @@ pub fn own_files(extension: &str) -> Vec<(PathBuf, String)> {
     files.map(|(path, text)| (path.strip_prefix(&root).expect("below the root").to_owned(), text)).collect()
 }
 
-/// A row of `uniform.csv`: exact radiance factor over a uniform base in the scene `smooth`.
-#[derive(Debug, Clone, Copy)]
+/// An exact radiance factor over a uniform base in the scene `smooth`.
+#[derive(Debug, Clone)]
 pub struct UniformRow {
     pub sigma_t_per_mm: f64,
     pub albedo: f64,
     pub g: f64,
+    pub phase: PhaseShape,
     pub thickness_mm: f64,
     pub sample_ior: f64,
     pub rho: f64,
     pub radiance_factor: f64,
 }
 
+/// The rows of `uniform.csv`, whose phase function is Henyey–Greenstein.
 pub fn uniform() -> Result<Vec<UniformRow>> {
-    let mut reader = csv::Reader::from_path(data_file("uniform.csv"))?;
-    reader
-        .records()
-        .map(|row| {
-            let v: Vec<f64> = row?.iter().map(str::parse).collect::<Result<_, _>>()?;
-            let [sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, rho, radiance_factor] = v[..] else {
-                anyhow::bail!("a row of {} columns", v.len());
-            };
-            Ok(UniformRow { sigma_t_per_mm, albedo, g, thickness_mm, sample_ior, rho, radiance_factor })
+    uniform_rows("uniform.csv", |_| Ok(PhaseShape::default()))
+}
+
+/// The rows of `two_lobes.csv`.
+pub fn two_lobes() -> Result<Vec<UniformRow>> {
+    uniform_rows("two_lobes.csv", |cell| {
+        let [weight, g] = [cell("second_lobe_weight"), cell("second_lobe_g")];
+        Ok(PhaseShape::Lobes(SecondLobe::new(weight?.parse()?, g?.parse()?)?))
+    })
+}
+
+/// The rows of `tabulated.csv`.
+pub fn tabulated() -> Result<Vec<UniformRow>> {
+    uniform_rows("tabulated.csv", |cell| {
+        let name = cell("table")?.trim_end_matches(".csv").to_owned();
+        Ok(PhaseShape::Table(Arc::new(phase_table(&name)?)))
+    })
+}
+
+type Cell<'a> = dyn Fn(&str) -> Result<&'a str> + 'a;
+
+fn uniform_rows(file: &str, phase: impl Fn(&Cell) -> Result<PhaseShape>) -> Result<Vec<UniformRow>> {
+    let mut reader = csv::Reader::from_path(data_file(file))?;
+    let columns = reader.headers()?.clone();
+    let row = |row: csv::Result<csv::StringRecord>| {
+        let row = row?;
+        let cell = |name: &str| {
+            let column = columns.iter().position(|column| column == name);
+            column.and_then(|i| row.get(i)).with_context(|| format!("no column {name}"))
+        };
+        let number = |name: &str| -> Result<f64> { Ok(cell(name)?.parse()?) };
+        let phase = phase(&cell)?;
+        Ok(UniformRow {
+            sigma_t_per_mm: number("sigma_t_per_mm")?,
+            albedo: number("albedo")?,
+            g: phase.table().map_or_else(|| number("g"), |table| Ok(table.mean_cosine()))?,
+            phase,
+            thickness_mm: number("thickness_mm")?,
+            sample_ior: number("sample_ior")?,
+            rho: number("rho")?,
+            radiance_factor: number("radiance_factor")?,
         })
-        .collect()
+    };
+    reader.records().map(row).collect()
 }
 
 /// A phase function of Mie spheres: `tio2` or `carbon`.
@@ -92,6 +128,7 @@ pub struct MitsubaProfile {
     pub sigma_t_per_mm: f64,
     pub albedo: f64,
     pub g: f64,
+    pub phase: PhaseShape,
     pub thickness_mm: f64,
     pub sample_ior: f64,
     pub rho_light: f64,
@@ -128,6 +165,10 @@ fn read_mitsuba(file: &Path) -> Result<MitsubaProfile> {
         sigma_t_per_mm: header("sigma_t")?,
         albedo: header("albedo")?,
         g: header("g")?,
+        phase: match header("second_lobe_weight") {
+            Ok(weight) => PhaseShape::Lobes(SecondLobe::new(weight, header("second_lobe_g")?)?),
+            Err(_) => PhaseShape::default(),
+        },
         thickness_mm: header("thickness_mm")?,
         sample_ior: header("sample_ior")?,
         rho_light: header("rho_light")?,

@@ -13,7 +13,7 @@ mod noise;
 
 use std::sync::atomic::AtomicBool;
 
-use farm_tests::reference;
+use farm_tests::reference::{self, UniformRow};
 use farm_tests::statistics::{Mean, chi2_per_pixel, effort, errors_of_neighbours};
 use optics_model::job::JobSpec;
 use optics_model::profile::{Profile, Record};
@@ -74,20 +74,22 @@ fn at(profile: &Profile, pixel: usize) -> Mean {
 }
 
 /// 2 million walks per row: standard errors below 0.15 % of white.
-#[test]
-fn uniform_bases_agree_with_adding_doubling() {
-    let rows = reference::uniform().unwrap();
+fn check_uniform_bases(rows: &[UniformRow]) {
     let mut zs = Vec::new();
     for pair in rows.chunks(2) {
-        let row = pair[0];
+        let row = &pair[0];
         let rho: Vec<_> = pair.iter().map(|r| (r.rho, r.rho)).collect();
-        let scene = channels(pixels(Scene::smooth(), 10.0, 1), &rho);
+        let scene = channels(pixels(Scene::smooth(), 10.0, 1), &rho).with_phase(row.phase.clone());
         let point = [row.sigma_t_per_mm, row.g, row.thickness_mm, row.sample_ior];
         let record = Run::new(scene, point, &[row.albedo], effort() * 2_000_000).records(1).remove(0);
         for (row, profile) in pair.iter().zip(&record.profiles) {
             let found = at(profile, 0);
             let difference = found.mean - row.radiance_factor;
-            println!("{row:?}: {:.5} ± {:.5}", found.mean, found.std_error);
+            let UniformRow { sigma_t_per_mm, albedo, g, rho, .. } = row;
+            println!(
+                "{sigma_t_per_mm} {albedo} {g} {rho}: {:.5} ± {:.5}, {:.5}",
+                found.mean, found.std_error, row.radiance_factor
+            );
             assert!(found.std_error < 1.5e-3, "{found:?} is too uncertain for this test");
             assert!(difference.abs() < 3.0 * found.std_error + 1e-4, "{row:?}: {found:?}");
             zs.push(difference / found.std_error);
@@ -98,6 +100,23 @@ fn uniform_bases_agree_with_adding_doubling() {
     assert!(mean_z.abs() < 1.0, "mean z {mean_z}");
 }
 
+#[test]
+fn uniform_bases_agree_with_adding_doubling() {
+    check_uniform_bases(&reference::uniform().unwrap());
+}
+
+/// Second lobes behind and ahead, with little and with much weight.
+#[test]
+fn two_lobes_agree_with_adding_doubling() {
+    check_uniform_bases(&reference::two_lobes().unwrap());
+}
+
+/// Phase functions of spheres of rutile, and of carbon.
+#[test]
+fn tables_agree_with_adding_doubling() {
+    check_uniform_bases(&reference::tabulated().unwrap());
+}
+
 /// 16 × 500,000 walks and 16,384 samples per pixel, so that nearly all noise is the reference's, whose pixels are
 /// independent: χ²/n is 1 ± 0.14. Pixels of the tracer's profile share their walks, so the error of a side's mean comes
 /// from the spread between the 16 seeds.
@@ -106,7 +125,7 @@ fn edge_profiles_agree_with_mitsuba() {
     const SEEDS: u64 = 16;
     for reference in reference::mitsuba().unwrap() {
         let n = reference.values.len();
-        let scene = pixels(Scene::paper(), reference.width_mm, n as u32);
+        let scene = pixels(Scene::paper(), reference.width_mm, n as u32).with_phase(reference.phase.clone());
         let scene = channels(scene, &[(reference.rho_light, reference.rho_dark)]);
         let point = [reference.sigma_t_per_mm, reference.g, reference.thickness_mm, reference.sample_ior];
         let run = Run::new(scene, point, &[reference.albedo], 500_000);

@@ -87,6 +87,7 @@ pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
         suspicion: (misfit > 2.0).then_some(suspicion),
         likelihood: if misfit > 2.0 { likelihood(1130.2, 2e-9) } else { likelihood(712.4, 0.53) },
         from_mixtures: false,
+        second_lobe: None,
     };
     ChannelFit {
         channel: name.to_owned(),

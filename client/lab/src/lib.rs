@@ -7,6 +7,7 @@ pub mod capture;
 pub mod grid_file;
 pub mod measurement_file;
 pub mod mixture_file;
+pub mod phase_file;
 pub mod photograph;
 pub mod session_folder;
 pub mod set_up;

@@ -215,6 +215,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         suspicion,
         likelihood: likelihood(712.4, 0.5312),
         from_mixtures: false,
+        second_lobe: None,
     };
     ChannelFit {
         channel: name.to_owned(),

@@ -1,7 +1,7 @@
 //! Formats media for Mitsuba 3, as a Python dictionary and as XML.
 //!
-//! The plugin is `homogeneous` with a nested `hg`: σ_t is in inverse scene units and multiplied by `scale`, which is
-//! 1000 for coefficients per mm in a scene in metres. Source: Mitsuba's documentation, "Participating media"
+//! The plugin is `homogeneous` with a nested `hg`, or a `blendphase` of two, whose weight is that of the second: σ_t is in
+//! inverse scene units and multiplied by `scale`, which is 1000 for coefficients per mm in a scene in metres. Source: Mitsuba's documentation, "Participating media"
 //! (mitsuba.readthedocs.io, `generated/plugins_media`) and `src/media/homogeneous.cpp`; tried with 3.9.1:
 //!
 //! - An rgb value is a reflectance, and above 1 an error (mitsuba3 issue 1620). The ways around it, `unbounded` of the
@@ -13,8 +13,9 @@
 
 use optics_model::Medium;
 use optics_model::fit::MaterialFit;
+use optics_model::phase::SecondLobe;
 
-use super::{MediumBlock, Values, blocks};
+use super::{BlockPhase, MediumBlock, Values, blocks};
 
 const UNITS: &str =
     "Coefficients are per mm, for a scene in mm; for one in metres multiply each scale by 1000.";
@@ -25,7 +26,8 @@ pub(crate) fn mitsuba_dict(fits: &[MaterialFit]) -> String {
         "# Measured media for Mitsuba 3: {{\"type\": \"scene\", **media, …}}\n# {UNITS}\nmedia = {{\n"
     );
     for block in blocks(fits) {
-        let (name, scale, g) = (&block.name, scale(&block.values), block.g);
+        let (name, scale) = (&block.name, scale(&block.values));
+        let phase = python_phase(block.phase);
         let sigma_t = python(&block.values, |c| c.sigma_t_per_mm() / scale);
         let albedo = python(&block.values, Medium::albedo);
         text += &notes(&block).map(|note| format!("    # {note}\n")).collect::<String>();
@@ -35,7 +37,7 @@ pub(crate) fn mitsuba_dict(fits: &[MaterialFit]) -> String {
         \"sigma_t\": {sigma_t},
         \"albedo\": {albedo},
         \"scale\": {scale:?},
-        \"phase\": {{\"type\": \"hg\", \"g\": {g:?}}},
+        \"phase\": {phase},
     }},\n"
         );
     }
@@ -53,7 +55,8 @@ pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
 <scene version=\"3.0.0\">\n"
     );
     for block in blocks(fits) {
-        let (name, scale, g) = (&block.name, scale(&block.values), block.g);
+        let (name, scale) = (&block.name, scale(&block.values));
+        let phase = xml_phase(block.phase);
         let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm() / scale);
         let albedo = xml("albedo", &block.values, Medium::albedo);
         text += &notes(&block).map(|note| xml_comment(&note)).collect::<String>();
@@ -62,13 +65,47 @@ pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
         {sigma_t}
         {albedo}
         <float name=\"scale\" value=\"{scale:?}\"/>
-        <phase type=\"hg\">
-            <float name=\"g\" value=\"{g:?}\"/>
-        </phase>
+{phase}
     </medium>\n"
         );
     }
     text + "</scene>\n"
+}
+
+/// g₁, and b and g₂ of a second lobe.
+fn lobes(phase: BlockPhase) -> (f64, Option<SecondLobe>) {
+    (phase.second_lobe.map_or(phase.g, |second| second.first(phase.g)), phase.second_lobe)
+}
+
+fn python_phase(phase: BlockPhase) -> String {
+    let (g, second) = lobes(phase);
+    let Some(second) = second else { return format!("{{\"type\": \"hg\", \"g\": {g:?}}}") };
+    format!(
+        "{{
+            \"type\": \"blendphase\",
+            \"weight\": {:?},
+            \"first\": {{\"type\": \"hg\", \"g\": {g:?}}},
+            \"second\": {{\"type\": \"hg\", \"g\": {:?}}},
+        }}",
+        second.weight(),
+        second.g()
+    )
+}
+
+fn xml_phase(phase: BlockPhase) -> String {
+    let (g, second) = lobes(phase);
+    let lobe = |g: f64, indent: &str| {
+        format!(
+            "{indent}<phase type=\"hg\">\n{indent}    <float name=\"g\" value=\"{g:?}\"/>\n{indent}</phase>"
+        )
+    };
+    let Some(second) = second else { return lobe(g, "        ") };
+    let (inner, weight) = ("            ", second.weight());
+    format!(
+        "        <phase type=\"blendphase\">\n{inner}<float name=\"weight\" value=\"{weight:?}\"/>\n{}\n{}\n        </phase>",
+        lobe(g, inner),
+        lobe(second.g(), inner)
+    )
 }
 
 fn notes(block: &MediumBlock) -> impl Iterator<Item = String> {
@@ -128,7 +165,7 @@ fn xml_comment(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::renderers::tests::{channel, medium, three_kinds};
+    use crate::renderers::tests::{channel, medium, three_kinds, two_lobes};
 
     /// Media of each kind as a Python dictionary for Mitsuba.
     #[test]
@@ -209,6 +246,34 @@ media = {
 </scene>
 "#;
         assert_eq!(mitsuba_xml(&three_kinds()), expected);
+    }
+
+    /// Two lobes are a blend whose weight is that of the second, with the first lobe's own anisotropy.
+    #[test]
+    fn two_lobes_are_a_blend() {
+        let expected = r#"        "phase": {
+            "type": "blendphase",
+            "weight": 0.2,
+            "first": {"type": "hg", "g": 0.625},
+            "second": {"type": "hg", "g": -0.5},
+        },
+"#;
+        let python = mitsuba_dict(&[two_lobes()]);
+        assert!(python.contains(expected), "{python}");
+        let expected = r#"        <phase type="blendphase">
+            <float name="weight" value="0.2"/>
+            <phase type="hg">
+                <float name="g" value="0.625"/>
+            </phase>
+            <phase type="hg">
+                <float name="g" value="-0.5"/>
+            </phase>
+        </phase>
+    </medium>
+"#;
+        let xml = mitsuba_xml(&[two_lobes()]);
+        assert!(xml.contains(expected), "{xml}");
+        assert!(roxmltree::Document::parse(&xml).is_ok());
     }
 
     /// The XML is one scene with a medium for each block.

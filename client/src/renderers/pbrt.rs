@@ -27,7 +27,14 @@ pub(crate) fn pbrt(fits: &[MaterialFit]) -> String {
         if let Values::Rgb(_) = block.values {
             text += "# pbrt turns rgb into smooth spectra: channels hold nearly, not exactly.\n";
         }
-        let (name, g) = (&block.name, block.g);
+        let (name, g) = (&block.name, block.phase.g);
+        if let Some(second) = block.phase.second_lobe {
+            let (first, b, of_second) = (second.first(g), second.weight(), second.g());
+            text += &format!(
+                "# pbrt's media have one lobe: g is the mean cosine of {:.4} HG({first:.4}) + {b:.4} HG({of_second:.4}).\n",
+                1.0 - b
+            );
+        }
         let sigma_a = parameter("sigma_a", &block.values, Medium::absorption_per_mm);
         let sigma_s = parameter("sigma_s", &block.values, |c| c.sigma_t_per_mm() * c.albedo());
         text += &format!(
@@ -62,7 +69,7 @@ fn parameter(name: &str, values: &Values, coefficient: impl Fn(&Medium) -> f64) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::renderers::tests::{channel, medium, three_kinds};
+    use crate::renderers::tests::{channel, medium, three_kinds, two_lobes};
 
     /// Media of each kind as statements for pbrt.
     #[test]
@@ -94,6 +101,15 @@ MakeNamedMedium "Wax_mean"
     "float scale" 1.0
 "#;
         assert_eq!(pbrt(&three_kinds()), expected);
+    }
+
+    /// A second lobe, which pbrt cannot have, is given in a comment; the medium has the mean cosine.
+    #[test]
+    fn second_lobe_is_a_comment() {
+        let text = pbrt(&[two_lobes()]);
+        let note =
+            "# pbrt's media have one lobe: g is the mean cosine of 0.8000 HG(0.6250) + 0.2000 HG(-0.5000).\n";
+        assert!(text.contains(note) && text.contains("\"float g\" 0.4\n"), "{text}");
     }
 
     /// Names cannot end the comment or the quotes that contain them.

@@ -8,6 +8,8 @@ mod table;
 use std::f64::consts::PI;
 use std::sync::Arc;
 
+use serde::Serialize;
+
 use crate::invalid::{Invalid, Result, check};
 pub use table::PhaseTable;
 
@@ -24,7 +26,7 @@ pub fn check_g(value: f64) -> Result<f64> {
 }
 
 /// The second lobe of a two-term Henyey–Greenstein phase function: its weight b, and the anisotropy g₂ of the lobe.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct SecondLobe {
     weight: f64,
     g: f64,
@@ -54,7 +56,7 @@ impl SecondLobe {
     }
 
     /// The anisotropy of the first lobe with which the mean cosine is g: g₁ = (g − b g₂)/(1 − b).
-    fn first(self, g: f64) -> f64 {
+    pub fn first(self, g: f64) -> f64 {
         (g - self.weight * self.g) / (1.0 - self.weight)
     }
 }

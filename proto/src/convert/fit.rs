@@ -134,6 +134,7 @@ mirror!(Refined {
     suspicion: optional,
     likelihood: required,
     from_mixtures,
+    second_lobe: optional,
 });
 
 /// Accepts answers of older coordinators, which send one flag of resolution only, and no likelihood with the paper's

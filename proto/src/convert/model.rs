@@ -225,6 +225,7 @@ fn effort(walks: u64, noise: i32) -> Result<Effort> {
 
 mirror!(TransportPoint::new(sigma_t_per_mm, g, thickness_mm, sample_ior));
 mirror!(Medium::new(sigma_t_per_mm, albedo, g));
+mirror!(SecondLobe::new(weight, g));
 mirror_enum!(NoiseLevel { Draft, Paper, Fine });
 mirror_enum!(PriorKind {
     Roughness,

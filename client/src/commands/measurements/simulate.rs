@@ -5,14 +5,17 @@ mod changes;
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_lab::grid_file::read_scene;
 use farm_lab::measurement_file::{MeasurementWriter, check_name};
+use farm_lab::phase_file::read_phase_table;
 use farm_lab::whole_file::open_node;
 use optics_model::job::JobSpec;
+use optics_model::phase::{PhaseShape, SecondLobe};
 use optics_model::scene::{Channel, Scene, Sensor};
 use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use serde::Serialize;
@@ -27,6 +30,7 @@ use camera::{NOISE, SimulatedCamera};
 Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 --walks 1e6 --plot changes.svg
+  farmctl simulate --sigma-t 6 --albedo 0.98 --g 0.4 --second-lobe 0.1,-0.5 --thickness 0.5 > lobes.csv
   farmctl simulate --sigma-t 4,6,8 --albedo 0.9,0.99 --g 0.4 --thickness 0.5,1 -o profiles.csv
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5,1 --measurement white -o white.csv")]
 pub(crate) struct SimulateArgs {
@@ -36,9 +40,30 @@ pub(crate) struct SimulateArgs {
     /// Single-scattering albedos.
     #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
     albedo: Vec<f64>,
-    /// Anisotropies of the Henyey–Greenstein phase function.
-    #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
+    /// Anisotropies: mean cosines of the phase function.
+    #[arg(
+        long,
+        value_name = "LIST",
+        required_unless_present = "phase_function",
+        conflicts_with = "phase_function",
+        value_delimiter = ',',
+        allow_negative_numbers = true
+    )]
     g: Vec<f64>,
+    /// Second lobe of the phase function (1 − b) HG(g₁) + b HG(g₂): its weight b and anisotropy g₂, as in 0.1,-0.5; with
+    /// 0,0 it is Henyey–Greenstein [default: the scene's].
+    #[arg(
+        long,
+        value_name = "WEIGHT,G",
+        num_args = 2,
+        value_delimiter = ',',
+        allow_negative_numbers = true,
+        conflicts_with = "phase_function"
+    )]
+    second_lobe: Option<Vec<f64>>,
+    /// Tabulated phase function: CSV with the columns angle_deg and value, for angles from 0 to 180, in place of --g.
+    #[arg(long, value_name = "FILE", conflicts_with = "plot")]
+    phase_function: Option<PathBuf>,
     /// Thicknesses of the sample in mm.
     #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
     thickness: Vec<f64>,
@@ -115,7 +140,7 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 
 fn simulate(args: &SimulateArgs, style: &OutputStyle, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
-        let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], args.g[0])?);
+        let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], jobs[0].point().g())?);
         figure_files::write(&changes::picture(job, &medium, args.change)?, path)?;
     }
     let Some(path) = &args.output else {
@@ -139,16 +164,22 @@ fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
             return Err(Invalid::new(field, list[twice], "each value may be given once").into());
         }
     }
-    let count = args.sigma_t.len() * args.albedo.len() * args.g.len() * args.thickness.len();
+    let scene = scene(args)?;
+    let anisotropies =
+        scene.phase().table().map_or_else(|| args.g.clone(), |table| vec![table.mean_cosine()]);
+    if args.g.is_empty() != scene.phase().table().is_some() {
+        let allowed = "a tabulated phase function has its own mean cosine";
+        return Err(Invalid::new("g", "given with the scene's table", allowed).into());
+    }
+    let count = args.sigma_t.len() * args.albedo.len() * anisotropies.len() * args.thickness.len();
     if count > MOST_PROFILES {
         let allowed = format!("at most {MOST_PROFILES} are allowed; for more, submit a grid");
         return Err(Invalid::new("profiles", count, allowed).into());
     }
-    let scene = scene(args)?;
     let walks = Walks::new(walks(args))?;
     let mut jobs = Vec::new();
     for &sigma_t in &args.sigma_t {
-        for &g in &args.g {
+        for &g in &anisotropies {
             for albedo in &args.albedo {
                 Medium::new(sigma_t, *albedo, g)?;
             }
@@ -171,10 +202,22 @@ fn scene(args: &SimulateArgs) -> Result<Scene> {
     if let (Some(light), Some(dark)) = (args.rho_light, args.rho_dark) {
         scene = scene.with_channels(vec![Channel::new("mono", light, dark)?])?;
     }
+    if let Some([weight, g]) = args.second_lobe.as_deref() {
+        scene = with_phase(scene, PhaseShape::Lobes(SecondLobe::new(*weight, *g)?))?;
+    }
+    if let Some(path) = &args.phase_function {
+        scene = with_phase(scene, PhaseShape::Table(Arc::new(read_phase_table(path)?)))?;
+    }
     let sensor = scene.sensor();
     let width = args.width.unwrap_or(sensor.width_mm());
     let sensor = Sensor::new(width, args.pixels.unwrap_or(sensor.pixels() as u32), sensor.polar_deg())?;
     Ok(scene.with_sensor(sensor))
+}
+
+/// The scene with a phase function that is exact.
+fn with_phase(scene: Scene, phase: PhaseShape) -> Result<Scene> {
+    let others = scene.priors().iter().filter(|prior| !prior.kind().is_of_phase()).cloned().collect();
+    Ok(scene.with_phase(phase).with_priors(others)?)
 }
 
 fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
@@ -223,7 +266,7 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Outpu
     if output.is_json() {
         bail!("--measurement writes CSV: leave out --json");
     }
-    if args.sigma_t.len() * args.albedo.len() * args.g.len() > 1 {
+    if args.sigma_t.len() * args.albedo.len() * args.g.len().max(1) > 1 {
         bail!(
             "--measurement writes one material: give one --sigma-t, --albedo and --g; --thickness may be a list"
         );

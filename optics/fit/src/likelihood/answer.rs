@@ -136,6 +136,7 @@ impl Found<'_, '_> {
             misfit,
             suspicion: self.suspicion(&goodness, &nuisances),
             from_mixtures: false,
+            second_lobe: self.second_lobe(),
             likelihood: Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,

@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use super::budget::SourceShare;
 use crate::medium::Medium;
+use crate::phase::SecondLobe;
 use crate::scene::Scope;
 
 /// One term of Eq. 1.
@@ -95,6 +96,9 @@ pub struct Refined {
     /// Medium and intervals come from mixtures with other inks: these profiles by themselves do not determine them.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub from_mixtures: bool,
+    /// The second lobe of the phase function, at its estimate; missing if the function has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_lobe: Option<SecondLobe>,
 }
 
 impl Refined {
