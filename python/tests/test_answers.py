@@ -58,6 +58,10 @@ def test_a_measurement_is_what_farmctl_measures(farm: resin_farm.Farm) -> None:
             ["--sigma-t", "..9", "--objective", "paper", "--lambda", "10"],
         ),
         (
+            {"phase": "henyey_greenstein", "g": 0.4},
+            ["--phase", "hg", "--g", "0.4"],
+        ),
+        (
             {"top": 2, "blur_mm": 0.02, "wavelet": "haar", "level": 3},
             ["--top", "2", "--blur-mm", "0.02", "--wavelet", "haar", "--level", "3"],
         ),
@@ -68,6 +72,64 @@ def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, given: resin_farm.Fit
     same(farm.fit(WHITE, **given), _decode.material_of_json(found["materials"][0], found["assumed"]))
 
 
+def of_laboratory() -> resin_farm.Measurement:
+    """Simulated slabs in the scene `lab`, where the second lobe has a weight of 0.05 and an anisotropy of −0.5."""
+    slabs = [
+        resin_farm.simulate(sigma_t=6, albedo=0.995, g=0.35, thickness_mm=thickness, walks=20_000)
+        for thickness in (0.5, 1)
+    ]
+    profiles = [
+        resin_farm.MeasuredProfile(channel, slab.thickness_mm, slab.x_mm, values, slab.std_errors[channel])
+        for slab in slabs
+        for channel, values in slab.channels.items()
+    ]
+    return resin_farm.Measurement("grey", profiles)
+
+
+def test_a_second_lobe_is_what_farmctl_estimates(tmp_path: pathlib.Path) -> None:
+    """One weight for all channels, one for each, and none."""
+    grey, file = of_laboratory(), tmp_path / "grey.csv"
+    grey.to_pandas().to_csv(file, index=False)
+    grid = resin_farm.Grid(
+        sigma_t_per_mm=[4, 6, 8],
+        albedo=[0.99, 0.995, 0.999],
+        g=[0.3, 0.4],
+        thickness_mm=[0.5, 1],
+        scene="lab",
+        walks=5000,
+    )
+    with resin_farm.Farm(tmp_path / "farm") as farm:
+        farm.submit(grid, progress=False)
+        found = {
+            "two-lobes": farm.measure(file, mu=1.0, g=0.35, phase="two_lobes"),
+            "per-channel": farm.measure(file, mu=1.0, g=0.35, phase="per_channel"),
+            "hg": farm.measure(file, mu=1.0, g=0.35, phase="henyey_greenstein"),
+        }
+        for phase, measured in found.items():
+            arguments = ["measure", str(file), "--mu", "1", "--g", "0.35", "--phase", phase]
+            same(measured, _decode.measured_of_json(farmctl(farm, *arguments)))
+        farmctl(farm, "measure", str(file), "--mu", "1", "--g", "0.35", "-o", str(tmp_path / "media"))
+    fits = {phase: measured["grey"] for phase, measured in found.items()}
+    weights = {phase: [c.second_lobe and c.second_lobe.weight for c in fit.channels] for phase, fit in fits.items()}
+    assert len(set(weights["two-lobes"])) == 1 and len(set(weights["per-channel"])) == 3
+    assert weights["hg"] == [None, None, None]
+    frame = fits["two-lobes"].to_pandas()
+    assert frame["second_lobe_weight"].between(0, 0.5).all() and frame["second_lobe_g"].eq(-0.5).all()
+    assert fits["hg"].to_pandas()["second_lobe_weight"].isna().all()
+    written: dict[str, Any] = {}
+    exec((tmp_path / "media" / "media.py").read_text(encoding="utf-8"), written)
+    assert fits["two-lobes"].to_mitsuba() == written["media"]["grey"]
+    assert fits["hg"].to_mitsuba()["phase"] == {"type": "hg", "g": 0.35}
+    with pytest.raises(ValueError, match="one second lobe is needed"):
+        fits["per-channel"].to_mitsuba()
+
+
+def test_the_first_lobe_makes_up_the_mean_cosine() -> None:
+    second = resin_farm.SecondLobe(weight=0.2, g=-0.5)
+    first = second.first_g(0.4)
+    assert first == pytest.approx(0.625) and 0.8 * first + 0.2 * second.g == pytest.approx(0.4)
+
+
 def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
     with pytest.raises(resin_farm.InvalidArgument, match="albedo") as caught:
         farm.fit(white, albedo=2.0)
@@ -76,6 +138,13 @@ def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measure
         farm.fit(white, anisotropy=0.4)  # type: ignore[call-arg]
     with pytest.raises(ValueError, match="allowed are paper, likelihood"):
         farm.fit(white, objective="least")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="allowed are two_lobes, per_channel, henyey_greenstein"):
+        farm.fit(white, phase="hg")  # type: ignore[arg-type]
+    with pytest.raises(resin_farm.InvalidArgument, match="no second lobe of uncertain weight"):
+        farm.fit(white, phase="per_channel")
+    with pytest.raises(resin_farm.InvalidArgument, match="phase") as caught:
+        farm.fit(white, objective="paper", phase="henyey_greenstein")
+    assert list(caught.value.fields) == ["options.phase"]
     with pytest.raises(resin_farm.NotFound, match="nothing"):
         farm.fit(white, "nothing")
     other = resin_farm.Measurement("other", white.profiles)

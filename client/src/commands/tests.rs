@@ -19,6 +19,7 @@ use optics_model::fit::{
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
+use optics_model::phase::SecondLobe;
 use optics_model::{
     Derivatives, Digest, Estimate, Grid, Medium, Profile, Record, Scene, TransportPoint, Walks,
 };
@@ -215,7 +216,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         suspicion,
         likelihood: likelihood(712.4, 0.5312),
         from_mixtures: false,
-        second_lobe: None,
+        second_lobe: SecondLobe::new(0.07, -0.5).ok(),
     };
     ChannelFit {
         channel: name.to_owned(),

@@ -28,7 +28,7 @@ from resin_farm.farm import Farm
 from resin_farm.grid import Grid
 from resin_farm.maps import DistanceMap
 from resin_farm.measurement import MeasuredProfile, Measurement, MeasurementWarning, read_measurements
-from resin_farm.medium import Interval, Medium
+from resin_farm.medium import Interval, Medium, SecondLobe
 from resin_farm.options import FitOptions
 from resin_farm.profile import Profile, simulate
 from resin_farm.results import MaterialFit, Measured, ScaleCurve
@@ -63,6 +63,7 @@ __all__ = [
     "Refused",
     "ScaleCurve",
     "SceneEstimate",
+    "SecondLobe",
     "SlabSet",
     "SourceShare",
     "Unavailable",

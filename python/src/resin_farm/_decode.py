@@ -18,7 +18,7 @@ from resin_farm.channel_fit import (
     SceneEstimate,
     SourceShare,
 )
-from resin_farm.medium import Array, Interval, Medium
+from resin_farm.medium import Array, Interval, Medium, SecondLobe
 from resin_farm.results import MaterialFit, Measured, ScaleCurve
 
 
@@ -94,6 +94,7 @@ def _refined(wire: fits_pb2.Refined) -> Refined:
         covariance=np.array(wire.covariance).reshape(3, 3),
         suspicion=suspicion,
         likelihood=_likelihood(wire.likelihood),
+        second_lobe=SecondLobe._of_wire(wire.second_lobe) if wire.HasField("second_lobe") else None,
     )
 
 
@@ -201,7 +202,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
     def interval(name: str) -> Interval:
         return Interval._of_json(found[f"{name}_interval"])
 
-    suspicion = found["suspicion"]
+    suspicion, second_lobe = found["suspicion"], found.get("second_lobe")
     return Refined(
         medium=_medium_of_json(found),
         sigma_t_per_mm=interval("sigma_t"),
@@ -217,6 +218,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
         covariance=np.array(found["covariance"]),
         suspicion=suspicion["cause"] if suspicion else None,
         likelihood=_likelihood_of_json(found["likelihood"]),
+        second_lobe=SecondLobe._of_json(second_lobe) if second_lobe else None,
     )
 
 

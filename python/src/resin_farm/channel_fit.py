@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from resin_farm.medium import Array, Interval, Medium
+from resin_farm.medium import Array, Interval, Medium, SecondLobe
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class SceneEstimate:
     """An estimate of an uncertain quantity of the scene, with its prior."""
 
     quantity: str
-    """Name, such as `gel thickness`."""
+    """Name, such as `gel thickness` or `sample second lobe weight`."""
     unit: str
     """`mm`, `°`, or empty for pure numbers."""
     scope: str
-    """The scope within which the quantity has this value: `session`, `slab` or `material`."""
+    """The scope within which the quantity has this value: `session`, `slab`, `material` or `channel`."""
     slab_mm: float | None
     """The slab that it belongs to, by its nominal thickness."""
     value: float
@@ -95,6 +95,7 @@ class Refined:
     sigma_t_per_mm: Interval
     albedo: Interval
     g: Interval
+    """Of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: Interval
     absorption_per_mm: Interval
     resolved: bool
@@ -111,6 +112,9 @@ class Refined:
     likelihood: Likelihood = field(repr=False)
     suspicion: str | None = None
     """The most likely single cause of a misfit beyond noise."""
+    second_lobe: SecondLobe | None = None
+    """The second lobe of the phase function, at its estimate; None if the function has none. `likelihood.scene` has
+    the standard errors of what was estimated, with the priors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,3 +144,9 @@ class ChannelFit:
     def medium(self) -> Medium:
         """The continuous optimum; without one the best record's medium."""
         return self.refined.medium if self.refined else self.candidates[0].medium
+
+    @property
+    def second_lobe(self) -> SecondLobe | None:
+        """The second lobe of the continuous optimum's phase function; None if the function has none, and without an
+        optimum."""
+        return self.refined.second_lobe if self.refined else None

@@ -21,6 +21,7 @@ class HalfWidths:
     sigma_t_per_mm: float
     albedo: float
     g: float
+    """Of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: float
     absorption_per_mm: float
 

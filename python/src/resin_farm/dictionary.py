@@ -157,7 +157,7 @@ class Dictionary:
         Args:
             sigma_t: extinction coefficient, in 1/mm.
             albedo: single-scattering albedo.
-            g: anisotropy.
+            g: anisotropy, the mean cosine of the phase function.
             thickness_mm: near one of the dictionary's, or between two.
             channels: all of the dictionary's if there are none.
             sample_ior: refractive index; the dictionary's first if None.

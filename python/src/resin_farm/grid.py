@@ -24,6 +24,7 @@ class Grid:
     sigma_t_per_mm: Axis | None = None
     albedo: Axis | None = None
     g: Axis | None = None
+    """Anisotropies: mean cosines of the phase function, whose shape is the scene's."""
     thickness_mm: Axis | None = None
     sample_ior: Axis | None = None
     scene: str | None = None

@@ -22,6 +22,7 @@ class DistanceMap:
 
     channel: str
     g: Array
+    """Anisotropies: mean cosines of the phase function."""
     sigma_t_per_mm: Array
     albedo: Array
     errors: Array = field(repr=False)

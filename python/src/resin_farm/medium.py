@@ -1,4 +1,4 @@
-"""Media, and intervals of their coefficients."""
+"""Media, second lobes of their phase functions, and intervals of their coefficients."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Medium:
-    """A homogeneous medium with a Henyey–Greenstein phase function."""
+    """A homogeneous medium. The shape of its phase function at this g belongs to the scene: Henyey–Greenstein, two
+    lobes (see `SecondLobe`), or a table."""
 
     sigma_t_per_mm: float
     """Extinction coefficient, in 1/mm."""
     albedo: float
     """Single-scattering albedo."""
     g: float
-    """Anisotropy."""
+    """Anisotropy: the mean cosine of the phase function."""
 
     @property
     def reduced_scattering_per_mm(self) -> float:
@@ -39,6 +40,31 @@ class Medium:
     @classmethod
     def _of_wire(cls, wire: model_pb2.Medium) -> Medium:
         return cls(wire.sigma_t_per_mm, wire.albedo, wire.g)
+
+
+@dataclass(frozen=True)
+class SecondLobe:
+    """The second lobe of a two-term Henyey–Greenstein phase function p = (1 − b) HG(g₁) + b HG(g₂), in 1/sr.
+
+    The anisotropy of the medium is the mean cosine, g = (1 − b) g₁ + b g₂.
+    """
+
+    weight: float
+    """b, from 0 to 0.5."""
+    g: float
+    """g₂, the anisotropy of this lobe, from −0.999 to 0.999."""
+
+    def first_g(self, g: float) -> float:
+        """g₁ = (g − b g₂)/(1 − b), the anisotropy of the first lobe in a medium of anisotropy g."""
+        return (g - self.weight * self.g) / (1 - self.weight)
+
+    @classmethod
+    def _of_wire(cls, wire: model_pb2.SecondLobe) -> SecondLobe:
+        return cls(wire.weight, wire.g)
+
+    @classmethod
+    def _of_json(cls, found: Mapping[str, Any]) -> SecondLobe:
+        return cls(found["weight"], found["g"])
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ class FitOptions(SetUp, total=False):
     mu_std_error: float
     objective: Literal["paper", "likelihood"]
     """The likelihood if it is not set."""
+    phase: Literal["two_lobes", "per_channel", "henyey_greenstein"]
+    """The phase function p = (1 − b) HG(g₁) + b HG(g₂), if the weight b is uncertain in the dictionary's scene. Two
+    lobes, with b as the scene has it, if it is not set: the channels of a material share one b unless the scene has
+    another scope. "per_channel": each channel has its own b. "henyey_greenstein": b = 0. The paper's objective allows
+    two lobes only."""
     lambda_: float
     """Weight of the gradients in the paper's distance."""
     wavelet: Literal["spline", "haar"]
@@ -35,6 +40,11 @@ class FitOptions(SetUp, total=False):
 
 
 _OBJECTIVES = {"paper": fits_pb2.OBJECTIVE_PAPER, "likelihood": fits_pb2.OBJECTIVE_LIKELIHOOD}
+_PHASES = {
+    "two_lobes": fits_pb2.PHASE_MODEL_UNSPECIFIED,
+    "per_channel": fits_pb2.PHASE_MODEL_PER_CHANNEL,
+    "henyey_greenstein": fits_pb2.PHASE_MODEL_HENYEY_GREENSTEIN,
+}
 _WAVELETS = {"spline": fits_pb2.WAVELET_QUADRATIC_SPLINE, "haar": fits_pb2.WAVELET_HAAR}
 
 
@@ -54,6 +64,8 @@ def wire(given: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
                 fields[name] = _bounds(value)
             case "objective":
                 fields[name] = _one_of(name, value, _OBJECTIVES)
+            case "phase":
+                fields[name] = _one_of(name, value, _PHASES)
             case "wavelet":
                 fields[name] = _one_of(name, value, _WAVELETS)
             case "lambda_":

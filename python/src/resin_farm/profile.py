@@ -68,7 +68,7 @@ def simulate(
     Args:
         sigma_t: extinction coefficient, in 1/mm.
         albedo: single-scattering albedo.
-        g: anisotropy.
+        g: anisotropy, the mean cosine of the phase function, whose shape is the scene's.
         thickness_mm: thickness of the slab.
         scene: "lab", "paper", "smooth" or the path of a scene file.
         sample_ior: refractive index of the slab.

@@ -10,7 +10,7 @@ import numpy as np
 
 from resin_farm import _display, _plots, _remarks
 from resin_farm.channel_fit import ChannelFit
-from resin_farm.medium import Array, Interval
+from resin_farm.medium import Array, Interval, SecondLobe
 
 if TYPE_CHECKING:
     import pandas
@@ -28,7 +28,7 @@ class ScaleCurve:
     std_error: float | None
     """Standard error of `best_mu`, by leaving out one channel after the other; None for one channel."""
     best_g: float
-    """The anisotropy with the least error common to all materials."""
+    """The anisotropy (mean cosine) with the least error common to all materials."""
 
     def plot(self) -> Figure:
         """The curve, with its minimum."""
@@ -71,17 +71,20 @@ class MaterialFit:
         return [_row(self.material, fit) for fit in self.channels]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row for each channel: parameters, ends of intervals (NaN where open), misfit."""
+        """One row for each channel: parameters, ends of intervals (NaN where open), misfit, weight and anisotropy of
+        the second lobe (NaN if the phase function has none). g is the mean cosine of the phase function."""
         import pandas
 
         return pandas.DataFrame([_record(self.material, fit) for fit in self.channels])
 
     def to_mitsuba(self) -> dict[str, Any]:
-        """The medium as a dictionary for Mitsuba 3, of channels R, G and B with the same g; coefficients are per mm.
+        """The medium as a dictionary for Mitsuba 3, of channels R, G and B with the same phase function; coefficients
+        are per mm. The phase function has the second lobe of the continuous optimum; without an optimum it is
+        Henyey–Greenstein.
 
         Raises:
-            ValueError: if it has other channels, or if their anisotropies differ: a homogeneous medium has one phase
-                function. Hold g, or let `farmctl measure -o` write separate media.
+            ValueError: if it has other channels, or if their phase functions differ: a homogeneous medium has one. Hold
+                g, fit one second lobe for all channels, or let `farmctl measure -o` write separate media.
         """
         media = {fit.channel: fit.medium for fit in self.channels}
         if sorted(media) != ["B", "G", "R"]:
@@ -89,6 +92,10 @@ class MaterialFit:
         rgb = [media[channel] for channel in "RGB"]
         if len({medium.g for medium in rgb}) > 1:
             raise ValueError(f"one g is needed, and these are {', '.join(_display.number(m.g) for m in rgb)}: hold it")
+        lobes = [self[channel].second_lobe for channel in "RGB"]
+        if len(set(lobes)) > 1:
+            weights = ", ".join(_display.number(lobe.weight if lobe else 0) for lobe in lobes)
+            raise ValueError(f"one second lobe is needed, and their weights are {weights}: fit one for all channels")
         # An rgb value above 1 is an error in Mitsuba.
         scale = 10.0 ** max(0, math.ceil(math.log10(max(medium.sigma_t_per_mm for medium in rgb))))
         return {
@@ -96,7 +103,7 @@ class MaterialFit:
             "sigma_t": {"type": "rgb", "value": [medium.sigma_t_per_mm / scale for medium in rgb]},
             "albedo": {"type": "rgb", "value": [medium.albedo for medium in rgb]},
             "scale": scale,
-            "phase": {"type": "hg", "g": rgb[0].g},
+            "phase": _mitsuba_phase(rgb[0].g, lobes[0]),
         }
 
     def plot(self) -> Figure:
@@ -129,7 +136,7 @@ class Measured:
     mu_chosen: bool
     """Whether it was estimated, not given."""
     g: float | None
-    """The common anisotropy; None if every channel has its own."""
+    """The common anisotropy, the mean cosine of the phase function; None if every channel has its own."""
     g_interval: Interval | None
     dictionary: str
     scale: ScaleCurve | None = field(default=None, repr=False)
@@ -189,6 +196,18 @@ def _row(material: str, fit: ChannelFit) -> list[str]:
     return [material, fit.channel, *cells]
 
 
+def _mitsuba_phase(g: float, second: SecondLobe | None) -> dict[str, Any]:
+    """Henyey–Greenstein, or a blend of two, whose weight is that of the second."""
+    if second is None:
+        return {"type": "hg", "g": g}
+    return {
+        "type": "blendphase",
+        "weight": second.weight,
+        "first": {"type": "hg", "g": second.first_g(g)},
+        "second": {"type": "hg", "g": second.g},
+    }
+
+
 _QUANTITIES = ("sigma_t_per_mm", "albedo", "g", "reduced_scattering_per_mm", "absorption_per_mm")
 
 
@@ -202,4 +221,6 @@ def _record(material: str, fit: ChannelFit) -> dict[str, Any]:
     row["resolved"] = fit.refined.resolved if fit.refined else None
     row["resolved_at_g"] = fit.refined.resolved_at_g if fit.refined else None
     row["misfit"] = fit.refined.misfit if fit.refined else np.nan
+    row["second_lobe_weight"] = fit.second_lobe.weight if fit.second_lobe else np.nan
+    row["second_lobe_g"] = fit.second_lobe.g if fit.second_lobe else np.nan
     return row

@@ -2,6 +2,7 @@
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import type { FitOptionsSchema } from '../gen/farm/v1/fits_pb';
+import { PriorKind } from '../gen/farm/v1/model_pb';
 import { dictionaries } from './api';
 
 export const STATES: Record<DictionaryState, string> = {
@@ -45,6 +46,12 @@ export function preset(ready: Dictionary[], example: boolean): Dictionary | unde
 // Whether rough surfaces lose the light that they scatter more than once.
 export function losesLight(dictionary: Dictionary | undefined): boolean {
   return dictionary?.grid?.scene?.multipleScattering === false;
+}
+
+// Whether fits estimate the weight of a second lobe of the phase function: the scene has one with a standard error.
+export function hasUncertainLobe(dictionary: Dictionary | undefined): boolean {
+  const grid = dictionary?.grid;
+  return grid !== undefined && grid.responses.length > 0 && (grid.scene?.priors.some((p) => p.kind === PriorKind.SECOND_LOBE_WEIGHT) ?? false);
 }
 
 export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;

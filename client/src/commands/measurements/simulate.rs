@@ -52,15 +52,8 @@ pub(crate) struct SimulateArgs {
     g: Vec<f64>,
     /// Second lobe of the phase function (1 − b) HG(g₁) + b HG(g₂): its weight b and anisotropy g₂, as in 0.1,-0.5; with
     /// 0,0 it is Henyey–Greenstein [default: the scene's].
-    #[arg(
-        long,
-        value_name = "WEIGHT,G",
-        num_args = 2,
-        value_delimiter = ',',
-        allow_negative_numbers = true,
-        conflicts_with = "phase_function"
-    )]
-    second_lobe: Option<Vec<f64>>,
+    #[arg(long, value_name = "WEIGHT,G", value_parser = two_numbers, conflicts_with = "phase_function")]
+    second_lobe: Option<[f64; 2]>,
     /// Tabulated phase function: CSV with the columns angle_deg and value, for angles from 0 to 180, in place of --g.
     #[arg(long, value_name = "FILE", conflicts_with = "plot")]
     phase_function: Option<PathBuf>,
@@ -202,8 +195,8 @@ fn scene(args: &SimulateArgs) -> Result<Scene> {
     if let (Some(light), Some(dark)) = (args.rho_light, args.rho_dark) {
         scene = scene.with_channels(vec![Channel::new("mono", light, dark)?])?;
     }
-    if let Some([weight, g]) = args.second_lobe.as_deref() {
-        scene = with_phase(scene, PhaseShape::Lobes(SecondLobe::new(*weight, *g)?))?;
+    if let Some([weight, g]) = args.second_lobe {
+        scene = with_phase(scene, PhaseShape::Lobes(SecondLobe::new(weight, g)?))?;
     }
     if let Some(path) = &args.phase_function {
         scene = with_phase(scene, PhaseShape::Table(Arc::new(read_phase_table(path)?)))?;
@@ -212,6 +205,12 @@ fn scene(args: &SimulateArgs) -> Result<Scene> {
     let width = args.width.unwrap_or(sensor.width_mm());
     let sensor = Sensor::new(width, args.pixels.unwrap_or(sensor.pixels() as u32), sensor.polar_deg())?;
     Ok(scene.with_sensor(sensor))
+}
+
+fn two_numbers(text: &str) -> Result<[f64; 2], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|part| part.trim().parse()).collect();
+    let numbers = numbers.ok().and_then(|numbers| <[f64; 2]>::try_from(numbers).ok());
+    numbers.ok_or_else(|| "two numbers with a comma between them are needed, such as 0.1,-0.5".to_owned())
 }
 
 /// The scene with a phase function that is exact.
