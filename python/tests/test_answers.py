@@ -16,6 +16,7 @@ import xarray as xr
 import resin_farm
 from conftest import WHITE
 from resin_farm import _decode, _programs
+from resin_farm._wire import fits_pb2, model_pb2
 
 Array: TypeAlias = np.typing.NDArray[np.float64]
 
@@ -108,26 +109,43 @@ def test_a_second_lobe_is_what_farmctl_estimates(tmp_path: pathlib.Path) -> None
         for phase, measured in found.items():
             arguments = ["measure", str(file), "--mu", "1", "--g", "0.35", "--phase", phase]
             same(measured, _decode.measured_of_json(farmctl(farm, *arguments)))
-        farmctl(farm, "measure", str(file), "--mu", "1", "--g", "0.35", "-o", str(tmp_path / "media"))
-    fits = {phase: measured["grey"] for phase, measured in found.items()}
-    weights = {phase: [c.second_lobe and c.second_lobe.weight for c in fit.channels] for phase, fit in fits.items()}
-    assert len(set(weights["two-lobes"])) == 1 and len(set(weights["per-channel"])) == 3
-    assert weights["hg"] == [None, None, None]
-    frame = fits["two-lobes"].to_pandas()
+    for phase, scope in (("two-lobes", "material"), ("per-channel", "channel")):
+        for fit in found[phase]["grey"].channels:
+            assert fit.refined is not None and fit.second_lobe is not None
+            scene = fit.refined.likelihood.scene
+            (weight,) = (estimate for estimate in scene if estimate.quantity == "sample second lobe weight")
+            assert weight.scope == scope and weight.std_error < weight.prior_std_error
+            assert fit.second_lobe == resin_farm.SecondLobe(weight.value, -0.5)
+    frame = found["two-lobes"].to_pandas()
     assert frame["second_lobe_weight"].between(0, 0.5).all() and frame["second_lobe_g"].eq(-0.5).all()
-    assert fits["hg"].to_pandas()["second_lobe_weight"].isna().all()
-    written: dict[str, Any] = {}
-    exec((tmp_path / "media" / "media.py").read_text(encoding="utf-8"), written)
-    assert fits["two-lobes"].to_mitsuba() == written["media"]["grey"]
-    assert fits["hg"].to_mitsuba()["phase"] == {"type": "hg", "g": 0.35}
-    with pytest.raises(ValueError, match="one second lobe is needed"):
-        fits["per-channel"].to_mitsuba()
+    assert found["hg"].to_pandas()["second_lobe_weight"].isna().all()
+    assert found["hg"]["grey"].to_mitsuba()["phase"] == {"type": "hg", "g": 0.35}
 
 
-def test_the_first_lobe_makes_up_the_mean_cosine() -> None:
-    second = resin_farm.SecondLobe(weight=0.2, g=-0.5)
-    first = second.first_g(0.4)
-    assert first == pytest.approx(0.625) and 0.8 * first + 0.2 * second.g == pytest.approx(0.4)
+def test_two_lobes_are_a_blend_for_mitsuba() -> None:
+    """Its weight is that of the second lobe, and the first has the anisotropy with which the mean cosine is g."""
+
+    def fit(*weights: float) -> resin_farm.MaterialFit:
+        best = fits_pb2.Candidate(medium=model_pb2.Medium(sigma_t_per_mm=6, albedo=0.99, g=0.4))
+        channels = [
+            fits_pb2.ChannelFit(
+                channel=channel,
+                refined=fits_pb2.Refined(
+                    best=best, covariance=[0.0] * 9, second_lobe=model_pb2.SecondLobe(weight=weight, g=-0.5)
+                ),
+            )
+            for channel, weight in zip("RGB", weights, strict=True)
+        ]
+        return _decode.material_fit(fits_pb2.MaterialFit(material="grey", channels=channels))
+
+    assert fit(0.2, 0.2, 0.2).to_mitsuba()["phase"] == {
+        "type": "blendphase",
+        "weight": 0.2,
+        "first": {"type": "hg", "g": 0.625},
+        "second": {"type": "hg", "g": -0.5},
+    }
+    with pytest.raises(ValueError, match=r"their weights are 0\.2, 0\.1, 0\.2"):
+        fit(0.2, 0.1, 0.2).to_mitsuba()
 
 
 def test_fits_say_what_is_wrong(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:

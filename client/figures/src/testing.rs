@@ -27,6 +27,8 @@ pub fn design() -> Design {
         std_error: Some(std_error),
         halved: Some(widths(halved, 0.0)),
         removed: removed.map(|w| widths(w, 0.0)),
+        estimated: None,
+        estimated_g_free: None,
     };
     let one = SlabSet {
         slabs_mm: vec![0.5],

@@ -1,7 +1,7 @@
 //! Formats fits as tables and remarks.
 
-use farm_figures::numbers::short;
-use optics_model::fit::{Candidate, ChannelFit, MaterialFit, Refined};
+use farm_figures::numbers::{short, significant};
+use optics_model::fit::{Candidate, ChannelFit, Interval, MaterialFit, Refined};
 
 use super::bound::bounds;
 use super::scene::{exact_scene, scene_text};
@@ -55,9 +55,19 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
     std::iter::once("objective: likelihood".to_owned()).chain(assumed).chain(exact_scene(fits)).collect()
 }
 
-/// One row per channel: σ_s(1 − g) and σ_a, which similar media share.
+/// One row per channel: σ_s(1 − g) and σ_a, which similar media share, and the function of the medium that the data
+/// determine best, whatever the others are.
 fn known(fits: &[MaterialFit]) -> String {
-    let head = ["material", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %", "misfit"];
+    let head = [
+        "material",
+        "ch",
+        "σ_s(1−g)\n/mm",
+        "\n95 %",
+        "σ_a\n/mm",
+        "\n95 %",
+        "misfit",
+        "determined best\n95 %",
+    ];
     let row = |material: &str, channel: &ChannelFit| {
         let mut row = vec![short(material), channel.channel.clone()];
         if let Some(r) = &channel.refined {
@@ -68,13 +78,39 @@ fn known(fits: &[MaterialFit]) -> String {
                 row.extend([value, interval]);
             }
             row.push(shown.misfit);
+            row.push(determined_best(r));
         } else {
-            row.extend(std::iter::repeat_n("–".to_owned(), 5));
+            row.extend(std::iter::repeat_n("–".to_owned(), 6));
         }
         row
     };
     let rows = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| row(&fit.material, c)));
-    format!("what similar media share, whatever g is\n{}", table(&head, &[2, 4, 6], rows))
+    format!("shared by similar media, whatever g is\n{}", table(&head, &[2, 4, 6], rows))
+}
+
+/// The function of the medium with the least relative half-width, such as `σ_a ± 4.1 %`. The intervals contain the
+/// uncertainty of g, of a second lobe of the phase function, and of the set-up.
+fn determined_best(r: &Refined) -> String {
+    let m = &r.best.medium;
+    let complement = |i: &Interval| Interval {
+        low: 1.0 - i.high,
+        high: 1.0 - i.low,
+        open_low: i.open_high,
+        open_high: i.open_low,
+    };
+    let functions = [
+        ("σ_s(1−g)", m.reduced_scattering_per_mm(), r.reduced_scattering_per_mm),
+        ("σ_a", m.absorption_per_mm(), r.absorption_per_mm),
+        ("σ_t", m.sigma_t_per_mm(), r.sigma_t_per_mm),
+        ("1−α", 1.0 - m.albedo(), complement(&r.albedo)),
+    ];
+    let closed = functions.iter().filter(|(_, value, i)| !(i.open_low || i.open_high) && *value > 0.0);
+    let shares = closed.map(|(name, value, i)| (*name, 0.5 * (i.high - i.low) / value));
+    let best = shares.min_by(|a, b| a.1.total_cmp(&b.1));
+    best.map_or_else(
+        || "–".to_owned(),
+        |(name, share)| format!("{name} ± {} %", significant(100.0 * share, 2)),
+    )
 }
 
 /// One row per channel: σ_t, α and g with their intervals; without refinement, those of the best record.

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::find_channel;
 use crate::dictionary::axes::held;
-use crate::likelihood::{DesignPlan, KnownErrors};
+use crate::likelihood::{DesignPlan, KnownErrors, Precision};
 use crate::surrogate::place::{axes, check_medium, check_thickness, own_pixels, sample_ior};
 use crate::surrogate::{G, Surrogate, coordinates};
 
@@ -141,11 +141,18 @@ impl Planner<'_> {
     fn set(&self, slabs_mm: Vec<f64>, shots: u32) -> SlabSet {
         let known = self.known(shots);
         let free_g = self.surrogate.grid().g().len() > 1;
-        let improvement = |better| self.improvement(&slabs_mm, &known, better);
+        let held = self.plan(true).precision(&slabs_mm, &known);
+        let free = free_g.then(|| self.plan(false).precision(&slabs_mm, &known)).flatten();
+        let improvement = |better| {
+            let improvement = self.improvement(&slabs_mm, &known, better)?;
+            let of = |precision: &Option<Precision>| self.estimated(precision.as_ref()?, better);
+            Some(Improvement { estimated: of(&held), estimated_g_free: of(&free), ..improvement })
+        };
+        let widths = |of: &Option<Precision>| of.as_ref().map_or(HalfWidths::UNKNOWN, |p| p.medium);
         SlabSet {
             shots,
-            g_held: self.half_widths(&slabs_mm, &known, true),
-            g_free: free_g.then(|| self.half_widths(&slabs_mm, &known, false)),
+            g_held: widths(&held),
+            g_free: free_g.then(|| widths(&free)),
             best_of_its_effort: false,
             best: false,
             improvements: self.limitations().into_iter().filter_map(improvement).collect(),
@@ -168,12 +175,17 @@ impl Planner<'_> {
         }
     }
 
-    fn half_widths(&self, slabs_mm: &[f64], known: &KnownErrors, hold_g: bool) -> HalfWidths {
+    /// Standard error of a quantity of the scene after the measurement.
+    fn estimated(&self, precision: &Precision, better: Better) -> Option<f64> {
+        let prior = self.surrogate.grid().scene().priors().get(better.prior)?;
+        (better.limitation == Limitation::Scene).then(|| prior.std_error() * precision.scene[better.prior])
+    }
+
+    fn plan(&self, hold_g: bool) -> DesignPlan<'_> {
         let mut held = held(self.surrogate.grid(), &FitOptions::default()).map(|h| h.is_some());
         held[G] |= hold_g;
         let medium = coordinates(&self.settings.medium);
-        let plan = DesignPlan { surrogate: self.surrogate, medium, held, pixels: self.pixels };
-        plan.half_widths(slabs_mm, known)
+        DesignPlan { surrogate: self.surrogate, medium, held, pixels: self.pixels }
     }
 
     /// None if the limited quantity is known exactly already.
@@ -186,7 +198,7 @@ impl Planner<'_> {
         if std_error == Some(0.0) && !is_noise {
             return None;
         }
-        let with = |factor: f64| self.half_widths(slabs_mm, &times(known, better, factor), true);
+        let with = |factor: f64| self.plan(true).half_widths(slabs_mm, &times(known, better, factor));
         Some(Improvement {
             limitation: better.limitation,
             quantity: prior.map(|prior| scene.name_of(prior)),
@@ -194,6 +206,8 @@ impl Planner<'_> {
             std_error,
             halved: std_error.map(|_| with(0.5)),
             removed: (!is_noise).then(|| with(0.0)),
+            estimated: None,
+            estimated_g_free: None,
         })
     }
 

@@ -29,7 +29,7 @@ use answer::Found;
 use problem::ChannelData;
 use problem::channel::{self, ChannelMinimum};
 
-pub(super) use design::{DesignPlan, KnownErrors};
+pub(super) use design::{DesignPlan, KnownErrors, Precision};
 pub(super) use joint::measure;
 pub(super) use map::distance_map;
 pub(super) use mixtures::unmix;

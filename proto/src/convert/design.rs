@@ -64,7 +64,16 @@ mirror!(SlabSet {
     improvements: known_ones,
 });
 mirror!(HalfWidths { sigma_t_per_mm, albedo, g, reduced_scattering_per_mm, absorption_per_mm });
-mirror!(Improvement { limitation: number, quantity, unit, std_error, halved: optional, removed: optional });
+mirror!(Improvement {
+    limitation: number,
+    quantity,
+    unit,
+    std_error,
+    halved: optional,
+    removed: optional,
+    estimated,
+    estimated_g_free,
+});
 mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, Scene });
 
 #[cfg(test)]
@@ -128,6 +137,8 @@ mod tests {
             std_error: Some(0.005),
             halved: Some(widths(0.04)),
             removed: Some(widths(0.03)),
+            estimated: (number == 9).then_some(0.004),
+            estimated_g_free: (number == 9).then_some(0.006),
         };
         let design = Design {
             channel: "R".to_owned(),
@@ -141,7 +152,7 @@ mod tests {
                 g_free: Some(widths(0.9)),
                 best_of_its_effort: true,
                 best: true,
-                improvements: (1..=8).map(improvement).collect(),
+                improvements: (1..=9).map(improvement).collect(),
             }],
         };
         let mut wire = wire::DesignResponse::from(design.clone());

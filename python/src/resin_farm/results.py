@@ -84,7 +84,7 @@ class MaterialFit:
 
         Raises:
             ValueError: if it has other channels, or if their phase functions differ: a homogeneous medium has one. Hold
-                g, fit one second lobe for all channels, or let `farmctl measure -o` write separate media.
+                g, take `phase="henyey_greenstein"`, or let `farmctl measure -o` write separate media.
         """
         media = {fit.channel: fit.medium for fit in self.channels}
         if sorted(media) != ["B", "G", "R"]:
@@ -95,7 +95,7 @@ class MaterialFit:
         lobes = [self[channel].second_lobe for channel in "RGB"]
         if len(set(lobes)) > 1:
             weights = ", ".join(_display.number(lobe.weight if lobe else 0) for lobe in lobes)
-            raise ValueError(f"one second lobe is needed, and their weights are {weights}: fit one for all channels")
+            raise ValueError(f"one second lobe is needed, and their weights are {weights}: write separate media")
         # An rgb value above 1 is an error in Mitsuba.
         scale = 10.0 ** max(0, math.ceil(math.log10(max(medium.sigma_t_per_mm for medium in rgb))))
         return {

@@ -13,6 +13,7 @@ use optics_model::{Grid, Medium};
 use crate::dictionary::axes::held;
 use crate::dictionary::sum::{dot, rms};
 use crate::dictionary::view::Slope;
+use crate::likelihood::answer::nuisances::second_lobe;
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
 use crate::likelihood::interval::chi2::exceedance;
 use crate::likelihood::interval::profile_likelihood::{IntervalEnd, ProfileLikelihood, interval};
@@ -136,7 +137,7 @@ impl Found<'_, '_> {
             misfit,
             suspicion: self.suspicion(&goodness, &nuisances),
             from_mixtures: false,
-            second_lobe: self.second_lobe(),
+            second_lobe: second_lobe(self.grid().scene(), self.system, self.state, 0),
             likelihood: Likelihood {
                 chi2: goodness.chi2,
                 degrees_of_freedom: goodness.degrees_of_freedom,

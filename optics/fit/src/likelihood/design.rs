@@ -1,11 +1,12 @@
 //! Computes the Cramér–Rao bound of a planned measurement: that of `bound`, at a guess of the medium and with the model's
 //! values in place of measured ones.
 
+use nalgebra::DMatrix;
 use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
 use optics_model::scene::Scope;
 
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
-use crate::likelihood::point::Line;
+use crate::likelihood::point::{Line, SHARED};
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::{Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
@@ -35,6 +36,15 @@ pub(crate) struct KnownErrors {
     pub scene: Line,
 }
 
+/// The precision of a planned measurement.
+#[derive(Debug)]
+pub(crate) struct Precision {
+    pub medium: HalfWidths,
+    /// Standard errors of the scene's uncertain quantities, in units of their priors'; of the first slab for quantities
+    /// that each slab has separately.
+    pub scene: Line,
+}
+
 /// A medium, and the pixels that record slabs of it.
 #[derive(Debug)]
 pub(crate) struct DesignPlan<'a> {
@@ -48,11 +58,21 @@ pub(crate) struct DesignPlan<'a> {
 impl DesignPlan<'_> {
     /// Half-widths of the medium's intervals from slabs of these thicknesses.
     pub(crate) fn half_widths(&self, slabs_mm: &[f64], known: &KnownErrors) -> HalfWidths {
+        self.precision(slabs_mm, known).map_or(HalfWidths::UNKNOWN, |precision| precision.medium)
+    }
+
+    /// None if the pixels do not determine the medium.
+    pub(crate) fn precision(&self, slabs_mm: &[f64], known: &KnownErrors) -> Option<Precision> {
         let (system, state) = self.system(slabs_mm, known);
+        let covariance = ideal_covariance(&system, &state).filter(|c| c.iter().all(|v| v.is_finite()))?;
+        let of_scene = system.slots[0][SHARED..].iter();
+        let scene = of_scene.map(|slot| covariance[(*slot, *slot)].max(0.0).sqrt()).collect();
+        Some(Precision { medium: self.medium_widths(&system, &state, &covariance), scene })
+    }
+
+    fn medium_widths(&self, system: &System, state: &State, covariance: &DMatrix<f64>) -> HalfWidths {
         let slots = &system.slots[0];
-        let covariance = ideal_covariance(&system, &state).filter(|c| c.iter().all(|v| v.is_finite()));
-        let Some(covariance) = covariance else { return HalfWidths::UNKNOWN };
-        let bound = bound(&covariance, &state, slots);
+        let bound = bound(covariance, state, slots);
         let ends = [
             bound.sigma_t_per_mm,
             bound.albedo,
@@ -65,7 +85,7 @@ impl DesignPlan<'_> {
         let mut widths =
             Quantity::all(slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
                 let gradient = quantity.gradient(&state.x);
-                let deviation = gradient.dot(&(&covariance * &gradient)).max(0.0).sqrt();
+                let deviation = gradient.dot(&(covariance * &gradient)).max(0.0).sqrt();
                 if deviation < UNDETERMINED * unit { 0.5 * (ends.high - ends.low) } else { f64::INFINITY }
             });
         let mut next = || widths.next().unwrap_or(f64::INFINITY);

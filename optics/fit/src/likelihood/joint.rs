@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use crate::dictionary::FitDictionary;
 use crate::dictionary::axes::held;
 use crate::likelihood::answer::Found;
+use crate::likelihood::answer::nuisances::second_lobe;
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
@@ -260,6 +261,9 @@ impl<'a> Set<'a> {
                     common_g: g_interval,
                 };
                 let mut refined = found.refined();
+                // The estimate of all channels together: what a material shares is the same for its channels.
+                let first = joint.assembly.terms[i].start;
+                refined.second_lobe = second_lobe(grid.scene(), system, &joint.state, first);
                 let absorbed = response.as_ref().map(|r| r.suspicion(i));
                 refined.suspicion = absorbed.or(refined.suspicion);
                 let scan = &self.scans[i];

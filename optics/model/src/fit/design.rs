@@ -240,6 +240,12 @@ pub struct Improvement {
     pub halved: Option<HalfWidths>,
     /// With the quantity known exactly; none for noise, which cannot be removed.
     pub removed: Option<HalfWidths>,
+    /// Standard error of a quantity of the scene after the measurement, from its prior and the pixels: with g held, and
+    /// with g free.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimated: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimated_g_free: Option<f64>,
 }
 
 impl Improvement {

@@ -3,11 +3,12 @@
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
 use optics_model::phase::SecondLobe;
-use optics_model::scene::{PriorKind, Scope};
+use optics_model::scene::{PriorKind, Scene, Scope};
 
 use crate::likelihood::answer::Found;
 use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS};
 use crate::likelihood::system::unknowns::{SceneUnknown, submatrix};
+use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::likelihood::term::reduced::Reduced;
 use crate::likelihood::term::{Own, OwnPrior};
@@ -38,21 +39,6 @@ impl Found<'_, '_> {
         let mut all: Vec<&SceneUnknown> = self.system.of_scene.iter().filter(free).collect();
         all.sort_by_key(|unknown| unknown.prior);
         all.into_iter().map(estimate).collect()
-    }
-
-    /// The second lobe of the phase function at its estimate.
-    pub(crate) fn second_lobe(&self) -> Option<SecondLobe> {
-        let scene = self.data.dictionary.grid().scene();
-        let of_scene = scene.phase().second_lobe()?;
-        let estimate = |kind: PriorKind, of_scene: f64| {
-            let of_kind = |u: &&SceneUnknown| scene.priors()[u.prior].kind() == kind;
-            let slots = &self.system.slots[0];
-            let own = self.system.of_scene.iter().find(|u| of_kind(u) && slots.contains(&u.slot));
-            own.map_or(of_scene, |u| of_scene + scene.priors()[u.prior].std_error() * self.state.x[u.slot])
-        };
-        let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight()).max(0.0);
-        let lobe = SecondLobe::new(weight, estimate(PriorKind::SecondLobeG, of_scene.g()));
-        lobe.ok().filter(|lobe| lobe.weight() > 0.0)
     }
 
     /// All nuisances in the order of the answer: common ones first, then by profile.
@@ -146,6 +132,25 @@ impl Found<'_, '_> {
         };
         term.priors.iter().enumerate().map(estimate).collect()
     }
+}
+
+/// The second lobe of the phase function of a profile, at a state of its system.
+pub(crate) fn second_lobe(
+    scene: &Scene,
+    system: &System,
+    state: &State,
+    profile: usize,
+) -> Option<SecondLobe> {
+    let of_scene = scene.phase().second_lobe()?;
+    let slots = &system.slots[profile];
+    let estimate = |kind: PriorKind, of_scene: f64| {
+        let of_kind = |u: &&SceneUnknown| scene.priors()[u.prior].kind() == kind;
+        let own = system.of_scene.iter().find(|u| of_kind(u) && slots.contains(&u.slot));
+        own.map_or(of_scene, |u| of_scene + scene.priors()[u.prior].std_error() * state.x[u.slot])
+    };
+    let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight()).max(0.0);
+    let lobe = SecondLobe::new(weight, estimate(PriorKind::SecondLobeG, of_scene.g()));
+    lobe.ok().filter(|lobe| lobe.weight() > 0.0)
 }
 
 fn std_error(covariance: &DMatrix<f64>, i: usize) -> f64 {
