@@ -160,13 +160,16 @@ fn scene(set: &SlabSet, medium: &Medium) -> Option<String> {
         .then(|| format!("Of the set-up measure first (σ_t is ± {now} %; with the quantity known): {text}."))
 }
 
+/// Ratio of standard errors from which on that with g free is listed, too.
+const WORSE: f64 = 1.1;
+
 /// The scene's quantities that these photographs determine better than their priors by a tenth at least.
 fn estimated(set: &SlabSet) -> Option<String> {
     let each = |i: &Improvement| {
         let (prior, found) = (i.std_error?, i.estimated?);
         let number = |std_error: f64| with_unit(i, std_error);
-        let free =
-            i.estimated_g_free.map(|free| format!(", {} with g free", number(free))).unwrap_or_default();
+        let worse = i.estimated_g_free.filter(|free| *free > WORSE * found);
+        let free = worse.map(|free| format!(", {} with g free", number(free))).unwrap_or_default();
         (found < 0.9 * prior)
             .then(|| format!("{} ± {} (prior {}{free})", name(i), number(found), number(prior)))
     };

@@ -1,8 +1,9 @@
 //! Formats media for Mitsuba 3, as a Python dictionary and as XML.
 //!
 //! The plugin is `homogeneous` with a nested `hg`, or a `blendphase` of two, whose weight is that of the second: σ_t is in
-//! inverse scene units and multiplied by `scale`, which is 1000 for coefficients per mm in a scene in metres. Source: Mitsuba's documentation, "Participating media"
-//! (mitsuba.readthedocs.io, `generated/plugins_media`) and `src/media/homogeneous.cpp`; tried with 3.9.1:
+//! inverse scene units and multiplied by `scale`, which is 1000 for coefficients per mm in a scene in metres. Source:
+//! Mitsuba's documentation, "Participating media" (mitsuba.readthedocs.io, `generated/plugins_media`) and
+//! `src/media/homogeneous.cpp`; tried with 3.9.1:
 //!
 //! - An rgb value is a reflectance, and above 1 an error (mitsuba3 issue 1620). The ways around it, `unbounded` of the
 //!   plugin `srgb` and a nested `constvolume`, are right in RGB variants and silently wrong in spectral ones, where

@@ -3,6 +3,7 @@
 //! A type with a rule has private fields and one validating constructor, so a [`Grid`] or a [`Scene`] is always
 //! correct. Nothing here uses a runtime, a network, a clock, a database or a file.
 
+pub mod angle;
 mod canonical;
 pub mod digest;
 mod files;

@@ -6,6 +6,7 @@ mod built_in;
 mod differences;
 mod priors;
 
+use crate::angle::sin2;
 use crate::invalid::{Invalid, Result, check};
 use crate::medium::{check_ior, check_thickness};
 use crate::phase::PhaseShape;
@@ -168,21 +169,6 @@ impl RingLight {
     pub fn measure(&self) -> f64 {
         sin2(self.outer_deg) - sin2(self.inner_deg)
     }
-}
-
-/// sin² of an angle in degrees, by a series that gives the same bits on every machine.
-pub fn sin2(degrees: f64) -> f64 {
-    if degrees > 45.0 {
-        return 1.0 - sin2(90.0 - degrees);
-    }
-    let x = degrees.to_radians();
-    // x ≤ π/4: the terms fall below 1e-17 of the sum after 9 of them.
-    let (mut term, mut sum) = (x, x);
-    for k in 1..10 {
-        term *= -x * x / f64::from(2 * k * (2 * k + 1));
-        sum += term;
-    }
-    sum * sum
 }
 
 /// An orthographic row of box-filtered pixels across the edge, centred on it.
@@ -355,14 +341,6 @@ fn check_channels(channels: &[Channel]) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sin2_agrees_with_the_library() {
-        for i in 0..=900 {
-            let degrees = f64::from(i) / 10.0;
-            assert!((sin2(degrees) - degrees.to_radians().sin().powi(2)).abs() < 1e-15, "{degrees}");
-        }
-    }
 
     #[test]
     fn scene_needs_exactly_one_sample() {

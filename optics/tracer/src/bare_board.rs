@@ -16,7 +16,8 @@
 use std::cell::OnceCell;
 
 use glam::Vec3;
-use optics_model::scene::{Channel, LEAST_RHO_DARK, LayerMedium, sin2};
+use optics_model::angle::sin2;
+use optics_model::scene::{Channel, LEAST_RHO_DARK, LayerMedium};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
 

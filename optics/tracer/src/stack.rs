@@ -1,7 +1,8 @@
 //! Prepares a scene and a transport point for walks: slabs, interfaces, sensor and ring in single precision.
 
 use glam::Vec3;
-use optics_model::scene::{LayerMedium, sin2};
+use optics_model::angle::sin2;
+use optics_model::scene::LayerMedium;
 use optics_model::{Scene, TransportPoint};
 
 use super::fresnel::RelativeIndex;

@@ -50,6 +50,7 @@ fn every_fit_answer_has_its_json_shape() {
         "mu",
         "mu_std_error",
         "objective",
+        "phase",
         "sigma_t_range",
         "wavelet",
     ];

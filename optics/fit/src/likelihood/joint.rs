@@ -1,13 +1,13 @@
 //! Measures a set of materials that were photographed in the same set-up: estimates the shared quantities from all of
 //! them at once.
 //!
-//! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `problem/start`; from its
-//! lowest point one descent over all unknowns of all channels finds the minimum. The mesh has the scene's phase function:
-//! where a second lobe is to be estimated, further descents begin at smaller and at larger anisotropies. Intervals of a channel follow its own
-//! likelihood, with the others' likelihood as a quadratic in the shared unknowns added (a Schur complement of their
-//! information). Where the pulls of channels on the shared unknowns scatter by more than their noise, as they do if the
-//! photographs contain effects that the model lacks, the others count less, by their χ² per degree of freedom (a Birge
-//! ratio).
+//! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `problem/start`;
+//! from its lowest point one descent over all unknowns of all channels finds the minimum. The mesh has the scene's
+//! phase function: where a second lobe is to be estimated, further descents begin at smaller and at larger
+//! anisotropies. Intervals of a channel follow its own likelihood, with the others' likelihood as a quadratic in
+//! the shared unknowns added (a Schur complement of their information). Where the pulls of channels on the shared
+//! unknowns scatter by more than their noise, as they do if the photographs contain effects that the model lacks,
+//! the others count less, by their χ² per degree of freedom (a Birge ratio).
 
 mod minimum;
 mod response;

@@ -2,8 +2,8 @@
 
 use std::f64::consts::PI;
 
+use crate::angle::sin2;
 use crate::invalid::{Invalid, Result};
-use crate::scene::sin2;
 
 /// Most angles of a table.
 const MOST_ANGLES: usize = 10_000;
@@ -174,7 +174,8 @@ mod tests {
         }
     }
 
-    /// The mean over quantiles is the mean cosine, to the error of the midpoint rule where the density vanishes; the distribution function at a quantile is the quantile's.
+    /// The mean over quantiles is the mean cosine, to the error of the midpoint rule where the density vanishes; the
+    /// distribution function at a quantile is the quantile's.
     #[test]
     fn quantiles_invert_the_distribution() {
         let angles = vec![0.0, 10.0, 40.0, 100.0, 150.0, 180.0];

@@ -148,10 +148,20 @@ impl ResponseErrors {
     }
 }
 
-/// Prints the errors of all quantities. In the median they are below the noise of the records.
 #[test]
 #[ignore = "long form"]
 fn responses_agree_with_traced_differences() {
+    check_responses(|prior| !prior.kind().is_of_phase());
+}
+
+#[test]
+#[ignore = "long form"]
+fn second_lobe_agrees_with_traced_differences() {
+    check_responses(|prior| prior.kind().is_of_phase());
+}
+
+/// Prints the errors of quantities. In the median they are below the noise of the records.
+fn check_responses(chosen: impl Fn(&Prior) -> bool) {
     let (media, walks) = (media(20), Walks::new(10_000_000).unwrap());
     let (scene, dictionary) = (lab(), dictionary());
     let (surrogate, base) = (Surrogate::new(&dictionary, 0, 0), SeenBase::of(&scene));
@@ -162,10 +172,7 @@ fn responses_agree_with_traced_differences() {
     };
     let plain = all(&scene);
     println!("| quantity | u | effect % | error over noise: median | 95 % | of the level %: median | 95 % |");
-    // FARM_TEST_QUANTITY=lobe restricts the table to quantities of such a name.
-    let named = std::env::var("FARM_TEST_QUANTITY").unwrap_or_default();
-    let priors = scene.priors().iter().enumerate();
-    for (p, prior) in priors.filter(|(_, prior)| scene.name_of(prior).contains(&named)) {
+    for (p, prior) in scene.priors().iter().enumerate().filter(|(_, prior)| chosen(prior)) {
         for u in places(prior, &scene) {
             let varied = scene.varied(prior, u * prior.std_error(), scene.channels().to_vec()).unwrap();
             let channels = base.through(&varied).unwrap();
