@@ -39,6 +39,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
         "degrees_of_freedom",
         "probability",
         "resolved_at_g",
+        "second_lobe_weight",
+        "second_lobe_g",
     ])?;
     for fit in fits {
         for channel in &fit.channels {
@@ -64,6 +66,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
             let l = &r.likelihood;
             row.extend([l.chi2, l.degrees_of_freedom, l.probability].map(|v| v.to_string()));
             row.push(r.resolved_at_g.to_string());
+            let lobe = r.second_lobe.map_or([0.0, 0.0], |lobe| [lobe.weight(), lobe.g()]);
+            row.extend(lobe.map(|v| v.to_string()));
             writer.write_record(row.iter().map(|cell| as_text(cell).into_owned()))?;
         }
     }

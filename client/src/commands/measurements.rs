@@ -19,7 +19,7 @@ pub(crate) enum MeasurementCommand {
     /// Check a measurement file: print what is read, and refuse or note what may be wrong.
     Check(check::CheckArgs),
     /// Simulate edge profiles, without a farm.
-    Simulate(simulate::SimulateArgs),
+    Simulate(Box<simulate::SimulateArgs>),
 }
 
 impl MeasurementCommand {
@@ -27,7 +27,7 @@ impl MeasurementCommand {
         match self {
             Self::Capture(args) => return capture::run(global, args, output).await,
             Self::Check(args) => check::run(&args, output)?,
-            Self::Simulate(args) => simulate::run(args, output).await?,
+            Self::Simulate(args) => simulate::run(*args, output).await?,
         }
         Ok(ExitCode::SUCCESS)
     }

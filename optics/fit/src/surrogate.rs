@@ -98,7 +98,7 @@ impl<'a> Surrogate<'a> {
             channel,
             ior,
             sigma_t: LocalAxis::new(sigma_t, 0.75),
-            g: LocalAxis::along_g(g, 1.0, grid.scene().phase().clone()),
+            g: LocalAxis::along_g(g, 1.0, grid.scene().phase()),
             albedo,
         }
     }

@@ -86,7 +86,7 @@ impl PhaseShape {
                     let (b, g2) = (second.weight, second.g);
                     let [low, high] = [-MOST_G, MOST_G].map(|first| (1.0 - b) * first + b * g2);
                     let allowed = format!(
-                        "with a second lobe of weight {b} and anisotropy {g2}, allowed are {low:.3} to {high:.3}"
+                        "with a second lobe of weight {b} and anisotropy {g2}, allowed are {low:.3} to {high:.3}; without it -0.999 to 0.999"
                     );
                     return Err(Invalid::new("g", g, allowed));
                 }

@@ -95,7 +95,7 @@ impl LocalAxis {
     }
 
     /// Models along ln(1 − g) that have the shapes of backscattered light, too, as far as there are nodes for them.
-    pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: PhaseShape) -> Self {
+    pub(crate) fn along_g(nodes: Vec<f64>, reach: f64, phase: &PhaseShape) -> Self {
         let half_width = half_width(&nodes, reach);
         let (powers, room) = match nodes.len() {
             n @ 1..5 => (n, 0),
@@ -283,7 +283,7 @@ mod tests {
     fn single_and_diffuse_scattering_is_recovered() {
         let g = [0.0, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.8];
         let nodes: Vec<f64> = g.iter().map(|g: &f64| (1.0 - g).ln()).collect();
-        let axis = LocalAxis::along_g(nodes, 1.0, PhaseShape::default());
+        let axis = LocalAxis::along_g(nodes, 1.0, &PhaseShape::default());
         let diffuse = |y: f64, depth: f64| 1.0 / (1.0 + depth * y.exp());
         for g in [0.0, 0.03, 0.13, 0.25, 0.4, 0.52, 0.65, 0.75, 0.8] {
             let y = f64::ln(1.0 - g);
@@ -305,7 +305,7 @@ mod tests {
     fn axes() -> Vec<LocalAxis> {
         let anisotropies = |n: usize, from: f64, to: f64| {
             let g = |i: usize| from + (to - from) * i as f64 / (n - 1) as f64;
-            LocalAxis::along_g((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, PhaseShape::default())
+            LocalAxis::along_g((0..n).map(|i| (1.0 - g(i)).ln()).collect(), 1.0, &PhaseShape::default())
         };
         let powers = [5, 9, 38].map(|n| LocalAxis::new(nodes(n), 0.75));
         let shapes = [2, 4, 5, 6, 9, 11, 25].map(|n| anisotropies(n, 0.0, 0.8));

@@ -70,7 +70,8 @@ fn mean_cosine_beyond_both_lobes_is_refused() {
     let message = shape.function(0.8).unwrap_err().to_string();
     assert_eq!(
         message,
-        "g = 0.8 is not valid: with a second lobe of weight 0.2 and anisotropy -0.5, allowed are -0.899 to 0.699"
+        "g = 0.8 is not valid: with a second lobe of weight 0.2 and anisotropy -0.5, allowed are -0.899 to 0.699; \
+         without it -0.999 to 0.999"
     );
     assert!(shape.function_near(0.8).mean_cosine() < 0.7);
     assert_eq!(SecondLobe::new(0.6, 0.0).unwrap_err().field(), "second_lobe_weight");
