@@ -7,6 +7,7 @@ use std::sync::atomic::AtomicBool;
 use farm_tests::reference;
 use optics_model::grid::{Effort, NoiseLevel};
 use optics_model::job::JobSpec;
+use optics_model::phase::PhaseShape;
 use optics_model::scene::Channel;
 use optics_model::{Grid, Scene, TransportPoint, Walks};
 use optics_tracer::trace;
@@ -18,6 +19,7 @@ const SAMPLES: f64 = 250_000.0;
 /// tracer, which scores the weight α^n ρ^m over the ring's measure Δ where a path comes into the ring, or nothing:
 /// F(α², ρ²)/Δ − F(α, ρ)².
 fn variances(
+    phase: PhaseShape,
     point: TransportPoint,
     rho: (f64, f64),
     albedos: &[f64],
@@ -27,7 +29,7 @@ fn variances(
     let squared = |(light, dark): (f64, f64)| (light * light, dark * dark);
     let channel = |name: &str, (light, dark)| Channel::new(name, light, dark).unwrap();
     let channels = vec![channel("first power", rho), channel("second power", squared(rho))];
-    let scene = Scene::paper().with_channels(channels).unwrap();
+    let scene = Scene::paper().with_channels(channels).unwrap().with_phase(phase);
     let mut all: Vec<f64> = albedos.iter().flat_map(|albedo| [*albedo, albedo * albedo]).collect();
     all.sort_by(f64::total_cmp);
     all.dedup();
@@ -57,7 +59,8 @@ fn path_tracer_noise_is_stated_exactly() {
             TransportPoint::new(theirs.sigma_t_per_mm, theirs.g, theirs.thickness_mm, theirs.sample_ior)
                 .unwrap();
         let rho = (theirs.rho_light, theirs.rho_dark);
-        let ours = variances(point, rho, &[theirs.albedo], Walks::new(200_000).unwrap(), 1).remove(0);
+        let walks = Walks::new(200_000).unwrap();
+        let ours = variances(theirs.phase, point, rho, &[theirs.albedo], walks, 1).remove(0);
         let pitch = theirs.width_mm / theirs.values.len() as f64;
         let (mut found, mut expected) = (0.0, 0.0);
         for (pixel, error) in theirs.std_errors.iter().enumerate() {
@@ -88,8 +91,14 @@ fn records_are_no_noisier_than_the_paper() {
         // Ratios per albedo and side.
         let mut sums = vec![[[0.0; 2]; 2]; albedos.len()];
         for seed in 1..=8 {
-            for (sums, pixels) in sums.iter_mut().zip(variances(point, (0.985, 0.024), &albedos, walks, seed))
-            {
+            for (sums, pixels) in sums.iter_mut().zip(variances(
+                PhaseShape::default(),
+                point,
+                (0.985, 0.024),
+                &albedos,
+                walks,
+                seed,
+            )) {
                 let half = pixels.len() / 2;
                 for (sums, side) in sums.iter_mut().zip(pixels.chunks(half)) {
                     for [ours, sample] in side {

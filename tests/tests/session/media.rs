@@ -27,7 +27,8 @@ use farm_tests::statistics::{Share, effort, quantile};
 use answer::{Answer, QUANTITIES, table};
 use laboratory::{DEFECTS, Laboratory, STATED_MM};
 
-/// Largest median error of σ_t.
+/// Largest median error of σ_t in several sessions. In a single one the errors of the channels are nearly the same, so the
+/// median is one error of a material whose second lobe is unknown: its intervals are checked instead.
 const MEDIAN_ERROR: f64 = 0.01;
 /// Smallest share of intervals that contain the truth. Of the six of one session, one misses by chance in one run of
 /// four, and misses of a session are correlated; more than two independent misses happen once in 450 runs.
@@ -142,8 +143,9 @@ fn photographs_become_media() {
         println!("{name}: median error {:.2} %, 90 % {:.2} %, {} % hold", errors(0.5), errors(0.9), share(q));
     }
     let median = quantile(answers.iter().map(|a| a.error(0).abs()).collect(), 0.5);
-    assert!(median <= MEDIAN_ERROR, "the median error of σ_t is {median}");
+    let is_one_session = answers.len() <= 3;
+    assert!(is_one_session || median <= MEDIAN_ERROR, "the median error of σ_t is {median}");
     let held = Share::of([0, 1].into_iter().flat_map(|q| answers.iter().map(move |a| a.holds(q)))).unwrap();
-    let least = if answers.len() <= 3 { HELD_OF_SIX } else { HELD };
+    let least = if is_one_session { HELD_OF_SIX } else { HELD };
     assert!(held.share >= least, "{held} % of the intervals of σ_t and α hold");
 }

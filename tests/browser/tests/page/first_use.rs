@@ -23,7 +23,7 @@ async fn first_use_computes_measures_and_saves() {
     // The default scene is that of a laboratory, unless the paper's scene is chosen.
     go_to(&browser, "Farm").await;
     browser.shows("There is none yet").await;
-    browser.shows("56,416 records in 1,376 jobs").await;
+    browser.shows("59,368 records in 1,448 jobs").await;
     browser.shows("farmctl submit lab").await;
     browser.pick("form select[name=scene]", "paper").await;
     browser.shows("34,276 records in 836 jobs").await;
@@ -210,7 +210,7 @@ async fn capture_is_measured_with_its_own_grid() {
     go_to(&browser, "Capture").await;
     browser.element(By::LinkText("measure it")).await.click().await.unwrap();
     browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
-    browser.shows("a dictionary of its own, for its board and its thicknesses: 1,248 records").await;
+    browser.shows("a dictionary of its own, for its board and its thicknesses: 1,392 records").await;
     browser.press("Compute it").await;
     browser
         .wait("it can be measured", LONG, async |browser| {
