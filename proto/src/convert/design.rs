@@ -159,6 +159,6 @@ mod tests {
         assert_eq!(Design::try_from(wire.clone()).unwrap(), design);
         // A newer coordinator may send more.
         wire.sets[0].improvements[0].limitation = 99;
-        assert_eq!(Design::try_from(wire).unwrap().sets[0].improvements.len(), 7);
+        assert_eq!(Design::try_from(wire).unwrap().sets[0].improvements.len(), 8);
     }
 }
