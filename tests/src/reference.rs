@@ -112,7 +112,7 @@ fn uniform_rows(file: &str, phase: impl Fn(&Cell) -> Result<PhaseShape>) -> Resu
     reader.records().map(row).collect()
 }
 
-/// A phase function of Mie spheres: `tio2` or `carbon`.
+/// A phase function of Mie spheres: `rutile` or `carbon`.
 pub fn phase_table(name: &str) -> Result<PhaseTable> {
     let mut reader =
         csv::ReaderBuilder::new().comment(Some(b'#')).from_path(data_file(&format!("phase/{name}.csv")))?;

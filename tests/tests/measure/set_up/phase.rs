@@ -88,7 +88,7 @@ fn random_second_lobes_keep_their_coverage() {
 #[test]
 #[ignore = "long form"]
 fn spheres_of_a_pigment_are_absorbed() {
-    for name in ["tio2", "carbon"] {
+    for name in ["rutile", "carbon"] {
         let table = reference::phase_table(name).unwrap();
         let g = table.mean_cosine();
         let held = print_row(name, &six_media(Nodes::Paper, &PhaseShape::Table(Arc::new(table)), g));
