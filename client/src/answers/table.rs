@@ -66,8 +66,8 @@ pub(crate) fn table_csv(fits: &[MaterialFit]) -> anyhow::Result<String> {
             let l = &r.likelihood;
             row.extend([l.chi2, l.degrees_of_freedom, l.probability].map(|v| v.to_string()));
             row.push(r.resolved_at_g.to_string());
-            let lobe = r.second_lobe.map_or([0.0, 0.0], |lobe| [lobe.weight(), lobe.g()]);
-            row.extend(lobe.map(|v| v.to_string()));
+            let lobe = r.second_lobe.map(|lobe| [lobe.weight(), lobe.g()].map(|v| v.to_string()));
+            row.extend(lobe.unwrap_or_default());
             writer.write_record(row.iter().map(|cell| as_text(cell).into_owned()))?;
         }
     }

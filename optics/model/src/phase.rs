@@ -14,7 +14,7 @@ use crate::invalid::{Invalid, Result, check};
 pub use table::PhaseTable;
 
 /// Largest |g| of a lobe.
-const MOST_G: f64 = 0.999;
+pub(crate) const MOST_G: f64 = 0.999;
 /// Largest weight of a second lobe.
 pub const MOST_SECOND_WEIGHT: f64 = 0.5;
 /// Weights of lobes are multiples of this in walks, whose cosines are drawn from as many numbers.
@@ -53,6 +53,13 @@ impl SecondLobe {
     /// g₂.
     pub fn g(self) -> f64 {
         self.g
+    }
+
+    /// This lobe, with the largest weight that a mean cosine g allows if its own is larger.
+    #[must_use]
+    pub fn limited_to(self, g: f64) -> Self {
+        let end = MOST_G.copysign(self.first(g));
+        if self.first(g).abs() <= MOST_G { self } else { Self { weight: (end - g) / (end - self.g), ..self } }
     }
 
     /// The anisotropy of the first lobe with which the mean cosine is g: g₁ = (g − b g₂)/(1 − b).

@@ -44,7 +44,6 @@ pub(crate) struct SimulateArgs {
     #[arg(
         long,
         value_name = "LIST",
-        required_unless_present = "phase_function",
         conflicts_with = "phase_function",
         value_delimiter = ',',
         allow_negative_numbers = true
@@ -160,9 +159,10 @@ fn jobs(args: &SimulateArgs) -> Result<Vec<JobSpec>> {
     let scene = scene(args)?;
     let anisotropies =
         scene.phase().table().map_or_else(|| args.g.clone(), |table| vec![table.mean_cosine()]);
-    if args.g.is_empty() != scene.phase().table().is_some() {
-        let allowed = "a tabulated phase function has its own mean cosine";
-        return Err(Invalid::new("g", "given with the scene's table", allowed).into());
+    match (args.g.is_empty(), scene.phase().table().is_some()) {
+        (false, true) => bail!("--g: leave it out, a tabulated phase function has its own mean cosine"),
+        (true, false) => bail!("--g is needed: the mean cosine of the phase function, as in 0.4"),
+        _ => {}
     }
     let count = args.sigma_t.len() * args.albedo.len() * anisotropies.len() * args.thickness.len();
     if count > MOST_PROFILES {

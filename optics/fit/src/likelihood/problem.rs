@@ -167,8 +167,11 @@ impl<'a> ChannelData<'a> {
     }
 }
 
+fn is_weight(prior: &Prior) -> bool {
+    prior.kind() == PriorKind::SecondLobeWeight
+}
+
 fn has_uncertain_lobe(grid: &Grid) -> bool {
-    let is_weight = |prior: &Prior| prior.kind() == PriorKind::SecondLobeWeight;
     grid.responses().is_some() && grid.scene().priors().iter().any(is_weight)
 }
 
@@ -176,7 +179,13 @@ fn has_uncertain_lobe(grid: &Grid) -> bool {
 fn check_phase(grid: &Grid, options: &FitOptions) -> Result<(), Invalid> {
     let is_uncertain = has_uncertain_lobe(grid);
     let is_plain = grid.scene().phase().second_lobe().is_some_and(|second| second.weight() == 0.0);
+    let can_be_plain =
+        |prior: &Prior| prior.range(grid.scene()).0 + grid.scene().value_of(prior).unwrap_or_default() <= 0.0;
+    let is_near_plain = grid.scene().priors().iter().any(|prior| is_weight(prior) && can_be_plain(prior));
     let (given, allowed) = match options.settings().phase {
+        PhaseModel::HenyeyGreenstein if is_uncertain && !is_near_plain => {
+            ("hg", "the weight of the scene's second lobe is too far from 0: leave it out")
+        }
         PhaseModel::HenyeyGreenstein if !is_uncertain && !is_plain => {
             ("hg", "the phase function of the dictionary's scene is exact, and another: leave it out")
         }

@@ -2,8 +2,9 @@
 
 use std::f64::consts::PI;
 
+use super::MOST_G;
 use crate::angle::sin2;
-use crate::invalid::{Invalid, Result};
+use crate::invalid::{Invalid, Result, check};
 
 /// Most angles of a table.
 const MOST_ANGLES: usize = 10_000;
@@ -48,6 +49,10 @@ impl PhaseTable {
         }
         // cos θ = 1 − 2 sin²(θ/2): the same bits on every machine.
         let cosines: Vec<f64> = angle_deg.iter().rev().map(|angle| 1.0 - 2.0 * sin2(0.5 * angle)).collect();
+        if let Some(i) = cosines.windows(2).position(|pair| pair[0] >= pair[1]) {
+            let (field, given) = (format!("phase_function.angle_deg[{}]", n - 2 - i), angle_deg[n - 2 - i]);
+            return Err(Invalid::new(field, given, "too near to the next: both have the same cosine"));
+        }
         let raw: Vec<f64> = value.iter().rev().copied().collect();
         let integral = integral(&cosines, &raw, |_| 1.0);
         // A product, so that values too small or too large for a mean are refused, too.
@@ -60,7 +65,9 @@ impl PhaseTable {
         }
         let over_isotropic: Vec<f64> = raw.iter().map(|v| 2.0 * v / integral).collect();
         let mean_cosine = 0.5 * self::integral(&cosines, &over_isotropic, |c| c);
-        let peak_width = peak_width(&angle_deg, &value);
+        let allowed = "allowed are mean cosines from -0.999 to 0.999";
+        check("phase_function.mean_cosine", mean_cosine, |g| g.abs() <= MOST_G, allowed)?;
+        let peak_width = peak_width(&angle_deg, &value, 0.5 * integral);
         Ok(Self { angle_deg, value, cosines, over_isotropic, mean_cosine, peak_width })
     }
 
@@ -82,6 +89,7 @@ impl PhaseTable {
     }
 
     pub(super) fn over_isotropic(&self, cosine: f64) -> f64 {
+        let cosine = cosine.clamp(-1.0, 1.0);
         let after = self.cosines.partition_point(|c| *c <= cosine).clamp(1, self.cosines.len() - 1);
         let [c0, c1] = [self.cosines[after - 1], self.cosines[after]];
         let [v0, v1] = [self.over_isotropic[after - 1], self.over_isotropic[after]];
@@ -139,12 +147,16 @@ fn integral(cosines: &[f64], values: &[f64], weight: impl Fn(f64) -> f64) -> f64
     pairs.map(of_pair).sum()
 }
 
-/// Angle in radians from straight forward or straight back at which the values fall to a third, whichever is smaller.
-fn peak_width(angle_deg: &[f64], value: &[f64]) -> f64 {
-    let last = value.len() - 1;
-    let forward = (1..=last).find(|i| value[*i] < value[0] / 3.0).map(|i| angle_deg[i]);
-    let backward = (0..last).rfind(|i| value[*i] < value[last] / 3.0).map(|i| 180.0 - angle_deg[i]);
-    [forward, backward].into_iter().flatten().fold(180.0, f64::min).to_radians().min(1.0)
+/// Least angle in radians over which a peak falls to a third, on either side of it. Peaks below the value of isotropic
+/// scattering do not count.
+fn peak_width(angle_deg: &[f64], value: &[f64], isotropic: f64) -> f64 {
+    let falls = |i: usize| {
+        let low = |j: &usize| value[*j] < value[i] / 3.0;
+        let (before, after) = ((0..i).rfind(low), (i + 1..value.len()).find(low));
+        [before, after].into_iter().flatten().map(move |j| (angle_deg[j] - angle_deg[i]).abs())
+    };
+    let peaks = (0..value.len()).filter(|i| value[*i] > isotropic);
+    peaks.flat_map(falls).fold(180.0, f64::min).to_radians().min(1.0)
 }
 
 #[cfg(test)]
@@ -194,6 +206,17 @@ mod tests {
         }
     }
 
+    /// The narrowest peak counts, wherever it is.
+    #[test]
+    fn width_is_that_of_the_narrowest_peak() {
+        let width = |angles: &[f64], values: &[f64]| {
+            PhaseTable::new(angles.to_vec(), values.to_vec()).unwrap().peak_width().to_degrees()
+        };
+        assert!((width(&[0.0, 5.0, 90.0, 180.0], &[9.0, 1.0, 1.0, 1.0]) - 5.0).abs() < 1e-9);
+        assert!((width(&[0.0, 60.0, 62.0, 65.0, 180.0], &[1.0, 1.0, 9.0, 1.0, 1.0]) - 2.0).abs() < 1e-9);
+        assert!(width(&[0.0, 180.0], &[1.0, 1.0]) > 57.0);
+    }
+
     /// Refusals name the angle or the value.
     #[test]
     fn wrong_tables_are_refused() {
@@ -207,6 +230,8 @@ mod tests {
             (&[0.0, 170.0], &[1.0, 1.0], "phase_function.angle_deg[1]"),
             (&[0.0, 180.0], &[1.0, -1.0], "phase_function.value[1]"),
             (&[0.0, 180.0], &[0.0, 0.0], "phase_function.value"),
+            (&[0.0, 1e-8, 180.0], &[1.0; 3], "phase_function.angle_deg[0]"),
+            (&[0.0, 0.1, 0.2, 180.0], &[1e9, 0.0, 0.0, 0.0], "phase_function.mean_cosine"),
         ] {
             assert_eq!(refused(angle, value).field(), field);
         }

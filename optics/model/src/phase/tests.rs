@@ -74,6 +74,10 @@ fn mean_cosine_beyond_both_lobes_is_refused() {
          without it -0.999 to 0.999"
     );
     assert!(shape.function_near(0.8).mean_cosine() < 0.7);
+    let limited = SecondLobe::new(0.2, -0.5).unwrap().limited_to(0.8);
+    assert!((limited.weight() - 0.199 / 1.499).abs() < 1e-12);
+    assert!((limited.first(0.8) - 0.999).abs() < 1e-9);
+    assert_eq!(SecondLobe::new(0.2, -0.5).unwrap().limited_to(0.6).weight(), 0.2);
     assert_eq!(SecondLobe::new(0.6, 0.0).unwrap_err().field(), "second_lobe_weight");
     assert_eq!(SecondLobe::new(0.1, 1.0).unwrap_err().field(), "second_lobe_g");
 }

@@ -6,10 +6,13 @@ use serde::Serialize;
 
 use super::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::invalid::{Invalid, Result};
-use crate::phase::{MOST_SECOND_WEIGHT, PhaseShape, SecondLobe};
+use crate::phase::{MOST_G, MOST_SECOND_WEIGHT, PhaseShape, SecondLobe};
 
 /// Most uncertain quantities of a scene.
 pub const MAX_PRIORS: usize = 32;
+
+/// Standard deviations over which responses with little or no bend hold.
+const FAR: f64 = 5.0;
 
 /// The kind of number of an uncertain quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -170,7 +173,10 @@ impl Prior {
         match self.kind {
             PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
             // A higher weight would leave too little of the first lobe where the mean cosine is large.
-            PriorKind::SecondLobeWeight => vec![-(2.0 * sd).min(value), 1.4 * sd],
+            PriorKind::SecondLobeWeight => {
+                let low = if value <= FAR * sd { value } else { 2.0 * sd };
+                vec![-low, (1.4 * sd).min(MOST_SECOND_WEIGHT - value)]
+            }
             PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
                 // The responses hold over a wider range of thickness than of roughness.
                 let most =
@@ -194,13 +200,16 @@ impl Prior {
 
     /// Least and greatest difference from the scene's value for which the responses hold.
     pub fn range(&self, scene: &Scene) -> (f64, f64) {
-        /// Standard deviations over which responses with little or no bend hold.
-        const FAR: f64 = 5.0;
         match (self.kind, &self.steps(scene)[..]) {
             (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
             (PriorKind::SecondLobeWeight, _) => {
                 let value = scene.value_of(self).unwrap_or_default();
-                (-value, (FAR * self.std_error).min(MOST_SECOND_WEIGHT - value))
+                let far = FAR * self.std_error;
+                (-far.min(value), far.min(MOST_SECOND_WEIGHT - value))
+            }
+            (PriorKind::SecondLobeG, _) => {
+                let (far, value) = (FAR * self.std_error, scene.value_of(self).unwrap_or_default());
+                (-far.min(MOST_G + value), far.min(MOST_G - value))
             }
             _ => (-FAR * self.std_error, FAR * self.std_error),
         }
@@ -291,6 +300,11 @@ impl Scene {
         }
         if prior.kind.is_of_phase() && self.phase.second_lobe().is_none() {
             let allowed = "a tabulated phase function has no second lobe";
+            return Err(Invalid::new("kind", prior.kind.name(), allowed));
+        }
+        if prior.kind == PriorKind::SecondLobeG && self.phase.second_lobe().is_some_and(|s| s.weight() == 0.0)
+        {
+            let allowed = "a second lobe without weight has no effect: give it a weight";
             return Err(Invalid::new("kind", prior.kind.name(), allowed));
         }
         let values: Vec<_> = prior.layers.iter().map(|l| self.number(prior.kind, Some(*l))).collect();

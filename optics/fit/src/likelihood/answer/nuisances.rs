@@ -2,16 +2,17 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
-use optics_model::phase::SecondLobe;
+use optics_model::phase::{MOST_SECOND_WEIGHT, SecondLobe};
 use optics_model::scene::{PriorKind, Scene, Scope};
 
 use crate::likelihood::answer::Found;
-use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS};
+use crate::likelihood::point::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS};
 use crate::likelihood::system::unknowns::{SceneUnknown, submatrix};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::likelihood::term::reduced::Reduced;
 use crate::likelihood::term::{Own, OwnPrior};
+use crate::surrogate::g;
 
 impl Found<'_, '_> {
     /// The uncertain quantities of the scene, in its order.
@@ -32,13 +33,21 @@ impl Found<'_, '_> {
                 std_error: sd * covariance[(slot, slot)].max(0.0).sqrt(),
                 prior: mean,
                 prior_std_error: sd,
-                at_end: is_low || u >= limits.1,
+                at_end: is_low || u >= limits.1 || self.is_beyond(prior.kind(), mean + sd * u),
             }
         };
         let free = |unknown: &&SceneUnknown| self.is_free(unknown.slot);
         let mut all: Vec<&SceneUnknown> = self.system.of_scene.iter().filter(free).collect();
         all.sort_by_key(|unknown| unknown.prior);
         all.into_iter().map(estimate).collect()
+    }
+
+    /// Whether a second lobe of this weight is too heavy for the medium's anisotropy.
+    fn is_beyond(&self, kind: PriorKind, weight: f64) -> bool {
+        let of_scene = self.data.dictionary.grid().scene().phase().second_lobe();
+        let of_second = of_scene.filter(|_| kind == PriorKind::SecondLobeWeight).map(SecondLobe::g);
+        let lobe = of_second.and_then(|of_second| SecondLobe::new(weight.max(0.0), of_second).ok());
+        lobe.is_some_and(|lobe| lobe.limited_to(g(self.x(LN_ONE_MINUS_G))) != lobe)
     }
 
     /// All nuisances in the order of the answer: common ones first, then by profile.
@@ -148,9 +157,10 @@ pub(crate) fn second_lobe(
         let own = system.of_scene.iter().find(|u| of_kind(u) && slots.contains(&u.slot));
         own.map_or(of_scene, |u| of_scene + scene.priors()[u.prior].std_error() * state.x[u.slot])
     };
-    let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight()).max(0.0);
-    let lobe = SecondLobe::new(weight, estimate(PriorKind::SecondLobeG, of_scene.g()));
-    lobe.ok().filter(|lobe| lobe.weight() > 0.0)
+    let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight());
+    let of_second = estimate(PriorKind::SecondLobeG, of_scene.g()).clamp(-0.999, 0.999);
+    let lobe = SecondLobe::new(weight.clamp(0.0, MOST_SECOND_WEIGHT), of_second).ok()?;
+    Some(lobe.limited_to(g(state.x[slots[LN_ONE_MINUS_G]]))).filter(|lobe| lobe.weight() > 0.0)
 }
 
 fn std_error(covariance: &DMatrix<f64>, i: usize) -> f64 {
