@@ -72,8 +72,8 @@ fn warning(of: &str, e: &SceneEstimate) -> Option<String> {
     let found = with_unit(with_error.split(' ').next().unwrap_or_default(), e);
     if e.at_end {
         return Some(format!(
-            "{quantity} ({of}): the estimate {found} lies where the dictionary's responses end; measure it, and compute a \
-             dictionary whose scene has the measured value"
+            "{quantity} ({of}): the estimate {found} lies where the dictionary's responses end; compute a dictionary whose \
+             scene has its value, measured or as estimated"
         ));
     }
     let off = ((e.value - e.prior) / e.prior_std_error).abs();

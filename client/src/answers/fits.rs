@@ -66,7 +66,7 @@ fn known(fits: &[MaterialFit]) -> String {
         "σ_a\n/mm",
         "\n95 %",
         "misfit",
-        "determined\nbest, ± 95 %",
+        "determined\nbest, ± %",
     ];
     let row = |material: &str, channel: &ChannelFit| {
         let mut row = vec![short(material), channel.channel.clone()];
@@ -88,8 +88,8 @@ fn known(fits: &[MaterialFit]) -> String {
     format!("shared by similar media, whatever g is\n{}", table(&head, &[2, 4, 6], rows))
 }
 
-/// The function of the medium with the least relative half-width, such as `σ_a 4.1 %`. The intervals contain the
-/// uncertainty of g, of a second lobe of the phase function, and of the set-up.
+/// The function of the medium with the least relative half-width of 95 % in per cent, such as `σ_a 4.1`. The
+/// intervals contain the uncertainty of g, of a second lobe of the phase function, and of the set-up.
 fn determined_best(r: &Refined) -> String {
     let m = &r.best.medium;
     let complement = |i: &Interval| Interval {
@@ -107,7 +107,7 @@ fn determined_best(r: &Refined) -> String {
     let closed = functions.iter().filter(|(_, value, i)| !(i.open_low || i.open_high) && *value > 0.0);
     let shares = closed.map(|(name, value, i)| (*name, 0.5 * (i.high - i.low) / value));
     let best = shares.min_by(|a, b| a.1.total_cmp(&b.1));
-    best.map_or_else(|| "–".to_owned(), |(name, share)| format!("{name} {} %", significant(100.0 * share, 2)))
+    best.map_or_else(|| "–".to_owned(), |(name, share)| format!("{name} {}", significant(100.0 * share, 2)))
 }
 
 /// One row per channel: σ_t, α and g with their intervals; without refinement, those of the best record.

@@ -14,7 +14,7 @@ use crate::invalid::{Invalid, Result, check};
 pub use table::PhaseTable;
 
 /// Largest |g| of a lobe.
-pub(crate) const MOST_G: f64 = 0.999;
+pub const MOST_G: f64 = 0.999;
 /// Largest weight of a second lobe.
 pub const MOST_SECOND_WEIGHT: f64 = 0.5;
 /// Weights of lobes are multiples of this in walks, whose cosines are drawn from as many numbers.

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
-use optics_model::phase::{MOST_SECOND_WEIGHT, SecondLobe};
+use optics_model::phase::{MOST_G, MOST_SECOND_WEIGHT, SecondLobe};
 use optics_model::scene::{PriorKind, Scene, Scope};
 
 use crate::likelihood::answer::Found;
@@ -158,7 +158,7 @@ pub(crate) fn second_lobe(
         own.map_or(of_scene, |u| of_scene + scene.priors()[u.prior].std_error() * state.x[u.slot])
     };
     let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight());
-    let of_second = estimate(PriorKind::SecondLobeG, of_scene.g()).clamp(-0.999, 0.999);
+    let of_second = estimate(PriorKind::SecondLobeG, of_scene.g()).clamp(-MOST_G, MOST_G);
     let lobe = SecondLobe::new(weight.clamp(0.0, MOST_SECOND_WEIGHT), of_second).ok()?;
     Some(lobe.limited_to(g(state.x[slots[LN_ONE_MINUS_G]]))).filter(|lobe| lobe.weight() > 0.0)
 }

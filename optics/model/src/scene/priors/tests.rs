@@ -1,0 +1,71 @@
+//! Checks steps, ranges and refusals of priors.
+
+use super::*;
+
+fn prior(kind: PriorKind, layers: &[usize], std_error: f64) -> Prior {
+    Prior::new(kind, layers.to_vec(), std_error, Scope::Session).unwrap()
+}
+
+/// One step where a response of first order will do, two where the prior is wide.
+#[test]
+fn wide_priors_have_two_steps() {
+    let scene = Scene::paper();
+    let steps = |kind, layers: &[usize], sd| prior(kind, layers, sd).steps(&scene);
+    assert_eq!(steps(PriorKind::Index, &[1, 3], 0.01), [-0.025, 0.025]);
+    assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [2.0]);
+    assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [0.04]);
+    let gel = prior(PriorKind::Thickness, &[1, 3], 0.02);
+    assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
+    let (low, high) = gel.range(&scene);
+    assert!(low == -0.015 && (high - 0.088).abs() < 1e-12, "{low} {high}");
+    // Two standard deviations down where there is room for them.
+    assert_eq!(steps(PriorKind::Roughness, &[4], 0.05), [-0.1, 0.1]);
+    assert_eq!(steps(PriorKind::Roughness, &[2], 0.03), [-0.037_500_000_000_000_006, 0.06]);
+}
+
+/// With the bend, differences of a roughness are proportional to those of its square.
+#[test]
+fn roughness_bends_with_its_square() {
+    let scene = Scene::paper();
+    let coat = prior(PriorKind::Roughness, &[4], 0.05);
+    let square = |u: f64| ((0.15 + 0.05 * u).powi(2) - 0.15_f64.powi(2)) / (2.0 * 0.15 * 0.05);
+    let bent = |u: f64| u * (1.0 + coat.bend(&scene) * u);
+    assert!([-2.0, 0.7, 2.5].iter().all(|u| (square(*u) - bent(*u)).abs() < 1e-12));
+    assert_eq!(prior(PriorKind::Index, &[4], 0.05).bend(&scene), 0.0);
+}
+
+/// A varied scene differs in the quantity alone, in all layers that share it.
+#[test]
+fn varied_scene_differs_in_one_quantity() {
+    let scene = Scene::paper();
+    let rough = prior(PriorKind::Roughness, &[2, 3], 0.03);
+    let varied = scene.varied(&rough, 0.03, scene.channels().to_vec()).unwrap();
+    let roughness = |s: &Scene| s.layers().iter().map(Layer::roughness).collect::<Vec<_>>();
+    assert_eq!(roughness(&varied), [0.0, 0.0, 0.08, 0.08, 0.15]);
+    assert_eq!((varied.light(), varied.sensor()), (scene.light(), scene.sensor()));
+    let index = prior(PriorKind::Index, &[2], 0.01);
+    assert!(index.is_sample_index(&scene));
+    let varied = scene.varied(&index, 0.01, scene.channels().to_vec()).unwrap();
+    assert_eq!((varied.sample_ior_offset(), varied.layers()), (0.01, scene.layers()));
+}
+
+/// Refusals name the prior and the allowed values.
+#[test]
+fn impossible_priors_are_refused() {
+    let refused = |priors: Vec<Prior>| Scene::paper().with_priors(priors).unwrap_err().to_string();
+    for (bad, expected) in [
+        (prior(PriorKind::Thickness, &[2], 0.1), "priors[0].layers = the thickness of the sample"),
+        (prior(PriorKind::Roughness, &[1, 3], 0.1), "priors[0].layers = gel, gel"),
+        (prior(PriorKind::Roughness, &[9], 0.1), "priors[0].layers = 9"),
+        (prior(PriorKind::Roughness, &[0], 0.02), "priors[0].std_error = 0.02 for glass slip roughness"),
+        (prior(PriorKind::RingAngle, &[1], 0.1), "priors[0].layers = 1 layers for a ring angle"),
+        (prior(PriorKind::Index, &[0], 3.0), "priors[0].std_error = 3"),
+        (prior(PriorKind::RingAngle, &[], 60.0), "priors[0].std_error = 60"),
+    ] {
+        let error = refused(vec![bad]);
+        assert!(error.starts_with(expected), "{error}");
+    }
+    let twice = prior(PriorKind::Index, &[1, 3], 0.01);
+    assert!(refused(vec![twice.clone(), twice]).starts_with("priors[1].kind = index"));
+    assert!(Prior::new(PriorKind::Index, vec![0], 0.0, Scope::Slab).is_err());
+}
