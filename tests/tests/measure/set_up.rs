@@ -79,7 +79,7 @@ fn random(sets: u64, materials: usize) {
     let known: Sessions = (0..sets.div_ceil(4)).map(|number| fitted(number, false)).collect();
     let share = |of, q| coverage(of, |o| vec![o.holds(q)]);
     let all = || found.iter().flatten();
-    println!("| quantity | hold % | with a known scene | median width over that | median error % |");
+    println!("| quantity | hold % | with a known set-up | median width over that | median error % |");
     let mut of_sigma_t = (0.0, 0.0);
     for (q, name) in QUANTITIES.iter().enumerate() {
         let ratios = all().zip(known.iter().flatten()).map(|(o, k)| o.width(q) / k.width(q)).collect();

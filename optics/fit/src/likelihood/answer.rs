@@ -165,7 +165,7 @@ impl Found<'_, '_> {
         }
         let mut parameters = 0.0;
         for slot in self.system.free() {
-            match self.system.cost_of_prior(slot, self.state.x[slot]) {
+            match self.system.cost_of_prior(slot, &self.state.x) {
                 Some(cost) => chi2 += cost,
                 None => parameters += 1.0,
             }

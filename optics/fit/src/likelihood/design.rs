@@ -3,12 +3,12 @@
 
 use nalgebra::DMatrix;
 use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
-use optics_model::scene::Scope;
+use optics_model::scene::{Prior, Scope};
 
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
 use crate::likelihood::point::{Line, SHARED};
 use crate::likelihood::system::quantity::Quantity;
-use crate::likelihood::system::unknowns::{Unknowns, thickness_prior};
+use crate::likelihood::system::unknowns::{OF_MEAN, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::likelihood::term::{Exposed, Term};
@@ -110,17 +110,21 @@ impl DesignPlan<'_> {
         let grid = self.surrogate.grid();
         let priors = if grid.responses().is_some() { grid.scene().priors() } else { &[] };
         // All slabs are of one material.
-        let shared: Vec<Option<usize>> = priors
+        let shared: Vec<usize> = priors
             .iter()
             .zip(&known.scene)
-            .map(|(prior, sd)| (prior.scope() != Scope::Slab).then(|| unknowns.known((0.0, *sd), ANYWHERE)))
+            .map(|(prior, sd)| {
+                let of_slab = if prior.scope() == Scope::Slab { OF_MEAN } else { 1.0 };
+                unknowns.known((0.0, of_slab * sd), ANYWHERE)
+            })
             .collect();
         let profile = |slab: &f64| {
             let thickness = unknowns.known(thickness_prior(*slab, set_up), ANYWHERE);
-            let own = |(slot, sd): (&Option<usize>, &f64)| {
-                slot.unwrap_or_else(|| unknowns.known((0.0, *sd), ANYWHERE))
+            let own = |((slot, prior), sd): ((&usize, &Prior), &f64)| match prior.scope() {
+                Scope::Slab => unknowns.about(*slot, OF_MEAN * sd, ANYWHERE),
+                _ => *slot,
             };
-            let scene: Vec<usize> = shared.iter().zip(&known.scene).map(own).collect();
+            let scene = shared.iter().zip(priors).zip(&known.scene).map(own).collect();
             let slots = [vec![s, a, g, scale, blur, thickness], scene].concat();
             (self.term(*slab, set_up), self.surrogate, slots)
         };

@@ -267,7 +267,7 @@ impl<'a> Unmixing<'a, '_> {
                 continue;
             }
             let g_slot = system.slots[slab.terms.start][LN_ONE_MINUS_G];
-            let free = Unknown { prior: None, limits: (0.0, 0.0), held: false };
+            let free = Unknown { prior: None, about: None, limits: (0.0, 0.0), held: false };
             let g_known = Unknown { held: false, ..system.unknowns[g_slot] };
             let g_known = Unknown { held: Self::g_held(slab), ..g_known };
             let greatest = GREATEST * sigma_t(system.surrogates[slab.terms.start].limits()[LN_SIGMA_T].1);

@@ -165,11 +165,7 @@ impl System<'_> {
         for (i, reduced) in reduced.iter().enumerate() {
             self.add_reduced(i, x, reduced, &mut information, &mut downhill);
         }
-        for i in 0..n {
-            let (of_prior, pull) = self.prior_pull(i, x[i]);
-            information[(i, i)] += of_prior;
-            downhill[i] += pull;
-        }
+        (0..n).for_each(|i| self.add_prior(i, x, &mut information, &mut downhill));
         if let Some(coupling) = &self.coupling {
             downhill += &coupling.downhill - &coupling.information * (x - &coupling.centre);
             information += &coupling.information;

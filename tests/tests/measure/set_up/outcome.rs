@@ -17,6 +17,8 @@ pub(super) struct SetUpOutcome {
     pub g: f64,
     pub probability: f64,
     pub scene: Vec<SceneOutcome>,
+    /// Whether an estimate of the scene contradicts its prior or lies at the end of the responses.
+    pub is_doubted: bool,
 }
 
 /// A quantity of the scene.
@@ -89,6 +91,7 @@ impl SetUpOutcome {
             g: r.best.medium.g(),
             probability: r.likelihood.probability,
             scene: of_scene.collect(),
+            is_doubted: r.likelihood.scene.iter().any(|e| e.is_conflict() || e.at_end),
         }
     }
 

@@ -45,13 +45,18 @@ fn heavier_second_lobe_is_absorbed() {
     assert!(held >= 28, "{held} of 30 intervals hold");
 }
 
-/// Six media without a second lobe, with that of the scene, with one of twice the weight, and with one beyond the prior.
+/// Six media without a second lobe, with that of the scene, and with one of twice the weight; one of five times the weight
+/// makes the answer doubt the scene.
 #[test]
 #[ignore = "long form"]
 fn second_lobes_of_six_media_are_absorbed() {
     for (weight, g) in [(0.0, 0.0), (0.05, -0.5), (0.10, -0.5), (0.25, -0.65)] {
-        let held = print_row(&format!("{weight} of {g}"), &six_media(Nodes::Paper, &lobes(weight, g), 0.4));
-        assert!(held >= 28 || weight > 0.2, "{weight} of {g}: {held} of 30 intervals hold");
+        let found = six_media(Nodes::Paper, &lobes(weight, g), 0.4);
+        let held = print_row(&format!("{weight} of {g}"), &found);
+        let doubted = found.iter().filter(|o| o.is_doubted).count();
+        println!("  {doubted} of {} answers doubt the scene", found.len());
+        let is_honest = if weight > 0.2 { doubted >= 5 } else { held >= 28 && doubted == 0 };
+        assert!(is_honest, "{weight} of {g}: {held} of 30 intervals hold, {doubted} answers doubt the scene");
     }
 }
 

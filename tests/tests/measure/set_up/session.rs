@@ -34,11 +34,13 @@ pub(super) enum Nodes {
     Paper,
 }
 
-/// Dictionary of the scene with its responses, or of the scene without priors.
+/// Dictionary of the scene with its responses, or with those to the phase function alone.
 pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionary {
     static ALL: [OnceLock<FitDictionary>; 4] = [const { OnceLock::new() }; 4];
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
-        let scene = if uncertain { lab() } else { lab().with_priors(Vec::new()).unwrap() };
+        let mut priors = lab().priors().to_vec();
+        priors.retain(|prior| uncertain || prior.kind().is_of_phase());
+        let scene = lab().with_priors(priors).unwrap();
         let grid = match nodes {
             Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
             Nodes::Paper => {

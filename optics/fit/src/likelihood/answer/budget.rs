@@ -75,8 +75,9 @@ impl Found<'_, '_> {
         let mut parts = vec![0.0; SOURCES.len() + self.data.dictionary.grid().scene().priors().len()];
         for (i, unknown) in system.unknowns.iter().enumerate() {
             if let Some((_, std_error)) = unknown.prior.filter(|_| !unknown.held) {
-                let part = (response[i] / std_error).powi(2);
-                match system.of_scene.iter().find(|unknown| unknown.slot == i) {
+                let about = unknown.about.map_or(0.0, |mean| response[mean]);
+                let part = ((response[i] - about) / std_error).powi(2);
+                match system.of_scene(i) {
                     Some(unknown) => parts[SOURCES.len() + unknown.prior] += part,
                     None => add(&mut parts, self.source(i), part),
                 }

@@ -81,13 +81,14 @@ impl<'a> Joint<'a> {
             let terms: Vec<usize> = self.assembly.terms[channel].clone().collect();
             let system = &self.assembly.system;
             let (mut information, downhill) = system.contribution(&terms, &self.state, &self.normal);
+            let mut of_priors = downhill.clone();
             let others: Vec<usize> = system
                 .used_by(&terms)
                 .into_iter()
                 .filter(|i| !unknowns[*i].held && !shared.contains(i))
                 .collect();
             for i in &others {
-                information[(*i, *i)] += system.prior_pull(*i, self.state.x[*i]).0;
+                system.add_prior(*i, &self.state.x, &mut information, &mut of_priors);
             }
             let (information, pull) = eliminate(&information, &downhill, shared, &others);
             let ridge = DMatrix::identity(shared.len(), shared.len()) * 1e-9;

@@ -1,11 +1,13 @@
 //! Joins the profiles of channels to one system, with one unknown for all profiles that share a quantity.
 
+use std::collections::BTreeMap;
+
 use optics_model::fit::PhaseModel;
 use optics_model::scene::{Prior, PriorKind, Scope};
 
 use crate::dictionary::axes::held;
 use crate::likelihood::problem::{ChannelData, ProfileData};
-use crate::likelihood::system::unknowns::{SceneUnknown, Unknowns, thickness_prior};
+use crate::likelihood::system::unknowns::{OF_MEAN, SceneUnknown, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::surrogate::Surrogate;
@@ -44,6 +46,8 @@ struct Builder<'a> {
     unknowns: Unknowns,
     of_set_up: Vec<(SetUpKey<'a>, usize)>,
     of_scene: Vec<SceneUnknown>,
+    /// Means over the slabs of the session, by prior.
+    of_slabs: BTreeMap<usize, usize>,
 }
 
 impl<'a> Builder<'a> {
@@ -98,7 +102,15 @@ fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> 
         // Without weight the second lobe's anisotropy has no effect.
         let without_lobe = phase == PhaseModel::HenyeyGreenstein && prior.kind().is_of_phase();
         let at = if without_lobe && prior.kind() == PriorKind::SecondLobeWeight { limits.0 } else { 0.0 };
-        let slot = builder.unknowns.add(Some((0.0, 1.0)), limits, without_lobe, at);
+        let unknowns = &mut builder.unknowns;
+        let slot = match slab_mm {
+            Some(_) => {
+                let mean =
+                    *builder.of_slabs.entry(index).or_insert_with(|| unknowns.known((0.0, OF_MEAN), limits));
+                unknowns.about(mean, OF_MEAN, limits)
+            }
+            None => unknowns.add(Some((0.0, 1.0)), limits, without_lobe, at),
+        };
         builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, channel, slot });
         slot
     };

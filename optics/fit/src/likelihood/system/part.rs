@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::likelihood::point::LN_SCALE;
-use crate::likelihood::system::unknowns::{SceneUnknown, eliminate};
+use crate::likelihood::system::unknowns::{SceneUnknown, Unknown, eliminate};
 use crate::likelihood::system::{Coupling, Normal, State, System};
 use crate::likelihood::term::Term;
 
@@ -31,7 +31,7 @@ impl System<'_> {
         (information, downhill)
     }
 
-    /// The unknowns that some profiles share, in ascending order.
+    /// The unknowns that some profiles share, and the means that the priors of these are about, in ascending order.
     pub(crate) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
         let of_term = |i: &usize| -> Vec<usize> {
             match &self.terms[*i].blend {
@@ -40,6 +40,8 @@ impl System<'_> {
             }
         };
         let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
+        let means: Vec<usize> = used.iter().filter_map(|slot| self.unknowns[*slot].about).collect();
+        used.extend(means);
         used.sort_unstable();
         used.dedup();
         used
@@ -49,19 +51,19 @@ impl System<'_> {
     /// are those of [`Self::used_by`].
     pub(crate) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
         let used = self.used_by(terms);
-        let (own, own_downhill) = self.contribution(terms, state, normal);
-        let (mut rest, mut downhill) = (&normal.information - own, &normal.downhill - own_downhill);
-        for slot in &used {
-            let (of_prior, pull) = self.prior_pull(*slot, state.x[*slot]);
-            rest[(*slot, *slot)] -= of_prior;
-            downhill[*slot] -= pull;
-        }
+        let (mut own, mut own_downhill) = self.contribution(terms, state, normal);
+        used.iter().for_each(|slot| self.add_prior(*slot, &state.x, &mut own, &mut own_downhill));
+        let (rest, downhill) = (&normal.information - own, &normal.downhill - own_downhill);
         let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
         let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
         let centre = DVector::from_iterator(used.len(), used.iter().map(|i| state.x[*i]));
         let coupling =
             Coupling { centre: centre.clone(), information: information * share, downhill: downhill * share };
         let place = |slot: &usize| slot_in(&used, *slot);
+        let unknown = |i: &usize| {
+            let unknown = self.unknowns[*i];
+            Unknown { about: unknown.about.as_ref().map(place), ..unknown }
+        };
         let term = |i: &usize| {
             let term = self.terms[*i].clone();
             Term { blend: term.blend.as_ref().map(|blend| blend.renumbered(place)), ..term }
@@ -76,7 +78,7 @@ impl System<'_> {
             terms: terms.iter().map(term).collect(),
             surrogates: terms.iter().map(|i| self.surrogates[*i]).collect(),
             slots: terms.iter().map(slots).collect(),
-            unknowns: used.iter().map(|i| self.unknowns[*i]).collect(),
+            unknowns: used.iter().map(unknown).collect(),
             of_scene: self
                 .of_scene
                 .iter()

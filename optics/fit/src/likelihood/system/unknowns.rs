@@ -1,5 +1,7 @@
 //! Defines unknowns with their priors and limits, and the linear algebra of a quadratic form in them.
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
 use nalgebra::{Cholesky, DMatrix, DVector};
 use optics_model::fit::FitSettings;
 
@@ -11,6 +13,8 @@ const RIDGE: f64 = 1e-6;
 pub(crate) struct Unknown {
     /// Mean and standard deviation of the prior.
     pub prior: Option<(f64, f64)>,
+    /// The unknown that is added to the mean of the prior.
+    pub about: Option<usize>,
     pub limits: (f64, f64),
     /// Whether it is held: it was given, or the dictionary has one value only.
     pub held: bool,
@@ -25,9 +29,16 @@ pub(crate) struct Unknowns {
 
 impl Unknowns {
     pub(crate) fn add(&mut self, prior: Option<(f64, f64)>, limits: (f64, f64), held: bool, x: f64) -> usize {
-        self.all.push(Unknown { prior, limits, held });
+        self.all.push(Unknown { prior, about: None, limits, held });
         self.x.push(x.clamp(limits.0, limits.1));
         self.all.len() - 1
+    }
+
+    /// Adds an unknown of `sd` about another one, which is 0.
+    pub(crate) fn about(&mut self, mean: usize, sd: f64, limits: (f64, f64)) -> usize {
+        let slot = self.known((0.0, sd), limits);
+        self.all[slot].about = Some(mean);
+        slot
     }
 
     /// Adds an unknown that starts at the mean of its prior, and is held there if the prior is exact.
@@ -35,6 +46,10 @@ impl Unknowns {
         self.add(Some(prior), limits, prior.1 == 0.0, prior.0)
     }
 }
+
+/// Standard deviation of the mean over all slabs of a session, and of a slab's difference from it, over that of the prior
+/// of a quantity that each slab has separately. Slabs are mounted in the same way: their values have a correlation of ½.
+pub(crate) const OF_MEAN: f64 = FRAC_1_SQRT_2;
 
 /// Mean and standard deviation of the logarithm of a slab's thickness.
 pub(crate) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, f64) {
