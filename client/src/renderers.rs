@@ -11,6 +11,7 @@ use std::collections::HashSet;
 
 use optics_model::Medium;
 use optics_model::fit::{ChannelFit, MaterialFit, Refined};
+use optics_model::measurement::wavelength_nm;
 use optics_model::phase::SecondLobe;
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
@@ -58,9 +59,6 @@ impl<'a> RenderedChannel<'a> {
 
 /// Wavelengths that renderers sample. They take a spectrum for zero outside its values, where a medium would vanish.
 const RENDERED_NM: (f64, f64) = (360.0, 830.0);
-
-/// Numbers outside of this range are names of channels, not wavelengths.
-const WAVELENGTHS_NM: std::ops::RangeInclusive<f64> = 100.0..=20_000.0;
 
 /// Names with another meaning among the keys of a scene.
 const RESERVED: [&str; 2] = ["id", "type"];
@@ -133,10 +131,7 @@ fn rgb(channels: &[RenderedChannel]) -> Option<(Values, String)> {
 
 /// The values of channels that are all distinct wavelengths, and their description.
 fn spectrum(channels: &[RenderedChannel]) -> Option<(Values, String)> {
-    let sample = |c: &RenderedChannel| {
-        let nm = c.name.trim().parse().ok().filter(|nm| WAVELENGTHS_NM.contains(nm))?;
-        Some((nm, c.medium))
-    };
+    let sample = |c: &RenderedChannel| Some((wavelength_nm(c.name)?, c.medium));
     let mut samples = channels.iter().map(sample).collect::<Option<Vec<(f64, _)>>>()?;
     samples.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     if samples.windows(2).any(|pair| pair[0].0 == pair[1].0) {

@@ -12,11 +12,17 @@ const RATIONAL: u16 = 5;
 
 /// The bytes of the file.
 ///
+/// A channel of its own is LinearRaw with one sample a pixel, as monochrome cameras write it.
+///
 /// # Panics
-/// If the photograph has no mosaic.
+/// If the photograph has three colours in each pixel.
 #[must_use]
 pub fn dng(photo: &Photo) -> Vec<u8> {
-    let Pattern::Bayer(colours) = photo.frame.pattern() else { panic!("a DNG of a mosaic") };
+    let (photometric, colours) = match photo.frame.pattern() {
+        Pattern::Bayer(colours) => (32_803, Some(colours)),
+        Pattern::One(_) => (34_892, None),
+        Pattern::Rgb => panic!("a DNG of one sample a pixel"),
+    };
     let strip = strip(&photo.frame);
     let (width, height) = (photo.frame.width() as u32, photo.frame.height() as u32);
     let longs = |values: &[u32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -27,7 +33,7 @@ pub fn dng(photo: &Photo) -> Vec<u8> {
         (257, LONG, longs(&[height])),
         (258, SHORT, shorts(&[16])),
         (259, SHORT, shorts(&[8])),
-        (262, SHORT, shorts(&[32_803])),
+        (262, SHORT, shorts(&[photometric])),
         (271, 2, b"Made\0".to_vec()),
         (272, 2, b"Made M1\0".to_vec()),
         (273, LONG, longs(&[8])),
@@ -35,12 +41,14 @@ pub fn dng(photo: &Photo) -> Vec<u8> {
         (278, LONG, longs(&[height])),
         (279, LONG, longs(&[strip.len() as u32])),
         (317, SHORT, shorts(&[2])),
-        (33_421, SHORT, shorts(&[2, 2])),
-        (33_422, 1, colours.map(|c| c.index() as u8).to_vec()),
         (50_706, 1, vec![1, 4, 0, 0]),
         (50_707, 1, vec![1, 3, 0, 0]),
         (50_708, 2, b"Made M1\0".to_vec()),
     ];
+    if let Some(colours) = colours {
+        tags.push((33_421, SHORT, shorts(&[2, 2])));
+        tags.push((33_422, 1, colours.map(|c| c.index() as u8).to_vec()));
+    }
     if let Some(seconds) = photo.seconds {
         tags.push((306, 2, time(seconds).into_bytes()));
     }

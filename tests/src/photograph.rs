@@ -3,6 +3,7 @@
 //! Each pixel is the integral of the blurred scene over its area, by Gauss quadrature. Blur is a Gaussian in the
 //! board's plane, and is convolved analytically or in a table fine enough for 10⁻⁵.
 
+mod bands;
 mod camera;
 mod noise;
 mod session;
@@ -10,6 +11,7 @@ mod session_file;
 mod subject;
 mod traced;
 
+pub use bands::{BandSession, SpectralMaterial};
 pub use camera::{Camera, Dust, Shot, develop, expose};
 pub use noise::Random;
 pub use session::{Look, Session, What, patches};

@@ -1,21 +1,26 @@
 //! Turns a session's photographs into profiles: reads the files, runs the steps of `optics_capture`, writes the results.
 
+mod band_optics;
+mod bands;
 mod board_sheet;
 mod budget;
+mod channels;
 mod globs;
 mod picture;
 mod report;
 mod results;
 mod session_file;
 mod shots;
+mod spectrum;
 mod stage;
 mod strip;
 
 pub use board_sheet::board_sheet;
-pub use budget::{SessionErrors, error_of};
+pub use budget::SessionErrors;
+pub use channels::{CapturedChannel, profiles};
 pub use report::{CaptureReport, Media, Simulated, ends, mean};
 pub use results::{FILES, write_folder};
 pub use session_file::CaptureSession;
 pub use session_file::pattern;
 pub use shots::Shots;
-pub use stage::{Captured, capture};
+pub use stage::{Captured, CapturedPart, CapturedSample, capture};

@@ -122,7 +122,7 @@ impl Black {
         };
         let sites = photo.frame.sites();
         let mut warnings = vec![Warning::NoDark];
-        if levels[..sites.len()].iter().all(|l| *l == 0.0) {
+        if sites.iter().all(|site| levels[site.position] == 0.0) {
             if photo.frame.pattern() != Pattern::Rgb {
                 let samples = photo.frame.samples();
                 let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
@@ -131,7 +131,7 @@ impl Black {
             warnings.push(Warning::BlackSubtracted);
         }
         Ok(Self {
-            levels: sites.iter().map(|s| Estimate::new(levels[s.index], 1.0)).collect(),
+            levels: sites.iter().map(|s| Estimate::new(levels[s.position], 1.0)).collect(),
             fixed_pattern: vec![0.0; sites.len()],
             map: None,
             pairs: Pairs::default(),
@@ -148,7 +148,7 @@ impl Black {
 
 fn index(frame: &Frame, site: Site, x: usize, y: usize) -> usize {
     match frame.pattern() {
-        Pattern::Bayer(_) => y * frame.width() + x,
+        Pattern::Bayer(_) | Pattern::One(_) => y * frame.width() + x,
         Pattern::Rgb => (y * frame.width() + x) * 3 + site.index,
     }
 }

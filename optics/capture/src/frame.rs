@@ -45,12 +45,21 @@ pub enum Pattern {
     Bayer([Colour; 4]),
     /// Three samples per pixel, interleaved red, green, blue.
     Rgb,
+    /// One sample per pixel of one channel: the positions of 2 × 2 pixels that it has, row by row. All four are of a
+    /// monochrome camera, fewer of one colour of a mosaic behind a band-pass filter.
+    ///
+    /// Its samples are divided into three interleaved parts, which take the places of red, green and blue: each is a
+    /// measurement of its own, and [`crate::join_parts`] joins their profiles.
+    One([bool; 4]),
 }
 
-/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours.
+/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours; or a part
+/// of these.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Site {
     pub index: usize,
+    /// Position among 2 × 2 pixels, row by row, or number of the colour: its place in [`Levels`].
+    pub position: usize,
     pub colour: Colour,
     /// First column and row of these samples, and the step to the next one.
     pub column: usize,
@@ -138,6 +147,9 @@ impl Frame {
             let given = colours.map(Colour::letter).concat();
             return Err(Invalid::new("pattern", given, "a mosaic holds red, green and blue"));
         }
+        if pattern == Pattern::One([false; 4]) {
+            return Err(Invalid::new("pattern", "no position", "a channel has at least one of 2 × 2 pixels"));
+        }
         Ok(Self { width, height, pattern, samples })
     }
 
@@ -164,7 +176,7 @@ impl Frame {
     /// The sample of a site at one of its pixels.
     pub(crate) fn at(&self, site: Site, x: usize, y: usize) -> u16 {
         match self.pattern {
-            Pattern::Bayer(_) => self.samples[y * self.width + x],
+            Pattern::Bayer(_) | Pattern::One(_) => self.samples[y * self.width + x],
             Pattern::Rgb => self.samples[(y * self.width + x) * 3 + site.index],
         }
     }
@@ -196,17 +208,52 @@ impl Site {
     }
 }
 
+/// Places of the three parts of a channel.
+const PARTS: [Colour; 4] = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
+
 impl Pattern {
+    /// All pixels of a monochrome camera.
+    pub const MONOCHROME: Self = Self::One([true; 4]);
+
+    /// One colour of a mosaic.
+    pub fn only(colours: [Colour; 4], colour: Colour) -> Self {
+        Self::One(colours.map(|of| of == colour))
+    }
+
     pub fn sites(self) -> Vec<Site> {
         match self {
-            Self::Bayer(colours) => (0..4)
-                .map(|i| Site { index: i, colour: colours[i], column: i % 2, row: i / 2, step: 2 })
-                .collect(),
+            Self::Bayer(colours) => mosaic(colours),
+            Self::MONOCHROME => mosaic(PARTS),
+            Self::One(positions) => parts(positions),
             Self::Rgb => Colour::ALL
-                .map(|colour| Site { index: colour.index(), colour, column: 0, row: 0, step: 1 })
+                .map(|colour| {
+                    let index = colour.index();
+                    Site { index, position: index, colour, column: 0, row: 0, step: 1 }
+                })
                 .to_vec(),
         }
     }
+}
+
+fn mosaic(colours: [Colour; 4]) -> Vec<Site> {
+    let site =
+        |i: usize| Site { index: i, position: i, colour: colours[i], column: i % 2, row: i / 2, step: 2 };
+    (0..4).map(site).collect()
+}
+
+/// Some positions of 2 × 2 pixels, each divided into [`PARTS`].
+fn parts(positions: [bool; 4]) -> Vec<Site> {
+    let own = (0..4).filter(|position| positions[*position]);
+    let each = own.flat_map(|position| (0..4).map(move |part| (position, part)));
+    let site = |(index, (position, part)): (usize, (usize, usize))| Site {
+        index,
+        position,
+        colour: PARTS[part],
+        column: position % 2 + 2 * (part % 2),
+        row: position / 2 + 2 * (part / 2),
+        step: 4,
+    };
+    each.enumerate().map(site).collect()
 }
 
 impl fmt::Debug for Frame {

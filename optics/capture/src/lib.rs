@@ -38,6 +38,7 @@ pub use check::{ShotCheck, check_shot, find_edges};
 pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Area, Colour, Exposure, Frame, Levels, Pattern, Photo, Site};
+pub use join::join_parts;
 pub use lattice::{EdgeLine, FreeEdge, Target};
 pub use mountings::{Mountings, SampleProfile};
 pub use noise::SiteNoise;

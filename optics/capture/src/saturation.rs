@@ -22,7 +22,7 @@ impl Saturation {
     }
 
     pub fn of(self, site: Site) -> f64 {
-        self.0[site.index]
+        self.0[site.position]
     }
 
     /// The lowest of a colour's sites.
@@ -40,7 +40,7 @@ pub(crate) fn saturation(photo: &Photo) -> Saturation {
     let sites = photo.frame.sites();
     let found: Vec<f64> = sites.par_iter().map(|site| shown(&counts(&photo.frame, *site))).collect();
     for (site, shown) in sites.iter().zip(found) {
-        full.0[site.index] = white[site.index].min(shown);
+        full.0[site.position] = full.0[site.position].min(shown);
     }
     full
 }

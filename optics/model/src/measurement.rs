@@ -4,7 +4,7 @@ pub mod checks;
 mod colour;
 mod spacing;
 
-pub use colour::colour;
+pub use colour::{colour, wavelength_nm};
 
 use crate::invalid::{Invalid, Result};
 use crate::limits::FitLimits;

@@ -43,6 +43,10 @@ pub struct Camera {
     pub has_black_level: bool,
     /// Three samples per pixel instead of a mosaic.
     pub rgb: bool,
+    /// All pixels record green: a monochrome camera.
+    pub monochrome: bool,
+    /// Exposure in its files.
+    pub exposure_s: f64,
 }
 
 impl Default for Camera {
@@ -70,6 +74,8 @@ impl Default for Camera {
             gamma: 1.0,
             has_black_level: true,
             rgb: false,
+            monochrome: false,
+            exposure_s: 0.05,
         }
     }
 }
@@ -129,7 +135,11 @@ impl Camera {
     /// Column, row and channel of a sample.
     fn place(&self, i: usize) -> (usize, usize, usize) {
         let (along, y) = (i % self.stride(), i / self.stride());
-        if self.rgb { (along / 3, y, along % 3) } else { (along, y, MOSAIC[along % 2 + 2 * (y % 2)].index()) }
+        match () {
+            () if self.rgb => (along / 3, y, along % 3),
+            () if self.monochrome => (along, y, Colour::Green.index()),
+            () => (along, y, MOSAIC[along % 2 + 2 * (y % 2)].index()),
+        }
     }
 
     fn fixed(&self) -> Option<Vec<f32>> {
@@ -189,7 +199,7 @@ fn veil(camera: &Camera, light: &mut [f64]) {
     }
     for (i, v) in light.iter_mut().enumerate() {
         let [sum, count] = sums[channel(i)];
-        *v = *v * (1.0 - camera.glare) + camera.glare * sum / count;
+        *v = *v * (1.0 - camera.glare) + camera.glare * sum / count.max(1.0);
     }
 }
 
@@ -223,13 +233,17 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
             number.round().clamp(0.0, 65_535.0) as u16
         })
         .collect();
-    let pattern = if camera.rgb { Pattern::Rgb } else { Pattern::Bayer(MOSAIC) };
+    let pattern = match () {
+        () if camera.rgb => Pattern::Rgb,
+        () if camera.monochrome => Pattern::MONOCHROME,
+        () => Pattern::Bayer(MOSAIC),
+    };
     let frame = Frame::new(camera.width, camera.height, pattern, samples);
     let levels = Levels {
         black: camera.has_black_level.then_some([camera.black * fine; 4]),
         white: Some([camera.clip * fine; 4]),
     };
-    let exposure = Some(Exposure { time_s: 0.05, f_number: Some(11.0), iso: Some(100.0) });
+    let exposure = Some(Exposure { time_s: camera.exposure_s, f_number: Some(11.0), iso: Some(100.0) });
     Photo { label: shot.label.clone(), frame: frame.unwrap(), levels, seconds: shot.seconds, exposure }
 }
 

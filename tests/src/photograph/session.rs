@@ -30,7 +30,7 @@ pub fn patches(camera: &Camera) -> Vec<[f64; 4]> {
 }
 
 /// The Macbeth greys of the paper.
-const GREYS: [f64; 6] = [0.956, 0.594, 0.361, 0.193, 0.090, 0.032];
+pub(super) const GREYS: [f64; 6] = [0.956, 0.594, 0.361, 0.193, 0.090, 0.032];
 
 impl Session {
     #[must_use]

@@ -63,6 +63,12 @@ fn mean(frame: &Frame, left: usize, top: usize, side: usize) -> [f32; 3] {
                         counts[c] += 1;
                     }
                 }
+                Pattern::One(_) => {
+                    for c in 0..3 {
+                        sums[c] += u64::from(samples[y * frame.width() + x]);
+                        counts[c] += 1;
+                    }
+                }
             }
         }
     }

@@ -2,6 +2,7 @@
 //!
 //! `capture` keeps the sections as data, so that `measure` renders the page again with the fitted media.
 
+mod bands;
 mod media;
 mod samples;
 mod set_up;
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub use media::{Media, Simulated};
 pub use samples::{ends, mean};
 
-use super::stage::Captured;
+use super::stage::{Captured, CapturedPart};
 use samples::SlabSection;
 
 const STYLE: &str = include_str!("report/page.css");
@@ -25,25 +26,35 @@ pub struct CaptureReport {
     summary: String,
     slabs: Vec<SlabSection>,
     set_up: String,
+    /// Sections of the bands; empty for red, green and blue.
+    #[serde(default)]
+    bands: String,
     inputs: String,
 }
 
 impl CaptureReport {
     pub(super) fn of(captured: &Captured) -> Self {
+        let colours: Vec<&CapturedPart> = captured.parts.iter().filter(|part| part.band.is_none()).collect();
+        let slabs = |captured, part: &&CapturedPart| {
+            let of = |sample| SlabSection::of(captured, part, sample);
+            part.samples.iter().map(of).collect::<Vec<_>>()
+        };
         Self {
             title: title(captured),
             summary: samples::summary(captured),
-            slabs: captured.samples.iter().map(|sample| SlabSection::of(captured, sample)).collect(),
-            set_up: set_up::section(captured),
+            slabs: colours.iter().flat_map(|part| slabs(captured, part)).collect(),
+            set_up: colours.iter().map(|part| set_up::section(captured, part)).collect(),
+            bands: bands::section(captured),
             inputs: inputs(captured),
         }
     }
 
     /// The page; with the media once they are measured.
     pub fn page(&self, media: Option<&Media>) -> String {
-        let Self { summary, set_up, inputs, .. } = self;
+        let Self { summary, set_up, bands, inputs, .. } = self;
         let title = escaped(&self.title);
         let slabs: String = self.slabs.iter().map(SlabSection::section).collect();
+        let slabs = if slabs.is_empty() { slabs } else { format!("<h2>Samples</h2>\n{slabs}\n") };
         let media = media.map_or_else(
             || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>".to_owned(),
             |media| media.section(&self.slabs),
@@ -52,13 +63,14 @@ impl CaptureReport {
             "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
              <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
              <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{media}\n\
-             <h2>Samples</h2>\n{slabs}\n{set_up}\n{inputs}\n</body>\n</html>\n",
+             {slabs}{set_up}{bands}\n{inputs}\n</body>\n</html>\n",
         )
     }
 }
 
 fn title(captured: &Captured) -> String {
-    let mut materials: Vec<&str> = captured.samples.iter().map(|s| s.about.material.as_str()).collect();
+    let mut materials: Vec<&str> =
+        captured.parts[0].samples.iter().map(|s| s.about.material.as_str()).collect();
     materials.dedup();
     format!("Session: {}", materials.join(", "))
 }

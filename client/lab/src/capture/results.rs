@@ -3,15 +3,17 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use optics_capture::{Colour, EdgeProfile, Estimate, Source};
+use optics_capture::{EdgeProfile, Estimate, Source};
 use optics_model::ProfileSetup;
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
-use super::budget::{SessionErrors, sum, thickness_std_error_mm};
+use super::band_optics::BandOptics;
+use super::budget::{SessionErrors, thickness_std_error_mm};
+use super::channels::{CapturedChannel, profiles};
 use super::report::{self, CaptureReport};
-use super::stage::{Captured, CapturedSample, board_channels, rounded, within_range};
+use super::stage::{Captured, CapturedPart, CapturedSample, board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
 use crate::whole_file::{folder_of, sync_folder};
 
@@ -80,29 +82,28 @@ fn check_folder(folder: &Path) -> Result<()> {
 fn measurements(captured: &Captured) -> Result<Vec<u8>> {
     let mut rows = csv::WriterBuilder::new().comment(Some(b'#')).from_writer(Vec::new());
     rows.write_record(column_names())?;
-    for sample in &captured.samples {
-        for (c, profile) in sample.profile.profiles.iter().enumerate() {
-            let blur = captured.board.blur_mm[c];
-            let known = ProfileSetup {
-                thickness_std_error_mm: Some(thickness_std_error_mm(sample, c)),
-                origin_mm: Some(0.0),
-                origin_std_error_mm: Some(sum(&sample.profile.budget, &[Source::Origin], c)),
-                ..ProfileSetup::default()
-            };
-            let known =
-                ProfileSetup { blur_mm: Some(blur.value), blur_std_error_mm: Some(blur.std_error), ..known };
-            let set_up: Vec<String> =
-                known.values().map(|(_, value)| value.map_or_else(String::new, cell)).collect();
-            for [x, value, error] in points(profile) {
-                let names = [sample.about.material.clone(), profile.colour.letter().to_owned()];
-                let numbers = [
-                    sample.about.thickness_mm.to_string(),
-                    format!("{x:.6}"),
-                    format!("{value:.7}"),
-                    format!("{error:.7}"),
-                ];
-                rows.write_record(names.iter().chain(&numbers).chain(&set_up))?;
-            }
+    let channels = captured.channels();
+    for (channel, sample) in profiles(&channels) {
+        let (blur, profile) = (channel.blur_mm(), channel.profile(sample));
+        let known = ProfileSetup {
+            thickness_std_error_mm: Some(thickness_std_error_mm(channel, sample)),
+            origin_mm: Some(0.0),
+            origin_std_error_mm: Some(channel.error(sample, &[Source::Origin])),
+            ..ProfileSetup::default()
+        };
+        let known =
+            ProfileSetup { blur_mm: Some(blur.value), blur_std_error_mm: Some(blur.std_error), ..known };
+        let set_up: Vec<String> =
+            known.values().map(|(_, value)| value.map_or_else(String::new, cell)).collect();
+        for [x, value, error] in points(&profile) {
+            let names = [sample.about.material.clone(), channel.name.clone()];
+            let numbers = [
+                sample.about.thickness_mm.to_string(),
+                format!("{x:.6}"),
+                format!("{value:.7}"),
+                format!("{error:.7}"),
+            ];
+            rows.write_record(names.iter().chain(&numbers).chain(&set_up))?;
         }
     }
     Ok(rows.into_inner()?)
@@ -134,16 +135,18 @@ fn points(profile: &EdgeProfile) -> Vec<[f64; 3]> {
 
 /// The session's scene with the measured board, and with the board as it would be under a darker white reference.
 fn scene(captured: &Captured) -> Result<String> {
-    let darker = Colour::ALL.iter().zip(&captured.rho).map(|(colour, rho)| {
+    let channels = captured.channels();
+    let darker = channels.iter().map(|channel| {
+        let rho = channel.rho();
         let found = [rho.light.value, rho.dark.value];
         // Where ρ is clamped, its change is kept.
         let change = [0, 1].map(|side| rho.under_darker_white[side] - found[side]);
         let within = within_range(found);
         let [light, dark] = within_range([within[0] + change[0], within[1] + change[1]]);
-        Channel::new(Channel::darker_white(colour.letter()), rounded(light), rounded(dark))
+        Channel::new(Channel::darker_white(&channel.name), rounded(light), rounded(dark))
     });
-    let found = board_channels(&captured.rho).context("reflectances of the board")?;
-    let channels = found.into_iter().map(Ok).chain(darker).collect::<Result<Vec<_>, _>>()?;
+    let found = channels.iter().map(|channel| board_channel(&channel.name, &channel.rho()));
+    let channels = found.chain(darker).collect::<Result<Vec<_>, _>>().context("reflectances of the board")?;
     let scene = captured.session.scene.clone().with_channels(channels)?;
     Ok(format!(
         "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows. The channels called\n\
@@ -155,7 +158,7 @@ fn scene(captured: &Captured) -> Result<String> {
 
 /// The paper's axes with this session's thicknesses.
 fn grid(captured: &Captured) -> Result<String> {
-    let thicknesses = captured.samples.iter().map(|sample| sample.about.thickness_mm);
+    let thicknesses = captured.parts[0].samples.iter().map(|sample| sample.about.thickness_mm);
     let file = GridFile {
         scene: SceneRef::Named("scene.toml".to_owned()),
         sigma_t_per_mm: None,
@@ -197,89 +200,106 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         errors: SessionErrors,
         blur_mm: Value,
         blur_std_error_mm: Value,
-        board: Value,
-        camera: Value,
-        samples: Vec<Value>,
+        #[serde(flatten)]
+        parts: Map<String, Value>,
         inputs: Vec<Value>,
         digest: String,
     }
-    let blur = captured.board.blur_mm;
+    let channels = captured.channels();
     let digest = blake3::hash(captured.session.text.as_bytes());
     let inputs =
         captured.inputs.iter().map(|input| json!({"photograph": input.label, "blake3": input.digest}));
     SessionJson {
         format: "farmctl-session/1",
         errors: SessionErrors::of(captured),
-        blur_mm: by_channel(|c| json!(blur[c].value)),
-        blur_std_error_mm: by_channel(|c| json!(blur[c].std_error)),
-        board: board(captured),
-        camera: camera(captured),
-        samples: captured.samples.iter().map(|s| sample(captured, s)).collect(),
+        blur_mm: by_channel(&channels, |c| json!(c.blur_mm().value)),
+        blur_std_error_mm: by_channel(&channels, |c| json!(c.blur_mm().std_error)),
+        parts: parts(captured),
         inputs: inputs.collect(),
         digest: digest.to_hex().to_string(),
     }
 }
 
-fn by_channel(of: impl Fn(usize) -> Value) -> Value {
-    let channel = |colour: &Colour| (colour.letter().to_owned(), of(colour.index()));
-    Value::Object(Colour::ALL.iter().map(channel).collect())
+/// `board`, `camera` and `samples` of red, green and blue, or a list of these as `bands`.
+fn parts(captured: &Captured) -> Map<String, Value> {
+    let fields = |part: &CapturedPart| {
+        let samples: Vec<Value> = part.samples.iter().map(|s| sample(part, s)).collect();
+        let fields = [("board", board(part)), ("camera", camera(part)), ("samples", Value::Array(samples))];
+        fields.map(|(name, value)| (name.to_owned(), value)).into_iter().collect::<Map<String, Value>>()
+    };
+    let optics = BandOptics::of(&captured.parts);
+    if optics.is_empty() {
+        return captured.parts.iter().flat_map(fields).collect();
+    }
+    let band = |(optics, part): (&BandOptics, &CapturedPart)| {
+        let optics = serde_json::to_value(optics).unwrap_or_default();
+        let own = optics.as_object().cloned().unwrap_or_default();
+        Value::Object(own.into_iter().chain(fields(part)).collect())
+    };
+    let bands = optics.iter().zip(&captured.parts).map(band);
+    Map::from_iter([("bands".to_owned(), Value::Array(bands.collect()))])
+}
+
+fn by_channel(channels: &[CapturedChannel], of: impl Fn(&CapturedChannel) -> Value) -> Value {
+    Value::Object(channels.iter().map(|channel| (channel.name.clone(), of(channel))).collect())
 }
 
 fn estimate(e: Estimate) -> Value {
     json!({"value": e.value, "std_error": e.std_error})
 }
 
-fn board(captured: &Captured) -> Value {
-    let board = &captured.board;
+fn board(part: &CapturedPart) -> Value {
+    let (board, channels) = (&part.board, part.channels());
+    let by_channel = |of: &dyn Fn(&CapturedChannel) -> Value| by_channel(&channels, of);
     json!({
         "mm_per_px": estimate(board.mm_per_px),
         "edge_angle_deg": estimate(board.edge.angle_deg),
         "edge_bend_px": estimate(board.edge.bend_px),
         "dark_side": board.edge.dark_side.to_string(),
         "corners_found": board.corners_px.len(),
-        "seen_light": by_channel(|c| estimate(board.light[c])),
-        "seen_dark": by_channel(|c| estimate(board.dark[c])),
-        "rho_light": by_channel(|c| estimate(captured.rho[c].light)),
-        "rho_dark": by_channel(|c| estimate(captured.rho[c].dark)),
+        "seen_light": by_channel(&|c| estimate(c.shared(&board.light))),
+        "seen_dark": by_channel(&|c| estimate(c.shared(&board.dark))),
+        "rho_light": by_channel(&|c| estimate(c.rho().light)),
+        "rho_dark": by_channel(&|c| estimate(c.rho().dark)),
         "warnings": report::texts(&board.warnings),
     })
 }
 
-fn camera(captured: &Captured) -> Value {
-    let calibration = &captured.calibration;
-    let first = captured.inputs.first().map(|input| &input.about);
+fn camera(part: &CapturedPart) -> Value {
+    let (calibration, channels) = (&part.calibration, part.channels());
+    let by_channel = |of: &dyn Fn(&CapturedChannel) -> Value| by_channel(&channels, of);
+    let about = &part.about;
     let areas =
         calibration.patches.iter().map(|p| [p.area.x, p.area.y, p.area.width, p.area.height].map(f64::round));
     let noise = calibration.noise.iter().map(|n| json!({"read": n.read.value, "per_number": n.gain.value}));
     json!({
-        "model": first.and_then(|about| about.camera.clone()),
-        "exposure_s": first.and_then(|about| about.exposure_s),
-        "iso": first.and_then(|about| about.iso),
-        "f_number": first.and_then(|about| about.f_number),
+        "model": about.camera.clone(),
+        "exposure_s": about.exposure_s,
+        "iso": about.iso,
+        "f_number": about.f_number,
         "noise": noise.collect::<Vec<_>>(),
-        "glare": by_channel(|c| estimate(calibration.glare[c])),
-        "numbers_per_unit": by_channel(|c| estimate(calibration.gain[c])),
-        "linearity": by_channel(|c| json!(calibration.linearity[c])),
-        "drift": by_channel(|c| json!(calibration.drift[c])),
+        "glare": by_channel(&|c| estimate(c.shared(&calibration.glare))),
+        "numbers_per_unit": by_channel(&|c| estimate(c.shared(&calibration.gain))),
+        "linearity": by_channel(&|c| json!(c.mean(|i| calibration.linearity[i]))),
+        "drift": by_channel(&|c| json!(c.mean(|i| calibration.drift[i]))),
         "patches_px": areas.collect::<Vec<_>>(),
         "warnings": report::texts(&calibration.warnings),
     })
 }
 
-fn sample(captured: &Captured, sample: &CapturedSample) -> Value {
-    let thickness = (
-        "thickness".to_owned(),
-        json!({"unit": "mm", "std_error": by_channel(|_| json!(sample.about.thickness_std_error_mm))}),
-    );
-    let blur = captured.board.blur_mm;
-    let blur =
-        ("blur".to_owned(), json!({"unit": "mm", "std_error": by_channel(|c| json!(blur[c].std_error))}));
-    let budget = sample.profile.budget.iter().map(|line| {
-        let errors = by_channel(|c| json!(line.std_error[c]));
-        (line.source.name().to_owned(), json!({"unit": line.source.unit(), "std_error": errors}))
-    });
-    let light =
-        sample.profile.shots.iter().map(|shot| shot.light.map(|light| by_channel(|c| estimate(light[c]))));
+fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
+    let channels = part.channels();
+    let by_channel = |of: &dyn Fn(&CapturedChannel) -> Value| by_channel(&channels, of);
+    let line = |name: &str, unit: &str, of: &dyn Fn(&CapturedChannel) -> f64| {
+        let errors = by_channel(&|c| json!(of(c)));
+        (name.to_owned(), json!({"unit": unit, "std_error": errors}))
+    };
+    let thickness = line("thickness", "mm", &|_| sample.about.thickness_std_error_mm);
+    let blur = line("blur", "mm", &|c| c.blur_mm().std_error);
+    let sources = sample.profile.budget.iter().map(|of| of.source);
+    let budget = sources.map(|source| line(source.name(), source.unit(), &|c| c.error(sample, &[source])));
+    let light = sample.profile.shots.iter();
+    let light = light.map(|shot| shot.light.map(|light| by_channel(&|c| estimate(c.shared(&light)))));
     json!({
         "material": sample.about.material,
         "thickness_mm": sample.about.thickness_mm,
@@ -305,7 +325,7 @@ mod tests {
     fn empty_bin_is_interpolated_without_weight() {
         let nan = f64::NAN;
         let profile = EdgeProfile {
-            colour: Colour::Red,
+            colour: optics_capture::Colour::Red,
             x_mm: vec![-2.0, -1.0, 0.0, 1.0, 2.0],
             values: vec![nan, 0.1, nan, 0.3, nan],
             std_errors: vec![nan, 0.01, nan, 0.02, nan],

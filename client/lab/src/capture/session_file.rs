@@ -2,7 +2,7 @@
 
 mod doubts;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -10,24 +10,24 @@ use optics_capture::{Area, Colour, Neutral, Side, Target};
 use optics_model::Invalid;
 use serde::Deserialize;
 
+use super::bands::{self, Band, BandTable, PLACE};
 use super::globs::files_of;
+use super::spectrum::Spectrum;
 use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
 
 const WHAT: &str = "session file";
+/// The field of dark shots.
+const DARK: &str = "camera.dark";
 
 /// A session whose files exist and whose numbers are valid.
 #[derive(Debug)]
 pub struct CaptureSession {
-    pub dark: Vec<PathBuf>,
-    pub flat: Vec<PathBuf>,
     /// The pattern of mosaics whose files do not state one.
     pub pattern: Option<[Colour; 4]>,
-    pub neutral_shots: Vec<PathBuf>,
-    pub neutral: Neutral,
-    pub bare: Vec<PathBuf>,
+    /// One for each band, or one for red, green and blue.
+    pub parts: Vec<SessionPart>,
     pub target: Target,
-    pub samples: Vec<Sample>,
     pub scene: optics_model::Scene,
     /// Values that are valid but implausible.
     pub doubts: Vec<String>,
@@ -35,8 +35,21 @@ pub struct CaptureSession {
     pub text: String,
 }
 
-/// A slab and its photographs.
+/// The photographs of red, green and blue, or of one band.
 #[derive(Debug)]
+pub struct SessionPart {
+    /// None for red, green and blue.
+    pub band: Option<Band>,
+    pub dark: Vec<PathBuf>,
+    pub flat: Vec<PathBuf>,
+    pub neutral_shots: Vec<PathBuf>,
+    pub neutral: Neutral,
+    pub bare: Vec<PathBuf>,
+    pub samples: Vec<Sample>,
+}
+
+/// A slab and its photographs.
+#[derive(Debug, Clone)]
 pub struct Sample {
     pub material: String,
     pub thickness_mm: f64,
@@ -66,8 +79,14 @@ impl CaptureSession {
         session.map_err(|wrong| in_file(wrong, &text, path, WHAT))
     }
 
-    /// All photographs, in the order of their use.
+    /// All photographs, in the order of their use; those that bands share, once for each.
     pub fn shots(&self) -> impl Iterator<Item = &PathBuf> {
+        self.parts.iter().flat_map(SessionPart::shots)
+    }
+}
+
+impl SessionPart {
+    fn shots(&self) -> impl Iterator<Item = &PathBuf> {
         let samples = self.samples.iter().flat_map(|sample| &sample.shots);
         [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
     }
@@ -82,8 +101,19 @@ struct SessionFile {
     camera: CameraTable,
     neutral: NeutralTable,
     target: TargetTable,
+    #[serde(default)]
+    light: LightTable,
+    #[serde(default, rename = "band")]
+    bands: Vec<BandTable>,
     #[serde(rename = "sample")]
     samples: Vec<SampleTable>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LightTable {
+    /// A table of the lamps' power over wavelength, in any unit.
+    spectrum: Option<String>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -100,9 +130,17 @@ struct CameraTable {
 #[serde(deny_unknown_fields)]
 struct NeutralTable {
     shots: Vec<String>,
-    rho: Vec<Rho>,
+    rho: NeutralRho,
     std_error: Option<f64>,
     areas_px: Option<Vec<[f64; 4]>>,
+}
+
+/// Reflectances of the patches, or a table of them over wavelength.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(untagged)]
+enum NeutralRho {
+    Each(Vec<Rho>),
+    Table(String),
 }
 
 /// A reflectance for all channels, or one for each.
@@ -146,47 +184,113 @@ impl SessionFile {
     ) -> Result<CaptureSession, Invalid> {
         let doubts = doubts::of(&self);
         let pattern = self.camera.pattern.as_deref().map(pattern).transpose()?;
-        let neutral = neutral(&self.neutral)?;
         let target = target(&self.target)?;
-        let files = |field: &str, globs: &[String]| files_of(folder, field, globs);
         if self.samples.is_empty() {
             return Err(Invalid::new("sample", "none", "at least one [[sample]] is needed"));
         }
-        let samples = self.samples.into_iter().enumerate();
-        let samples = samples
-            .map(|(i, table)| sample(folder, table).map_err(|e| e.within(format_args!("sample[{i}]"))));
-        let session = CaptureSession {
-            dark: files("camera.dark", &self.camera.dark)?,
-            flat: files("camera.flat", &self.camera.flat)?,
-            pattern,
-            neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
-            neutral,
-            bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
-            target,
-            samples: samples.collect::<Result<_, _>>()?,
-            scene,
-            doubts,
-            text,
+        let bands = self.read_bands(folder)?;
+        let parts = if bands.is_empty() {
+            vec![self.part(folder, None)?]
+        } else {
+            bands.into_iter().map(|band| self.part(folder, Some(band))).collect::<Result<_, _>>()?
         };
-        check_once(&session)?;
-        check_slabs(&session.samples)?;
-        Ok(session)
+        check_once(&parts)?;
+        check_slabs(&parts[0].samples)?;
+        Ok(CaptureSession { pattern, parts, target, scene, doubts, text })
+    }
+
+    fn read_bands(&self, folder: &Path) -> Result<Vec<Band>, Invalid> {
+        let band = |(i, table): (usize, &BandTable)| {
+            let read = |file: &str| Ok(spectra(folder, "transmission", file)?.swap_remove(0));
+            Band::new(table.clone(), read).map_err(|e| e.within(format_args!("band[{i}]")))
+        };
+        let bands = self.bands.iter().enumerate().map(band).collect::<Result<Vec<_>, _>>()?;
+        bands::check(&bands)?;
+        Ok(bands)
+    }
+
+    /// The photographs of a band, or those of red, green and blue.
+    fn part(&self, folder: &Path, band: Option<Band>) -> Result<SessionPart, Invalid> {
+        let files = |field: &str, globs: &[String]| files_of(folder, field, &of_band(globs, band.as_ref()));
+        let sample = |(i, table): (usize, &SampleTable)| {
+            sample(folder, table, band.as_ref()).map_err(|e| e.within(format_args!("sample[{i}]")))
+        };
+        Ok(SessionPart {
+            dark: files(DARK, &self.camera.dark)?,
+            flat: files("camera.flat", &self.camera.flat)?,
+            neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
+            neutral: self.neutral(folder, band.as_ref())?,
+            bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
+            samples: self.samples.iter().enumerate().map(sample).collect::<Result<_, _>>()?,
+            band,
+        })
+    }
+
+    /// The patches, with their reflectances in a band.
+    fn neutral(&self, folder: &Path, band: Option<&Band>) -> Result<Neutral, Invalid> {
+        let table = &self.neutral;
+        let rho = match (&table.rho, band) {
+            (NeutralRho::Each(rho), _) => rho.iter().map(|rho| rho.of(band)).collect::<Result<_, _>>()?,
+            (NeutralRho::Table(file), Some(band)) => {
+                let light = self.light.spectrum.as_deref();
+                let light = light.map(|file| spectra(folder, "light.spectrum", file)).transpose()?;
+                let light = light.as_ref().map(|columns| &columns[0]);
+                let patches = spectra(folder, "neutral.rho", file)?;
+                let mean = |patch| Ok([band.mean("neutral.rho", patch, light)?; 3]);
+                patches.iter().map(mean).collect::<Result<_, _>>()?
+            }
+            (NeutralRho::Table(file), None) => {
+                let allowed = "a table over wavelength needs [[band]]; red, green and blue need numbers";
+                return Err(Invalid::new("neutral.rho", format!("{file:?}"), allowed));
+            }
+        };
+        let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
+        let areas = table.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
+        let std_error = table.std_error.unwrap_or(NEUTRAL_STD_ERROR);
+        Neutral::new(rho, std_error, areas).map_err(|e| e.within("neutral"))
     }
 }
 
-fn sample(folder: &Path, table: SampleTable) -> Result<Sample, Invalid> {
+impl Rho {
+    /// Its values in the columns of a part; a band has one value.
+    fn of(&self, band: Option<&Band>) -> Result<[f64; 3], Invalid> {
+        match self {
+            Self::All(value) => Ok([*value; 3]),
+            Self::Each(values) if band.is_none() => Ok(*values),
+            Self::Each(values) => {
+                let allowed = "bands need one number a patch, or a table over wavelength";
+                Err(Invalid::new("neutral.rho", format!("{values:?}"), allowed))
+            }
+        }
+    }
+}
+
+/// The columns of a table over wavelength, whose name stands in a field.
+fn spectra(folder: &Path, field: &str, file: &str) -> Result<Vec<Spectrum>, Invalid> {
+    let path = folder.join(file);
+    Spectrum::read(&path).map_err(|e| Invalid::new(field, format!("{file:?}"), format!("{e:#}")))
+}
+
+/// Patterns of files with the name of a band in its place.
+fn of_band(globs: &[String], band: Option<&Band>) -> Vec<String> {
+    let name = band.map_or(PLACE, |band| band.name.as_str());
+    globs.iter().map(|glob| glob.replace(PLACE, name)).collect()
+}
+
+fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sample, Invalid> {
     let SampleTable { material, thickness_mm, thickness_std_error_mm, shots } = table;
+    let (thickness_mm, shots) = (*thickness_mm, of_band(shots, band));
     let within = |field: &str, value: f64, from: f64, to: f64| {
         let allowed = format!("allowed are {from} to {to}");
         if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
     };
-    let named = !material.is_empty() && material.trim() == material && !material.contains(char::is_control);
+    let named = !material.is_empty() && material.trim() == *material && !material.contains(char::is_control);
     if !named {
         let allowed = "a name must not be empty, begin or end with a space, or contain a line break";
         return Err(Invalid::new("material", format_args!("{material:?}"), allowed));
     }
     Ok(Sample {
-        material: normal(&material).into_owned(),
+        material: normal(material).into_owned(),
         thickness_mm: within("thickness_mm", thickness_mm, 0.01, 100.0)?,
         thickness_std_error_mm: within(
             "thickness_std_error_mm",
@@ -206,21 +310,32 @@ fn needed(field: &str, files: Vec<PathBuf>) -> Result<Vec<PathBuf>, Invalid> {
     }
 }
 
-/// Checks that each photograph is used once: a repeated one would agree with itself.
-fn check_once(session: &CaptureSession) -> Result<(), Invalid> {
+/// Checks that each photograph is used once: a repeated one would agree with itself. Bands may share dark shots.
+fn check_once(parts: &[SessionPart]) -> Result<(), Invalid> {
     let mut places: HashMap<PathBuf, String> = HashMap::new();
-    let lists = [
-        ("camera.dark".to_owned(), &session.dark),
-        ("camera.flat".to_owned(), &session.flat),
-        ("neutral.shots".to_owned(), &session.neutral_shots),
-        ("target.bare".to_owned(), &session.bare),
-    ];
-    let samples = session.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
-    for (field, files) in lists.into_iter().chain(samples) {
-        for file in files {
-            let real = std::fs::canonicalize(file).unwrap_or_else(|_| file.clone());
-            if let Some(before) = places.insert(real, field.clone()) {
-                let allowed = format!("the photograph is also in {before}; each may be used once");
+    for part in parts {
+        let lists = [
+            (DARK.to_owned(), &part.dark),
+            ("camera.flat".to_owned(), &part.flat),
+            ("neutral.shots".to_owned(), &part.neutral_shots),
+            ("target.bare".to_owned(), &part.bare),
+        ];
+        let samples = part.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
+        let mut own: HashSet<PathBuf> = HashSet::new();
+        for (field, files) in lists.into_iter().chain(samples) {
+            for file in files {
+                let real = std::fs::canonicalize(file).unwrap_or_else(|_| file.clone());
+                let is_repeated = !own.insert(real.clone());
+                let Some(before) = places.insert(real, field.clone()) else { continue };
+                if field == DARK && before == DARK && !is_repeated {
+                    continue;
+                }
+                let remedy = if is_repeated || part.band.is_none() {
+                    String::new()
+                } else {
+                    format!(", and {PLACE} in a pattern stands for the name of the band")
+                };
+                let allowed = format!("the photograph is also in {before}; each may be used once{remedy}");
                 return Err(Invalid::new(field, file.display(), allowed));
             }
         }
@@ -239,17 +354,6 @@ fn check_slabs(samples: &[Sample]) -> Result<(), Invalid> {
         }
     }
     Ok(())
-}
-
-fn neutral(table: &NeutralTable) -> Result<Neutral, Invalid> {
-    let rho = table.rho.iter().map(|rho| match rho {
-        Rho::All(value) => [*value; 3],
-        Rho::Each(values) => *values,
-    });
-    let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
-    let areas = table.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
-    let std_error = table.std_error.unwrap_or(NEUTRAL_STD_ERROR);
-    Neutral::new(rho.collect(), std_error, areas).map_err(|e| e.within("neutral"))
 }
 
 fn target(table: &TargetTable) -> Result<Target, Invalid> {

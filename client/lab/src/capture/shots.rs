@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use optics_capture::{Colour, Exposure, Frame, Levels, Pattern, Photo};
 
+use super::bands::BandPixels;
 use super::picture::Thumbnail;
 use crate::photograph::{self, About, Photograph, SampleLayout};
 
@@ -13,6 +14,8 @@ use crate::photograph::{self, About, Photograph, SampleLayout};
 pub struct Shots {
     /// The pattern of files that do not state one.
     pattern: Option<[Colour; 4]>,
+    /// The pixels that record the present band; None for red, green and blue.
+    band: Option<BandPixels>,
     /// Folder that labels are relative to.
     folder: PathBuf,
     /// The first camera, and the label of its photograph.
@@ -30,12 +33,18 @@ pub struct Input {
     /// The subject of the photograph.
     group: String,
     pub about: About,
-    pub thumbnail: Thumbnail,
+    /// None of bands: a session of them has many photographs, which all look alike.
+    pub thumbnail: Option<Thumbnail>,
 }
 
 impl Shots {
     pub fn new(pattern: Option<[Colour; 4]>, folder: &Path) -> Self {
         Self { pattern, folder: folder.to_owned(), ..Self::default() }
+    }
+
+    /// The pixels of the photographs that follow.
+    pub(super) fn of_band(&mut self, pixels: Option<BandPixels>) {
+        self.band = pixels;
     }
 
     /// Reads the next photograph; photographs of one group show the same subject.
@@ -44,14 +53,28 @@ impl Shots {
         let (photograph, digest) = photograph::read(path)?;
         self.check_camera(&photograph.about, &label)?;
         let picture = digest_of(&photograph.samples);
+        if self.read.iter().any(|input| input.label == label) {
+            // Bands share dark shots.
+            return self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()));
+        }
         self.check_another(picture, &label)?;
         let about = photograph.about.clone();
         let photo =
             self.photo(photograph, &label).with_context(|| format!("photograph {}", path.display()))?;
-        let thumbnail = Thumbnail::of(&photo.frame);
+        let thumbnail = self.band.is_none().then(|| Thumbnail::of(&photo.frame));
         let (digest, group) = (digest.to_hex().to_string(), group.to_owned());
         self.read.push(Input { label, digest, picture, group, about, thumbnail });
         Ok(photo)
+    }
+
+    /// Number of photographs that were read.
+    pub(super) fn count(&self) -> usize {
+        self.read.len()
+    }
+
+    /// The camera and exposure of a photograph.
+    pub(super) fn about(&self, index: usize) -> About {
+        self.read.get(index).map(|input| input.about.clone()).unwrap_or_default()
     }
 
     pub fn into_inputs(self) -> Vec<Input> {
@@ -78,7 +101,47 @@ impl Shots {
     }
 
     fn photo(&self, photograph: Photograph, label: &str) -> Result<Photo> {
-        let pattern = match (photograph.layout, self.pattern) {
+        let (pattern, photograph) = match self.band {
+            None => (self.mosaic(photograph.layout)?, photograph),
+            Some(pixels) => self.one_channel(photograph, pixels)?,
+        };
+        let Photograph { width, height, samples, black, white, about, .. } = photograph;
+        let exposure =
+            about.exposure_s.map(|time_s| Exposure { time_s, f_number: about.f_number, iso: about.iso });
+        Ok(Photo {
+            label: label.to_owned(),
+            frame: Frame::new(width, height, pattern, samples)?,
+            levels: Levels { black, white },
+            seconds: about.taken_s,
+            exposure,
+        })
+    }
+
+    /// The photograph of a band: one channel.
+    fn one_channel(&self, photograph: Photograph, pixels: BandPixels) -> Result<(Pattern, Photograph)> {
+        let pattern = match (photograph.layout, pixels) {
+            (SampleLayout::Mosaic(None), BandPixels::Mono) if self.pattern.is_none() => Pattern::MONOCHROME,
+            (SampleLayout::Mosaic(_), BandPixels::Mono) => {
+                bail!("it has a mosaic of colours: set `channel` of the band to \"R\", \"G\" or \"B\"")
+            }
+            (layout @ SampleLayout::Mosaic(_), BandPixels::Colour(colour)) => {
+                let Pattern::Bayer(colours) = self.mosaic(layout)? else { bail!("it is no mosaic") };
+                Pattern::only(colours, colour)
+            }
+            (SampleLayout::Rgb, BandPixels::Mono) => {
+                bail!(
+                    "it has three colours in each pixel: set `channel` of the band to \"R\", \"G\" or \"B\""
+                )
+            }
+            (SampleLayout::Rgb, BandPixels::Colour(colour)) => {
+                return Ok((Pattern::MONOCHROME, plane(photograph, colour.index())));
+            }
+        };
+        Ok((pattern, photograph))
+    }
+
+    fn mosaic(&self, layout: SampleLayout) -> Result<Pattern> {
+        Ok(match (layout, self.pattern) {
             (SampleLayout::Rgb, None) => Pattern::Rgb,
             (SampleLayout::Mosaic(Some(colours)), None) => Pattern::Bayer(colours),
             (SampleLayout::Mosaic(None), Some(given)) => Pattern::Bayer(given),
@@ -92,23 +155,22 @@ impl Shots {
             (SampleLayout::Mosaic(None), None) => bail!(
                 "the file does not state the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
                  under [camera], `--pattern` with --check (`dcraw -i -v` prints it as \"Filter pattern\"); of a \
-                 monochrome camera set `pattern = \"mono\"`, which gives three channels that are one"
+                 monochrome camera with filters add a [[band]] for each; without, set `pattern = \"mono\"`, which \
+                 gives three channels that are one"
             ),
             (SampleLayout::Rgb, Some(_)) => {
                 bail!("the file has three colours in each pixel, so camera.pattern must be left out")
             }
-        };
-        let Photograph { width, height, samples, black, white, about, .. } = photograph;
-        let exposure =
-            about.exposure_s.map(|time_s| Exposure { time_s, f_number: about.f_number, iso: about.iso });
-        Ok(Photo {
-            label: label.to_owned(),
-            frame: Frame::new(width, height, pattern, samples)?,
-            levels: Levels { black, white },
-            seconds: about.taken_s,
-            exposure,
         })
     }
+}
+
+/// One colour of a photograph with three in each pixel.
+fn plane(photograph: Photograph, c: usize) -> Photograph {
+    let levels = |of: Option<[f64; 4]>| of.map(|levels| [levels[c]; 4]);
+    let samples = photograph.samples.iter().skip(c).step_by(3).copied().collect();
+    let (black, white) = (levels(photograph.black), levels(photograph.white));
+    Photograph { layout: SampleLayout::Mosaic(None), samples, black, white, ..photograph }
 }
 
 /// Warnings about shots whose Orientation differs from that of the first shot of the same subject. Viewers that turn

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use optics_capture::{
     Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Flats, Mountings, Patches, Photo,
     SampleProfile, Warning,
@@ -11,27 +11,42 @@ use optics_model::scene::{Channel, LEAST_RHO_DARK};
 use optics_model::{Invalid, Scene};
 use optics_tracer::{BareBoard, SeenBase};
 
-use super::session_file::{CaptureSession, Sample};
+use super::band_optics::BandOptics;
+use super::bands::{Band, BandPixels};
+use super::session_file::{CaptureSession, Sample, SessionPart};
 use super::shots::{Input, Shots, turned};
 use super::strip::Strip;
+use crate::photograph::About;
 
 /// All results of a session's photographs.
 #[derive(Debug)]
 pub struct Captured {
     pub session: CaptureSession,
+    /// One for each band, or one for red, green and blue.
+    pub parts: Vec<CapturedPart>,
+    /// All photographs, in the order of their use.
+    pub inputs: Vec<Input>,
+}
+
+/// The results of red, green and blue, or of one band.
+#[derive(Debug)]
+pub struct CapturedPart {
+    /// None for red, green and blue.
+    pub band: Option<Band>,
+    /// Camera and exposure of its first photograph.
+    pub about: About,
     pub calibration: Calibration,
     pub board: Board,
     pub rho: [BoardRho; 3],
     pub samples: Vec<CapturedSample>,
-    /// All photographs, in the order of their use.
-    pub inputs: Vec<Input>,
 }
 
 #[derive(Debug)]
 pub struct CapturedSample {
     pub about: Sample,
     pub profile: SampleProfile,
-    pub strip: Strip,
+    /// None of bands.
+    pub strip: Option<Strip>,
 }
 
 /// Runs all steps; `report` is called with the current step and the share of photographs that are read.
@@ -43,25 +58,19 @@ pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Capture
         done: 0,
         report: &mut report,
     };
-    let stages = run.stages(&mut session);
+    let parts = std::mem::take(&mut session.parts);
+    let parts = parts.into_iter().map(|part| run.part(&session, part)).collect::<Result<Vec<_>>>();
     let inputs = run.shots.into_inputs();
     session.doubts.extend(turned(&inputs));
-    match stages {
-        Ok(Stages { calibration, board, rho, samples }) => {
-            Ok(Captured { session, calibration, board, rho, samples, inputs })
+    match parts {
+        Ok(parts) => {
+            session.doubts.extend(BandOptics::of(&parts).iter().filter_map(BandOptics::doubt));
+            Ok(Captured { session, parts, inputs })
         }
         // The doubtful values may be the cause.
         Err(error) if session.doubts.is_empty() => Err(error),
         Err(error) => Err(error.context(format!("doubtful: {}", session.doubts.join("; ")))),
     }
-}
-
-/// Results of all steps.
-struct Stages {
-    calibration: Calibration,
-    board: Board,
-    rho: [BoardRho; 3],
-    samples: Vec<CapturedSample>,
 }
 
 struct SessionRun<'a> {
@@ -72,14 +81,28 @@ struct SessionRun<'a> {
 }
 
 impl SessionRun<'_> {
-    fn stages(&mut self, session: &mut CaptureSession) -> Result<Stages> {
-        let calibration = self.calibrate(session)?;
-        let mut board = self.board(session, &calibration)?;
+    fn part(&mut self, session: &CaptureSession, part: SessionPart) -> Result<CapturedPart> {
+        let Some(band) = part.band.clone() else { return self.steps(session, part) };
+        self.shots.of_band(Some(band.pixels));
+        self.steps(session, part).with_context(|| {
+            format!("band {:?} (its three interleaved parts are called red, green and blue)", band.name)
+        })
+    }
+
+    /// All steps of a part.
+    fn steps(&mut self, session: &CaptureSession, mut part: SessionPart) -> Result<CapturedPart> {
+        let first = self.shots.count();
+        let calibration = self.calibrate(&part)?;
+        if part.band.as_ref().is_some_and(|band| band.pixels == BandPixels::Mono) {
+            check_monochrome(&calibration)?;
+        }
+        let mut board = self.board(session, &part, &calibration)?;
         let rho = board_rho(&session.scene, &mut board, calibration.reference_std_error)?;
-        let slabs = std::mem::take(&mut session.samples);
-        let samples =
-            slabs.into_iter().map(|slab| self.sample(slab, &calibration, &board)).collect::<Result<_>>()?;
-        Ok(Stages { calibration, board, rho, samples })
+        let slabs = std::mem::take(&mut part.samples).into_iter();
+        let samples = slabs.map(|slab| self.sample(slab, &part, &calibration, &board));
+        let samples = samples.collect::<Result<_>>()?;
+        let about = self.shots.about(first);
+        Ok(CapturedPart { band: part.band, about, calibration, board, rho, samples })
     }
 
     fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
@@ -89,22 +112,21 @@ impl SessionRun<'_> {
         self.shots.read(path, what)
     }
 
-    fn calibrate(&mut self, session: &CaptureSession) -> Result<Calibration> {
+    fn calibrate(&mut self, part: &SessionPart) -> Result<Calibration> {
         let mut darks = Darks::new();
-        for path in &session.dark {
+        for path in &part.dark {
             darks.add(self.read(path, "dark")?)?;
         }
         // Without dark shots, the black level is taken from the file of a photograph with light.
-        let (first, others) =
-            session.neutral_shots.split_first().context("a session has shots of patches")?;
+        let (first, others) = part.neutral_shots.split_first().context("a session has shots of patches")?;
         let first = self.read(first, "grey patches")?;
         let black = darks.finish(&first)?;
         let mut flats = Flats::new(&black);
-        for path in &session.flat {
+        for path in &part.flat {
             flats.add(self.read(path, "flat")?)?;
         }
         let flat = flats.finish()?;
-        let mut patches = Patches::new(black, flat, session.neutral.clone());
+        let mut patches = Patches::new(black, flat, part.neutral.clone());
         patches.add(first)?;
         for path in others {
             patches.add(self.read(path, "grey patches")?)?;
@@ -112,27 +134,56 @@ impl SessionRun<'_> {
         Ok(patches.finish()?)
     }
 
-    fn board(&mut self, session: &CaptureSession, calibration: &Calibration) -> Result<Board> {
+    fn board(
+        &mut self,
+        session: &CaptureSession,
+        part: &SessionPart,
+        calibration: &Calibration,
+    ) -> Result<Board> {
         let mut bare = BareShots::new(calibration, session.target)?;
-        for path in &session.bare {
+        for path in &part.bare {
             bare.add(self.read(path, "bare board")?)?;
         }
         Ok(bare.finish()?)
     }
 
-    fn sample(&mut self, slab: Sample, calibration: &Calibration, board: &Board) -> Result<CapturedSample> {
+    fn sample(
+        &mut self,
+        slab: Sample,
+        part: &SessionPart,
+        calibration: &Calibration,
+        board: &Board,
+    ) -> Result<CapturedSample> {
         let label = slab.label();
         let mut mountings = Mountings::new(calibration, board, &label);
         let mut strip = None;
         for path in &slab.shots {
             let photo = self.read(path, &label)?;
             let x_mm = &board.profiles[1].x_mm;
-            strip.get_or_insert_with(|| Strip::of(&photo.frame, board, x_mm));
+            if part.band.is_none() {
+                strip.get_or_insert_with(|| Strip::of(&photo.frame, board, x_mm));
+            }
             mountings.add(photo)?;
         }
-        let strip = strip.context("a sample has shots")?;
         Ok(CapturedSample { about: slab, profile: mountings.finish()?, strip })
     }
+}
+
+/// Largest ratio of the brightness of two parts of a monochrome sensor's pixels.
+const SAME_PIXELS: f64 = 1.03;
+
+/// Refuses a mosaic that is read as a monochrome camera's photograph: its pixels differ in brightness.
+fn check_monochrome(calibration: &Calibration) -> Result<()> {
+    let gains = calibration.gain.map(|gain| gain.value);
+    let (least, most) = gains.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), v| (v.min(a), v.max(b)));
+    if most <= SAME_PIXELS * least {
+        return Ok(());
+    }
+    bail!(
+        "pixels side by side differ in brightness by {:.0} %: this looks like a mosaic of colours; set `pattern` under \
+         [camera], and `channel` of the band to \"R\", \"G\" or \"B\"",
+        100.0 * (most / least - 1.0)
+    )
 }
 
 /// ρ of the board without the effect of the scene. A dark side below 0 is accepted where the priors of the scene explain
@@ -157,13 +208,15 @@ fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[B
     Ok(rho)
 }
 
-/// Channels with this board; ρ is clamped to the range of a channel.
-pub(super) fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
-    let channel = |(colour, rho): (Colour, &BoardRho)| {
-        let [light, dark] = within_range([rho.light.value, rho.dark.value]);
-        Channel::new(colour.letter(), rounded(light), rounded(dark))
-    };
-    Colour::ALL.into_iter().zip(rho).map(channel).collect()
+/// Channels with this board.
+fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
+    Colour::ALL.into_iter().zip(rho).map(|(colour, rho)| board_channel(colour.letter(), rho)).collect()
+}
+
+/// A channel with this board; ρ is clamped to its range.
+pub(super) fn board_channel(name: &str, rho: &BoardRho) -> Result<Channel, Invalid> {
+    let [light, dark] = within_range([rho.light.value, rho.dark.value]);
+    Channel::new(name, rounded(light), rounded(dark))
 }
 
 /// ρ of the light and the dark side, clamped to the ranges of a channel.

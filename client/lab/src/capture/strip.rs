@@ -72,6 +72,7 @@ fn nearest(frame: &Frame, [x, y]: [f64; 2]) -> [f32; 3] {
     let (x, y) = (clamped(x, frame.width()), clamped(y, frame.height()));
     match frame.pattern() {
         Pattern::Rgb => std::array::from_fn(|c| f32::from(frame.samples()[3 * (y * frame.width() + x) + c])),
+        Pattern::One(_) => [f32::from(frame.samples()[y * frame.width() + x]); 3],
         Pattern::Bayer(colours) => Colour::ALL.map(|colour| {
             // The cell of the mosaic that contains the position.
             let (left, top) = ((x & !1).min(frame.width() - 2), (y & !1).min(frame.height() - 2));

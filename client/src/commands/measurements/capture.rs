@@ -9,7 +9,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::capture::{self, Captured, FILES, SessionErrors};
+use farm_lab::capture::{
+    self, Captured, CapturedChannel, CapturedPart, CapturedSample, FILES, SessionErrors,
+};
 use farm_lab::measurement_file::Note;
 use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
@@ -106,7 +108,7 @@ fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
     let rows = rows(captured).into_iter().map(|row| {
         vec![
             row.sample,
-            row.channel.to_owned(),
+            row.channel,
             row.shots.to_string(),
             format!("{:.4}", row.dark),
             format!("{:.4}", row.light),
@@ -126,12 +128,15 @@ fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
 
 fn set_up_text(captured: &Captured) -> String {
     let errors = SessionErrors::of(captured);
-    let rho = captured.rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).join(", ");
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+    let rho = captured.channels().into_iter().map(|channel| channel.rho());
+    let rho: Vec<String> = rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).collect();
+    let first = &captured.parts[0].board;
     let board = format!(
-        "board: {:.3} px/mm, turned by {:.2}°, ρ {rho}",
-        1.0 / captured.board.mm_per_px.value,
-        captured.board.edge.angle_deg.value,
+        "board: {:.3} px/mm, turned by {:.2}°, ρ {}",
+        1.0 / first.mm_per_px.value,
+        first.edge.angle_deg.value,
+        rho.join(", "),
     );
     let errors = format!(
         "errors: gain {}, white reference {}, zero {:.5}, slope {} per 10 mm",
@@ -149,7 +154,7 @@ struct CapturedRow {
     sample: String,
     material: String,
     thickness_mm: f64,
-    channel: &'static str,
+    channel: String,
     shots: usize,
     dark: f64,
     light: f64,
@@ -163,41 +168,50 @@ struct CapturedRow {
 }
 
 fn rows(captured: &Captured) -> Vec<CapturedRow> {
-    let rows = captured.samples.iter().flat_map(|sample| {
-        sample.profile.profiles.iter().enumerate().map(move |(c, profile)| {
-            let [dark, light] = capture::ends(profile);
-            CapturedRow {
-                sample: sample.about.label(),
-                material: sample.about.material.clone(),
-                thickness_mm: sample.about.thickness_mm,
-                channel: profile.colour.letter(),
-                shots: sample.profile.shots.len(),
-                dark,
-                light,
-                noise: capture::mean(&profile.std_errors),
-                rejected: capture::mean(&profile.rejected),
-                blur_mm: captured.board.blur_mm[c].value,
-                blur_std_error_mm: captured.board.blur_mm[c].std_error,
-                origin_std_error_mm: capture::error_of(&sample.profile.budget, Source::Origin, c),
-            }
-        })
-    });
-    rows.collect()
+    let channels = captured.channels();
+    let row = |(channel, sample): (&CapturedChannel, &CapturedSample)| {
+        let (profile, blur) = (channel.profile(sample), channel.blur_mm());
+        let [dark, light] = capture::ends(&profile);
+        CapturedRow {
+            sample: sample.about.label(),
+            material: sample.about.material.clone(),
+            thickness_mm: sample.about.thickness_mm,
+            channel: channel.name.clone(),
+            shots: sample.profile.shots.len(),
+            dark,
+            light,
+            noise: capture::mean(&profile.std_errors),
+            rejected: capture::mean(&profile.rejected),
+            blur_mm: blur.value,
+            blur_std_error_mm: blur.std_error,
+            origin_std_error_mm: channel.error(sample, &[Source::Origin]),
+        }
+    };
+    capture::profiles(&channels).map(row).collect()
 }
 
 /// All warnings: about the session's numbers, the set-up, the samples, and the profiles as `measure` reads them.
 fn warnings(captured: &Captured, folder: &Path, notes: &[Note]) -> Vec<String> {
-    let set_up =
-        captured.calibration.warnings.iter().chain(&captured.board.warnings).map(ToString::to_string);
-    let samples = captured.samples.iter().flat_map(|sample| {
+    let of_parts = captured.parts.iter().flat_map(warnings_of);
+    let file = folder.join(FILES[0]);
+    let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
+    captured.session.doubts.iter().cloned().chain(of_parts).chain(notes).collect()
+}
+
+/// Warnings about a part: those of a band begin with its name.
+fn warnings_of(part: &CapturedPart) -> Vec<String> {
+    let set_up = part.calibration.warnings.iter().chain(&part.board.warnings).map(ToString::to_string);
+    let samples = part.samples.iter().flat_map(|sample| {
         sample.profile.warnings.iter().map(|w| {
             let (text, label) = (w.to_string(), sample.about.label());
             if text.starts_with(&label) { text } else { format!("{label}: {text}") }
         })
     });
-    let file = folder.join(FILES[0]);
-    let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
-    captured.session.doubts.iter().cloned().chain(set_up).chain(samples).chain(notes).collect()
+    let of_band = |text: String| match &part.band {
+        Some(band) => format!("band {}: {text}", band.name),
+        None => text,
+    };
+    set_up.chain(samples).map(of_band).collect()
 }
 
 fn data(captured: &Captured, folder: &Path, warnings: &[String]) -> Value {

@@ -6,20 +6,21 @@ use optics_capture::{EdgeProfile, Source};
 use serde::{Deserialize, Serialize};
 
 use super::{escaped, shots, warnings};
-use crate::capture::budget::sum;
-use crate::capture::stage::{Captured, CapturedSample};
+use crate::capture::channels::{CapturedChannel, profiles};
+use crate::capture::stage::{Captured, CapturedPart, CapturedSample};
 
 /// Micrometres per millimetre.
 const MICROMETRES: f64 = 1000.0;
 
 /// The results as a sentence and a table.
 pub(super) fn summary(captured: &Captured) -> String {
-    let rows = captured.samples.iter().flat_map(|sample| {
-        sample.profile.profiles.iter().enumerate().map(|(c, profile)| row(captured, sample, c, profile))
-    });
-    let count = captured.samples.iter().map(|s| s.profile.warnings.len()).sum::<usize>()
-        + captured.calibration.warnings.len()
-        + captured.board.warnings.len();
+    let channels = captured.channels();
+    let rows = profiles(&channels).map(|(channel, sample)| row(channel, sample));
+    let of_part = |part: &CapturedPart| {
+        let of_samples: usize = part.samples.iter().map(|s| s.profile.warnings.len()).sum();
+        of_samples + part.calibration.warnings.len() + part.board.warnings.len()
+    };
+    let count: usize = captured.parts.iter().map(of_part).sum();
     let doubtful = match count {
         0 => "There are no warnings.".to_owned(),
         1 => "There is one warning, below.".to_owned(),
@@ -29,18 +30,18 @@ pub(super) fn summary(captured: &Captured) -> String {
         "<p>{} photographs, {} slabs. {doubtful}</p>\n<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
          <th>dark</th><th>light</th><th>noise per bin</th><th>rejected</th><th>blur σ [µm]</th><th>origin [µm]</th></tr>\n{}</table></div>\n",
         captured.inputs.len(),
-        captured.samples.len(),
+        captured.parts[0].samples.len(),
         rows.collect::<String>()
     )
 }
 
-fn row(captured: &Captured, sample: &CapturedSample, c: usize, profile: &EdgeProfile) -> String {
-    let blur = captured.board.blur_mm[c];
-    let origin = sum(&sample.profile.budget, &[Source::Origin], c);
-    let ends = ends(profile);
+fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {
+    let (blur, profile) = (channel.blur_mm(), channel.profile(sample));
+    let origin = channel.error(sample, &[Source::Origin]);
+    let ends = ends(&profile);
     let cells = [
         escaped(&sample.about.label()),
-        format!("<span class=\"{0}\">{0}</span>", profile.colour.letter()),
+        format!("<span class=\"{0}\">{0}</span>", escaped(&channel.name)),
         sample.profile.shots.len().to_string(),
         format!("{:.4}", ends[0]),
         format!("{:.4}", ends[1]),
@@ -74,11 +75,13 @@ pub(super) struct SlabSection {
 }
 
 impl SlabSection {
-    pub(super) fn of(captured: &Captured, sample: &CapturedSample) -> Self {
+    pub(super) fn of(captured: &Captured, part: &CapturedPart, sample: &CapturedSample) -> Self {
         let label = sample.about.label();
-        let shots: String = sample.profile.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
+        let figure_of = |shot| shots::figure(captured, part, shot);
+        let shots: String = sample.profile.shots.iter().map(figure_of).collect();
+        let strip = sample.strip.as_ref().map(|strip| strip.data_uri(&sample.profile.profiles));
         Self {
-            strip: sample.strip.data_uri(&sample.profile.profiles),
+            strip: strip.unwrap_or_default(),
             before: format!(
                 "<h3>{} ± {} mm</h3>\n{}<figure class=\"wide\">{}<figcaption>Profiles across the edge; bands are two \
                  standard errors, random ones only.</figcaption></figure>\n",

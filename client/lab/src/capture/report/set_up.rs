@@ -6,17 +6,18 @@ use optics_capture::{Calibration, Colour, Estimate};
 use super::samples::figure;
 use super::{escaped, shots, warnings};
 use crate::capture::picture::data_uri;
-use crate::capture::stage::Captured;
+use crate::capture::stage::{Captured, CapturedPart};
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;
 
-pub(super) fn section(captured: &Captured) -> String {
-    format!("<h2>Board</h2>\n{}<h2>Camera and light</h2>\n{}", board(captured), camera(captured))
+/// Board, camera and light of red, green and blue.
+pub(super) fn section(captured: &Captured, part: &CapturedPart) -> String {
+    format!("<h2>Board</h2>\n{}<h2>Camera and light</h2>\n{}", board(captured, part), camera(captured, part))
 }
 
-fn board(captured: &Captured) -> String {
-    let board = &captured.board;
+fn board(captured: &Captured, part: &CapturedPart) -> String {
+    let board = &part.board;
     let rows = Colour::ALL.iter().map(|colour| {
         let c = colour.index();
         let cells = [
@@ -32,11 +33,11 @@ fn board(captured: &Captured) -> String {
             cells[2],
             with_error(board.light[c]),
             with_error(board.dark[c]),
-            with_error(captured.rho[c].light),
-            with_error(captured.rho[c].dark),
+            with_error(part.rho[c].light),
+            with_error(part.rho[c].dark),
         )
     });
-    let figures: String = board.shots.iter().map(|shot| shots::figure(captured, shot)).collect();
+    let figures: String = board.shots.iter().map(|shot| shots::figure(captured, part, shot)).collect();
     format!(
         "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}.</p>\n\
          <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>edge against green [µm]</th><th>apparent light</th>\
@@ -54,15 +55,14 @@ fn board(captured: &Captured) -> String {
     )
 }
 
-fn with_error(estimate: Estimate) -> String {
+pub(super) fn with_error(estimate: Estimate) -> String {
     let error = significant(estimate.std_error, 2);
     let digits = error.split_once('.').map_or(0, |(_, after)| after.len()).min(6);
     format!("{:.digits$} ± {error}", estimate.value)
 }
 
-fn camera(captured: &Captured) -> String {
-    let calibration = &captured.calibration;
-    let first = captured.inputs.first().map(|input| input.about.clone()).unwrap_or_default();
+fn camera(captured: &Captured, part: &CapturedPart) -> String {
+    let (calibration, first) = (&part.calibration, part.about.clone());
     let mut words: Vec<String> = first.camera.into_iter().collect();
     words.extend(
         first.exposure_s.map(|s| if s < 1.0 { format!("1/{:.0} s", 1.0 / s) } else { format!("{s} s") }),
@@ -75,7 +75,7 @@ fn camera(captured: &Captured) -> String {
         escaped(&words.join(", ")),
         patches(calibration),
         constants(calibration),
-        light(captured)
+        light(captured, part)
     )
 }
 
@@ -118,11 +118,11 @@ fn constants(calibration: &Calibration) -> String {
 }
 
 /// The light over the frame in green, as in Fig. 4 of the paper: grey is the mean, a step of colour 1 %.
-fn light(captured: &Captured) -> String {
-    let Some(first) = captured.inputs.first() else { return String::new() };
-    let [width, height] = first.thumbnail.full;
+fn light(captured: &Captured, part: &CapturedPart) -> String {
+    let first = captured.inputs.first().and_then(|input| input.thumbnail.as_ref());
+    let Some([width, height]) = first.map(|thumbnail| thumbnail.full) else { return String::new() };
     let rows = (COLUMNS * height).div_ceil(width.max(1)).clamp(1, 4 * COLUMNS);
-    let flat = captured.calibration.flat();
+    let flat = part.calibration.flat();
     let at = |row: usize, column: usize| {
         let place = |i: usize, n: usize, side: usize| (i as f64 + 0.5) / n as f64 * side as f64;
         flat.at(Colour::Green, place(column, COLUMNS, width), place(row, rows, height))

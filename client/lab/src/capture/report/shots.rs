@@ -3,15 +3,14 @@
 use optics_capture::{Board, ShotReport};
 
 use super::escaped;
-use crate::capture::stage::Captured;
+use crate::capture::stage::{Captured, CapturedPart};
 
 /// One shot of the board: edge, crop, corners, rejected samples.
-pub(super) fn figure(captured: &Captured, shot: &ShotReport) -> String {
-    let Some(input) = captured.inputs.iter().find(|input| input.label == shot.label) else {
-        return String::new();
-    };
-    let [width, height] = input.thumbnail.full;
-    let picture = input.thumbnail.data_uri(black(captured));
+pub(super) fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> String {
+    let input = captured.inputs.iter().find(|input| input.label == shot.label);
+    let Some(thumbnail) = input.and_then(|input| input.thumbnail.as_ref()) else { return String::new() };
+    let [width, height] = thumbnail.full;
+    let picture = thumbnail.data_uri(black(part));
     let named = |what: &str, value: String| format!("{what} {value}");
     let mut words = vec![escaped(&shot.label)];
     words.extend(shot.blur_px.map(|blur| named("blur", format!("{:.2} px", blur.value))));
@@ -26,19 +25,19 @@ pub(super) fn figure(captured: &Captured, shot: &ShotReport) -> String {
         "<figure><div class=\"shot\"><img src=\"{picture}\" alt=\"{}\" width=\"{}\" height=\"{}\">\
          <svg viewBox=\"0 0 {width} {height}\" preserveAspectRatio=\"none\">{}{}</svg></div><figcaption>{}</figcaption></figure>\n",
         escaped(&shot.label),
-        input.thumbnail.width,
-        input.thumbnail.height,
-        overlay(&captured.board),
+        thumbnail.width,
+        thumbnail.height,
+        overlay(&part.board),
         dust(shot, width),
         words.join(", ")
     )
 }
 
 /// Black level of each colour, in numbers of the sensor.
-pub(super) fn black(captured: &Captured) -> [f64; 3] {
+fn black(part: &CapturedPart) -> [f64; 3] {
     let (mut sums, mut counts) = ([0.0; 3], [0.0; 3]);
-    let levels = captured.calibration.black().levels();
-    for (noise, level) in captured.calibration.noise.iter().zip(levels) {
+    let levels = part.calibration.black().levels();
+    for (noise, level) in part.calibration.noise.iter().zip(levels) {
         sums[noise.colour.index()] += level.value;
         counts[noise.colour.index()] += 1.0;
     }

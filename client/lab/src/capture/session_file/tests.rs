@@ -44,7 +44,7 @@ fn refused(from: &str, to: &str) -> String {
 fn absent_session_fields_have_defaults() {
     let session = read(("", "")).unwrap();
     assert_eq!(session.target, Target { square_mm: 20.0, square_std_error_mm: 0.01, dark_side: None });
-    assert_eq!(session.samples[0].thickness_std_error_mm, 0.005);
+    assert_eq!(session.parts[0].samples[0].thickness_std_error_mm, 0.005);
     assert_eq!(session.pattern, Some([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]));
     let names = session.shots().map(|p| p.file_stem().unwrap().to_str().unwrap().to_owned());
     let order = ["dark_1", "dark_2", "chart", "board", "white_1", "white_10", "white_2"];
@@ -140,7 +140,7 @@ fn implausible_numbers_are_named() {
 /// Byte-order marks, which editors of Windows write, are read; a decimal comma is reported.
 #[test]
 fn byte_order_marks_are_read() {
-    assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().dark.len(), 2);
+    assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().parts[0].dark.len(), 2);
     let comma = refused("0.512", "0,512");
     assert!(
         comma.contains("session.toml, line 16: 0,512 seems to have a decimal comma; write 0.512"),

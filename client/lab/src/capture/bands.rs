@@ -1,0 +1,246 @@
+//! The bands of a session, each photographed through its own filter.
+
+use optics_capture::Colour;
+use optics_model::{Invalid, measurement::wavelength_nm};
+use serde::Deserialize;
+
+use super::spectrum::Spectrum;
+
+/// Text in file patterns that stands for the name of a band.
+pub(super) const PLACE: &str = "{band}";
+/// Most bands: the scene of a session has two channels for each.
+pub(super) const MOST_BANDS: usize = optics_model::scene::MAX_CHANNELS / 2;
+/// Widths of a Gaussian filter in standard deviations over its full width at half maximum.
+const FWHM: f64 = 2.354_820_045;
+/// Standard deviations over which a Gaussian filter transmits.
+const REACH: f64 = 3.0;
+/// Step of integrals over a band, in nm.
+const STEP_NM: f64 = 0.5;
+/// Share of the greatest weight below which a table need not reach.
+const NEGLIGIBLE: f64 = 1e-3;
+
+/// The pixels of the camera that record a band.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BandPixels {
+    /// All pixels of a monochrome camera.
+    Mono,
+    /// One colour of a mosaic, or of three colours in each pixel.
+    Colour(Colour),
+}
+
+/// A range of wavelengths that is photographed as one channel.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Band {
+    /// Its name in patterns of files and in messages.
+    pub name: String,
+    pub wavelength_nm: f64,
+    pub pixels: BandPixels,
+    filter: Filter,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Filter {
+    Gaussian { fwhm_nm: f64 },
+    Table(Spectrum),
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct BandTable {
+    name: Option<String>,
+    wavelength_nm: f64,
+    fwhm_nm: Option<f64>,
+    transmission: Option<String>,
+    channel: Option<String>,
+}
+
+impl Band {
+    /// `transmission` reads the table of a filter from its file.
+    pub(super) fn new(
+        table: BandTable,
+        transmission: impl Fn(&str) -> Result<Spectrum, Invalid>,
+    ) -> Result<Self, Invalid> {
+        let BandTable { name, wavelength_nm: nm, fwhm_nm, transmission: file, channel } = table;
+        if wavelength_nm(&nm.to_string()).is_none() {
+            return Err(Invalid::new("wavelength_nm", nm, "allowed are 100 to 20000 nm"));
+        }
+        let filter = match (fwhm_nm, file) {
+            (Some(fwhm_nm), None) if (0.1..=0.5 * nm).contains(&fwhm_nm) => Filter::Gaussian { fwhm_nm },
+            (Some(fwhm_nm), None) => {
+                let allowed = "allowed are 0.1 nm to half of the wavelength";
+                return Err(Invalid::new("fwhm_nm", fwhm_nm, allowed));
+            }
+            (None, Some(file)) => Filter::Table(transmission(&file)?),
+            (given, _) => {
+                let given = if given.is_some() { "two filters" } else { "no filter" };
+                let allowed = "a band needs fwhm_nm, or transmission with a table of its filter";
+                return Err(Invalid::new("fwhm_nm", given, allowed));
+            }
+        };
+        let name = name.unwrap_or_else(|| nm.to_string());
+        if name.trim().is_empty() || name.contains(['/', '\\', '*', '?']) {
+            let allowed = "a name is part of file names: it must not be empty or contain / \\ * ?";
+            return Err(Invalid::new("name", format!("{name:?}"), allowed));
+        }
+        Ok(Self { name, wavelength_nm: nm, pixels: pixels(channel.as_deref())?, filter })
+    }
+
+    /// Name of its channel in measurements: the wavelength in nm.
+    pub fn channel(&self) -> String {
+        self.wavelength_nm.to_string()
+    }
+
+    /// Mean of a quantity over the band, weighted by filter and light; `field` names its table in messages.
+    ///
+    /// ∫ q(λ) T(λ) S(λ) dλ / ∫ T(λ) S(λ) dλ by the trapezoidal rule, all tables being linear between their rows.
+    pub(super) fn mean(
+        &self,
+        field: &str,
+        quantity: &Spectrum,
+        light: Option<&Spectrum>,
+    ) -> Result<f64, Invalid> {
+        let (from, to) = self.range_nm();
+        let steps = ((to - from) / STEP_NM).ceil().max(1.0);
+        let places: Vec<f64> = (0..=steps as usize).map(|i| from + (to - from) * i as f64 / steps).collect();
+        let weight = |nm: f64| Ok(self.transmission(nm) * light.map_or(Ok(1.0), |l| l.within("light", nm))?);
+        let weights = places.iter().map(|nm| weight(*nm)).collect::<Result<Vec<f64>, Invalid>>()?;
+        let least = NEGLIGIBLE * weights.iter().copied().fold(0.0, f64::max);
+        let (mut sum, mut whole) = (0.0, 0.0);
+        for (nm, weight) in places.iter().zip(weights).filter(|(_, weight)| *weight > least) {
+            sum += weight * quantity.within(field, *nm)?;
+            whole += weight;
+        }
+        if whole > 0.0 {
+            Ok(sum / whole)
+        } else {
+            Err(Invalid::new("light", "0 in the whole band", "a band needs light"))
+        }
+    }
+
+    fn range_nm(&self) -> (f64, f64) {
+        match &self.filter {
+            Filter::Gaussian { fwhm_nm } => {
+                let reach = REACH * fwhm_nm / FWHM;
+                (self.wavelength_nm - reach, self.wavelength_nm + reach)
+            }
+            Filter::Table(table) => table.range_nm(),
+        }
+    }
+
+    fn transmission(&self, nm: f64) -> f64 {
+        match &self.filter {
+            Filter::Gaussian { fwhm_nm } => {
+                (-0.5 * ((nm - self.wavelength_nm) * FWHM / fwhm_nm).powi(2)).exp()
+            }
+            Filter::Table(table) => table.at(nm),
+        }
+    }
+}
+
+fn pixels(channel: Option<&str>) -> Result<BandPixels, Invalid> {
+    match channel {
+        None | Some("mono") => Ok(BandPixels::Mono),
+        Some(other) => {
+            let colour = Colour::ALL.into_iter().find(|colour| colour.letter() == other);
+            let allowed = "allowed are \"mono\" (the default, a monochrome camera), \"R\", \"G\" and \"B\"";
+            let refused = || Invalid::new("channel", format!("{other:?}"), allowed);
+            colour.map(BandPixels::Colour).ok_or_else(refused)
+        }
+    }
+}
+
+/// Refuses too many bands, and two with the same name or wavelength.
+pub(super) fn check(bands: &[Band]) -> Result<(), Invalid> {
+    if bands.len() > MOST_BANDS {
+        return Err(Invalid::new("band", format!("{} bands", bands.len()), format!("at most {MOST_BANDS}")));
+    }
+    for (i, band) in bands.iter().enumerate() {
+        let twin = |field: &str, given: &str| {
+            Invalid::new(format!("band[{i}].{field}"), given, "each band needs another one")
+        };
+        if bands[..i].iter().any(|other| other.name == band.name) {
+            return Err(twin("name", &band.name));
+        }
+        if bands[..i].iter().any(|other| other.wavelength_nm == band.wavelength_nm) {
+            return Err(twin("wavelength_nm", &band.channel()));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(fwhm_nm: Option<f64>, transmission: Option<&str>) -> BandTable {
+        let transmission = transmission.map(str::to_owned);
+        BandTable { name: None, wavelength_nm: 550.0, fwhm_nm, transmission, channel: None }
+    }
+
+    fn spectrum(pairs: &[(f64, f64)]) -> Spectrum {
+        let rows: String = pairs.iter().map(|(nm, v)| format!("{nm},{v}\n")).collect();
+        Spectrum::parse(&format!("wavelength_nm,value\n{rows}")).unwrap().remove(0)
+    }
+
+    fn gaussian() -> Band {
+        Band::new(table(Some(10.0), None), |_| unreachable!()).unwrap()
+    }
+
+    /// The mean of a linear quantity is its value in the middle; that of a parabola is larger by the filter's variance.
+    #[test]
+    fn means_over_a_gaussian_band_are_exact() {
+        let line = spectrum(&[(500.0, 0.4), (600.0, 0.6)]);
+        assert!((gaussian().mean("rho", &line, None).unwrap() - 0.5).abs() < 1e-12);
+        let square = |nm: f64| (nm - 550.0).powi(2);
+        let parabola: Vec<(f64, f64)> =
+            (0..=600).map(|i| 520.0 + 0.1 * f64::from(i)).map(|nm| (nm, square(nm))).collect();
+        let variance = (10.0 / FWHM).powi(2);
+        let found = gaussian().mean("rho", &spectrum(&parabola), None).unwrap();
+        // The filter ends at three standard deviations, where its weight is 1 %.
+        assert!((found / variance - 0.973).abs() < 0.003, "{found} for {variance}");
+    }
+
+    /// Light that is stronger on one side moves the mean there: by the variance times the slope of its logarithm.
+    #[test]
+    fn light_moves_the_mean_of_a_band() {
+        let line = spectrum(&[(500.0, 0.0), (600.0, 100.0)]);
+        let light = spectrum(&[(500.0, 1.0), (600.0, 3.0)]);
+        let shift = gaussian().mean("rho", &line, Some(&light)).unwrap() - 50.0;
+        let expected = 0.973 * (10.0 / FWHM).powi(2) * 0.02 / 2.0;
+        assert!((shift / expected - 1.0).abs() < 0.01, "{shift} for {expected}");
+    }
+
+    /// A filter that leaks far away mixes in what is there.
+    #[test]
+    fn leaks_of_a_filter_count() {
+        let filter = spectrum(&[
+            (400.0, 0.01),
+            (544.9, 0.01),
+            (545.0, 1.0),
+            (555.0, 1.0),
+            (555.1, 0.01),
+            (700.0, 0.01),
+        ]);
+        let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
+        let step = spectrum(&[(400.0, 1.0), (500.0, 1.0), (500.1, 0.0), (700.0, 0.0)]);
+        let leaked = 1.0 / (10.0 + 2.9);
+        let found = band.mean("rho", &step, None).unwrap();
+        assert!((found / leaked - 1.0).abs() < 0.05, "{found} for {leaked}");
+    }
+
+    /// Tables must cover the band.
+    #[test]
+    fn short_tables_are_refused() {
+        let short = spectrum(&[(500.0, 0.5), (548.0, 0.5)]);
+        let refused = gaussian().mean("neutral.rho", &short, None).unwrap_err().to_string();
+        assert_eq!(refused, "neutral.rho = 548.25 nm is not valid: the table has 500 to 548 nm");
+        for (fwhm, file, message) in [
+            (None, None, "fwhm_nm = no filter is not valid"),
+            (Some(5.0), Some("x"), "fwhm_nm = two filters is not valid"),
+            (Some(400.0), None, "fwhm_nm = 400 is not valid: allowed are 0.1 nm to half of the wavelength"),
+        ] {
+            let refused = Band::new(table(fwhm, file), |_| unreachable!()).unwrap_err().to_string();
+            assert!(refused.starts_with(message), "{refused}");
+        }
+    }
+}

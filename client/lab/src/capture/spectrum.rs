@@ -1,0 +1,114 @@
+//! Reads quantities over wavelength from CSV files: `wavelength_nm` and one column for each quantity.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use optics_model::Invalid;
+
+use crate::grid_file::read_text;
+
+/// Name of the first column.
+const WAVELENGTH: &str = "wavelength_nm";
+
+/// A quantity over wavelength, linear between its rows.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Spectrum {
+    /// Wavelength in nm, rising, and value.
+    rows: Vec<(f64, f64)>,
+}
+
+impl Spectrum {
+    /// The quantities of a file, in the order of their columns. Lines beginning with # are comments.
+    pub fn read(path: &Path) -> Result<Vec<Self>> {
+        let what = "table of wavelengths";
+        Self::parse(&read_text(path, what)?).with_context(|| format!("{what} {}", path.display()))
+    }
+
+    pub fn parse(text: &str) -> Result<Vec<Self>> {
+        let mut reader =
+            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
+        let columns: Vec<String> = reader.headers()?.iter().map(str::to_owned).collect();
+        if columns.first().is_none_or(|first| first != WAVELENGTH) || columns.len() < 2 {
+            let found = columns.join(",");
+            bail!("the first line is {found:?}: {WAVELENGTH} and at least one column of values are needed");
+        }
+        let mut spectra = vec![Self { rows: Vec::new() }; columns.len() - 1];
+        for row in reader.records() {
+            let row = row?;
+            let line = row.position().map_or(0, csv::Position::line);
+            let number = |i: usize| -> Result<f64> {
+                let cell = &row[i];
+                let number = cell.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0);
+                number.with_context(|| format!("line {line}: {} = {cell:?} is no number from 0", columns[i]))
+            };
+            let nm = number(0)?;
+            if spectra[0].rows.last().is_some_and(|(before, _)| *before >= nm) {
+                bail!("line {line}: {WAVELENGTH} = {nm}: wavelengths must rise");
+            }
+            for (i, spectrum) in spectra.iter_mut().enumerate() {
+                spectrum.rows.push((nm, number(i + 1)?));
+            }
+        }
+        if spectra[0].rows.len() < 2 {
+            bail!("at least two wavelengths are needed");
+        }
+        Ok(spectra)
+    }
+
+    pub fn range_nm(&self) -> (f64, f64) {
+        (self.rows[0].0, self.rows[self.rows.len() - 1].0)
+    }
+
+    /// The value at a wavelength; 0 outside of the table.
+    pub fn at(&self, nm: f64) -> f64 {
+        let after = self.rows.partition_point(|(at, _)| *at < nm);
+        match (after.checked_sub(1).map(|i| self.rows[i]), self.rows.get(after)) {
+            (_, Some((at, value))) if *at == nm => *value,
+            (Some((a, from)), Some((b, to))) => from + (to - from) * (nm - a) / (b - a),
+            _ => 0.0,
+        }
+    }
+
+    /// The value at a wavelength, which must lie in the table.
+    pub fn within(&self, field: &str, nm: f64) -> Result<f64, Invalid> {
+        let (from, to) = self.range_nm();
+        if (from..=to).contains(&nm) {
+            Ok(self.at(nm))
+        } else {
+            let nm = (100.0 * nm).round() / 100.0;
+            Err(Invalid::new(field, format!("{nm} nm"), format!("the table has {from} to {to} nm")))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spectra_are_linear_between_rows() {
+        let spectra = Spectrum::parse("# a lamp\nwavelength_nm, a, b\n400,1,0\n500,3,1\n").unwrap();
+        assert_eq!(
+            [399.0, 400.0, 450.0, 500.0, 501.0].map(|nm| spectra[0].at(nm)),
+            [0.0, 1.0, 2.0, 3.0, 0.0]
+        );
+        assert_eq!(spectra[1].within("rho", 425.0), Ok(0.25));
+        assert!(spectra[1].within("rho", 501.0).is_err());
+    }
+
+    /// Errors have the line and the cell.
+    #[test]
+    fn wrong_spectra_are_refused() {
+        for (text, message) in [
+            (
+                "nm,a\n400,1\n",
+                "the first line is \"nm,a\": wavelength_nm and at least one column of values are needed",
+            ),
+            ("wavelength_nm,a\n400,1\n400,1\n", "line 3: wavelength_nm = 400: wavelengths must rise"),
+            ("wavelength_nm,a\n400,-1\n", "line 2: a = \"-1\" is no number from 0"),
+            ("wavelength_nm,a\n400,1\n", "at least two wavelengths are needed"),
+        ] {
+            assert_eq!(Spectrum::parse(text).unwrap_err().to_string(), message);
+        }
+    }
+}
