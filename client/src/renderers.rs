@@ -100,8 +100,11 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
         let phase = channels.first().map(of).unwrap_or_default();
         let is_common = channels.iter().all(|c| of(c) == phase);
         let joint = if is_common { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
-        if let Some((values, what)) = joint {
+        let with_one_g = || Some((spectrum(&with_common_g(&channels)?)?, true));
+        if let Some(((values, what), is_similar)) = joint.map(|joint| (joint, false)).or_else(with_one_g) {
             let mut notes = vec![format!("{:?}: {what}", fit.material)];
+            notes.extend(is_similar.then(|| SIMILAR.to_owned()));
+            let phase = BlockPhase { g: if is_similar { mean_g(&channels) } else { phase.g }, ..phase };
             notes.extend(doubts(&channels));
             blocks.push(MediumBlock { name: names.take(&fit.material), notes, values, phase });
             continue;
@@ -120,6 +123,31 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
         }
     }
     blocks
+}
+
+/// A note on media whose g differs between wavelengths.
+const SIMILAR: &str = "g differs between wavelengths and a medium takes one: sigma_s is scaled so that sigma_s (1 - g) is as measured.";
+
+/// The mean anisotropy, weighted by σ_s.
+fn mean_g(channels: &[RenderedChannel]) -> f64 {
+    let sigma_s = |c: &RenderedChannel| c.medium.sigma_t_per_mm() * c.medium.albedo();
+    let sum: f64 = channels.iter().map(|c| sigma_s(c) * c.medium.g()).sum();
+    sum / channels.iter().map(sigma_s).sum::<f64>().max(f64::MIN_POSITIVE)
+}
+
+/// Channels of wavelengths with one anisotropy, similar to theirs: σ_s (1 − g) and σ_a are the same. None for other
+/// channels, and where second lobes differ.
+fn with_common_g<'a>(channels: &[RenderedChannel<'a>]) -> Option<Vec<RenderedChannel<'a>>> {
+    let (g, second_lobe) = (mean_g(channels), channels.first()?.second_lobe);
+    let similar = |c: &RenderedChannel<'a>| {
+        let same = wavelength_nm(c.name).is_some() && c.second_lobe == second_lobe;
+        let (sigma_t, albedo) = (c.medium.sigma_t_per_mm(), c.medium.albedo());
+        let sigma_s = sigma_t * albedo * (1.0 - c.medium.g()) / (1.0 - g);
+        let sigma_t = sigma_s + sigma_t * (1.0 - albedo);
+        let medium = Medium::new(sigma_t, sigma_s / sigma_t, g).ok().filter(|_| same)?;
+        Some(RenderedChannel { medium, ..*c })
+    };
+    channels.iter().map(similar).collect()
 }
 
 /// The values of exactly R, G and B, and their description.
@@ -293,6 +321,25 @@ mod tests {
         {
             assert_eq!(samples(&not_wavelengths), None, "{not_wavelengths:?}");
         }
+    }
+
+    /// Spectra whose g differs have the mean g, weighted by σ_s, and keep σ_s (1 − g) and σ_a.
+    #[test]
+    fn spectra_with_a_curve_of_g_become_similar() {
+        let of = |name: &str, sigma_t, albedo, g| with_g(channel(name, sigma_t, albedo), albedo, g);
+        let media = [medium("m", vec![of("450", 10.0, 0.8, 0.5), of("650", 5.0, 0.8, 0.2)])];
+        let [block] = &blocks(&media)[..] else { panic!("one medium") };
+        assert!((block.phase.g - 0.4).abs() < 1e-12, "{}", block.phase.g);
+        let Values::Spectrum(samples) = &block.values else { panic!("a spectrum") };
+        let of = |m: &Medium| {
+            let (sigma_t, albedo) = (m.sigma_t_per_mm(), m.albedo());
+            [sigma_t * albedo * (1.0 - m.g()), sigma_t * (1.0 - albedo)]
+        };
+        for ((_, found), expected) in samples[1..].iter().zip([[4.0, 2.0], [3.2, 1.0]]) {
+            let found = of(found);
+            assert!((0..2).all(|i| (found[i] - expected[i]).abs() < 1e-12), "{found:?} {expected:?}");
+        }
+        assert_eq!(block.notes[1], SIMILAR);
     }
 
     /// Channels that differ in g become separate media.

@@ -165,7 +165,7 @@ fn engine(c: &mut Criterion) {
     group.bench_function("scale factor, 201 values", |b| {
         b.iter(|| fit::scale(&dictionary, &materials, &FitOptions::default(), &MuRange::default()).unwrap());
     });
-    let plan = fit::MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+    let plan = fit::MeasurePlan { search_mu: Some(MuRange::default()), ..fit::MeasurePlan::default() };
     group.bench_function("the whole measurement", |b| {
         b.iter(|| fit::measure(&dictionary, &materials, &FitOptions::default(), &plan).unwrap());
     });

@@ -1,5 +1,6 @@
 """Answers have the numbers of farmctl, and readable forms."""
 
+import dataclasses
 import io
 import json
 import pathlib
@@ -206,6 +207,21 @@ def test_numbers_in_memory_are_checked_as_files_are(farm: resin_farm.Farm, white
     paper = farm.fit(white, g=0.4, objective="paper")
     assert "assumed" not in str(paper), "the paper's distance assumes nothing"
     assert "assumed: thickness_std_error_mm" in str(farm.fit(white, g=0.4))
+
+
+def test_media_are_arrays_over_wavelength(farm: resin_farm.Farm, white: resin_farm.Measurement) -> None:
+    """Rising wavelengths for channels that are wavelengths, and the order of the channels for others."""
+    measured = farm.measure([white], g=0.4)
+    arrays = measured.to_xarray()
+    assert list(arrays["channel"].values) == ["R", "G", "B"]
+    names = {"R": "630 nm", "G": "550", "B": "470 nm"}
+    (fit,) = measured.materials
+    channels = tuple(dataclasses.replace(channel, channel=names[channel.channel]) for channel in fit.channels)
+    spectral = dataclasses.replace(measured, materials=(dataclasses.replace(fit, channels=channels),))
+    arrays = spectral.to_xarray()
+    assert list(arrays["wavelength_nm"].values) == [470, 550, 630]
+    found = arrays["sigma_t_per_mm_low"].sel(material="white", wavelength_nm=630).item()
+    assert fit["R"].refined is not None and found == fit["R"].refined.sigma_t_per_mm.low
 
 
 def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement, tmp_path: pathlib.Path) -> None:

@@ -17,4 +17,4 @@ pub use noise::Random;
 pub use session::{Look, Session, What, patches};
 pub use session_file::{SessionValues, session_file};
 pub use subject::{Board, Edge, Slab, Subject};
-pub use traced::traced;
+pub use traced::{traced, traced_channel};

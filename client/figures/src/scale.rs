@@ -198,6 +198,7 @@ mod tests {
             mu_interval: interval(0.88, 0.92),
             mu_chosen: true,
             g: Some(0.4),
+            g_change: None,
             g_interval: Some(interval(0.3, 0.5)),
             by_g: by_g.collect(),
         };

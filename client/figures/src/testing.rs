@@ -203,6 +203,7 @@ pub fn unmixed() -> Unmixed {
             mu_interval: closed(0.89, 0.93),
             mu_chosen: true,
             g: Some(0.46),
+            g_change: None,
             g_interval: Some(closed(0.398, 0.5)),
             by_g: Vec::new(),
         },

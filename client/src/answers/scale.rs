@@ -40,6 +40,10 @@ pub(crate) fn common_text(common: &Common) -> String {
             "anisotropy g = {g}, of the dictionary's that with the least error of all channels together"
         )),
         (Some(g), None) => lines.push(format!("anisotropy g = {g}: given, or the dictionary's only one")),
+        (None, _) if let Some(change) = common.g_change => lines.push(format!(
+            "anisotropy g: a curve over wavelength, common to all materials; prior of the change of ln(1−g) over 100 nm: \
+             ± {change}"
+        )),
         (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
     }
     lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
@@ -101,6 +105,7 @@ mod tests {
             mu_interval: open,
             mu_chosen: true,
             g: Some(0.4123),
+            g_change: None,
             g_interval: Some(closed),
             by_g: Vec::new(),
         };

@@ -289,6 +289,7 @@ fn common(g: Option<f64>) -> Common {
         mu_interval: interval(0.9, 0.93),
         mu_chosen: g.is_some(),
         g,
+        g_change: None,
         g_interval: g.map(|_| interval(0.35, 0.47)),
         by_g: g.map(|_| by_g()).unwrap_or_default(),
     }

@@ -49,7 +49,7 @@ impl Fits for Context {
         let range =
             MuRange::try_from(request.mu.unwrap_or_default()).map_err(|e| e.within("mu")).or_status()?;
         let materials = self.materials(request.materials).or_status()?;
-        let plan = MeasurePlan { search_mu: Some(range), common_g: true };
+        let plan = MeasurePlan { search_mu: Some(range), ..MeasurePlan::default() };
         let channels = channels(&materials);
         let most = self.answer_bytes;
         let question = move |d: &fit::FitDictionary| {
@@ -103,7 +103,8 @@ impl Fits for Context {
         let options = options(request.options.as_ref()).or_status()?;
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
         let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
-        let plan = MeasurePlan { search_mu, common_g: request.common_g };
+        let g_change = request.g_change.unwrap_or(MeasurePlan::default().g_change);
+        let plan = MeasurePlan { search_mu, common_g: request.common_g, g_change }.checked().or_status()?;
         let materials = self.materials(request.materials).or_status()?;
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
         let channels = channels(&materials);

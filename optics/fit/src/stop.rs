@@ -58,7 +58,7 @@ mod tests {
         ("map", |d, m, o| distance_map(d, m, o).map(drop)),
         ("scale", |d, m, o| scale(d, std::slice::from_ref(m), o, &MuRange::default()).map(drop)),
         ("measure", |d, m, o| {
-            let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+            let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
             measure(d, std::slice::from_ref(m), o, &plan).map(drop)
         }),
     ];

@@ -92,6 +92,7 @@ mod tests {
                 mu_interval: interval(0.89),
                 mu_chosen: true,
                 g: Some(0.4),
+                g_change: None,
                 g_interval: Some(interval(0.38)),
                 by_g: Vec::new(),
             },

@@ -40,7 +40,16 @@ impl TryFrom<wire::GError> for GError {
     }
 }
 
-mirror!(Common { mu, mu_std_error, mu_interval: required, mu_chosen, g, g_interval: optional, by_g: list });
+mirror!(Common {
+    mu,
+    mu_std_error,
+    mu_interval: required,
+    mu_chosen,
+    g,
+    g_change,
+    g_interval: optional,
+    by_g: list
+});
 mirror!(ScaleCurve { points: list, best: required, std_error, curvature, at_end, by_g: list, best_g });
 
 impl From<DistanceMap> for wire::DistanceMap {

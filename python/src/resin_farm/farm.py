@@ -152,6 +152,7 @@ class Farm(FarmAccess):
         dictionary: str | None = None,
         *,
         free_g: bool = False,
+        g_change: float | None = None,
         **given: Unpack[options.FitOptions],
     ) -> results.Measured:
         """All steps for materials of one set-up: scale factor, common anisotropy, media with error bars.
@@ -162,6 +163,8 @@ class Farm(FarmAccess):
                 and its report is completed.
             dictionary: its name; the only one, else "lab", else "paper" if None.
             free_g: let every channel have its own anisotropy.
+            g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
+                None, and 0 for one anisotropy.
             given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
         """
         folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
@@ -169,6 +172,7 @@ class Farm(FarmAccess):
             if given:
                 raise TypeError(f"{', '.join(given)}: the options of a session are in its folder")
             arguments = ["measure", str(folder)] + (["--free-g"] if free_g else [])
+            arguments += [] if g_change is None else [f"--g-change={g_change}"]
             arguments += [f"--dictionary={dictionary}"] if dictionary else []
             found = _programs.farmctl([*self._arguments(), *arguments])
             warn(note["text"] for note in found["notes"])
@@ -181,6 +185,7 @@ class Farm(FarmAccess):
             options=options.wire(given, refine=True),
             search_mu=None if "mu" in given else fits_pb2.MuRange(),
             common_g=not free_g,
+            g_change=g_change,
         )
         answer = self._call("Fits/Measure", request, fits_pb2.MeasureResponse)
         return _decode.measured(answer, name, options.assumed(given, measurements))

@@ -14,6 +14,7 @@ from resin_farm.medium import Array, Interval, SecondLobe
 
 if TYPE_CHECKING:
     import pandas
+    import xarray
     from matplotlib.figure import Figure
 
 
@@ -181,6 +182,31 @@ class Measured:
         import pandas
 
         return pandas.concat([fit.to_pandas() for fit in self.materials], ignore_index=True)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The columns of `to_pandas` over material and `wavelength_nm`, rising, if all channels are wavelengths, and over
+        material and `channel` if not. A channel that a material lacks has no value there.
+
+        Raises:
+            ImportError: if xarray is not installed.
+        """
+        frame = self.to_pandas()
+        wavelengths = [_wavelength_nm(channel) for channel in frame["channel"]]
+        axis = "channel"
+        if None not in wavelengths:
+            axis, frame = "wavelength_nm", frame.drop(columns="channel").assign(wavelength_nm=wavelengths)
+        order = frame[axis].unique() if axis == "channel" else sorted(frame[axis].unique())
+        dataset = frame.set_index(["material", axis]).to_xarray()
+        return dataset.sel({"material": frame["material"].unique(), axis: order})
+
+
+def _wavelength_nm(channel: str) -> float | None:
+    """The wavelength that a channel's name is, with or without its unit."""
+    try:
+        wavelength = float(channel.strip().removesuffix("nm"))
+    except ValueError:
+        return None
+    return wavelength if 100 <= wavelength <= 20_000 else None
 
 
 def _row(material: str, fit: ChannelFit) -> list[str]:

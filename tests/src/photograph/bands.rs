@@ -3,13 +3,14 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use optics_model::scene::Channel;
 use optics_model::{Medium, Scene};
 use optics_tracer::BareBoard;
 
 use super::camera::Camera;
 use super::session::{GREYS, Look, Session, What};
 use super::subject::{Board, Slab};
-use super::traced::traced;
+use super::traced::traced_channel;
 use crate::dng::dng;
 
 /// A resin: σ_s falls with wavelength, σ_a has a constant part and a Gaussian line.
@@ -118,11 +119,8 @@ impl BandSession {
         let (scene, [light, dark]) = (Scene::lab(), Self::rho(nm));
         let bare = BareBoard::of(&scene).expect("the scene has a board");
         let (light_seen, dark_seen) = (bare.apparent(light), bare.apparent(dark));
-        let channels = scene.channels().iter();
-        let channels = channels.map(|c| {
-            optics_model::scene::Channel::new(c.name(), light, dark).expect("a board of the example")
-        });
-        let scene = scene.clone().with_channels(channels.collect()).expect("three channels");
+        let channel = Channel::new("band", light, dark).expect("a board of the example");
+        let scene = scene.with_channels(vec![channel]).expect("one channel");
         let board = Board {
             square_mm: 20.0,
             light: [light_seen; 3],
@@ -138,8 +136,7 @@ impl BandSession {
             ..self.camera.clone()
         };
         let edge = |material: &SpectralMaterial, slab_mm: f64, seed: u64| {
-            let medium = material.at(nm);
-            let edge = traced(&scene, [medium, medium, medium], slab_mm, self.walks, seed);
+            let edge = traced_channel(&scene, &material.at(nm), slab_mm, self.walks, seed);
             Slab { board: board.clone(), edge, rim_mm: [-13.0, 13.0, -9.0, 9.0], bubble: None }
         };
         let look = Look { seed: self.seed * 100 + band as u64, flicker: 0.0005, exact: false, dust: None };

@@ -21,21 +21,32 @@ const SAMPLE_IOR: f64 = 1.53;
 /// If the scene has other than three channels, or there is no such slab.
 #[must_use]
 pub fn traced(scene: &Scene, media: [Medium; 3], thickness_mm: f64, walks: u64, seed: u64) -> Edge {
-    let profile = |c: usize| {
-        let medium = &media[c];
-        let build = || {
-            let scene = scene.clone().with_channels(vec![scene.channels()[c].clone()])?;
-            let scene = scene.with_sensor(Sensor::new(WIDTH_MM, PIXELS, 0.0)?);
-            let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, SAMPLE_IOR)?;
-            JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, seed, false)
-        };
-        let job = build().expect("the slab is valid");
-        let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("it is not stopped");
-        let values = records[0].profiles[0].radiance_factor.values();
-        values.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>()
-    };
+    let profile = |c: usize| profile(scene, c, &media[c], thickness_mm, walks, seed);
     let profiles: Vec<Vec<f64>> = (0..3).into_par_iter().map(profile).collect();
     Edge::new(move |c, x_mm| at(&profiles[c], x_mm))
+}
+
+/// The edge of a scene's board, of one channel, under a slab.
+///
+/// # Panics
+/// If there is no such slab.
+#[must_use]
+pub fn traced_channel(scene: &Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Edge {
+    let profile = profile(scene, 0, medium, thickness_mm, walks, seed);
+    Edge::new(move |_, x_mm| at(&profile, x_mm))
+}
+
+fn profile(scene: &Scene, c: usize, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
+    let build = || {
+        let scene = scene.clone().with_channels(vec![scene.channels()[c].clone()])?;
+        let scene = scene.with_sensor(Sensor::new(WIDTH_MM, PIXELS, 0.0)?);
+        let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, SAMPLE_IOR)?;
+        JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, seed, false)
+    };
+    let job = build().expect("the slab is valid");
+    let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("it is not stopped");
+    let values = records[0].profiles[0].radiance_factor.values();
+    values.iter().map(|v| f64::from(*v)).collect()
 }
 
 /// Linear between the centres of the pixels of one side, constant beyond them: the board's own edge is a jump.

@@ -104,7 +104,7 @@ fn whole_dictionary() -> FitDictionary {
 }
 
 fn unmixed(dictionary: &FitDictionary, subsets: &[Subset], slabs: &[Measurement]) -> Unmixed {
-    let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+    let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
     let options = FitOptions::default();
     let measured = measure(dictionary, slabs, &options, &plan).unwrap();
     println!("measured: {:?}", measured.common.mu_interval);

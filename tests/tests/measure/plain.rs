@@ -69,7 +69,7 @@ fn quantities(r: &Refined, truth: &Medium) -> [Found; 4] {
 }
 
 fn measured(materials: &[Measurement]) -> Measured {
-    let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+    let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
     measure(dictionary(), materials, &FitOptions::default(), &plan).unwrap()
 }
 

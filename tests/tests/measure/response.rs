@@ -48,7 +48,7 @@ fn suspected(change: fn(f64) -> f64, mu: Option<f64>) -> Option<(Cause, f64)> {
     let changed: Vec<Measurement> = clean().iter().map(|m| material(m).unwrap()).collect();
     let options = FitOptions::new(FitSettings { mu: mu.unwrap_or(1.0), ..FitSettings::default() }).unwrap();
     let search_mu = mu.is_none().then(MuRange::default);
-    let plan = MeasurePlan { search_mu, common_g: true };
+    let plan = MeasurePlan { search_mu, ..MeasurePlan::default() };
     let found = measure(dictionary(), &changed, &options, &plan).unwrap();
     let channels = found.materials.iter().flat_map(|m| &m.channels);
     let all: Vec<_> = channels.map(|c| c.refined.as_ref().unwrap().suspicion).collect();

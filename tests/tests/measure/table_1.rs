@@ -41,7 +41,7 @@ fn table_1_is_measured_without_its_factor() {
     for (hidden, seed) in [(0.86, 1), (0.913, 2), (0.98, 3)] {
         let materials = table_1(hidden, seed);
         let (options, range) = (FitOptions::default(), MuRange::default());
-        let plan = MeasurePlan { search_mu: Some(range), common_g: true };
+        let plan = MeasurePlan { search_mu: Some(range), ..MeasurePlan::default() };
         let found = measure(dictionary, &materials, &options, &plan).unwrap();
         let common = &found.common;
         println!(

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+mod bands;
 mod media;
 
 use std::path::{Path, PathBuf};

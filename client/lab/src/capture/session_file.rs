@@ -102,7 +102,7 @@ struct SessionFile {
     neutral: NeutralTable,
     target: TargetTable,
     #[serde(default)]
-    light: LightTable,
+    light: LampTable,
     #[serde(default, rename = "band")]
     bands: Vec<BandTable>,
     #[serde(rename = "sample")]
@@ -111,7 +111,7 @@ struct SessionFile {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct LightTable {
+struct LampTable {
     /// A table of the lamps' power over wavelength, in any unit.
     spectrum: Option<String>,
 }

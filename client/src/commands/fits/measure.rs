@@ -80,6 +80,10 @@ pub(crate) struct MeasureArgs {
     /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
     #[arg(long, conflicts_with = "g")]
     free_g: bool,
+    /// Where channels are wavelengths: standard deviation of the change of ln(1 − g) over 100 nm; 0 for one g of all
+    /// wavelengths [default: 0.1].
+    #[arg(long, value_name = "CHANGE", allow_negative_numbers = true, conflicts_with_all = ["g", "free_g"])]
+    g_change: Option<f64>,
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long)]
     bound: bool,
@@ -102,6 +106,7 @@ impl MeasureArgs {
             search: MuArgs::default(),
             mixtures: None,
             free_g: false,
+            g_change: None,
             bound: false,
             output: None,
             plot: None,
@@ -120,6 +125,7 @@ pub(crate) struct Inputs {
     /// `None` if the scale factor is given.
     search_mu: Option<MuRange>,
     common_g: bool,
+    g_change: Option<f64>,
     dictionary: Option<String>,
     /// The session's dictionary, unless another was named.
     own: Option<WantedDictionary>,
@@ -162,6 +168,7 @@ impl Inputs {
             options,
             search_mu: given.is_none().then_some(range),
             common_g: !args.free_g,
+            g_change: args.g_change,
             dictionary: args.options.dictionary,
             own,
             mixtures: args.mixtures,
@@ -195,6 +202,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         options: Some((&inputs.options).into()),
         search_mu: inputs.search_mu.map(Into::into),
         common_g: inputs.common_g,
+        g_change: inputs.g_change,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
     };
     let session = match &inputs.folder {

@@ -136,7 +136,7 @@ impl<'a> Set<'a> {
         let common_g = plan.common_g && !self.scans[0].region.held[2];
         let scales = scales(plan.search_mu.as_ref(), self.base);
         let limits = (scales[0], scales[scales.len() - 1]);
-        let sharing = Sharing { g: common_g, scale: plan.search_mu.map(|_| limits) };
+        let sharing = Sharing { g: common_g, g_change: plan.g_change, scale: plan.search_mu.map(|_| limits) };
         let cells = self.mesh(&scales, common_g);
         let approached = self.beginnings(&cells).into_iter().map(|cell| self.approach(cell, sharing));
         let lowest = approached.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost));
@@ -244,7 +244,7 @@ impl<'a> Set<'a> {
     fn answer(&self, joint: &Joint, plan: &MeasurePlan, cells: &[Cell]) -> Measured {
         let system = &joint.assembly.system;
         let (g_slot, scale_slot) = (system.slots[0][LN_ONE_MINUS_G], system.slots[0][LN_SCALE]);
-        let common_g = cells[0].g.is_some();
+        let common_g = joint.is_common(g_slot);
         let g_interval = common_g.then(|| joint.g_interval(g_slot));
         let grid = self.dictionary.grid();
         let response = Response::find(joint, plan.search_mu.is_some());
@@ -290,6 +290,7 @@ impl<'a> Set<'a> {
                 mu_interval: plan.mu_interval(mu, mu_std_error),
                 mu_chosen: plan.search_mu.is_some(),
                 g: found_g.or_else(|| self.only_g()),
+                g_change: (cells[0].g.is_some() && !common_g).then_some(plan.g_change),
                 g_interval,
                 by_g,
             },

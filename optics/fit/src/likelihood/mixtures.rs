@@ -82,6 +82,7 @@ pub(crate) fn unmix(
         channels.iter().map(|data| Surrogate::new(dictionary, data.channel, ior)).collect();
     let sharing = Sharing {
         g: plan.common_g && held(dictionary.grid(), options)[2].is_none(),
+        g_change: 0.0,
         scale: plan.search_mu.as_ref().map(|range| {
             let scales = scales(Some(range), options.settings().mu);
             (scales[0], scales[scales.len() - 1])

@@ -1,5 +1,6 @@
 //! Prepares a measurement for the likelihood: pixels, priors, and the unknowns that profiles share.
 
+pub(crate) mod anisotropies;
 pub(crate) mod assembly;
 pub(crate) mod channel;
 pub(crate) mod form;

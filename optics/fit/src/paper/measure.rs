@@ -39,6 +39,7 @@ pub(crate) fn measure(
         mu_interval: plan.mu_interval(mu, mu_std_error),
         mu_chosen: scale.is_some(),
         g: by_records.map(|curve| curve.best_g).or(only_g),
+        g_change: None,
         g_interval: None,
         by_g: by_records.map_or_else(Vec::new, |curve| curve.by_g.clone()),
     };

@@ -372,8 +372,10 @@ pub struct Common {
     pub mu_interval: Interval,
     /// Whether μ was searched, not given.
     pub mu_chosen: bool,
-    /// None if every channel has its own.
+    /// None if every channel has its own, or each wavelength.
     pub g: Option<f64>,
+    /// Standard deviation of the prior of the change of ln(1 − g) over 100 nm, if all channels of a wavelength share g.
+    pub g_change: Option<f64>,
     /// None if g was given, if the dictionary has one only, or if records were compared.
     pub g_interval: Option<Interval>,
     /// The objective with each anisotropy of the dictionary; empty if g was given.

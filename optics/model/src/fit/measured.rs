@@ -1,6 +1,7 @@
 //! The question and the answer of a measurement of several materials.
 
 use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve};
+use crate::invalid::{Invalid, Result};
 
 /// Two-sided 95 % quantile of the normal distribution.
 pub const Z: f64 = 1.959_964;
@@ -22,9 +23,28 @@ pub struct MeasurePlan {
     pub search_mu: Option<MuRange>,
     /// Hold all materials at the anisotropy that explains them best together.
     pub common_g: bool,
+    /// Where all channels are wavelengths, a common anisotropy is a curve over wavelength: this is the standard
+    /// deviation of the change of ln(1 − g) over 100 nm. 0 for one value.
+    pub g_change: f64,
+}
+
+impl Default for MeasurePlan {
+    /// A common anisotropy, at the options' scale factor.
+    fn default() -> Self {
+        Self { search_mu: None, common_g: true, g_change: 0.1 }
+    }
 }
 
 impl MeasurePlan {
+    /// Refuses changes of the anisotropy out of range.
+    pub fn checked(self) -> Result<Self> {
+        if (0.0..=10.0).contains(&self.g_change) {
+            Ok(self)
+        } else {
+            Err(Invalid::new("g_change", self.g_change, "allowed are 0 to 10"))
+        }
+    }
+
     /// The interval of μ, open where the range of the search ends first.
     pub fn mu_interval(&self, mu: f64, std_error: f64) -> Interval {
         let (low, high) = (mu - Z * std_error, mu + Z * std_error);

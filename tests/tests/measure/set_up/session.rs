@@ -165,7 +165,7 @@ impl SetUpSession {
         let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
-        let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+        let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
         let found = measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap();
         let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
         let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m], truth);

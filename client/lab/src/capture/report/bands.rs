@@ -2,7 +2,7 @@
 
 use farm_figures::{EdgeCurve, edge_figure};
 
-use super::set_up::with_error;
+use super::set_up::{exposure, with_error};
 use super::{escaped, warnings};
 use crate::capture::band_optics::BandOptics;
 use crate::capture::channels::CapturedChannel;
@@ -32,9 +32,9 @@ fn row(optics: &BandOptics, part: &CapturedPart) -> String {
     let cells = [
         format!("{}{}", escaped(&optics.band), if optics.is_reference { " *" } else { "" }),
         optics.wavelength_nm.to_string(),
-        part.about.exposure_s.map_or_else(String::new, |s| format!("{s} s")),
+        part.about.exposure_s.map_or_else(String::new, exposure),
         format!("{:.1} ± {:.2}", 1000.0 * blur.value, 1000.0 * blur.std_error),
-        format!("{:+.2}, {:+.2}", optics.shift_px[0], optics.shift_px[1]),
+        optics.shift_px.map(|px| format!("{px:.2}")).join(", "),
         format!("{:+.3} %", 100.0 * optics.magnification),
         format!("{:.2}", optics.left_px),
         with_error(rho.light),

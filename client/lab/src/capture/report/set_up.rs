@@ -64,9 +64,7 @@ pub(super) fn with_error(estimate: Estimate) -> String {
 fn camera(captured: &Captured, part: &CapturedPart) -> String {
     let (calibration, first) = (&part.calibration, part.about.clone());
     let mut words: Vec<String> = first.camera.into_iter().collect();
-    words.extend(
-        first.exposure_s.map(|s| if s < 1.0 { format!("1/{:.0} s", 1.0 / s) } else { format!("{s} s") }),
-    );
+    words.extend(first.exposure_s.map(exposure));
     words.extend(first.f_number.map(|n| format!("f/{n}")));
     words.extend(first.iso.map(|iso| format!("ISO {iso}")));
     format!(
@@ -77,6 +75,11 @@ fn camera(captured: &Captured, part: &CapturedPart) -> String {
         constants(calibration),
         light(captured, part)
     )
+}
+
+/// An exposure time in s as cameras show it.
+pub(super) fn exposure(time_s: f64) -> String {
+    if time_s < 1.0 { format!("1/{:.0} s", 1.0 / time_s) } else { format!("{time_s} s") }
 }
 
 /// Grey patches against the line through them.

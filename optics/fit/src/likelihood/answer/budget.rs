@@ -119,9 +119,11 @@ impl Found<'_, '_> {
             ErrorSource::Scale
         } else if is(BLUR) {
             ErrorSource::Blur
-        } else {
-            debug_assert!(is(LN_THICKNESS), "no other unknown has a prior");
+        } else if is(LN_THICKNESS) {
             ErrorSource::Thickness
+        } else {
+            // The anisotropies of a curve have priors, also those of other wavelengths.
+            ErrorSource::G
         }
     }
 }

@@ -31,6 +31,11 @@ pub(super) struct Joint<'a> {
 }
 
 impl<'a> Joint<'a> {
+    /// Whether all channels have an unknown.
+    pub(super) fn is_common(&self, slot: usize) -> bool {
+        self.common.contains(&slot)
+    }
+
     pub(super) fn deviation(&self, slot: usize) -> f64 {
         let variance = self.covariance.as_ref().map_or(f64::INFINITY, |c| c[(slot, slot)]);
         (variance * self.disagreement).max(0.0).sqrt()
@@ -101,7 +106,9 @@ impl<'a> Joint<'a> {
 
 /// Slots of the unknowns that all channels of an assembly share and the data determine.
 pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
-    [(LN_ONE_MINUS_G, sharing.g), (LN_SCALE, sharing.scale.is_some())]
+    // Anisotropies of a curve differ.
+    let is_one = |i: usize| system.slots.iter().all(|slots| slots[i] == system.slots[0][i]);
+    [(LN_ONE_MINUS_G, sharing.g && is_one(LN_ONE_MINUS_G)), (LN_SCALE, sharing.scale.is_some())]
         .into_iter()
         .filter(|(_, shared)| *shared)
         .map(|(i, _)| system.slots[0][i])

@@ -28,7 +28,7 @@ fn measured(thicknesses_mm: [f64; 2]) -> Measurement {
 fn found(thicknesses_mm: [f64; 2], objective: Option<Objective>) -> Result<Measured, optics_model::Invalid> {
     let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
     let settings = FitSettings { objective, ..FitSettings::default() };
-    let plan = MeasurePlan { search_mu: Some(MuRange::default()), common_g: true };
+    let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
     measure(&dictionary, &[measured(thicknesses_mm)], &FitOptions::new(settings).unwrap(), &plan)
 }
 

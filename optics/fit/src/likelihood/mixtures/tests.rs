@@ -35,7 +35,7 @@ fn unmixed(recipes: &[Recipe], seed: u64) -> Result<Unmixed, Invalid> {
     let dictionary = noisy_dictionary(dense_axes(), 180, 0.0);
     let settings = FitSettings { g: Bounds::fixed(G), ..FitSettings::default() };
     let options = FitOptions::new(settings).unwrap();
-    let plan = MeasurePlan { search_mu: None, common_g: true };
+    let plan = MeasurePlan { search_mu: None, ..MeasurePlan::default() };
     let photographed = |(i, (name, _, truth)): (usize, &Recipe)| slabs(name, truth, 100 * seed + i as u64);
     let materials: Vec<Measurement> = recipes.iter().enumerate().map(photographed).collect();
     let several = recipes.iter().filter(|(_, told, _)| told.len() > 1);

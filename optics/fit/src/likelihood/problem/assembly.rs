@@ -6,8 +6,9 @@ use optics_model::fit::PhaseModel;
 use optics_model::scene::{Prior, PriorKind, Scope};
 
 use crate::dictionary::axes::held;
+use crate::likelihood::problem::anisotropies::Anisotropies;
 use crate::likelihood::problem::{ChannelData, ProfileData};
-use crate::likelihood::system::unknowns::{OF_MEAN, SceneUnknown, Unknowns, thickness_prior};
+use crate::likelihood::system::unknowns::{OF_MEAN, SceneUnknown, Unknown, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::surrogate::Surrogate;
@@ -18,8 +19,10 @@ const NEAR: f64 = 0.1;
 /// The unknowns that several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sharing {
-    /// Whether all have the same anisotropy.
+    /// Whether all have the same anisotropy, or the same curve over wavelength.
     pub g: bool,
+    /// Standard deviation of the change of ln(1 − g) over 100 nm; 0 for one value.
+    pub g_change: f64,
     /// Limits of the logarithm of the factor on μ, if it has no prior.
     pub scale: Option<(f64, f64)>,
 }
@@ -132,18 +135,15 @@ pub(crate) fn assemble<'a>(
         Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
         None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
     };
-    let mut common_g = None;
+    let mut anisotropies = Anisotropies::new(channels, sharing.g, sharing.g_change);
     let (mut profiles, mut terms) = (Vec::new(), Vec::new());
     for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
         let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
         let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
         let (s, a) = (of_medium(0), of_medium(1));
-        let g = match common_g {
-            Some(g) => g,
-            None => of_medium(2),
-        };
-        common_g = sharing.g.then_some(g);
+        let own_g = Unknown { prior: None, about: None, limits: limits[2], held: held[2].is_some() };
+        let g = anisotropies.slot(data.name, &mut builder.unknowns, own_g, medium[2]);
         let first = profiles.len();
         for profile in &data.profiles {
             let blur = builder.blur(data.name, profile);

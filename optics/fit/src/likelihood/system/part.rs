@@ -40,8 +40,12 @@ impl System<'_> {
             }
         };
         let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
-        let means: Vec<usize> = used.iter().filter_map(|slot| self.unknowns[*slot].about).collect();
-        used.extend(means);
+        let mut means = used.clone();
+        while !means.is_empty() {
+            means = means.iter().filter_map(|slot| self.unknowns[*slot].about).collect();
+            means.dedup();
+            used.extend(&means);
+        }
         used.sort_unstable();
         used.dedup();
         used

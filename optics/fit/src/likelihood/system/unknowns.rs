@@ -34,9 +34,9 @@ impl Unknowns {
         self.all.len() - 1
     }
 
-    /// Adds an unknown of `sd` about another one, which is 0.
+    /// Adds an unknown of `sd` about another one, at which it starts.
     pub(crate) fn about(&mut self, mean: usize, sd: f64, limits: (f64, f64)) -> usize {
-        let slot = self.known((0.0, sd), limits);
+        let slot = self.add(Some((0.0, sd)), limits, sd == 0.0, self.x[mean]);
         self.all[slot].about = Some(mean);
         slot
     }

@@ -1,0 +1,160 @@
+//! From photographs through band-pass filters to spectra of media.
+//!
+//! A monochrome camera photographs white and magenta; g falls with wavelength, and the lens has lateral colour and is
+//! sharpest in the green. With `FARM_TEST_EFFORT=10` there are 8 bands and the paper's whole grid.
+
+use std::path::Path;
+
+use farm_tests::cli::{folder, json};
+use farm_tests::dng::dng;
+use farm_tests::photograph::{BandSession, SpectralMaterial};
+use farm_tests::process::run;
+use farm_tests::statistics::effort;
+use optics_capture::{Frame, Pattern};
+use serde_json::Value;
+
+/// Nodes of the short form's dictionary.
+const AXES: &str = "sigma_t_per_mm = [4.0, 4.5, 5.1, 5.8, 6.6, 7.5]\ng = [0.2, 0.3, 0.4, 0.5, 0.6]\n\
+    albedo = [0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.997, 0.998, 0.999, 0.9995]\nwalks = 60000\n";
+
+fn read(path: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
+}
+
+/// Captures a session into the folder `out`.
+fn captured(session: &BandSession, folder: &Path) -> Value {
+    session.write(folder).unwrap();
+    let captured = run(folder, &["capture", "session.toml", "-o", "out", "--json"]);
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    json(&captured, "capture")
+}
+
+/// Blur, lateral colour and ρ of each band are those of the simulated lens and board.
+fn check_optics(session: &BandSession, folder: &Path) {
+    let found = read(&folder.join("out/session.json"));
+    for (nm, band) in session.wavelengths_nm.iter().zip(found["bands"].as_array().unwrap()) {
+        let number = |path: &str| band.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
+        let (lens_mm, magnification) = BandSession::lens(*nm);
+        let blur_mm = lens_mm.hypot(1.0 / 26.0 / 12_f64.sqrt());
+        let found_mm = found["blur_mm"][nm.to_string()].as_f64().unwrap();
+        assert!((found_mm / blur_mm - 1.0).abs() < 0.02, "{nm}: blur {found_mm} for {blur_mm}");
+        let reference =
+            found["bands"].as_array().unwrap().iter().find(|b| b["is_reference"] == true).unwrap();
+        let (_, of_reference) = BandSession::lens(reference["wavelength_nm"].as_f64().unwrap());
+        let lateral = number("/magnification") - (magnification / of_reference - 1.0);
+        assert!(lateral.abs() < 5e-5, "{nm}: magnification off by {lateral}");
+        for (side, rho) in ["light", "dark"].iter().zip(BandSession::rho(*nm)) {
+            let found = number(&format!("/board/rho_{side}/{nm}/value"));
+            assert!((found / rho - 1.0).abs() < 0.015, "{nm}: rho {side} {found} for {rho}");
+        }
+    }
+}
+
+/// Prints estimates and truth, and counts the intervals that hold of σ_t, α, g, σ_s(1 − g) and σ_a.
+fn held(data: &Value, session: &BandSession) -> [(usize, usize); 5] {
+    let mut held = [(0, 0); 5];
+    for material in data["materials"].as_array().unwrap() {
+        let named = |m: &&SpectralMaterial| m.name == material["material"];
+        let truth = session.materials.iter().find(named).unwrap();
+        for channel in material["channels"].as_array().unwrap() {
+            let medium = truth.at(channel["channel"].as_str().unwrap().parse().unwrap());
+            let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
+            let of_truth = [s, a, g, s * a * (1.0 - g), s * (1.0 - a)];
+            let names = ["sigma_t", "albedo", "g", "reduced_scattering", "absorption"];
+            for ((name, truth), held) in names.iter().zip(of_truth).zip(&mut held) {
+                let interval = &channel["refined"][format!("{name}_interval")];
+                let [low, high] = ["low", "high"].map(|end| interval[end].as_f64().unwrap());
+                held.0 += usize::from((low..=high).contains(&truth));
+                held.1 += 1;
+                println!(
+                    "{} {} {name}: {truth:.5} in {low:.5} to {high:.5}",
+                    truth_name(material),
+                    channel["channel"]
+                );
+            }
+        }
+    }
+    held
+}
+
+fn truth_name(material: &Value) -> &str {
+    material["material"].as_str().unwrap()
+}
+
+/// The spectra of both media hold the truth, and g is a curve; one g for all wavelengths misleads.
+#[test]
+fn bands_become_spectra() {
+    let is_long = effort() >= 10;
+    let wavelengths: Vec<f64> =
+        if is_long { (0..8).map(|i| 430.0 + 40.0 * f64::from(i)).collect() } else { vec![470.0, 630.0] };
+    let walks = if is_long { 8_000_000 } else { 1_000_000 };
+    let session = BandSession { walks, ..BandSession::small(&wavelengths, 1) };
+    let folder = folder();
+    let data = captured(&session, folder.path());
+    assert_eq!(data["profiles"].as_array().unwrap().len(), 4 * wavelengths.len());
+    assert_eq!(data["profiles"][0]["channel"], wavelengths[0].to_string());
+    check_optics(&session, folder.path());
+    if !is_long {
+        let grid = folder.path().join("out/grid.toml");
+        std::fs::write(&grid, std::fs::read_to_string(&grid).unwrap() + AXES).unwrap();
+    }
+    let measured = run(folder.path(), &["measure", "out", "--json", "-o", "media"]);
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    let data = json(&measured, "measure");
+    let found = held(&data, &session);
+    println!("of {} intervals each hold: {found:?}", found[0].1);
+    assert_eq!((&data["common"]["g"], data["common"]["g_change"].as_f64()), (&Value::Null, Some(0.1)));
+    assert!(found.iter().all(|(held, of)| 4 * held >= 3 * of), "{found:?}");
+    let media = std::fs::read_to_string(folder.path().join("media/media.xml")).unwrap();
+    assert!(media.contains("g differs between wavelengths") && media.contains("<spectrum"), "{media}");
+    let one_g = run(folder.path(), &["measure", "out", "--json", "--g-change", "0"]);
+    let one_g = json(&one_g, "measure");
+    assert!(one_g["common"]["g"].as_f64().is_some());
+    let [misled, ..] = held(&one_g, &session);
+    println!("with one g: {misled:?} of sigma_t");
+    assert!(misled.0 < found[0].0, "{misled:?}");
+}
+
+/// A mosaic that is read as a monochrome camera's pictures is refused, in a file of its kind and in one without kind.
+#[test]
+fn mosaics_are_not_monochrome() {
+    let session = BandSession {
+        materials: vec![SpectralMaterial::WHITE],
+        walks: 20_000,
+        ..BandSession::small(&[550.0], 1)
+    };
+    let folder = folder();
+    session.write(folder.path()).unwrap();
+    // Pixels of green are twice as bright as the others.
+    let file = "550_chart_1.dng";
+    let chart = farm_lab::photograph::read(&folder.path().join(file)).unwrap().0;
+    let brighter = |(i, v): (usize, &u16)| {
+        let (x, y) = (i % chart.width, i / chart.width);
+        if (x + y) % 2 == 1 { v + (v - 64) / 2 } else { *v }
+    };
+    let samples: Vec<u16> = chart.samples.iter().enumerate().map(brighter).collect();
+    let photo = |pattern: Pattern| optics_capture::Photo {
+        label: String::new(),
+        frame: Frame::new(chart.width, chart.height, pattern, samples.clone()).unwrap(),
+        levels: optics_capture::Levels { black: chart.black, white: chart.white },
+        seconds: Some(120.0),
+        exposure: Some(optics_capture::Exposure { time_s: 0.05, f_number: Some(11.0), iso: Some(100.0) }),
+    };
+    let refused = |message: &str| {
+        let ran = run(folder.path(), &["capture", "session.toml", "-o", "out"]);
+        assert_eq!(ran.code, 1, "{}", ran.stdout);
+        let text = ran.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(text.contains(message) && text.contains("band \"550\""), "{text}");
+    };
+    std::fs::remove_file(folder.path().join("550_chart_after_1.dng")).unwrap();
+    std::fs::write(folder.path().join(file), dng(&photo(Pattern::MONOCHROME))).unwrap();
+    refused("pixels side by side differ in brightness by 50 %: this looks like a mosaic of colours");
+    let colours = [
+        optics_capture::Colour::Red,
+        optics_capture::Colour::Green,
+        optics_capture::Colour::Green,
+        optics_capture::Colour::Blue,
+    ];
+    std::fs::write(folder.path().join(file), dng(&photo(Pattern::Bayer(colours)))).unwrap();
+    refused("it has a mosaic of colours: set `channel` of the band to \"R\", \"G\" or \"B\"");
+}
