@@ -46,6 +46,9 @@ impl SpectralMaterial {
     }
 }
 
+/// Bands of the example.
+pub const EXAMPLE_NM: [f64; 8] = [430.0, 470.0, 510.0, 550.0, 590.0, 630.0, 670.0, 710.0];
+
 /// A session with a band-pass filter for each wavelength.
 #[derive(Debug, Clone)]
 pub struct BandSession {
@@ -172,14 +175,14 @@ impl BandSession {
             bare = [\"{band}_board_*.dng\"]\ndark_side = \"left\"\n"
                 .to_owned();
         for nm in &self.wavelengths_nm {
-            _ = write!(text, "\n[[band]]\nwavelength_nm = {nm:?}\nfwhm_nm = 10\n");
+            _ = write!(text, "\n[[band]]\nwavelength_nm = {nm}\nfwhm_nm = 10\n");
         }
         for material in &self.materials {
             for slab_mm in &self.slabs_mm {
                 let name = material.name;
                 _ = write!(
                     text,
-                    "\n[[sample]]\nmaterial = \"{name}\"\nthickness_mm = {slab_mm:?}\nthickness_std_error_mm = 0.002\n\
+                    "\n[[sample]]\nmaterial = \"{name}\"\nthickness_mm = {slab_mm}\nthickness_std_error_mm = 0.002\n\
                      shots = [\"{{band}}_{name}_{slab_mm}_*.dng\"]\n"
                 );
             }
@@ -193,4 +196,22 @@ fn patches() -> String {
     let head: String = (1..=GREYS.len()).map(|i| format!(",patch_{i}")).collect();
     let greys: String = GREYS.iter().map(|rho| format!(",{rho}")).collect();
     format!("wavelength_nm{head}\n350{greys}\n800{greys}\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reference::root;
+
+    /// The files of examples/bands are those that the maker writes, but for comments.
+    #[test]
+    fn band_example_is_what_the_maker_writes() {
+        let read = |name: &str| std::fs::read_to_string(root().join("examples/bands").join(name)).unwrap();
+        let bare = |text: &str| -> String {
+            let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim_end());
+            lines.collect::<Vec<_>>().join("\n").trim().to_owned()
+        };
+        assert_eq!(bare(&read("session.toml")), bare(&BandSession::small(&EXAMPLE_NM, 1).file()));
+        assert_eq!(read("patches.csv"), patches());
+    }
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use farm_tests::cli::{folder, json};
 use farm_tests::dng::dng;
-use farm_tests::photograph::{BandSession, SpectralMaterial};
+use farm_tests::photograph::{BandSession, EXAMPLE_NM, SpectralMaterial};
 use farm_tests::process::run;
 use farm_tests::statistics::effort;
 use optics_capture::{Frame, Pattern};
@@ -85,8 +85,7 @@ fn truth_name(material: &Value) -> &str {
 #[test]
 fn bands_become_spectra() {
     let is_long = effort() >= 10;
-    let wavelengths: Vec<f64> =
-        if is_long { (0..8).map(|i| 430.0 + 40.0 * f64::from(i)).collect() } else { vec![470.0, 630.0] };
+    let wavelengths: Vec<f64> = if is_long { EXAMPLE_NM.to_vec() } else { vec![470.0, 630.0] };
     let walks = if is_long { 8_000_000 } else { 1_000_000 };
     let session = BandSession { walks, ..BandSession::small(&wavelengths, 1) };
     let folder = folder();

@@ -103,7 +103,11 @@ impl Band {
         let steps = ((to - from) / STEP_NM).ceil().max(1.0);
         let places: Vec<f64> = (0..=steps as usize).map(|i| from + (to - from) * i as f64 / steps).collect();
         let weight = |nm: f64| Ok(self.transmission(nm) * light.map_or(Ok(1.0), |l| l.within("light", nm))?);
-        let weights = places.iter().map(|nm| weight(*nm)).collect::<Result<Vec<f64>, Invalid>>()?;
+        let mut weights = places.iter().map(|nm| weight(*nm)).collect::<Result<Vec<f64>, Invalid>>()?;
+        // Half an interval lies at each end.
+        for end in [0, places.len() - 1] {
+            weights[end] *= 0.5;
+        }
         let least = NEGLIGIBLE * weights.iter().copied().fold(0.0, f64::max);
         let (mut sum, mut whole) = (0.0, 0.0);
         for (nm, weight) in places.iter().zip(weights).filter(|(_, weight)| *weight > least) {
