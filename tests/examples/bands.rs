@@ -1,17 +1,18 @@
-//! Makes the photographs of examples/bands: `cargo run -p farm-tests --example bands -- FOLDER [WAVELENGTHS]`. White and
-//! magenta in slabs of 0.5 and 1 mm, photographed by a monochrome camera through band-pass filters. Prints the true
-//! values.
+//! Makes the photographs of examples/bands: `cargo run -p farm-tests --example bands -- FOLDER [all]`. White and magenta
+//! in slabs of 0.5 and 1 mm, photographed by a monochrome camera through eight band-pass filters; with `all`, five
+//! materials through 31. Prints the true values.
 
 use std::path::PathBuf;
 
-use farm_tests::photograph::{BandSession, EXAMPLE_NM};
+use farm_tests::photograph::{BandSession, EXAMPLE_NM, SpectralMaterial, spectral_nm};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let folder: PathBuf = args.next().ok_or("name a folder")?.into();
-    let given = args.next().map(|list| list.split(',').map(str::parse).collect::<Result<Vec<f64>, _>>());
-    let wavelengths = given.transpose()?.unwrap_or_else(|| EXAMPLE_NM.to_vec());
-    let session = BandSession::small(&wavelengths, 1);
+    let is_all = args.next().is_some_and(|arg| arg == "all");
+    let (wavelengths, count) = if is_all { (spectral_nm(), 5) } else { (EXAMPLE_NM.to_vec(), 2) };
+    let materials = SpectralMaterial::ALL[..count].to_vec();
+    let session = BandSession { materials, ..BandSession::small(&wavelengths, 1) };
     session.write(&folder)?;
     for material in &session.materials {
         for nm in &wavelengths {

@@ -11,7 +11,7 @@ mod session_file;
 mod subject;
 mod traced;
 
-pub use bands::{BandSession, EXAMPLE_NM, SpectralMaterial};
+pub use bands::{BandSession, EXAMPLE_NM, SpectralMaterial, spectral_nm};
 pub use camera::{Camera, Dust, Shot, develop, expose};
 pub use noise::Random;
 pub use session::{Look, Session, What, patches};

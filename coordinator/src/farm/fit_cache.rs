@@ -57,8 +57,11 @@ impl FitCache {
         if let Some(found) = self.find(id, grid, channels) {
             return Ok(found);
         }
-        let each = FitChannel::bytes_of(grid);
-        let needed = each.saturating_mul(channels.len());
+        let bytes = |channels: &[usize]| {
+            let each = channels.iter().map(|index| FitChannel::bytes_of(grid, *index));
+            each.fold(0, usize::saturating_add)
+        };
+        let needed = bytes(channels);
         if needed > self.limit {
             return Err(FarmError::TooLarge {
                 name: name.clone(),
@@ -72,12 +75,12 @@ impl FitCache {
             return Ok(found);
         }
         let all: Vec<usize> = (0..grid.scene().channels().len()).collect();
-        let wanted = if each.saturating_mul(all.len()) <= self.limit { &all } else { channels };
-        let (here, forgotten) = self.make_room(id, wanted, each);
+        let wanted = if bytes(&all) <= self.limit { &all } else { channels };
+        let (here, forgotten) = self.make_room(id, wanted, bytes(wanted));
         let is_here = |index: &usize| here.iter().any(|(other, _)| other == index);
         let lacking: Vec<usize> = wanted.iter().filter(|index| !is_here(index)).copied().collect();
         let read = load_channels(store, name, id, grid, &lacking).await?;
-        self.keep(id, each, &read, forgotten);
+        self.keep(id, grid, &read, forgotten);
         drop(one_reader);
         let read = read.channels().map(|(index, channel)| (index, channel.clone()));
         Ok(FitDictionary::of_channels(grid.clone(), here.into_iter().chain(read)))
@@ -107,12 +110,16 @@ impl FitCache {
 
     /// Drops other channels until there is room for the requested ones. Returns those of them that are in memory,
     /// and the number of times that records have changed.
-    fn make_room(&self, id: DictionaryId, wanted: &[usize], each: usize) -> (Vec<(usize, FitChannel)>, u64) {
+    fn make_room(
+        &self,
+        id: DictionaryId,
+        wanted: &[usize],
+        needed: usize,
+    ) -> (Vec<(usize, FitChannel)>, u64) {
         let mut kept = self.lock();
         let is_wanted = |channel: &Channel| channel.of == id && wanted.contains(&channel.index);
         let (wanted_here, mut others): (Vec<_>, Vec<_>) =
             std::mem::take(&mut kept.channels).into_iter().partition(is_wanted);
-        let needed = each * wanted.len();
         while others.iter().map(|channel| channel.bytes).sum::<usize>() + needed > self.limit {
             others.remove(0);
         }
@@ -123,11 +130,15 @@ impl FitCache {
     }
 
     /// Keeps the channels that were read, unless records have changed since.
-    fn keep(&self, of: DictionaryId, bytes: usize, read: &FitDictionary, forgotten: u64) {
+    fn keep(&self, of: DictionaryId, grid: &Grid, read: &FitDictionary, forgotten: u64) {
         let mut kept = self.lock();
         if kept.forgotten == forgotten {
-            let channel =
-                |(index, loaded): (usize, &FitChannel)| Channel { of, index, bytes, loaded: loaded.clone() };
+            let channel = |(index, loaded): (usize, &FitChannel)| Channel {
+                of,
+                index,
+                bytes: FitChannel::bytes_of(grid, index),
+                loaded: loaded.clone(),
+            };
             kept.channels.extend(read.channels().map(channel));
         }
     }

@@ -105,11 +105,12 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Maximum bytes of a channel of a grid: values, responses, and descriptions (in small dictionaries gradients, too)
-    /// for the whole profiles and for one other range of pixels.
-    pub fn bytes_of(grid: &Grid) -> usize {
-        let views = 2 * view::bytes_of(grid);
-        records::bytes_of(grid).saturating_add(responses::bytes_of(grid)).saturating_add(views)
+    /// Maximum bytes of a channel of a grid: values; and unless it is one under a darker white reference, responses, and
+    /// descriptions (in small dictionaries gradients, too) for the whole profiles and for one other range of pixels.
+    pub fn bytes_of(grid: &Grid, channel: usize) -> usize {
+        let is_seen = grid.scene().seen_channels().any(|seen| seen == channel);
+        let beyond = if is_seen { responses::bytes_of(grid) + 2 * view::bytes_of(grid) } else { 0 };
+        records::bytes_of(grid).saturating_add(beyond)
     }
 }
 

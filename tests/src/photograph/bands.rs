@@ -25,12 +25,14 @@ pub struct SpectralMaterial {
 }
 
 impl SpectralMaterial {
-    /// White: hardly any absorption.
-    pub const WHITE: Self =
-        Self { name: "white", scattering: (6.0, 0.7), absorption: (0.006, 0.02), line_nm: (420.0, 30.0) };
-    /// Magenta: a line in the green.
-    pub const MAGENTA: Self =
-        Self { name: "magenta", scattering: (4.5, 0.5), absorption: (0.03, 1.2), line_nm: (550.0, 40.0) };
+    /// White has hardly any absorption, magenta a line in the green, and so on.
+    pub const ALL: [Self; 5] = [
+        Self { name: "white", scattering: (6.0, 0.7), absorption: (0.006, 0.02), line_nm: (420.0, 30.0) },
+        Self { name: "magenta", scattering: (4.5, 0.5), absorption: (0.03, 1.2), line_nm: (550.0, 40.0) },
+        Self { name: "cyan", scattering: (5.0, 0.6), absorption: (0.05, 1.5), line_nm: (660.0, 45.0) },
+        Self { name: "yellow", scattering: (4.0, 0.8), absorption: (0.02, 2.0), line_nm: (430.0, 35.0) },
+        Self { name: "grey", scattering: (3.0, 0.5), absorption: (0.5, 0.0), line_nm: (550.0, 50.0) },
+    ];
 
     /// The medium at a wavelength; g falls by 0.05 per 100 nm.
     ///
@@ -48,6 +50,12 @@ impl SpectralMaterial {
 
 /// Bands of the example.
 pub const EXAMPLE_NM: [f64; 8] = [430.0, 470.0, 510.0, 550.0, 590.0, 630.0, 670.0, 710.0];
+
+/// The bands of the paper's spectra: 31 from 400 to 700 nm.
+#[must_use]
+pub fn spectral_nm() -> Vec<f64> {
+    (0..31).map(|i| 400.0 + 10.0 * f64::from(i)).collect()
+}
 
 /// A session with a band-pass filter for each wavelength.
 #[derive(Debug, Clone)]
@@ -83,7 +91,7 @@ impl BandSession {
         };
         Self {
             wavelengths_nm: wavelengths_nm.to_vec(),
-            materials: vec![SpectralMaterial::WHITE, SpectralMaterial::MAGENTA],
+            materials: SpectralMaterial::ALL[..2].to_vec(),
             slabs_mm: vec![0.5, 1.0],
             shots: 2,
             camera,
@@ -143,11 +151,11 @@ impl BandSession {
             Slab { board: board.clone(), edge, rim_mm: [-13.0, 13.0, -9.0, 9.0], bubble: None }
         };
         let look = Look { seed: self.seed * 100 + band as u64, flicker: 0.0005, exact: false, dust: None };
-        let seconds = std::cell::Cell::new(2000.0 * band as f64);
+        let seconds = std::cell::Cell::new(900.0 * band as f64);
         let shoot = |session: &Session, what: What, name: &str, index: u64, count: u64| {
             (0..count).try_for_each(|i| {
                 let mut photo = session.shoot(what, index + i, &look);
-                seconds.set(seconds.get() + 60.0);
+                seconds.set(seconds.get() + 30.0);
                 photo.seconds = Some(seconds.get());
                 std::fs::write(folder.join(format!("{nm}_{name}_{}.dng", i + 1)), dng(&photo))
             })

@@ -3,6 +3,7 @@
 //! The normal run has one set-up and a dictionary of few nodes. The ignored tests are the long form, with the nodes of the
 //! paper: all set-ups of one changed quantity, and set-ups with all quantities drawn from their priors.
 
+mod broad_bands;
 mod outcome;
 mod phase;
 mod scenes;

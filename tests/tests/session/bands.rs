@@ -1,13 +1,14 @@
 //! From photographs through band-pass filters to spectra of media.
 //!
 //! A monochrome camera photographs white and magenta; g falls with wavelength, and the lens has lateral colour and is
-//! sharpest in the green. With `FARM_TEST_EFFORT=10` there are 8 bands and the paper's whole grid.
+//! sharpest in the green. With `FARM_TEST_EFFORT=10` there are 8 bands and the paper's whole grid, with 40 there are 31
+//! bands and five materials: 810 photographs, 300 MB.
 
 use std::path::Path;
 
 use farm_tests::cli::{folder, json};
 use farm_tests::dng::dng;
-use farm_tests::photograph::{BandSession, EXAMPLE_NM, SpectralMaterial};
+use farm_tests::photograph::{BandSession, EXAMPLE_NM, SpectralMaterial, spectral_nm};
 use farm_tests::process::run;
 use farm_tests::statistics::effort;
 use optics_capture::{Frame, Pattern};
@@ -85,12 +86,18 @@ fn truth_name(material: &Value) -> &str {
 #[test]
 fn bands_become_spectra() {
     let is_long = effort() >= 10;
-    let wavelengths: Vec<f64> = if is_long { EXAMPLE_NM.to_vec() } else { vec![470.0, 630.0] };
+    let (wavelengths, materials) = match effort() {
+        40.. => (spectral_nm(), 5),
+        10..40 => (EXAMPLE_NM.to_vec(), 2),
+        _ => (vec![470.0, 630.0], 2),
+    };
     let walks = if is_long { 8_000_000 } else { 1_000_000 };
-    let session = BandSession { walks, ..BandSession::small(&wavelengths, 1) };
+    let materials = SpectralMaterial::ALL[..materials].to_vec();
+    let session = BandSession { walks, materials, ..BandSession::small(&wavelengths, 1) };
     let folder = folder();
     let data = captured(&session, folder.path());
-    assert_eq!(data["profiles"].as_array().unwrap().len(), 4 * wavelengths.len());
+    let slabs = 2 * session.materials.len();
+    assert_eq!(data["profiles"].as_array().unwrap().len(), slabs * wavelengths.len());
     assert_eq!(data["profiles"][0]["channel"], wavelengths[0].to_string());
     check_optics(&session, folder.path());
     if !is_long {
@@ -118,7 +125,7 @@ fn bands_become_spectra() {
 #[test]
 fn mosaics_are_not_monochrome() {
     let session = BandSession {
-        materials: vec![SpectralMaterial::WHITE],
+        materials: SpectralMaterial::ALL[..1].to_vec(),
         walks: 20_000,
         ..BandSession::small(&[550.0], 1)
     };

@@ -14,8 +14,8 @@ use crate::measurement_file::plain;
 /// The supported `format` of session files.
 const FORMAT: &str = "farmctl-session/1";
 
-/// Largest file that is read, in bytes.
-const LARGEST: u64 = 1 << 20;
+/// Largest file that is read, in bytes: 32 bands of a hundred slabs with their media have a tenth of it.
+const LARGEST: u64 = 256 << 20;
 
 /// A value for all channels, or one for each named channel.
 #[derive(Debug, Clone, PartialEq)]

@@ -12,7 +12,7 @@ use super::*;
 async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
     let (farm, dir) = done().await;
     let mut farm = Arc::into_inner(farm).expect("no other handle of the farm");
-    farm.fits = crate::farm::FitCache::new(channels * FitChannel::bytes_of(&grid()));
+    farm.fits = crate::farm::FitCache::new(channels * FitChannel::bytes_of(&grid(), 0));
     (Arc::new(farm), dir)
 }
 

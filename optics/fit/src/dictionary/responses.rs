@@ -13,8 +13,10 @@ use optics_model::scene::Prior;
 use rayon::prelude::*;
 
 use crate::dictionary::records::Records;
+use linear::LinearResponse;
 use signal::{LinearRows, NodeOrder};
 
+pub(crate) mod linear;
 mod signal;
 
 /// Relative change of a profile by one standard deviation below which a quantity's curve is taken to be straight.
@@ -85,14 +87,14 @@ impl VariedRecords {
             });
             for (curve, of_prior) in of_prior.collect::<Vec<_>>() {
                 curves.push(curve);
-                linear.extend(of_prior);
+                linear.push(of_prior);
             }
         }
         ResponseRecords { grid, curves, linear }
     }
 
     /// L of a quantity at all nodes, by least squares of its differences, without most of their noise.
-    fn linear(&self, steps: &[(usize, f64)], curve: ResponseCurve, records: &Records) -> Vec<f32> {
+    fn linear(&self, steps: &[(usize, f64)], curve: ResponseCurve, records: &Records) -> LinearResponse {
         let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
         let square: f64 = heights.iter().map(|h| h * h).sum();
         let weights: Vec<f64> = heights.iter().map(|h| h / square).collect();
@@ -104,8 +106,9 @@ impl VariedRecords {
             of_scene.extend_from_slice(row);
         };
         self.each_row(steps, records, &mut add);
-        LinearRows::new(&mut linear, &of_scene, self.pixels()).reduce_noise(&NodeOrder::of(&self.grid));
-        linear
+        let pixels = self.pixels();
+        let reduced = LinearRows::new(&linear, &of_scene, pixels).without_noise(&NodeOrder::of(&self.grid));
+        reduced.unwrap_or(LinearResponse::Rows { values: linear, pixels })
     }
 
     /// The curve that relates the differences of all records at two steps best, relative to the profiles. Pixels of value
@@ -196,8 +199,8 @@ pub(crate) struct ResponseRecords {
     grid: Arc<Grid>,
     /// By prior of the scene.
     curves: Vec<ResponseCurve>,
-    /// `[prior][record of a node][pixel]`.
-    linear: Vec<f32>,
+    /// By prior of the scene; rows are records of the nodes.
+    linear: Vec<LinearResponse>,
 }
 
 impl ResponseRecords {
@@ -205,14 +208,16 @@ impl ResponseRecords {
         self.curves[prior]
     }
 
-    /// L of a quantity at a record of the axes; None where it is not traced.
-    pub(crate) fn linear(&self, prior: usize, record: usize) -> Option<&[f32]> {
-        let (pixels, albedos) = (self.grid.scene().sensor().pixels(), self.grid.albedo().len());
+    pub(crate) fn linear(&self, prior: usize) -> &LinearResponse {
+        &self.linear[prior]
+    }
+
+    /// The row of a record of the axes; None where responses are not traced.
+    pub(crate) fn row(&self, record: usize) -> Option<usize> {
+        let albedos = self.grid.albedo().len();
         // The jobs of the first variant come first.
         let job = self.grid.response_job(Some(0), record / albedos)? - self.grid.nominal_jobs();
-        let nodes = self.linear.len() / (self.curves.len() * pixels);
-        let row = prior * nodes + job * albedos + record % albedos;
-        Some(&self.linear[row * pixels..][..pixels])
+        Some(job * albedos + record % albedos)
     }
 }
 

@@ -28,6 +28,13 @@ fn of_lanes([a, b, c, d, e, f, g, h]: [f64; LANES]) -> f64 {
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }
 
+/// Adds a multiple of values.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+pub(crate) fn add_multiple<T: Into<f64> + Copy>(sum: &mut [f64], weight: f64, values: &[T]) {
+    sum.iter_mut().zip(values).for_each(|(s, v)| *s += weight * (*v).into());
+}
+
 /// Root mean square of a_i − b_i.
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]

@@ -102,22 +102,19 @@ impl Surrogate<'_> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         let Stencil { thickness, sigma_t: s, albedo: a, .. } = stencil;
-        let mut sums: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; self.pixels()]);
+        let mut rows = Vec::new();
         for (j, (wa, da)) in a.values.iter().zip(&a.slopes).enumerate() {
             let g = stencil.along_g(&grid.scene().priors()[prior], self.albedo[a.first + j]);
             for (i, (ws, ds)) in s.values.iter().zip(&s.slopes).enumerate() {
                 for (k, (wg, dg)) in g.values.iter().zip(&g.slopes).enumerate() {
                     let (sigma_t, g) = (nodes.sigma_t()[s.first + i], nodes.g()[g.first + k]);
                     let record = grid.record_at(self.ior, sigma_t, g, *thickness, a.first + j);
-                    let row = records.linear(prior, record).expect("responses are traced at their nodes");
-                    let weights = [ws * wa * wg, -ds * wa * wg, ws * da * wg, ws * wa * dg];
-                    for (sum, weight) in sums.iter_mut().zip(weights) {
-                        sum.iter_mut().zip(row).for_each(|(s, v)| *s += weight * f64::from(*v));
-                    }
+                    let row = records.row(record).expect("responses are traced at their nodes");
+                    rows.push((row, [ws * wa * wg, -ds * wa * wg, ws * da * wg, ws * wa * dg]));
                 }
             }
         }
-        sums
+        records.linear(prior).sums(&rows)
     }
 }
 

@@ -19,9 +19,9 @@ use crate::imperfect::truths::records;
 
 pub(super) const SLABS_MM: [f64; 2] = [0.5, 1.0];
 /// Noise of a pixel as a share of its value.
-const NOISE: f64 = 0.004;
+pub(super) const NOISE: f64 = 0.004;
 /// Walks of a profile.
-const WALKS: u64 = 2_000_000;
+pub(super) const WALKS: u64 = 2_000_000;
 /// Error of a level that these walks leave: with flaws it counts as one of the gain.
 const LEVEL: f64 = 0.0008;
 /// Refractive index of the samples in the scene.
@@ -69,7 +69,7 @@ fn few_nodes() -> Axes {
 }
 
 /// The values of a profile in a scene.
-fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
+pub(super) fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
     let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
     let walks = Walks::new(walks).unwrap();
     let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();

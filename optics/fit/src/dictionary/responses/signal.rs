@@ -8,7 +8,8 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use optics_model::Grid;
 
 use crate::bases::{contrasts, orthonormal};
-use crate::dictionary::sum::dot;
+use crate::dictionary::responses::linear::LinearResponse;
+use crate::dictionary::sum::{add_multiple, dot};
 use crate::dictionary::wide::wide;
 
 /// Number of directions whose share of noise is estimated.
@@ -53,7 +54,7 @@ impl NodeOrder {
 
 /// L of a quantity at all nodes: `[row][pixel]`.
 pub(super) struct LinearRows<'a> {
-    linear: &'a mut [f32],
+    linear: &'a [f32],
     /// L divided by both scales has nearly uniform noise.
     row_scales: Vec<f64>,
     pixel_scales: Vec<f64>,
@@ -63,7 +64,7 @@ pub(super) struct LinearRows<'a> {
 
 impl<'a> LinearRows<'a> {
     /// `of_scene` are the profiles in the scene.
-    pub(super) fn new(linear: &'a mut [f32], of_scene: &[f32], pixels: usize) -> Self {
+    pub(super) fn new(linear: &'a [f32], of_scene: &[f32], pixels: usize) -> Self {
         let count = of_scene.len() / pixels;
         let mean = |values: &[f32]| DARK + values.iter().map(|v| f64::from(*v)).sum::<f64>() / pixels as f64;
         let mut pixel_scales = vec![DARK; pixels];
@@ -75,12 +76,12 @@ impl<'a> LinearRows<'a> {
         Self { linear, row_scales, pixel_scales, per_pixel_scale }
     }
 
-    /// Replaces every L by the part that is not noise. Where nodes are too few to estimate the noise, nothing changes.
-    pub(super) fn reduce_noise(&mut self, nodes: &NodeOrder) {
+    /// The part of every L that is not noise; None where nodes are too few to estimate the noise.
+    pub(super) fn without_noise(&self, nodes: &NodeOrder) -> Option<LinearResponse> {
         let contrasts = nodes.contrasts(self.count());
         let directions = self.directions();
         if contrasts.len() < LEAST_SAMPLES * nodes.albedos || directions.is_empty() {
-            return;
+            return None;
         }
         let found: Vec<Vec<f64>> = (0..self.count()).map(|row| self.along(row, &directions)).collect();
         let (turned, squares) = principal(&found);
@@ -96,12 +97,16 @@ impl<'a> LinearRows<'a> {
             squares.iter().enumerate().map(|(k, square)| (1.0 - noise(k) / square).max(0.0)).collect();
         let kept = DMatrix::from_diagonal(&shares.into());
         let kept = &turned * kept * turned.transpose();
-        for (row, found) in found.iter().enumerate() {
-            let weights: Vec<f64> = (0..found.len())
-                .map(|i| found.iter().enumerate().map(|(j, v)| kept[(i, j)] * v).sum())
-                .collect();
-            self.set(row, &weights, &directions);
-        }
+        let weights = found.iter().zip(&self.row_scales).flat_map(|(found, scale)| {
+            let along = |i: usize| found.iter().enumerate().map(|(j, v)| kept[(i, j)] * v).sum::<f64>();
+            (0..found.len()).map(|i| (scale * along(i)) as f32).collect::<Vec<_>>()
+        });
+        let profile =
+            |direction: &Vec<f64>| direction.iter().zip(&self.pixel_scales).map(|(d, s)| d * s).collect();
+        Some(LinearResponse::Span {
+            weights: weights.collect(),
+            profiles: directions.iter().map(profile).collect(),
+        })
     }
 
     fn count(&self) -> usize {
@@ -127,15 +132,6 @@ impl<'a> LinearRows<'a> {
         )
     }
 
-    fn set(&mut self, row: usize, weights: &[f64], directions: &[Vec<f64>]) {
-        let mut sum = vec![0.0; self.pixel_scales.len()];
-        add_all(&mut sum, weights, directions);
-        let (pixels, scale) = (self.pixels(row), self.row_scales[row]);
-        for ((l, sum), of_pixel) in self.linear[pixels].iter_mut().zip(sum).zip(&self.pixel_scales) {
-            *l = (sum * scale * of_pixel) as f32;
-        }
-    }
-
     /// Orthonormal directions in which scaled responses have the largest mean square, by subspace iteration.
     fn directions(&self) -> Vec<Vec<f64>> {
         let rows = |most: usize| {
@@ -148,26 +144,20 @@ impl<'a> LinearRows<'a> {
             let mut next = vec![vec![0.0; even.len()]; directions.len()];
             for row in rows(MOST_ROWS) {
                 let scaled = self.scaled(row);
-                for (next, along) in next.iter_mut().zip(self.along(row, &directions)) {
-                    add_all(next, &[along], std::slice::from_ref(&scaled));
-                }
+                let along = self.along(row, &directions);
+                wide(
+                    #[inline(always)]
+                    || {
+                        for (next, along) in next.iter_mut().zip(along) {
+                            add_multiple(next, along, &scaled);
+                        }
+                    },
+                );
             }
             directions = orthonormal(next, &even);
         }
         directions
     }
-}
-
-/// Adds multiples of profiles.
-fn add_all(sum: &mut [f64], weights: &[f64], profiles: &[Vec<f64>]) {
-    wide(
-        #[inline(always)]
-        || {
-            for (weight, profile) in weights.iter().zip(profiles) {
-                sum.iter_mut().zip(profile).for_each(|(s, v)| *s += weight * v);
-            }
-        },
-    );
 }
 
 /// Principal directions of vectors, as columns, and their mean squares.
@@ -215,19 +205,22 @@ mod tests {
             (squares.sum::<f64>() / truth.len() as f64).sqrt()
         };
         let before = off(&linear);
-        let mut rows = LinearRows::new(&mut linear, &of_scene, PIXELS);
-        rows.reduce_noise(&NodeOrder { ln_sigma_t, stride: NODES[1], albedos: 5 });
-        let after = off(&linear);
+        let rows = LinearRows::new(&linear, &of_scene, PIXELS);
+        let reduced = rows.without_noise(&NodeOrder { ln_sigma_t, stride: NODES[1], albedos: 5 }).unwrap();
+        let each = (0..NODES[0] * NODES[1]).flat_map(|row| {
+            let [values] = reduced.sums(&[(row, [1.0])]);
+            values.into_iter().map(|v| v as f32).collect::<Vec<_>>()
+        });
+        let after = off(&each.collect::<Vec<_>>());
         assert!((0.1..0.13).contains(&before) && after < 0.4 * before, "{before} {after}");
     }
 
     /// With few nodes of σ_t noise cannot be estimated, and responses are unchanged.
     #[test]
     fn responses_at_one_node_are_unchanged() {
-        let mut linear: Vec<f32> = (0..4 * PIXELS).map(|i| i as f32).collect();
-        let (before, of_scene) = (linear.clone(), vec![0.5; linear.len()]);
-        let mut rows = LinearRows::new(&mut linear, &of_scene, PIXELS);
-        rows.reduce_noise(&NodeOrder { ln_sigma_t: vec![1.0], stride: 4, albedos: 4 });
-        assert_eq!(linear, before);
+        let linear: Vec<f32> = (0..4 * PIXELS).map(|i| i as f32).collect();
+        let of_scene = vec![0.5; linear.len()];
+        let rows = LinearRows::new(&linear, &of_scene, PIXELS);
+        assert!(rows.without_noise(&NodeOrder { ln_sigma_t: vec![1.0], stride: 4, albedos: 4 }).is_none());
     }
 }

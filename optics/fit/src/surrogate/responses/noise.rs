@@ -106,16 +106,16 @@ impl Surrogate<'_> {
         let mut factors = Vec::with_capacity(count);
         for g in nodes.g() {
             for contrast in &contrasts {
-                let mut factor = vec![0.0; self.pixels()];
+                let mut rows = Vec::new();
                 for (sigma_t, of_node) in nodes.sigma_t().iter().zip(contrast) {
                     for (j, of_albedo) in stencil.albedo.values.iter().enumerate() {
                         let albedo = stencil.albedo.first + j;
                         let record = grid.record_at(self.ior, *sigma_t, *g, stencil.thickness, albedo);
-                        let row = records.linear(prior, record).expect("responses are traced at their nodes");
-                        let weight = size * of_node * of_albedo;
-                        factor.iter_mut().zip(row).for_each(|(v, d)| *v += weight * f64::from(*d));
+                        let row = records.row(record).expect("responses are traced at their nodes");
+                        rows.push((row, [size * of_node * of_albedo]));
                     }
                 }
+                let [factor] = records.linear(prior).sums(&rows);
                 factors.push(factor);
             }
         }
