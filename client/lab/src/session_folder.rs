@@ -59,6 +59,17 @@ impl SessionFolder {
         if path.exists() { Ok(Some(read_grid(&path)?.scene().clone())) } else { Ok(None) }
     }
 
+    /// Wavelength and standard deviation of the filter of each band in nm; none for red, green and blue.
+    pub fn band_widths_nm(&self) -> Result<Vec<(f64, f64)>> {
+        let Some(path) = self.session() else { return Ok(Vec::new()) };
+        let place = || format!("session file {}", path.display());
+        let text = std::fs::read_to_string(&path).with_context(place)?;
+        let session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
+        let number = |band: &serde_json::Value, field: &str| band[field].as_f64();
+        let width = |band| Some((number(band, "wavelength_nm")?, number(band, "std_dev_nm")?));
+        Ok(session["bands"].as_array().into_iter().flatten().filter_map(width).collect())
+    }
+
     /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path;
     /// `None` if the folder has no data of a report.
     pub fn complete(&self, fits: &[MaterialFit], mu: f64, text: String) -> Result<Option<PathBuf>> {

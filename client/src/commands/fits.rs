@@ -9,6 +9,7 @@ mod other_scene;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;
+mod wide_bands;
 
 use std::process::ExitCode;
 

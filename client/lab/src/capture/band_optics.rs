@@ -16,6 +16,8 @@ const SAME_CORNER_PX: f64 = 20.0;
 pub struct BandOptics {
     pub band: String,
     pub wavelength_nm: f64,
+    /// Standard deviation of the filter's transmission.
+    pub std_dev_nm: f64,
     /// Whether the others are compared with this band.
     pub is_reference: bool,
     /// Mean movement of the corners in pixels, to the right and down.
@@ -41,6 +43,7 @@ impl BandOptics {
             Some(Self {
                 band: band.name.clone(),
                 wavelength_nm: band.wavelength_nm,
+                std_dev_nm: band.std_dev_nm(),
                 is_reference: std::ptr::eq(part, reference),
                 shift_px,
                 magnification,

@@ -90,6 +90,14 @@ impl Band {
         self.wavelength_nm.to_string()
     }
 
+    /// Standard deviation of the filter's transmission.
+    pub fn std_dev_nm(&self) -> f64 {
+        match &self.filter {
+            Filter::Gaussian { fwhm_nm } => fwhm_nm / FWHM,
+            Filter::Table(table) => table.std_dev(),
+        }
+    }
+
     /// Mean of a quantity over the band, weighted by filter and light; `field` names its table in messages.
     ///
     /// ∫ q(λ) T(λ) S(λ) dλ / ∫ T(λ) S(λ) dλ by the trapezoidal rule, all tables being linear between their rows.
@@ -227,6 +235,8 @@ mod tests {
         ]);
         let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
         let step = spectrum(&[(400.0, 1.0), (500.0, 1.0), (500.1, 0.0), (700.0, 0.0)]);
+        // The box of 10 nm has a standard deviation of 2.9 nm; 22 % of the light leaks.
+        assert!((40.0..60.0).contains(&band.std_dev_nm()), "{}", band.std_dev_nm());
         let leaked = 1.0 / (10.0 + 2.9);
         let found = band.mean("rho", &step, None).unwrap();
         assert!((found / leaked - 1.0).abs() < 0.05, "{found} for {leaked}");

@@ -59,6 +59,20 @@ impl Spectrum {
         (self.rows[0].0, self.rows[self.rows.len() - 1].0)
     }
 
+    /// Standard deviation of wavelengths that are weighted by the values, by the trapezoidal rule; 0 if all values are 0.
+    pub fn std_dev(&self) -> f64 {
+        let moment = |of: &dyn Fn(f64) -> f64| -> f64 {
+            let pairs = self.rows.windows(2);
+            pairs.map(|w| 0.5 * (w[1].0 - w[0].0) * (w[0].1 * of(w[0].0) + w[1].1 * of(w[1].0))).sum()
+        };
+        let whole = moment(&|_| 1.0);
+        if whole <= 0.0 {
+            return 0.0;
+        }
+        let mean = moment(&|nm| nm) / whole;
+        (moment(&|nm| (nm - mean).powi(2)) / whole).sqrt()
+    }
+
     /// The value at a wavelength; 0 outside of the table.
     pub fn at(&self, nm: f64) -> f64 {
         let after = self.rows.partition_point(|(at, _)| *at < nm);
@@ -94,6 +108,9 @@ mod tests {
         );
         assert_eq!(spectra[1].within("rho", 425.0), Ok(0.25));
         assert!(spectra[1].within("rho", 501.0).is_err());
+        let box_of_10 = Spectrum::parse("wavelength_nm,a\n545,1\n547.5,1\n550,1\n552.5,1\n555,1\n").unwrap();
+        let exact = 10.0 / 12.0_f64.sqrt();
+        assert!((box_of_10[0].std_dev() / exact - 1.0).abs() < 0.1, "{} {exact}", box_of_10[0].std_dev());
     }
 
     /// Errors have the line and the cell.
