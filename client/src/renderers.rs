@@ -325,7 +325,7 @@ mod tests {
 
     /// Spectra whose g differs have the mean g, weighted by σ_s, and keep σ_s (1 − g) and σ_a.
     #[test]
-    fn spectra_with_a_curve_of_g_become_similar() {
+    fn spectra_with_several_g_become_similar() {
         let of = |name: &str, sigma_t, albedo, g| with_g(channel(name, sigma_t, albedo), albedo, g);
         let media = [medium("m", vec![of("450", 10.0, 0.8, 0.5), of("650", 5.0, 0.8, 0.2)])];
         let [block] = &blocks(&media)[..] else { panic!("one medium") };

@@ -26,7 +26,7 @@ pub(crate) enum FitCommand {
     /// Find the scale factor and the anisotropy common to a set of materials.
     Scale(scale::ScaleArgs),
     /// Measure a set of materials: scale factor, common anisotropy, and media with error bars.
-    Measure(measure::MeasureArgs),
+    Measure(Box<measure::MeasureArgs>),
     /// Map how far measured profiles are from every medium of a dictionary.
     Map(map::MapArgs),
     /// Compare sets of slabs by how well photographs of them would determine a medium.
@@ -42,7 +42,7 @@ impl FitCommand {
         match self {
             Self::Fit(args) => fit::run(global, args, output).await?,
             Self::Scale(args) => scale::run(global, args, output).await?,
-            Self::Measure(args) => measure::run(global, measure::Inputs::of(args)?, output).await?,
+            Self::Measure(args) => measure::run(global, measure::Inputs::of(*args)?, output).await?,
             Self::Map(args) => map::run(global, args, output).await?,
             Self::Design(args) => design::run(global, args, output).await?,
             Self::Profile(args) => profile::run(global, args, output).await?,

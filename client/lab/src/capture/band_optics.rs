@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::stage::CapturedPart;
+use super::captured::CapturedPart;
 
 /// Blur over that of the sharpest band from which on a band counts as out of focus.
 const DEFOCUSED: f64 = 1.3;

@@ -3,8 +3,8 @@
 use optics_capture::Source;
 use serde::Serialize;
 
+use super::captured::{Captured, CapturedSample};
 use super::channels::CapturedChannel;
-use super::stage::{Captured, CapturedSample};
 
 /// Errors that all profiles of a session share, named as in session files. An estimate from the few mountings of one
 /// profile is uncertain, so squares are averaged over all profiles.

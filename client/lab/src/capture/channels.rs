@@ -6,7 +6,7 @@
 use optics_capture::{BoardRho, EdgeProfile, Estimate, Source, join_parts};
 use optics_capture::{Colour, Contribution};
 
-use super::stage::{Captured, CapturedPart, CapturedSample};
+use super::captured::{Captured, CapturedPart, CapturedSample};
 
 /// A channel of measurements, and the columns of a part's results that it has.
 #[derive(Debug, Clone)]
@@ -92,9 +92,7 @@ impl CapturedChannel<'_> {
 
     fn of_line(&self, sample: &CapturedSample, line: &Contribution) -> f64 {
         match (line.source, self.columns) {
-            (Source::Noise, [_, ..]) if self.columns.len() > 1 => {
-                super::report::mean(&self.profile(sample).std_errors)
-            }
+            (Source::Noise, [_, ..]) if self.columns.len() > 1 => mean(&self.profile(sample).std_errors),
             _ => self.mean(|c| line.std_error[c].powi(2)).sqrt(),
         }
     }
@@ -122,4 +120,16 @@ impl CapturedChannel<'_> {
     pub fn mean(&self, of: impl Fn(usize) -> f64) -> f64 {
         self.columns.iter().map(|c| of(*c)).sum::<f64>() / self.columns.len() as f64
     }
+}
+
+/// Radiance factors at both ends of a profile: the means of a tenth of it.
+pub fn ends(profile: &EdgeProfile) -> [f64; 2] {
+    let n = profile.values.len();
+    let tenth = n.div_ceil(10).min(n);
+    [mean(&profile.values[..tenth]), mean(&profile.values[n - tenth..])]
+}
+
+pub fn mean(values: &[f64]) -> f64 {
+    let finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
+    finite.iter().sum::<f64>() / finite.len().max(1) as f64
 }

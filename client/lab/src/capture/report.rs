@@ -12,9 +12,8 @@ use optics_capture::Warning;
 use serde::{Deserialize, Serialize};
 
 pub use media::{Media, Simulated};
-pub use samples::{ends, mean};
 
-use super::stage::{Captured, CapturedPart};
+use super::captured::{Captured, CapturedPart};
 use samples::SlabSection;
 
 const STYLE: &str = include_str!("report/page.css");

@@ -11,9 +11,10 @@ use serde_json::{Map, Value, json};
 
 use super::band_optics::BandOptics;
 use super::budget::{SessionErrors, thickness_std_error_mm};
+use super::captured::{Captured, CapturedPart, CapturedSample};
 use super::channels::{CapturedChannel, profiles};
 use super::report::{self, CaptureReport};
-use super::stage::{Captured, CapturedPart, CapturedSample, board_channel, rounded, within_range};
+use super::stage::{board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
 use crate::whole_file::{folder_of, sync_folder};
 

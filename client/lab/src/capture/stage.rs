@@ -5,49 +5,18 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use optics_capture::{
     Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Flats, Mountings, Patches, Photo,
-    SampleProfile, Warning,
+    Warning,
 };
 use optics_model::scene::{Channel, LEAST_RHO_DARK};
 use optics_model::{Invalid, Scene};
 use optics_tracer::{BareBoard, SeenBase};
 
 use super::band_optics::BandOptics;
-use super::bands::{Band, BandPixels};
+use super::bands::BandPixels;
+use super::captured::{Captured, CapturedPart, CapturedSample};
 use super::session_file::{CaptureSession, Sample, SessionPart};
-use super::shots::{Input, Shots, turned};
+use super::shots::{Shots, turned};
 use super::strip::Strip;
-use crate::photograph::About;
-
-/// All results of a session's photographs.
-#[derive(Debug)]
-pub struct Captured {
-    pub session: CaptureSession,
-    /// One for each band, or one for red, green and blue.
-    pub parts: Vec<CapturedPart>,
-    /// All photographs, in the order of their use.
-    pub inputs: Vec<Input>,
-}
-
-/// The results of red, green and blue, or of one band.
-#[derive(Debug)]
-pub struct CapturedPart {
-    /// None for red, green and blue.
-    pub band: Option<Band>,
-    /// Camera and exposure of its first photograph.
-    pub about: About,
-    pub calibration: Calibration,
-    pub board: Board,
-    pub rho: [BoardRho; 3],
-    pub samples: Vec<CapturedSample>,
-}
-
-#[derive(Debug)]
-pub struct CapturedSample {
-    pub about: Sample,
-    pub profile: SampleProfile,
-    /// None of bands.
-    pub strip: Option<Strip>,
-}
 
 /// Runs all steps; `report` is called with the current step and the share of photographs that are read.
 pub fn capture(path: &Path, mut report: impl FnMut(&str, f64)) -> Result<Captured> {

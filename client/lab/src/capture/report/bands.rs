@@ -5,8 +5,8 @@ use farm_figures::{EdgeCurve, edge_figure};
 use super::set_up::{exposure, with_error};
 use super::{escaped, warnings};
 use crate::capture::band_optics::BandOptics;
+use crate::capture::captured::{Captured, CapturedPart};
 use crate::capture::channels::CapturedChannel;
-use crate::capture::stage::{Captured, CapturedPart};
 
 /// The sections of all bands; empty for red, green and blue.
 pub(super) fn section(captured: &Captured) -> String {

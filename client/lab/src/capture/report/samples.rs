@@ -6,8 +6,8 @@ use optics_capture::{EdgeProfile, Source};
 use serde::{Deserialize, Serialize};
 
 use super::{escaped, shots, warnings};
-use crate::capture::channels::{CapturedChannel, profiles};
-use crate::capture::stage::{Captured, CapturedPart, CapturedSample};
+use crate::capture::captured::{Captured, CapturedPart, CapturedSample};
+use crate::capture::channels::{CapturedChannel, ends, mean, profiles};
 
 /// Micrometres per millimetre.
 const MICROMETRES: f64 = 1000.0;
@@ -51,18 +51,6 @@ fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {
         format!("0 ± {:.1}", MICROMETRES * origin),
     ];
     format!("<tr>{}</tr>\n", cells.map(|cell| format!("<td>{cell}</td>")).concat())
-}
-
-/// Radiance factors at both ends of a profile: the means of a tenth of it.
-pub fn ends(profile: &EdgeProfile) -> [f64; 2] {
-    let n = profile.values.len();
-    let tenth = n.div_ceil(10).min(n);
-    [mean(&profile.values[..tenth]), mean(&profile.values[n - tenth..])]
-}
-
-pub fn mean(values: &[f64]) -> f64 {
-    let finite: Vec<f64> = values.iter().copied().filter(|v| v.is_finite()).collect();
-    finite.iter().sum::<f64>() / finite.len().max(1) as f64
 }
 
 /// One slab: its strip of a photograph as a data URI, and the HTML before and after the strip.

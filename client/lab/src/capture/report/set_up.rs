@@ -5,8 +5,8 @@ use optics_capture::{Calibration, Colour, Estimate};
 
 use super::samples::figure;
 use super::{escaped, shots, warnings};
+use crate::capture::captured::{Captured, CapturedPart};
 use crate::capture::picture::data_uri;
-use crate::capture::stage::{Captured, CapturedPart};
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;

@@ -3,7 +3,7 @@
 use optics_capture::{Board, ShotReport};
 
 use super::escaped;
-use crate::capture::stage::{Captured, CapturedPart};
+use crate::capture::captured::{Captured, CapturedPart};
 
 /// One shot of the board: edge, crop, corners, rejected samples.
 pub(super) fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> String {

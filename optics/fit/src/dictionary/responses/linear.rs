@@ -45,10 +45,9 @@ fn spanned(weights: &[f64], profiles: &[Vec<f64>]) -> Vec<f64> {
     wide(
         #[inline(always)]
         || {
-            weights
-                .iter()
-                .zip(profiles)
-                .for_each(|(weight, profile)| add_multiple(&mut sum, *weight, profile))
+            for (weight, profile) in weights.iter().zip(profiles) {
+                add_multiple(&mut sum, *weight, profile);
+            }
         },
     );
     sum

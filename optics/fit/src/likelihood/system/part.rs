@@ -56,7 +56,9 @@ impl System<'_> {
     pub(crate) fn part(&self, terms: &[usize], state: &State, normal: &Normal, share: f64) -> (Self, State) {
         let used = self.used_by(terms);
         let (mut own, mut own_downhill) = self.contribution(terms, state, normal);
-        used.iter().for_each(|slot| self.add_prior(*slot, &state.x, &mut own, &mut own_downhill));
+        for slot in &used {
+            self.add_prior(*slot, &state.x, &mut own, &mut own_downhill);
+        }
         let (rest, downhill) = (&normal.information - own, &normal.downhill - own_downhill);
         let others: Vec<usize> = self.free().into_iter().filter(|i| !used.contains(i)).collect();
         let (information, downhill) = eliminate(&rest, &downhill, &used, &others);
