@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use farm_figures::{Picture, fit_figure, map_figure};
+use farm_figures::{Picture, fit_figure, map_figure, spectra_figure};
 use farm_lab::whole_file::write_whole;
 use optics_model::fit::{DistanceMap, MaterialFit};
 
@@ -41,11 +41,15 @@ fn format_of(path: &Path) -> Result<FileFormat> {
     }
 }
 
-/// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several. Returns the files.
+/// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several, and `FILE-spectra.svg` where channels
+/// are wavelengths. Returns the files.
 pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<Vec<PathBuf>> {
-    let paths = paths(path, fits.iter().map(|fit| fit.material.clone()));
-    for (fit, path) in fits.iter().zip(&paths) {
-        write(&fit_figure(fit)?, path)?;
+    let of_fits = fits.iter().map(|fit| Ok((fit.material.clone(), fit_figure(fit)?)));
+    let spectra = spectra_figure(fits).map(|figure| Ok(("spectra".to_owned(), figure)));
+    let figures = of_fits.chain(spectra).collect::<Result<Vec<_>>>()?;
+    let paths = paths(path, figures.iter().map(|(name, _)| name.clone()));
+    for ((_, figure), path) in figures.iter().zip(&paths) {
+        write(figure, path)?;
     }
     Ok(paths)
 }

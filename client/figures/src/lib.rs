@@ -19,6 +19,7 @@ pub mod numbers;
 mod overview;
 mod profile;
 mod scale;
+mod spectra;
 #[cfg(any(test, feature = "testing"))]
 #[expect(clippy::unwrap_used, reason = "data of tests; with the feature they are not compiled as a test")]
 pub mod testing;
@@ -33,3 +34,4 @@ pub use map::{map_figure, noise_figure};
 pub use overview::{OverviewFigure, overview_figure};
 pub use profile::profile_figure;
 pub use scale::scale_figure;
+pub use spectra::spectra_figure;

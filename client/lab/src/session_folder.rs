@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_figures::estimates::estimate_rows;
-use farm_figures::{error_budget, fit_figure};
+use farm_figures::{error_budget, fit_figure, spectra_figure};
 use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
 use optics_model::{Grid, Scene};
 use serde::Serialize;
@@ -80,8 +80,9 @@ impl SessionFolder {
         let Ok(json) = std::fs::read(&data) else { return Ok(None) };
         let report: CaptureReport =
             serde_json::from_slice(&json).with_context(|| format!("report data {}", data.display()))?;
-        let figures =
-            fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
+        let of_fits = fits.iter().map(fit_figure);
+        let figures = spectra_figure(fits).map(Ok).into_iter().chain(of_fits);
+        let figures = figures.map(|figure| Ok(figure?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
         let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
         let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
         let page = report.page(Some(&Media { text, estimates, budget, figures, simulated }));

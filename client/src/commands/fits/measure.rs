@@ -90,7 +90,8 @@ pub(crate) struct MeasureArgs {
     /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
+    /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
+    /// wavelengths: FILE.svg or FILE.png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
 }
