@@ -19,7 +19,7 @@ const GAP: f64 = 14.0;
 const LEAST: usize = 3;
 /// Smallest share of the largest σ_a that is drawn.
 const SMALLEST: f64 = 1e-4;
-/// Lines of materials, also told apart by their dashes; further materials repeat these.
+/// Lines of materials, also distinguished by their dashes; further materials repeat these.
 const LINES: [Stroke; 6] = [
     Stroke::solid(Rgb::BLUE, 1.6),
     Stroke::dashed(Rgb::VERMILLION, 1.6, "7 3"),
@@ -51,14 +51,14 @@ const QUANTITIES: [SpectralQuantity; 3] = [
 ];
 
 /// The channels of a material by rising wavelength.
-struct Spectrum<'a> {
+struct MaterialSpectrum<'a> {
     material: &'a str,
     channels: Vec<(f64, &'a Refined)>,
 }
 
 /// None unless a material has three refined channels, and all are wavelengths.
 pub fn spectra_figure(fits: &[MaterialFit]) -> Option<Picture> {
-    let spectra: Vec<Spectrum> = fits.iter().filter_map(spectrum).collect();
+    let spectra: Vec<MaterialSpectrum> = fits.iter().filter_map(spectrum).collect();
     let keys: Vec<Key> =
         spectra.iter().enumerate().map(|(i, s)| Key::line(LINES[i % LINES.len()], s.material)).collect();
     let nm = extent(spectra.iter().flat_map(|s| s.channels.iter().map(|(nm, _)| *nm)))?;
@@ -93,17 +93,17 @@ pub fn spectra_figure(fits: &[MaterialFit]) -> Option<Picture> {
     Some(canvas.finish())
 }
 
-fn spectrum(fit: &MaterialFit) -> Option<Spectrum<'_>> {
+fn spectrum(fit: &MaterialFit) -> Option<MaterialSpectrum<'_>> {
     let channel = |c| {
         let optics_model::fit::ChannelFit { channel, refined, .. }: &optics_model::fit::ChannelFit = c;
         Some((wavelength_nm(channel)?, refined.as_ref()?))
     };
     let mut channels = fit.channels.iter().map(channel).collect::<Option<Vec<_>>>()?;
     channels.sort_by(|a, b| a.0.total_cmp(&b.0));
-    (channels.len() >= LEAST).then_some(Spectrum { material: &fit.material, channels })
+    (channels.len() >= LEAST).then_some(MaterialSpectrum { material: &fit.material, channels })
 }
 
-fn axis(quantity: &SpectralQuantity, spectra: &[Spectrum]) -> Axis {
+fn axis(quantity: &SpectralQuantity, spectra: &[MaterialSpectrum]) -> Axis {
     let all = || spectra.iter().flat_map(|s| s.channels.iter().map(|(_, r)| (quantity.of)(r)));
     let ends = all().flat_map(|(value, i)| [value, i.low, i.high]).filter(|v| v.is_finite());
     if !quantity.logarithmic {
@@ -114,7 +114,12 @@ fn axis(quantity: &SpectralQuantity, spectra: &[Spectrum]) -> Axis {
     Axis::logarithmic(0.8 * low, 1.1 * high)
 }
 
-fn draw_panel(frame: &AxesFrame, canvas: &mut Canvas, quantity: &SpectralQuantity, spectra: &[Spectrum]) {
+fn draw_panel(
+    frame: &AxesFrame,
+    canvas: &mut Canvas,
+    quantity: &SpectralQuantity,
+    spectra: &[MaterialSpectrum],
+) {
     frame.rules(canvas);
     let [bottom, top] = [0.0, 1.0].map(|end| frame.y.value(end));
     for (i, spectrum) in spectra.iter().enumerate() {
