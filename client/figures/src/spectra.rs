@@ -71,7 +71,7 @@ pub fn spectra_figure(fits: &[MaterialFit]) -> Option<Picture> {
         .enumerate()
         .map(|(i, y)| {
             let area = PlotArea { left: 0.0, top: top(i), width: WIDTH, height: HEIGHT };
-            AxesFrame { area, x: x.clone(), y }
+            AxesFrame { area, x, y }
         })
         .collect();
     let left = frames.iter().map(|frame| tick_width(&frame.y_ticks())).fold(0.0, f64::max);

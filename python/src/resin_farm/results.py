@@ -184,8 +184,8 @@ class Measured:
         return pandas.concat([fit.to_pandas() for fit in self.materials], ignore_index=True)
 
     def to_xarray(self) -> xarray.Dataset:
-        """The columns of `to_pandas` over material and `wavelength_nm`, rising, if all channels are wavelengths, and over
-        material and `channel` if not. A channel that a material lacks has no value there.
+        """The columns of `to_pandas` over material and `wavelength_nm`, rising, if all channels are wavelengths, and
+        over material and `channel` if not. A channel that a material lacks has no value there.
 
         Raises:
             ImportError: if xarray is not installed.
