@@ -190,23 +190,22 @@ class Measured:
         Raises:
             ImportError: if xarray is not installed.
         """
-        frame = self.to_pandas()
+        frame, axis = self.to_pandas(), "channel"
         wavelengths = [_wavelength_nm(channel) for channel in frame["channel"]]
-        axis = "channel"
-        if None not in wavelengths:
+        if not any(math.isnan(wavelength) for wavelength in wavelengths):
             axis, frame = "wavelength_nm", frame.drop(columns="channel").assign(wavelength_nm=wavelengths)
         order = frame[axis].unique() if axis == "channel" else sorted(frame[axis].unique())
         dataset = frame.set_index(["material", axis]).to_xarray()
         return dataset.sel({"material": frame["material"].unique(), axis: order})
 
 
-def _wavelength_nm(channel: str) -> float | None:
-    """The wavelength that a channel's name is, with or without its unit."""
+def _wavelength_nm(channel: str) -> float:
+    """The wavelength that a channel's name is, with or without its unit; NaN for other names."""
     try:
         wavelength = float(channel.strip().removesuffix("nm"))
     except ValueError:
-        return None
-    return wavelength if 100 <= wavelength <= 20_000 else None
+        return math.nan
+    return wavelength if 100 <= wavelength <= 20_000 else math.nan
 
 
 def _row(material: str, fit: ChannelFit) -> list[str]:
