@@ -80,12 +80,12 @@ impl SessionFolder {
         let Ok(json) = std::fs::read(&data) else { return Ok(None) };
         let report: CaptureReport =
             serde_json::from_slice(&json).with_context(|| format!("report data {}", data.display()))?;
-        let of_fits = fits.iter().map(fit_figure);
-        let figures = spectra_figure(fits).map(Ok).into_iter().chain(of_fits);
-        let figures = figures.map(|figure| Ok(figure?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
+        let figures =
+            fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
+        let spectra = spectra_figure(fits).map(|figure| figure.svg().to_owned());
         let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
         let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
-        let page = report.page(Some(&Media { text, estimates, budget, figures, simulated }));
+        let page = report.page(Some(&Media { text, estimates, budget, spectra, figures, simulated }));
         let path = self.path.join("report.html");
         write_whole(&path, page.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
         Ok(Some(path))

@@ -16,6 +16,8 @@ pub struct Media {
     /// Empty if the scene was taken as exact.
     pub estimates: Vec<EstimateRow>,
     pub budget: Option<ErrorBudget>,
+    /// The media over wavelength, as SVG; None for red, green and blue. Then all else is folded.
+    pub spectra: Option<String>,
     /// Figures of the fits, as SVG.
     pub figures: Vec<String>,
     pub simulated: Vec<Simulated>,
@@ -39,13 +41,25 @@ impl Media {
         let strips: String = strips.collect();
         let figures: String =
             self.figures.iter().map(|svg| format!("<figure class=\"wide\">{svg}</figure>\n")).collect();
+        let text = format!("<div class=\"wide\"><pre>{}</pre></div>\n", escaped(&self.text));
+        let (scene, budget) = (scene(&self.estimates), self.budget.as_ref().map(budget).unwrap_or_default());
+        let Some(spectra) = &self.spectra else {
+            return format!("{text}{scene}{budget}{strips}{figures}");
+        };
         format!(
-            "<div class=\"wide\"><pre>{}</pre></div>\n{}{}{strips}{figures}",
-            escaped(&self.text),
-            scene(&self.estimates),
-            self.budget.as_ref().map(budget).unwrap_or_default()
+            "<figure class=\"wide\">{spectra}</figure>\n{}{scene}{}{}",
+            folded("All numbers", &text),
+            folded("Error budgets of all bands", &budget),
+            folded("Profiles with their fits", &figures)
         )
     }
+}
+
+fn folded(summary: &str, content: &str) -> String {
+    if content.is_empty() {
+        return String::new();
+    }
+    format!("<details><summary>{summary}</summary>\n{content}</details>\n")
 }
 
 /// Estimates of the scene next to their priors; empty if the scene was taken as exact.
@@ -105,9 +119,23 @@ mod tests {
     use super::*;
 
     fn page(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> String {
-        let media =
-            Media { text: "σ_t".to_owned(), estimates, budget, figures: Vec::new(), simulated: Vec::new() };
-        media.section(&[])
+        media(estimates, budget).section(&[])
+    }
+
+    fn media(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> Media {
+        let (figures, simulated) = (Vec::new(), Vec::new());
+        Media { text: "σ_t".to_owned(), estimates, budget, spectra: None, figures, simulated }
+    }
+
+    /// With bands the figure of the media comes first, and the numbers are folded.
+    #[test]
+    fn spectra_come_before_numbers() {
+        let page = Media { spectra: Some("<svg/>".to_owned()), ..media(Vec::new(), None) }.section(&[]);
+        assert_eq!(
+            page,
+            "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n<div class=\"wide\">\
+             <pre>σ_t</pre></div>\n</details>\n"
+        );
     }
 
     /// Estimates that contradict a prior, or lie at an end of the responses, are marked and explained.

@@ -26,13 +26,20 @@ pub(super) fn summary(captured: &Captured) -> String {
         1 => "There is one warning, below.".to_owned(),
         n => format!("There are {n} warnings, below."),
     };
-    format!(
-        "<p>{} photographs, {} slabs. {doubtful}</p>\n<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
+    let table = format!(
+        "<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
          <th>dark</th><th>light</th><th>noise per bin</th><th>rejected</th><th>blur σ [µm]</th><th>origin [µm]</th></tr>\n{}</table></div>\n",
-        captured.inputs.len(),
-        captured.parts[0].samples.len(),
         rows.collect::<String>()
-    )
+    );
+    let has_bands = captured.parts[0].band.is_some();
+    let table = if has_bands {
+        format!("<details><summary>All profiles as numbers</summary>\n{table}</details>\n")
+    } else {
+        table
+    };
+    let (photographs, slabs) = (captured.inputs.len(), captured.parts[0].samples.len());
+    let bands = if has_bands { format!(", {} bands", captured.parts.len()) } else { String::new() };
+    format!("<p>{photographs} photographs, {slabs} slabs{bands}. {doubtful}</p>\n{table}")
 }
 
 fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {
