@@ -201,7 +201,7 @@ impl SessionFile {
 
     fn read_bands(&self, folder: &Path) -> Result<Vec<Band>, Invalid> {
         let band = |(i, table): (usize, &BandTable)| {
-            let read = |file: &str| Ok(spectra(folder, "transmission", file)?.swap_remove(0));
+            let read = |file: &str| spectrum(folder, "transmission", file);
             Band::new(table.clone(), read).map_err(|e| e.within(format_args!("band[{i}]")))
         };
         let bands = self.bands.iter().enumerate().map(band).collect::<Result<Vec<_>, _>>()?;
@@ -211,7 +211,7 @@ impl SessionFile {
 
     /// The photographs of a band, or those of red, green and blue.
     fn part(&self, folder: &Path, band: Option<Band>) -> Result<SessionPart, Invalid> {
-        let files = |field: &str, globs: &[String]| files_of(folder, field, &of_band(globs, band.as_ref()));
+        let files = |field: &str, globs: &[String]| files_of_band(folder, field, globs, band.as_ref());
         let sample = |(i, table): (usize, &SampleTable)| {
             sample(folder, table, band.as_ref()).map_err(|e| e.within(format_args!("sample[{i}]")))
         };
@@ -233,10 +233,9 @@ impl SessionFile {
             (NeutralRho::Each(rho), _) => rho.iter().map(|rho| rho.of(band)).collect::<Result<_, _>>()?,
             (NeutralRho::Table(file), Some(band)) => {
                 let light = self.light.spectrum.as_deref();
-                let light = light.map(|file| spectra(folder, "light.spectrum", file)).transpose()?;
-                let light = light.as_ref().map(|columns| &columns[0]);
+                let light = light.map(|file| spectrum(folder, "light.spectrum", file)).transpose()?;
                 let patches = spectra(folder, "neutral.rho", file)?;
-                let mean = |patch| Ok([band.mean("neutral.rho", patch, light)?; 3]);
+                let mean = |patch| Ok([band.mean("neutral.rho", patch, light.as_ref())?; 3]);
                 patches.iter().map(mean).collect::<Result<_, _>>()?
             }
             (NeutralRho::Table(file), None) => {
@@ -271,15 +270,38 @@ fn spectra(folder: &Path, field: &str, file: &str) -> Result<Vec<Spectrum>, Inva
     Spectrum::read(&path).map_err(|e| Invalid::new(field, format!("{file:?}"), format!("{e:#}")))
 }
 
-/// Patterns of files with the name of a band in its place.
-fn of_band(globs: &[String], band: Option<&Band>) -> Vec<String> {
-    let name = band.map_or(PLACE, |band| band.name.as_str());
-    globs.iter().map(|glob| glob.replace(PLACE, name)).collect()
+/// The only column of a table over wavelength.
+fn spectrum(folder: &Path, field: &str, file: &str) -> Result<Spectrum, Invalid> {
+    let mut columns = spectra(folder, field, file)?;
+    if columns.len() == 1 {
+        Ok(columns.swap_remove(0))
+    } else {
+        let given = format!("{file:?} with {} columns of values", columns.len());
+        Err(Invalid::new(field, given, "one column of values is needed"))
+    }
+}
+
+/// The files that match patterns, with the name of a band in its place.
+fn files_of_band(
+    folder: &Path,
+    field: &str,
+    globs: &[String],
+    band: Option<&Band>,
+) -> Result<Vec<PathBuf>, Invalid> {
+    let Some(band) = band else {
+        if let Some((i, glob)) = globs.iter().enumerate().find(|(_, glob)| glob.contains(PLACE)) {
+            let allowed = format!("{PLACE} stands for the name of a band: add a [[band]] for each");
+            return Err(Invalid::new(format!("{field}[{i}]"), format!("{glob:?}"), allowed));
+        }
+        return files_of(folder, field, globs);
+    };
+    let globs: Vec<String> = globs.iter().map(|glob| glob.replace(PLACE, &band.name)).collect();
+    files_of(folder, field, &globs)
 }
 
 fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sample, Invalid> {
     let SampleTable { material, thickness_mm, thickness_std_error_mm, shots } = table;
-    let (thickness_mm, shots) = (*thickness_mm, of_band(shots, band));
+    let thickness_mm = *thickness_mm;
     let within = |field: &str, value: f64, from: f64, to: f64| {
         let allowed = format!("allowed are {from} to {to}");
         if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
@@ -298,7 +320,7 @@ fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sam
             0.0,
             1.0,
         )?,
-        shots: needed("shots", files_of(folder, "shots", &shots)?)?,
+        shots: needed("shots", files_of_band(folder, "shots", shots, band)?)?,
     })
 }
 

@@ -124,6 +124,10 @@ impl Shots {
             (SampleLayout::Mosaic(_), BandPixels::Mono) => {
                 bail!("it has a mosaic of colours: set `channel` of the band to \"R\", \"G\" or \"B\"")
             }
+            (SampleLayout::Mosaic(None), BandPixels::Colour(_)) if self.pattern.is_none() => bail!(
+                "the file states no mosaic of colours: leave `channel` of the band out if the camera is monochrome, or set \
+                 `pattern` under [camera]"
+            ),
             (layout @ SampleLayout::Mosaic(_), BandPixels::Colour(colour)) => {
                 let Pattern::Bayer(colours) = self.mosaic(layout)? else { bail!("it is no mosaic") };
                 Pattern::only(colours, colour)

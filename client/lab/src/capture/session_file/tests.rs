@@ -147,3 +147,91 @@ fn byte_order_marks_are_read() {
         "{comma}"
     );
 }
+
+/// A session file with two bands, in a folder with their photographs; `change` replaces a part of it by another.
+fn read_bands(change: (&str, &str)) -> Result<CaptureSession> {
+    let folder = tempfile::tempdir().unwrap();
+    for band in ["blue", "630"] {
+        for name in ["chart", "board", "white"] {
+            write(folder.path().join(format!("{band}_{name}.pgm")), "").unwrap();
+        }
+    }
+    write(folder.path().join("dark.pgm"), "").unwrap();
+    write(folder.path().join("rho.csv"), "wavelength_nm,a,b,c\n400,0.8,0.4,0.1\n700,0.95,0.4,0.1\n").unwrap();
+    let text = r#"
+[camera]
+dark = ["dark.pgm"]
+[neutral]
+shots = ["{band}_chart.pgm"]
+rho = "rho.csv"
+[target]
+bare = ["{band}_board.pgm"]
+[[band]]
+name = "blue"
+wavelength_nm = 450
+fwhm_nm = 10
+[[band]]
+wavelength_nm = 630
+fwhm_nm = 10
+[[sample]]
+material = "white"
+thickness_mm = 0.5
+shots = ["{band}_white.pgm"]
+"#;
+    assert!(text.contains(change.0), "{}", change.0);
+    let path = folder.path().join("session.toml");
+    write(&path, text.replacen(change.0, change.1, 1)).unwrap();
+    CaptureSession::read(&path)
+}
+
+/// Each band has its own photographs and reflectances; dark shots may be shared.
+#[test]
+fn bands_have_their_own_photographs() {
+    let session = read_bands(("", "")).unwrap();
+    let names = session.shots().map(|p| p.file_stem().unwrap().to_str().unwrap().to_owned());
+    let expected =
+        ["dark", "blue_chart", "blue_board", "blue_white", "dark", "630_chart", "630_board", "630_white"];
+    assert_eq!(names.collect::<Vec<_>>(), expected);
+    let channels = session.parts.iter().map(|part| part.band.as_ref().unwrap().channel());
+    assert_eq!(channels.collect::<Vec<_>>(), ["450", "630"]);
+    let white = |nm: f64| 0.8 + 0.15 * (nm - 400.0) / 300.0;
+    for (part, nm) in session.parts.iter().zip([450.0, 630.0]) {
+        let expected = Neutral::new(vec![[white(nm); 3], [0.4; 3], [0.1; 3]], 0.01, None).unwrap();
+        let rho = |neutral: &Neutral| format!("{neutral:.9?}");
+        assert_eq!(rho(&part.neutral), rho(&expected));
+    }
+}
+
+/// Messages name the band's field and the remedy.
+#[test]
+fn wrong_bands_are_refused() {
+    for (from, to, message) in [
+        (
+            "{band}_board",
+            "630_board",
+            "the photograph is also in target.bare; each may be used once, and {band}",
+        ),
+        ("name = \"blue\"", "name = \"630\"", "band[1].name = 630 is not valid: each band needs another one"),
+        (
+            "\"rho.csv\"",
+            "[[0.9, 0.9, 0.9], 0.5, 0.1]",
+            "bands need one number a patch, or a table over wavelength",
+        ),
+        (
+            "[target]",
+            "[light]\nspectrum = \"rho.csv\"\n[target]",
+            "\"rho.csv\" with 3 columns of values is not valid",
+        ),
+        ("fwhm_nm = 10", "fwhm_nm = 200", "neutral.rho = 195.2 nm is not valid: the table has 400 to 700 nm"),
+        (
+            "fwhm_nm = 10",
+            "fwhm_nm = 10\nchannel = \"IR\"",
+            "band[0].channel = \"IR\" is not valid: allowed are \"mono\"",
+        ),
+    ] {
+        let refused = format!("{:#}", read_bands((from, to)).unwrap_err());
+        assert!(refused.contains(message), "{refused}");
+    }
+    let plain = refused("white_*.pgm", "{band}_white.pgm");
+    assert!(plain.contains("{band} stands for the name of a band: add a [[band]] for each"), "{plain}");
+}
