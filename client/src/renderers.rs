@@ -1,11 +1,12 @@
 //! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
 //!
 //! Both renderers describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
-//! one phase function. A material becomes one medium where its channels are R, G and B or wavelengths in nm and have a
-//! common phase function, and one medium per channel otherwise.
+//! one phase function. A material becomes one medium where its channels are R, G and B with a common phase function, or
+//! wavelengths in nm, whose g may differ; and one medium per channel otherwise.
 
 mod mitsuba;
 mod pbrt;
+mod similar;
 
 use std::collections::HashSet;
 
@@ -16,6 +17,7 @@ use optics_model::phase::SecondLobe;
 
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
+use similar::{SIMILAR, mean_g, with_common_g};
 
 /// Whether a measurement determines a channel's medium.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -123,31 +125,6 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
         }
     }
     blocks
-}
-
-/// A note on media whose g differs between wavelengths.
-const SIMILAR: &str = "g differs between wavelengths and a medium takes one: sigma_s is scaled so that sigma_s (1 - g) is as measured.";
-
-/// The mean anisotropy, weighted by σ_s.
-fn mean_g(channels: &[RenderedChannel]) -> f64 {
-    let sigma_s = |c: &RenderedChannel| c.medium.sigma_t_per_mm() * c.medium.albedo();
-    let sum: f64 = channels.iter().map(|c| sigma_s(c) * c.medium.g()).sum();
-    sum / channels.iter().map(sigma_s).sum::<f64>().max(f64::MIN_POSITIVE)
-}
-
-/// Channels of wavelengths with one anisotropy, similar to theirs: σ_s (1 − g) and σ_a are the same. None for other
-/// channels, and where second lobes differ.
-fn with_common_g<'a>(channels: &[RenderedChannel<'a>]) -> Option<Vec<RenderedChannel<'a>>> {
-    let (g, second_lobe) = (mean_g(channels), channels.first()?.second_lobe);
-    let similar = |c: &RenderedChannel<'a>| {
-        let same = wavelength_nm(c.name).is_some() && c.second_lobe == second_lobe;
-        let (sigma_t, albedo) = (c.medium.sigma_t_per_mm(), c.medium.albedo());
-        let sigma_s = sigma_t * albedo * (1.0 - c.medium.g()) / (1.0 - g);
-        let sigma_t = sigma_s + sigma_t * (1.0 - albedo);
-        let medium = Medium::new(sigma_t, sigma_s / sigma_t, g).ok().filter(|_| same)?;
-        Some(RenderedChannel { medium, ..*c })
-    };
-    channels.iter().map(similar).collect()
 }
 
 /// The values of exactly R, G and B, and their description.

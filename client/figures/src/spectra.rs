@@ -1,6 +1,6 @@
 //! Draws measured media over wavelength: what they scatter and absorb, and g, with 95 % intervals as bands.
 
-use optics_model::fit::{Interval, MaterialFit, Refined};
+use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined};
 use optics_model::measurement::wavelength_nm;
 
 use crate::drawing::axis::{Axis, extent};
@@ -95,7 +95,7 @@ pub fn spectra_figure(fits: &[MaterialFit]) -> Option<Picture> {
 
 fn spectrum(fit: &MaterialFit) -> Option<MaterialSpectrum<'_>> {
     let channel = |c| {
-        let optics_model::fit::ChannelFit { channel, refined, .. }: &optics_model::fit::ChannelFit = c;
+        let ChannelFit { channel, refined, .. }: &ChannelFit = c;
         Some((wavelength_nm(channel)?, refined.as_ref()?))
     };
     let mut channels = fit.channels.iter().map(channel).collect::<Option<Vec<_>>>()?;

@@ -261,3 +261,30 @@ impl fmt::Debug for Frame {
         write!(f, "Frame {{ {} × {}, {:?} }}", self.width, self.height, self.pattern)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every pixel of a channel is in exactly one of its sites, and no other pixel is; each part has samples.
+    #[test]
+    fn parts_of_a_channel_divide_its_pixels() {
+        let rggb = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
+        let patterns = [
+            (Pattern::MONOCHROME, vec![true; 4]),
+            (Pattern::only(rggb, Colour::Red), vec![true, false, false, false]),
+            (Pattern::only(rggb, Colour::Green), vec![false, true, true, false]),
+        ];
+        for (pattern, own) in patterns {
+            let sites = pattern.sites();
+            for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x, y))) {
+                let position = x % 2 + 2 * (y % 2);
+                let of: Vec<&Site> = sites.iter().filter(|s| s.has_column(x) && s.has_row(y)).collect();
+                assert_eq!(of.len(), usize::from(own[position]), "{pattern:?} {x} {y}");
+                assert!(of.iter().all(|site| site.position == position));
+            }
+            assert!(Colour::ALL.iter().all(|colour| sites.iter().any(|site| site.colour == *colour)));
+            assert!(sites.iter().enumerate().all(|(i, site)| site.index == i));
+        }
+    }
+}

@@ -109,7 +109,8 @@ impl FitChannel {
     /// descriptions (in small dictionaries gradients, too) for the whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid, channel: usize) -> usize {
         let is_seen = grid.scene().seen_channels().any(|seen| seen == channel);
-        let beyond = if is_seen { responses::bytes_of(grid) + 2 * view::bytes_of(grid) } else { 0 };
+        let beyond = || responses::bytes_of(grid).saturating_add(2 * view::bytes_of(grid));
+        let beyond = if is_seen { beyond() } else { 0 };
         records::bytes_of(grid).saturating_add(beyond)
     }
 }

@@ -137,7 +137,8 @@ class Measured:
     mu_chosen: bool
     """Whether it was estimated, not given."""
     g: float | None
-    """The common anisotropy, the mean cosine of the phase function; None if every channel has its own."""
+    """The common anisotropy, the mean cosine of the phase function; None if every channel has its own, or each
+    wavelength."""
     g_interval: Interval | None
     dictionary: str
     scale: ScaleCurve | None = field(default=None, repr=False)

@@ -67,6 +67,8 @@ pub struct BandSession {
     /// Shots of each slab.
     pub shots: u64,
     pub camera: Camera,
+    /// The camera's channel behind the filters; None of a monochrome one.
+    pub channel: Option<&'static str>,
     /// Walks of a slab's profile.
     pub walks: u64,
     pub seed: u64,
@@ -95,6 +97,7 @@ impl BandSession {
             slabs_mm: vec![0.5, 1.0],
             shots: 2,
             camera,
+            channel: None,
             walks: 2_000_000,
             seed,
         }
@@ -183,7 +186,8 @@ impl BandSession {
             bare = [\"{band}_board_*.dng\"]\ndark_side = \"left\"\n"
                 .to_owned();
         for nm in &self.wavelengths_nm {
-            _ = write!(text, "\n[[band]]\nwavelength_nm = {nm}\nfwhm_nm = 10\n");
+            let channel = self.channel.map_or_else(String::new, |channel| format!("channel = {channel:?}\n"));
+            _ = write!(text, "\n[[band]]\nwavelength_nm = {nm}\nfwhm_nm = 10\n{channel}");
         }
         for material in &self.materials {
             for slab_mm in &self.slabs_mm {

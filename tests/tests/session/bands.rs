@@ -2,13 +2,13 @@
 //!
 //! A monochrome camera photographs white and magenta; g falls with wavelength, and the lens has lateral colour and is
 //! sharpest in the green. With `FARM_TEST_EFFORT=10` there are 8 bands and the paper's whole grid, with 40 there are 31
-//! bands and five materials: 810 photographs, 300 MB.
+//! bands and five materials: 868 photographs, 300 MB.
 
 use std::path::Path;
 
 use farm_tests::cli::{folder, json};
 use farm_tests::dng::dng;
-use farm_tests::photograph::{BandSession, EXAMPLE_NM, SpectralMaterial, spectral_nm};
+use farm_tests::photograph::{BandSession, Camera, EXAMPLE_NM, SpectralMaterial, spectral_nm};
 use farm_tests::process::run;
 use farm_tests::statistics::effort;
 use optics_capture::{Frame, Pattern};
@@ -163,4 +163,28 @@ fn mosaics_are_not_monochrome() {
     ];
     std::fs::write(folder.path().join(file), dng(&photo(Pattern::Bayer(colours)))).unwrap();
     refused("it has a mosaic of colours: set `channel` of the band to \"R\", \"G\" or \"B\"");
+}
+
+/// One colour of a mosaic gives the profiles of a monochrome camera, with the noise of fewer pixels.
+#[test]
+fn colour_cameras_record_bands() {
+    let of = |channel: Option<&'static str>| {
+        let materials = SpectralMaterial::ALL[..1].to_vec();
+        let mono = BandSession { walks: 50_000, materials, ..BandSession::small(&[550.0], 1) };
+        let camera = Camera { monochrome: channel.is_none(), ..mono.camera.clone() };
+        let folder = folder();
+        captured(&BandSession { camera, channel, ..mono }, folder.path())["profiles"].clone()
+    };
+    let [mono, green, red] = [None, Some("G"), Some("R")].map(of);
+    let number = |profiles: &Value, slab: usize, field: &str| profiles[slab][field].as_f64().unwrap();
+    for (other, share) in [(&green, 0.5_f64), (&red, 0.25)] {
+        for slab in 0..2 {
+            for field in ["dark", "light"] {
+                let [one, two] = [&mono, other].map(|profiles| number(profiles, slab, field));
+                assert!((one / two - 1.0).abs() < 1e-3, "{field}: {one} {two}");
+            }
+            let noise = number(other, slab, "noise") / number(&mono, slab, "noise");
+            assert!((noise * share.sqrt() - 1.0).abs() < 0.1, "{share} of the pixels: noise {noise}");
+        }
+    }
 }

@@ -70,7 +70,7 @@ impl Band {
                 let allowed = "allowed are 0.1 nm to half of the wavelength";
                 return Err(Invalid::new("fwhm_nm", fwhm_nm, allowed));
             }
-            (None, Some(file)) => Filter::Table(transmission(&file)?),
+            (None, Some(file)) => Filter::Table(of_band(transmission(&file)?, &file, nm)?),
             (given, _) => {
                 let given = if given.is_some() { "two filters" } else { "no filter" };
                 let allowed = "a band needs fwhm_nm, or transmission with a table of its filter";
@@ -110,8 +110,15 @@ impl Band {
         let (from, to) = self.range_nm();
         let steps = ((to - from) / STEP_NM).ceil().max(1.0);
         let places: Vec<f64> = (0..=steps as usize).map(|i| from + (to - from) * i as f64 / steps).collect();
-        let weight = |nm: f64| Ok(self.transmission(nm) * light.map_or(Ok(1.0), |l| l.within("light", nm))?);
-        let mut weights = places.iter().map(|nm| weight(*nm)).collect::<Result<Vec<f64>, Invalid>>()?;
+        let transmitted: Vec<f64> = places.iter().map(|nm| self.transmission(*nm)).collect();
+        let least = NEGLIGIBLE * transmitted.iter().copied().fold(0.0, f64::max);
+        let weight = |(nm, transmitted): (&f64, f64)| match light {
+            Some(light) if transmitted > least => Ok(transmitted * light.within("light.spectrum", *nm)?),
+            Some(_) => Ok(0.0),
+            None => Ok(transmitted),
+        };
+        let weights = places.iter().zip(transmitted).map(weight).collect::<Result<Vec<f64>, Invalid>>();
+        let mut weights = weights?;
         // Half an interval lies at each end.
         for end in [0, places.len() - 1] {
             weights[end] *= 0.5;
@@ -125,7 +132,8 @@ impl Band {
         if whole > 0.0 {
             Ok(sum / whole)
         } else {
-            Err(Invalid::new("light", "0 in the whole band", "a band needs light"))
+            let given = format!("0 in the whole band of {} nm", self.wavelength_nm);
+            Err(Invalid::new("light.spectrum", given, "a band needs light"))
         }
     }
 
@@ -147,6 +155,15 @@ impl Band {
             Filter::Table(table) => table.at(nm),
         }
     }
+}
+
+/// The transmission of a filter; refused if the band's wavelength does not lie where it is half of its maximum or more.
+fn of_band(table: Spectrum, file: &str, nm: f64) -> Result<Spectrum, Invalid> {
+    if table.greatest() > 0.0 && table.at(nm) >= 0.5 * table.greatest() {
+        return Ok(table);
+    }
+    let given = format!("{file:?} with {} of its greatest {} at {nm} nm", table.at(nm), table.greatest());
+    Err(Invalid::new("transmission", given, "the filter of a band transmits at its wavelength_nm"))
 }
 
 fn pixels(channel: Option<&str>) -> Result<BandPixels, Invalid> {
@@ -256,5 +273,26 @@ mod tests {
             let refused = Band::new(table(fwhm, file), |_| unreachable!()).unwrap_err().to_string();
             assert!(refused.starts_with(message), "{refused}");
         }
+        let other = |_: &str| Ok(spectrum(&[(440.0, 0.0), (450.0, 0.8), (460.0, 0.0)]));
+        let refused = Band::new(table(None, Some("450.csv")), other).unwrap_err().to_string();
+        assert!(
+            refused.starts_with("transmission = \"450.csv\" with 0 of its greatest 0.8 at 550 nm"),
+            "{refused}"
+        );
+    }
+
+    /// A lamp's table need not reach where the filter transmits nothing.
+    #[test]
+    fn lamps_are_needed_within_the_filter_only() {
+        let filter =
+            spectrum(&[(300.0, 0.0), (545.0, 0.0), (546.0, 1.0), (554.0, 1.0), (555.0, 0.0), (900.0, 0.0)]);
+        let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
+        let line = spectrum(&[(500.0, 0.0), (600.0, 1.0)]);
+        let mean = |lamp: &[(f64, f64)]| band.mean("rho", &line, Some(&spectrum(lamp)));
+        assert!((mean(&[(500.0, 1.0), (600.0, 1.0)]).unwrap() - 0.5).abs() < 1e-9);
+        let short = mean(&[(500.0, 1.0), (550.0, 1.0)]).unwrap_err().to_string();
+        assert!(short.starts_with("light.spectrum = 550.5 nm is not valid"), "{short}");
+        let dark = mean(&[(500.0, 0.0), (600.0, 0.0)]).unwrap_err().to_string();
+        assert!(dark.starts_with("light.spectrum = 0 in the whole band of 550 nm"), "{dark}");
     }
 }

@@ -85,11 +85,6 @@ impl CapturedChannel<'_> {
         of.map(|line| self.of_line(sample, line).powi(2)).sum::<f64>().sqrt()
     }
 
-    /// The standard error of each source.
-    pub fn budget(&self, sample: &CapturedSample) -> Vec<(Source, f64)> {
-        sample.profile.budget.iter().map(|line| (line.source, self.of_line(sample, line))).collect()
-    }
-
     fn of_line(&self, sample: &CapturedSample, line: &Contribution) -> f64 {
         match (line.source, self.columns) {
             (Source::Noise, [_, ..]) if self.columns.len() > 1 => mean(&self.profile(sample).std_errors),

@@ -1,12 +1,13 @@
 //! Reads session files in TOML: the photographs, and the known values of patches, board and slabs.
 
 mod doubts;
+mod neutral;
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use optics_capture::{Area, Colour, Neutral, Side, Target};
+use optics_capture::{Colour, Neutral, Side, Target};
 use optics_model::Invalid;
 use serde::Deserialize;
 
@@ -15,6 +16,7 @@ use super::globs::files_of;
 use super::spectrum::Spectrum;
 use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
+use neutral::NeutralTable;
 
 const WHAT: &str = "session file";
 /// The field of dark shots.
@@ -128,31 +130,6 @@ struct CameraTable {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct NeutralTable {
-    shots: Vec<String>,
-    rho: NeutralRho,
-    std_error: Option<f64>,
-    areas_px: Option<Vec<[f64; 4]>>,
-}
-
-/// Reflectances of the patches, or a table of them over wavelength.
-#[derive(Debug, Clone, Deserialize)]
-#[serde(untagged)]
-enum NeutralRho {
-    Each(Vec<Rho>),
-    Table(String),
-}
-
-/// A reflectance for all channels, or one for each.
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(untagged)]
-enum Rho {
-    All(f64),
-    Each([f64; 3]),
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
 struct TargetTable {
     bare: Vec<String>,
     square_mm: Option<f64>,
@@ -172,7 +149,6 @@ struct SampleTable {
 /// The squares and patches of the paper: defaults of fields that a session omits.
 const SQUARE_MM: f64 = 20.0;
 const SQUARE_STD_ERROR_MM: f64 = 0.01;
-const NEUTRAL_STD_ERROR: f64 = 0.01;
 const THICKNESS_STD_ERROR_MM: f64 = 0.005;
 
 impl SessionFile {
@@ -189,10 +165,13 @@ impl SessionFile {
             return Err(Invalid::new("sample", "none", "at least one [[sample]] is needed"));
         }
         let bands = self.read_bands(folder)?;
+        let light = self.light.spectrum.as_deref();
+        let light = light.map(|file| Spectrum::only_in(folder, "light.spectrum", file)).transpose()?;
+        let part = |band| self.part(folder, band, light.as_ref());
         let parts = if bands.is_empty() {
-            vec![self.part(folder, None)?]
+            vec![part(None)?]
         } else {
-            bands.into_iter().map(|band| self.part(folder, Some(band))).collect::<Result<_, _>>()?
+            bands.into_iter().map(|band| part(Some(band))).collect::<Result<_, _>>()?
         };
         check_once(&parts)?;
         check_slabs(&parts[0].samples)?;
@@ -201,7 +180,7 @@ impl SessionFile {
 
     fn read_bands(&self, folder: &Path) -> Result<Vec<Band>, Invalid> {
         let band = |(i, table): (usize, &BandTable)| {
-            let read = |file: &str| spectrum(folder, "transmission", file);
+            let read = |file: &str| Spectrum::only_in(folder, "transmission", file);
             Band::new(table.clone(), read).map_err(|e| e.within(format_args!("band[{i}]")))
         };
         let bands = self.bands.iter().enumerate().map(band).collect::<Result<Vec<_>, _>>()?;
@@ -210,7 +189,12 @@ impl SessionFile {
     }
 
     /// The photographs of a band, or those of red, green and blue.
-    fn part(&self, folder: &Path, band: Option<Band>) -> Result<SessionPart, Invalid> {
+    fn part(
+        &self,
+        folder: &Path,
+        band: Option<Band>,
+        light: Option<&Spectrum>,
+    ) -> Result<SessionPart, Invalid> {
         let files = |field: &str, globs: &[String]| files_of_band(folder, field, globs, band.as_ref());
         let sample = |(i, table): (usize, &SampleTable)| {
             sample(folder, table, band.as_ref()).map_err(|e| e.within(format_args!("sample[{i}]")))
@@ -219,65 +203,11 @@ impl SessionFile {
             dark: files(DARK, &self.camera.dark)?,
             flat: files("camera.flat", &self.camera.flat)?,
             neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
-            neutral: self.neutral(folder, band.as_ref())?,
+            neutral: self.neutral.read(folder, band.as_ref(), light)?,
             bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
             samples: self.samples.iter().enumerate().map(sample).collect::<Result<_, _>>()?,
             band,
         })
-    }
-
-    /// The patches, with their reflectances in a band.
-    fn neutral(&self, folder: &Path, band: Option<&Band>) -> Result<Neutral, Invalid> {
-        let table = &self.neutral;
-        let rho = match (&table.rho, band) {
-            (NeutralRho::Each(rho), _) => rho.iter().map(|rho| rho.of(band)).collect::<Result<_, _>>()?,
-            (NeutralRho::Table(file), Some(band)) => {
-                let light = self.light.spectrum.as_deref();
-                let light = light.map(|file| spectrum(folder, "light.spectrum", file)).transpose()?;
-                let patches = spectra(folder, "neutral.rho", file)?;
-                let mean = |patch| Ok([band.mean("neutral.rho", patch, light.as_ref())?; 3]);
-                patches.iter().map(mean).collect::<Result<_, _>>()?
-            }
-            (NeutralRho::Table(file), None) => {
-                let allowed = "a table over wavelength needs [[band]]; red, green and blue need numbers";
-                return Err(Invalid::new("neutral.rho", format!("{file:?}"), allowed));
-            }
-        };
-        let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
-        let areas = table.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
-        let std_error = table.std_error.unwrap_or(NEUTRAL_STD_ERROR);
-        Neutral::new(rho, std_error, areas).map_err(|e| e.within("neutral"))
-    }
-}
-
-impl Rho {
-    /// Its values in the columns of a part; a band has one value.
-    fn of(&self, band: Option<&Band>) -> Result<[f64; 3], Invalid> {
-        match self {
-            Self::All(value) => Ok([*value; 3]),
-            Self::Each(values) if band.is_none() => Ok(*values),
-            Self::Each(values) => {
-                let allowed = "bands need one number a patch, or a table over wavelength";
-                Err(Invalid::new("neutral.rho", format!("{values:?}"), allowed))
-            }
-        }
-    }
-}
-
-/// The columns of a table over wavelength, whose name stands in a field.
-fn spectra(folder: &Path, field: &str, file: &str) -> Result<Vec<Spectrum>, Invalid> {
-    let path = folder.join(file);
-    Spectrum::read(&path).map_err(|e| Invalid::new(field, format!("{file:?}"), format!("{e:#}")))
-}
-
-/// The only column of a table over wavelength.
-fn spectrum(folder: &Path, field: &str, file: &str) -> Result<Spectrum, Invalid> {
-    let mut columns = spectra(folder, field, file)?;
-    if columns.len() == 1 {
-        Ok(columns.swap_remove(0))
-    } else {
-        let given = format!("{file:?} with {} columns of values", columns.len());
-        Err(Invalid::new(field, given, "one column of values is needed"))
     }
 }
 

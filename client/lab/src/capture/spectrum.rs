@@ -19,9 +19,26 @@ pub(super) struct Spectrum {
 
 impl Spectrum {
     /// The quantities of a file, in the order of their columns. Lines beginning with # are comments.
-    pub fn read(path: &Path) -> Result<Vec<Self>> {
+    fn read(path: &Path) -> Result<Vec<Self>> {
         let what = "table of wavelengths";
         Self::parse(&read_text(path, what)?).with_context(|| format!("{what} {}", path.display()))
+    }
+
+    /// The quantities of a file whose name stands in a field of a file in `folder`.
+    pub fn read_in(folder: &Path, field: &str, file: &str) -> Result<Vec<Self>, Invalid> {
+        let read = Self::read(&folder.join(file));
+        read.map_err(|e| Invalid::new(field, format!("{file:?}"), format!("{e:#}")))
+    }
+
+    /// The only quantity of such a file.
+    pub fn only_in(folder: &Path, field: &str, file: &str) -> Result<Self, Invalid> {
+        let mut columns = Self::read_in(folder, field, file)?;
+        if columns.len() == 1 {
+            Ok(columns.swap_remove(0))
+        } else {
+            let given = format!("{file:?} with {} columns of values", columns.len());
+            Err(Invalid::new(field, given, "one column of values is needed"))
+        }
     }
 
     pub fn parse(text: &str) -> Result<Vec<Self>> {
@@ -57,6 +74,10 @@ impl Spectrum {
 
     pub fn range_nm(&self) -> (f64, f64) {
         (self.rows[0].0, self.rows[self.rows.len() - 1].0)
+    }
+
+    pub fn greatest(&self) -> f64 {
+        self.rows.iter().map(|(_, value)| *value).fold(0.0, f64::max)
     }
 
     /// Standard deviation of wavelengths that are weighted by the values, by the trapezoidal rule; 0 if all values are 0.

@@ -186,6 +186,7 @@ fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -
         () if objective == Objective::Likelihood => return Ok(()),
         () if args.output.is_some() => "--output",
         () if args.bound => "--bound",
+        () if args.g_change.is_some() => "--g-change",
         () if is_session => "the folder of a session, whose report has media",
         () => return Ok(()),
     };

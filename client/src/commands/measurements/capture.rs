@@ -89,6 +89,9 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     Ok(ExitCode::SUCCESS)
 }
 
+/// Most channels whose ρ are printed.
+const MOST_SHOWN: usize = 6;
+
 /// Resolution of the progress bar.
 const STEPS: u64 = 1000;
 
@@ -130,7 +133,12 @@ fn set_up_text(captured: &Captured) -> String {
     let errors = SessionErrors::of(captured);
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
     let rho = captured.channels().into_iter().map(|channel| channel.rho());
-    let rho: Vec<String> = rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).collect();
+    let mut rho: Vec<String> =
+        rho.map(|rho| format!("{:.3}/{:.4}", rho.light.value, rho.dark.value)).collect();
+    if rho.len() > MOST_SHOWN {
+        // Those between are in session.json.
+        rho.splice(1..rho.len() - 1, ["…".to_owned()]);
+    }
     let first = &captured.parts[0].board;
     let board = format!(
         "board: {:.3} px/mm, turned by {:.2}°, ρ {}",

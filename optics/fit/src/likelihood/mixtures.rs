@@ -25,6 +25,7 @@ use crate::dictionary::axes::held;
 use crate::likelihood::joint::{all_channels, scales};
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::problem::ChannelData;
+use crate::likelihood::problem::anisotropies::curve_nm;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
 use crate::likelihood::system::descent::{COARSE, FINE};
 use crate::likelihood::system::quantity::Quantity;
@@ -81,7 +82,10 @@ pub(crate) fn unmix(
     let models: Vec<Surrogate> =
         channels.iter().map(|data| Surrogate::new(dictionary, data.channel, ior)).collect();
     let sharing = Sharing {
-        g: plan.common_g && held(dictionary.grid(), options)[2].is_none(),
+        // Inks have no curve over wavelength: where g is one, it is free in every channel.
+        g: plan.common_g
+            && held(dictionary.grid(), options)[2].is_none()
+            && (plan.g_change == 0.0 || curve_nm(&channels).is_none()),
         g_change: 0.0,
         scale: plan.search_mu.as_ref().map(|range| {
             let scales = scales(Some(range), options.settings().mu);

@@ -1,6 +1,7 @@
 //! Renders the bands of a session: where they show the board, how sharp, and their profiles.
 
 use farm_figures::{EdgeCurve, edge_figure};
+use optics_capture::EdgeProfile;
 
 use super::set_up::{exposure, with_error};
 use super::{escaped, warnings};
@@ -62,8 +63,7 @@ fn figure(channel: &CapturedChannel) -> String {
     let all: Vec<_> =
         std::iter::once(("bare board".to_owned(), channel.bare_profile())).chain(samples).collect();
     let curve = |(label, profile)| {
-        let optics_capture::EdgeProfile { x_mm, values, std_errors, .. }: &optics_capture::EdgeProfile =
-            profile;
+        let EdgeProfile { x_mm, values, std_errors, .. }: &EdgeProfile = profile;
         EdgeCurve { channel: label, x_mm, values, std_errors }
     };
     let curves: Vec<EdgeCurve> =

@@ -16,7 +16,7 @@ pub struct Media {
     /// Empty if the scene was taken as exact.
     pub estimates: Vec<EstimateRow>,
     pub budget: Option<ErrorBudget>,
-    /// The media over wavelength, as SVG; None for red, green and blue. Then all else is folded.
+    /// The media over wavelength, as SVG, if there are three bands or more; then numbers are folded.
     pub spectra: Option<String>,
     /// Figures of the fits, as SVG.
     pub figures: Vec<String>,

@@ -222,6 +222,7 @@ fn wrong_bands_are_refused() {
             "[light]\nspectrum = \"rho.csv\"\n[target]",
             "\"rho.csv\" with 3 columns of values is not valid",
         ),
+        ("\"rho.csv\"", "true", "must be a list with a number or three for each patch"),
         ("fwhm_nm = 10", "fwhm_nm = 200", "neutral.rho = 195.2 nm is not valid: the table has 400 to 700 nm"),
         (
             "fwhm_nm = 10",
