@@ -7,7 +7,7 @@
 
 use crate::grid::{Effort, Grid, NoiseLevel, Responses};
 use crate::phase::PhaseShape;
-use crate::scene::{Channel, Layer, LayerMedium, Scene};
+use crate::scene::{Channel, DispersionCurve, Layer, LayerMedium, Scene};
 
 /// Protobuf's wire types.
 const VARINT: u32 = 0;
@@ -46,6 +46,9 @@ fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
         message(&mut of_prior, 2, &layers);
         number(&mut of_prior, 3, prior.std_error());
         whole(&mut of_prior, 4, prior.scope() as u64 + 1);
+        if let Some(dispersion) = prior.dispersion() {
+            message(&mut of_prior, 5, &curve(dispersion.curve()));
+        }
         message(&mut bytes, 1, &of_prior);
     }
     for variant in responses.variants() {
@@ -59,6 +62,17 @@ fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
     }
     if responses.walks_factor() > 1 {
         whole(&mut bytes, 3, u64::from(responses.walks_factor()));
+    }
+    bytes
+}
+
+fn curve(curve: &DispersionCurve) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    number(&mut bytes, 1, curve.cauchy_b_um2);
+    number(&mut bytes, 2, curve.cauchy_c_um4);
+    let lists = [&curve.sellmeier_b, &curve.sellmeier_c_um2, &curve.wavelength_nm, &curve.ior];
+    for (field, list) in (3..).zip(lists).filter(|(_, list)| !list.is_empty()) {
+        message(&mut bytes, field, &packed(list));
     }
     bytes
 }

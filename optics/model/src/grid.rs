@@ -62,6 +62,7 @@ impl Grid {
         derivatives: bool,
     ) -> Result<Self> {
         let scene = scene.into();
+        scene.check_dispersion().map_err(|e| e.within("scene"))?;
         let axes = Axes {
             sigma_t_per_mm: axis("sigma_t_per_mm", axes.sigma_t_per_mm, check_sigma_t)?,
             albedo: axis("albedo", axes.albedo, check_albedo)?,

@@ -4,13 +4,17 @@
 
 mod built_in;
 mod differences;
+mod dispersion;
 mod priors;
+mod wavelengths;
 
 use crate::angle::sin2;
 use crate::invalid::{Invalid, Result, check};
+use crate::measurement::wavelength_nm;
 use crate::medium::{check_ior, check_thickness};
 use crate::phase::PhaseShape;
 pub use differences::SceneDifference;
+pub use dispersion::{D_LINE_NM, Dispersion, DispersionCurve};
 pub use priors::{MAX_PRIORS, Prior, PriorKind, Scope};
 
 /// Most layers, channels and pixels that a scene may have.
@@ -84,6 +88,9 @@ fn check_roughness(value: f64) -> Result<f64> {
 /// reflectance.
 pub const DARKER_WHITE: f64 = 0.99;
 
+/// End of the name of such a channel.
+const UNDER_DARKER_WHITE: &str = " (white -1 %)";
+
 /// Least ρ of the dark side. A board that mirrors less of the lamps than the scene's coat does appears darker than a
 /// black base would under that coat, and ρ < 0 describes it: the radiance factor s + a ρ/(1 − b ρ) stays positive.
 pub const LEAST_RHO_DARK: f64 = -0.1;
@@ -129,7 +136,12 @@ impl Channel {
 
     /// Name of the channel with the base's ρ under a white reference that is darker by 1 %: [`DARKER_WHITE`].
     pub fn darker_white(name: &str) -> String {
-        format!("{name} (white -1 %)")
+        format!("{name}{UNDER_DARKER_WHITE}")
+    }
+
+    /// The wavelength in nm that the name is.
+    pub fn wavelength_nm(&self) -> Option<f64> {
+        wavelength_nm(self.name.strip_suffix(UNDER_DARKER_WHITE).unwrap_or(&self.name))
     }
 }
 

@@ -9,7 +9,10 @@ use optics_model::invalid::{Invalid, Result, each};
 use optics_model::medium::{Medium, TransportPoint};
 use optics_model::phase::{PhaseShape, PhaseTable, SecondLobe};
 use optics_model::profile::{Derivatives, Estimate, Profile, Record};
-use optics_model::scene::{Channel, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Scope, Sensor};
+use optics_model::scene::{
+    Channel, Dispersion, DispersionCurve, Layer, LayerMedium, Prior, PriorKind, RingLight, Scene, Scope,
+    Sensor,
+};
 
 impl From<&Scene> for wire::Scene {
     fn from(scene: &Scene) -> Self {
@@ -85,7 +88,34 @@ impl From<&Prior> for wire::Prior {
             layers: prior.layers().iter().map(|l| *l as u32).collect(),
             std_error: prior.std_error(),
             scope: prior.scope().number(),
+            dispersion: prior.dispersion().map(|dispersion| dispersion.curve().into()),
         }
+    }
+}
+
+impl From<&DispersionCurve> for wire::DispersionCurve {
+    fn from(curve: &DispersionCurve) -> Self {
+        let DispersionCurve { cauchy_b_um2, cauchy_c_um4, sellmeier_b, sellmeier_c_um2, wavelength_nm, ior } =
+            curve.clone();
+        Self { cauchy_b_um2, cauchy_c_um4, sellmeier_b, sellmeier_c_um2, wavelength_nm, ior }
+    }
+}
+
+impl TryFrom<wire::DispersionCurve> for Dispersion {
+    type Error = Invalid;
+
+    fn try_from(curve: wire::DispersionCurve) -> Result<Self> {
+        let wire::DispersionCurve {
+            cauchy_b_um2,
+            cauchy_c_um4,
+            sellmeier_b,
+            sellmeier_c_um2,
+            wavelength_nm,
+            ior,
+        } = curve;
+        let curve =
+            DispersionCurve { cauchy_b_um2, cauchy_c_um4, sellmeier_b, sellmeier_c_um2, wavelength_nm, ior };
+        Self::new(curve)
     }
 }
 
@@ -97,7 +127,12 @@ impl TryFrom<wire::Prior> for Prior {
             |field: &str, number| Invalid::new(field, number, "this version does not have it: upgrade");
         let kind = PriorKind::of_number(prior.kind).ok_or_else(|| newer("kind", prior.kind))?;
         let scope = Scope::of_number(prior.scope).ok_or_else(|| newer("scope", prior.scope))?;
-        Self::new(kind, prior.layers.into_iter().map(|l| l as usize).collect(), prior.std_error, scope)
+        let layers = prior.layers.into_iter().map(|l| l as usize).collect();
+        let found = Self::new(kind, layers, prior.std_error, scope)?;
+        match prior.dispersion {
+            None => Ok(found),
+            Some(curve) => found.with_dispersion(Dispersion::try_from(curve)?),
+        }
     }
 }
 

@@ -9,9 +9,11 @@ use optics_tracer::BareBoard;
 
 use super::camera::Camera;
 use super::session::{GREYS, Look, Session, What};
-use super::subject::{Board, Slab};
+use super::subject::{Board, Edge, Slab};
 use super::traced::traced_channel;
 use crate::dng::dng;
+use crate::reference::root;
+use farm_lab::grid_file::read_scene;
 
 /// A resin: σ_s falls with wavelength, σ_a has a constant part and a Gaussian line.
 #[derive(Debug, Clone)]
@@ -48,6 +50,9 @@ impl SpectralMaterial {
     }
 }
 
+/// The scene's file in examples/bands.
+const SCENE: &str = "scene.toml";
+
 /// Bands of the example.
 pub const EXAMPLE_NM: [f64; 8] = [430.0, 470.0, 510.0, 550.0, 590.0, 630.0, 670.0, 710.0];
 
@@ -69,6 +74,10 @@ pub struct BandSession {
     pub camera: Camera,
     /// The camera's channel behind the filters; None of a monochrome one.
     pub channel: Option<&'static str>,
+    /// The set-up; its indices depend on the wavelength.
+    pub scene: Scene,
+    /// A share of the light of each band that has another wavelength in nm, which the filter does not block.
+    pub leak: Option<(f64, f64)>,
     /// Walks of a slab's profile.
     pub walks: u64,
     pub seed: u64,
@@ -98,6 +107,9 @@ impl BandSession {
             shots: 2,
             camera,
             channel: None,
+            scene: read_scene(&root().join("examples/bands").join(SCENE).to_string_lossy())
+                .expect("the example has a scene"),
+            leak: None,
             walks: 2_000_000,
             seed,
         }
@@ -126,22 +138,15 @@ impl BandSession {
             self.shoot_band(folder, band, *nm)?;
         }
         std::fs::write(folder.join("patches.csv"), patches())?;
+        std::fs::copy(root().join("examples/bands").join(SCENE), folder.join(SCENE))?;
         std::fs::write(folder.join("session.toml"), self.file())
     }
 
     fn shoot_band(&self, folder: &Path, band: usize, nm: f64) -> std::io::Result<()> {
-        let (scene, [light, dark]) = (Scene::lab(), Self::rho(nm));
-        let bare = BareBoard::of(&scene).expect("the scene has a board");
-        let (light_seen, dark_seen) = (bare.apparent(light), bare.apparent(dark));
-        let channel = Channel::new("band", light, dark).expect("a board of the example");
-        let scene = scene.with_channels(vec![channel]).expect("one channel");
-        let board = Board {
-            square_mm: 20.0,
-            light: [light_seen; 3],
-            dark: [dark_seen; 3],
-            sign: 1.0,
-            bow_per_mm: 0.0,
-        };
+        let lit = self.lit(nm);
+        let seen = |side: usize| lit.iter().map(|part| part.share * part.seen[side]).sum();
+        let board =
+            Board { square_mm: 20.0, light: [seen(0); 3], dark: [seen(1); 3], sign: 1.0, bow_per_mm: 0.0 };
         let (lens_mm, magnification) = Self::lens(nm);
         let camera = Camera {
             lens_mm: [lens_mm; 3],
@@ -150,7 +155,13 @@ impl BandSession {
             ..self.camera.clone()
         };
         let edge = |material: &SpectralMaterial, slab_mm: f64, seed: u64| {
-            let edge = traced_channel(&scene, &material.at(nm), slab_mm, self.walks, seed);
+            let traced = |part: &Lit| {
+                let medium = material.at(part.nm);
+                (part.share, traced_channel(&part.scene, &medium, slab_mm, self.walks, seed))
+            };
+            let edges: Vec<(f64, Edge)> = lit.iter().map(traced).collect();
+            let edge =
+                Edge::new(move |c, x_mm| edges.iter().map(|(share, edge)| share * edge.at(c, x_mm)).sum());
             Slab { board: board.clone(), edge, rim_mm: [-13.0, 13.0, -9.0, 9.0], bubble: None }
         };
         let look = Look { seed: self.seed * 100 + band as u64, flicker: 0.0005, exact: false, dust: None };
@@ -179,9 +190,22 @@ impl BandSession {
         shoot(&session, What::Chart, "chart_after", 1, 1)
     }
 
+    /// The wavelengths of a band's light.
+    fn lit(&self, nm: f64) -> Vec<Lit> {
+        let own = [(1.0 - self.leak.map_or(0.0, |(share, _)| share), nm)];
+        let of = |(share, nm): (f64, f64)| {
+            let [light, dark] = Self::rho(nm);
+            let channel = Channel::new(nm.to_string(), light, dark).expect("a board of the example");
+            let scene = self.scene.of_channel(&channel).expect("indices of the example");
+            let bare = BareBoard::of(&scene).expect("the scene has a board");
+            Lit { nm, share, seen: [bare.apparent(light), bare.apparent(dark)], scene }
+        };
+        own.into_iter().chain(self.leak).map(of).collect()
+    }
+
     fn file(&self) -> String {
         let mut text =
-            "[camera]\ndark = [\"{band}_dark_*.dng\"]\nflat = [\"{band}_flat_*.dng\"]\n\n[neutral]\n\
+            "scene = \"scene.toml\"\n\n[camera]\ndark = [\"{band}_dark_*.dng\"]\nflat = [\"{band}_flat_*.dng\"]\n\n[neutral]\n\
             shots = [\"{band}_chart_*.dng\"]\nrho = \"patches.csv\"\nstd_error = 0.005\n\n[target]\n\
             bare = [\"{band}_board_*.dng\"]\ndark_side = \"left\"\n"
                 .to_owned();
@@ -203,6 +227,16 @@ impl BandSession {
     }
 }
 
+/// Light of one wavelength in a band.
+struct Lit {
+    nm: f64,
+    /// Share of the light that the camera sees of white.
+    share: f64,
+    /// Radiance factors of the board's light and dark side.
+    seen: [f64; 2],
+    scene: Scene,
+}
+
 /// Reflectances of the grey patches over wavelength: neutral ones.
 fn patches() -> String {
     let head: String = (1..=GREYS.len()).map(|i| format!(",patch_{i}")).collect();
@@ -213,7 +247,19 @@ fn patches() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::root;
+    use optics_model::scene::Prior;
+
+    /// The scene of examples/bands is `lab`, but for its dispersion.
+    #[test]
+    fn band_example_has_the_scene_lab() {
+        let (scene, lab) = (BandSession::small(&EXAMPLE_NM, 1).scene, Scene::lab());
+        assert!(scene.is_dispersive());
+        let exact = |prior: &Prior| {
+            Prior::new(prior.kind(), prior.layers().to_vec(), prior.std_error(), prior.scope()).unwrap()
+        };
+        let priors = scene.priors().iter().map(exact).collect();
+        assert_eq!(scene.with_priors(priors).unwrap(), lab);
+    }
 
     /// The files of examples/bands are those that the maker writes, but for comments.
     #[test]

@@ -2,11 +2,11 @@
 
 mod camera;
 mod changes;
+mod records;
 
 use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -24,6 +24,7 @@ use crate::cli::whole_number;
 use crate::figure_files;
 use crate::output::{Output, envelope, write_whole};
 use camera::{NOISE, SimulatedCamera};
+use records::traced;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -277,13 +278,12 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Outpu
 
 /// Writes each profile as soon as it is traced.
 fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
-    let each = |job: &JobSpec| anyhow::Ok(optics_tracer::trace(job, &AtomicBool::new(false))?);
     match style {
         OutputStyle::Measurement { material, noise, seed } => {
             let mut camera = SimulatedCamera::new(*noise, *seed)?;
             let mut measurement = MeasurementWriter::new(&mut out, material)?;
             for job in jobs {
-                for Record { profiles, .. } in each(job)? {
+                for Record { profiles, .. } in traced(job)? {
                     let profiles = match &mut camera {
                         Some(camera) => camera.photograph(&profiles)?,
                         None => profiles,
@@ -295,7 +295,7 @@ fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<(
         }
         OutputStyle::Json(json) => {
             for job in jobs {
-                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                for (record, albedo) in traced(job)?.iter().zip(job.albedo()) {
                     let data = SimulateJson::new(json, job, *albedo, record);
                     writeln!(out, "{}", envelope("simulate", &data)?)?;
                 }
@@ -306,7 +306,7 @@ fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<(
             let media = if several { "sigma_t_per_mm,albedo,g,thickness_mm," } else { "" };
             writeln!(out, "{media}channel,x_mm,value,std_error")?;
             for job in jobs {
-                for (record, albedo) in each(job)?.iter().zip(job.albedo()) {
+                for (record, albedo) in traced(job)?.iter().zip(job.albedo()) {
                     let medium = if several { medium_cells(job, *albedo) } else { String::new() };
                     write_rows(&mut out, &medium, job.scene(), &record.profiles)?;
                 }

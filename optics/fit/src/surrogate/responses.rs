@@ -17,6 +17,8 @@ pub(crate) mod noise;
 #[derive(Debug, Clone)]
 pub(crate) struct LocalResponse {
     curve: ResponseCurve,
+    /// The channel's difference from the scene's value, in standard deviations: n(λ) − n_D of an index.
+    in_channel: f64,
     /// L, then its derivatives by the medium's coordinates.
     linear: [Vec<f64>; 4],
 }
@@ -56,7 +58,7 @@ impl LocalResponses {
         let mut change =
             ProfileChange { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
         for (response, u) in self.each.iter().zip(quantities) {
-            let (height, slope) = response.curve.at(*u);
+            let (height, slope) = response.curve.at(response.in_channel + u);
             let [linear, by_s, by_a, by_g] = &response.linear;
             let there = |p: usize| linear[p] + off[0] * by_s[p] + off[1] * by_a[p] + off[2] * by_g[p];
             change.values.iter_mut().enumerate().for_each(|(p, value)| *value += height * there(p));
@@ -81,12 +83,20 @@ impl Surrogate<'_> {
         let stencil = self.response_stencil(thickness, at);
         let response = |prior: usize| LocalResponse {
             curve: records.curve(prior),
+            in_channel: self.in_channel(prior),
             linear: self.linear_response(records, prior, &stencil),
         };
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
         optical[SIGMA_T] += thickness_mm.ln();
         Some(LocalResponses { at: optical, each })
+    }
+
+    /// The channel's difference of a quantity from the scene's value, in standard deviations.
+    fn in_channel(&self, prior: usize) -> f64 {
+        let scene = self.grid().scene();
+        let (channel, prior) = (&scene.channels()[self.channel], &scene.priors()[prior]);
+        scene.difference_in(channel, prior).expect("the grid has checked its scene") / prior.std_error()
     }
 
     /// The nearest of the dictionary's thicknesses, and the coordinates at which a slab of it has the same optical

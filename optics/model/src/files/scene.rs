@@ -228,7 +228,9 @@ impl From<&Scene> for SceneFile {
                     let per =
                         Some(prior.scope()).filter(|s| *s != default_scope(scene, kind, prior.layers()));
                     let per = per.map(|scope| scope.name().to_owned());
-                    Some(LayerNumber::Uncertain(UncertainNumber { value, std_error: prior.std_error(), per }))
+                    let dispersion = prior.dispersion().map(|dispersion| dispersion.curve().clone());
+                    let std_error = prior.std_error();
+                    Some(LayerNumber::Uncertain(UncertainNumber { value, std_error, per, dispersion }))
                 }
                 None => value.map(LayerNumber::Exact),
             }

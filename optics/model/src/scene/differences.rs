@@ -86,10 +86,14 @@ impl Scene {
         };
         let unit = if kind.unit() == "mm" { " mm" } else { kind.unit() };
         match self.priors.iter().find(is_own) {
-            Some(prior) if prior.scope() == Scope::Session => {
-                format!("{value} ± {}{unit}", prior.std_error())
+            Some(prior) => {
+                let per = match prior.scope() {
+                    Scope::Session => String::new(),
+                    scope => format!(" per {}", scope.name()),
+                };
+                let curve = prior.dispersion().map_or_else(String::new, |curve| format!(", {curve}"));
+                format!("{value} ± {}{unit}{per}{curve}", prior.std_error())
             }
-            Some(prior) => format!("{value} ± {}{unit} per {}", prior.std_error(), prior.scope().name()),
             None => format!("{value}{unit}"),
         }
     }

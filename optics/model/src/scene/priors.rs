@@ -4,7 +4,7 @@
 
 use serde::Serialize;
 
-use super::{Channel, Layer, LayerMedium, RingLight, Scene, Sensor};
+use super::{Channel, Dispersion, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::invalid::{Invalid, Result};
 use crate::phase::{MOST_G, MOST_SECOND_WEIGHT, PhaseShape, SecondLobe};
 
@@ -122,6 +122,7 @@ pub struct Prior {
     layers: Vec<usize>,
     std_error: f64,
     scope: Scope,
+    dispersion: Option<Dispersion>,
 }
 
 impl Prior {
@@ -129,7 +130,7 @@ impl Prior {
     /// that they exist and agree.
     pub fn new(kind: PriorKind, layers: Vec<usize>, std_error: f64, scope: Scope) -> Result<Self> {
         if std_error.is_finite() && std_error > 0.0 {
-            Ok(Self { kind, layers, std_error, scope })
+            Ok(Self { kind, layers, std_error, scope, dispersion: None })
         } else {
             Err(Invalid::new(
                 "std_error",
@@ -137,6 +138,19 @@ impl Prior {
                 "allowed are numbers above 0; an exact quantity has none",
             ))
         }
+    }
+
+    /// The prior of an index that depends on the wavelength: its value is that at the D line.
+    pub fn with_dispersion(self, dispersion: Dispersion) -> Result<Self> {
+        if self.kind != PriorKind::Index {
+            let allowed = "an index alone depends on the wavelength";
+            return Err(Invalid::new("dispersion", self.kind.name(), allowed));
+        }
+        Ok(Self { dispersion: Some(dispersion), ..self })
+    }
+
+    pub fn dispersion(&self) -> Option<&Dispersion> {
+        self.dispersion.as_ref()
     }
 
     pub fn kind(&self) -> PriorKind {

@@ -1,15 +1,15 @@
 //! Draws Fig. 3: the effect of a small change of each parameter on a profile.
 
-use std::sync::atomic::AtomicBool;
-
 use anyhow::{Context, Result};
 use optics_fit::shown_derivative;
 use optics_model::fit::{Curve, FitSettings};
 use optics_model::job::JobSpec;
-use optics_model::{Medium, Record, TransportPoint};
+use optics_model::{Medium, TransportPoint};
 
 use farm_figures::numbers::{albedo, significant};
 use farm_figures::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
+
+use super::records::traced;
 
 /// Traces the medium and its neighbours, each of which has σ_t, 1 − α or 1 − g smaller or larger by the relative
 /// `change`, and draws the first channel. Runs on the current rayon pool.
@@ -62,8 +62,8 @@ fn profile(job: &JobSpec, medium: &Medium) -> Result<Curve> {
     )?;
     let scene = job.scene().clone();
     let job = JobSpec::new(scene, point, vec![medium.albedo()], job.walks(), job.seed(), false)?;
-    let records = optics_tracer::trace(&job, &AtomicBool::new(false))?;
-    let record: &Record = records.first().context("the tracer gave no record")?;
+    let records = traced(&job)?;
+    let record = records.first().context("the tracer gave no record")?;
     let values: Vec<f64> =
         record.profiles[0].radiance_factor.values().iter().copied().map(f64::from).collect();
     let settings = FitSettings::default();

@@ -18,10 +18,20 @@ use crate::surrogate::noise::NoisePlace;
 /// The noise of the responses in a prediction.
 #[derive(Debug)]
 pub(crate) struct ResponseNoise {
-    /// By prior of the scene: its curve, and profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
-    each: Vec<(ResponseCurve, Vec<Vec<f64>>)>,
+    /// By prior of the scene.
+    each: Vec<PriorNoise>,
     /// The walks that the responses come from.
     pub place: NoisePlace,
+}
+
+/// The noise of the response to one quantity.
+#[derive(Debug)]
+struct PriorNoise {
+    curve: ResponseCurve,
+    /// The channel's difference from the scene's value, in standard deviations.
+    in_channel: f64,
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
+    factors: Vec<Vec<f64>>,
 }
 
 impl ResponseNoise {
@@ -29,8 +39,8 @@ impl ResponseNoise {
     /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error of u is not used, since the
     /// noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
-        let (curve, factors) = &self.each[prior];
-        let (height, slope) = curve.at(u);
+        let PriorNoise { curve, in_channel, factors } = &self.each[prior];
+        let (height, slope) = curve.at(in_channel + u);
         let size = height.hypot(slope);
         factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect()
     }
@@ -78,8 +88,11 @@ impl Surrogate<'_> {
         let records = self.dictionary.responses(self.channel)?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let of_prior =
-            |prior: usize| (records.curve(prior), self.scatter(records, prior, &stencil, at[ALBEDO]));
+        let of_prior = |prior: usize| PriorNoise {
+            curve: records.curve(prior),
+            in_channel: self.in_channel(prior),
+            factors: self.scatter(records, prior, &stencil, at[ALBEDO]),
+        };
         let each = (0..grid.scene().priors().len()).map(of_prior).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
         let depths = responses.sigma_t().iter().map(depth).collect();
@@ -176,15 +189,17 @@ mod tests {
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]
     fn noise_follows_height_and_slope() {
+        let of = |curve, in_channel, factors| PriorNoise { curve, in_channel, factors };
+        let bent = ResponseCurve { bend: 0.25, curvature: 0.1 };
         let each = vec![
-            (ResponseCurve::default(), vec![vec![2.0]]),
-            (ResponseCurve { bend: 0.25, curvature: 0.1 }, vec![vec![5.0], vec![1.0]]),
+            of(ResponseCurve::default(), 0.0, vec![vec![2.0]]),
+            of(bent, 0.5, vec![vec![5.0], vec![1.0]]),
         ];
         let noise = ResponseNoise { each, place: NoisePlace::default() };
         assert_eq!(noise.factors(0, 0.0), [[2.0]]);
         // w = 3 with the slope 2.
         let size = 3.9_f64.hypot(1.6 * 2.0);
-        let found = noise.factors(1, 2.0);
+        let found = noise.factors(1, 1.5);
         assert!((found[0][0] - 5.0 * size).abs() < 1e-12 && (found[1][0] - size).abs() < 1e-12, "{found:?}");
     }
 }

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::LayerTable;
 use crate::invalid::{Invalid, Result};
-use crate::scene::{Prior, PriorKind, Scene, Scope};
+use crate::scene::{Dispersion, DispersionCurve, Prior, PriorKind, Scene, Scope};
 
 /// A number of a layer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -27,6 +27,9 @@ pub struct UncertainNumber {
     /// "session", "slab", "material" or "channel": the scope within which the number has one value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub per: Option<String>,
+    /// How an index depends on the wavelength; its value is that at 589.3 nm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dispersion: Option<DispersionCurve>,
 }
 
 impl Default for LayerNumber {
@@ -129,7 +132,15 @@ pub(super) fn priors(
                 Invalid::new(format!("{place}.per"), name, "allowed are session, slab, material and channel")
             })?,
         };
-        let prior = Prior::new(kind, layers, number.std_error, scope).map_err(|e| e.within(&place))?;
+        let prior = Prior::new(kind, layers, number.std_error, scope);
+        let prior = match number.dispersion.clone() {
+            None => prior,
+            Some(curve) => Dispersion::new(curve).and_then(|dispersion| prior?.with_dispersion(dispersion)),
+        };
+        let prior = prior.map_err(|e| {
+            let is_own = e.field() == "std_error" || e.field() == "dispersion";
+            e.within(if is_own { place.clone() } else { format!("{place}.dispersion") })
+        })?;
         priors.push((format!("{place}.std_error"), prior));
     }
     for &(kind, std_error) in angles {
