@@ -72,11 +72,14 @@ pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
     (fitted.origin.value.abs() < reach && fitted.blur.value.is_finite()).then_some(fitted)
 }
 
-/// σ from the distance between a quarter and three quarters of the rise.
+/// σ from the distance between a quarter and three quarters of the rise: of several crossings that nearest to 0 counts,
+/// since a bright bin on the dark side has two of its own.
 fn rise(points: &[[f64; 3]], dark: f64, light: f64) -> Option<f64> {
     let crossing = |share: f64| {
         let level = dark + share * (light - dark);
-        points.iter().find(|p| (p[1] - level) * (light - dark).signum() >= 0.0).map(|p| p[0])
+        let is_above = |p: &[f64; 3]| (p[1] - level) * (light - dark).signum() >= 0.0;
+        let pairs = points.windows(2).filter(|pair| is_above(&pair[0]) != is_above(&pair[1]));
+        pairs.map(|pair| f64::midpoint(pair[0][0], pair[1][0])).min_by(|a, b| a.abs().total_cmp(&b.abs()))
     };
     Some((crossing(0.75)? - crossing(0.25)?) / 1.35)
 }
@@ -135,6 +138,23 @@ mod tests {
         let [one, two] = [1e-3, 2e-3].map(|e| fit(&edge(e)).unwrap());
         assert!((two.origin.std_error / one.origin.std_error - 2.0).abs() < 1e-6);
         assert!((two.blur.std_error / one.blur.std_error - 2.0).abs() < 1e-6);
+    }
+
+    /// A bin on the dark side that is as bright as a third of the edge hides neither place nor blur.
+    #[test]
+    fn bright_bin_hides_no_edge() {
+        let hot = |at: usize| {
+            let mut edge = edge(1e-3);
+            edge.points[at][1] += 0.3 * 0.78;
+            fit(&edge).unwrap()
+        };
+        for at in [22, 28, 33] {
+            let found = hot(at);
+            for (estimate, truth) in [(found.origin, 0.011), (found.blur, 0.029)] {
+                assert!((estimate.value - truth).abs() < estimate.std_error, "{at}: {found:?}");
+                assert!(estimate.std_error < 0.2 * 0.029, "{at}: {found:?}");
+            }
+        }
     }
 
     /// Bins that do not rise are not an edge.

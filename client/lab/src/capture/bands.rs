@@ -16,8 +16,10 @@ const FWHM: f64 = 2.354_820_045;
 const REACH: f64 = 3.0;
 /// Step of integrals over a band, in nm.
 const STEP_NM: f64 = 0.5;
-/// Share of the greatest weight below which a table need not reach.
-const NEGLIGIBLE: f64 = 1e-3;
+/// Share of a band's light at each of its ends that is left out, so that tables need not reach there.
+const NEGLIGIBLE: f64 = 2e-4;
+/// Transmission over the greatest at which the passband of a filter ends.
+const PASSBAND: f64 = 0.03;
 
 /// The pixels of the camera that record a band.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,34 +109,43 @@ impl Band {
         quantity: &Spectrum,
         light: Option<&Spectrum>,
     ) -> Result<f64, Invalid> {
+        let weights = self.weights(light)?;
+        let whole: f64 = weights.iter().map(|(_, weight)| weight).sum();
+        let product = |(nm, weight): &(f64, f64)| Ok(weight * quantity.within(field, *nm)?);
+        Ok(weights.iter().map(product).sum::<Result<f64, Invalid>>()? / whole)
+    }
+
+    /// Share of the light that a filter passes outside of its passband, which ends where the table falls below
+    /// [`PASSBAND`]; 0 of a filter without table.
+    pub(super) fn stray_share(&self, light: Option<&Spectrum>) -> Result<f64, Invalid> {
+        let Filter::Table(table) = &self.filter else { return Ok(0.0) };
+        let weights = self.weights(light)?;
+        let least = PASSBAND * table.greatest();
+        let middle = weights.partition_point(|(nm, _)| *nm < self.wavelength_nm);
+        let passes = |(nm, _): &&(f64, f64)| table.at(*nm) >= least;
+        let (below, above) = weights.split_at(middle);
+        let passed = below.iter().rev().take_while(passes).chain(above.iter().take_while(passes));
+        let whole: f64 = weights.iter().map(|(_, weight)| weight).sum();
+        Ok((1.0 - passed.map(|(_, weight)| weight).sum::<f64>() / whole).max(0.0))
+    }
+
+    /// Wavelengths of the band and their weights by filter and light, without ends that do not count.
+    fn weights(&self, light: Option<&Spectrum>) -> Result<Vec<(f64, f64)>, Invalid> {
         let (from, to) = self.range_nm();
-        let steps = ((to - from) / STEP_NM).ceil().max(1.0);
-        let places: Vec<f64> = (0..=steps as usize).map(|i| from + (to - from) * i as f64 / steps).collect();
-        let transmitted: Vec<f64> = places.iter().map(|nm| self.transmission(*nm)).collect();
-        let least = NEGLIGIBLE * transmitted.iter().copied().fold(0.0, f64::max);
-        let weight = |(nm, transmitted): (&f64, f64)| match light {
-            Some(light) if transmitted > least => Ok(transmitted * light.within("light.spectrum", *nm)?),
-            Some(_) => Ok(0.0),
-            None => Ok(transmitted),
-        };
-        let weights = places.iter().zip(transmitted).map(weight).collect::<Result<Vec<f64>, Invalid>>();
-        let mut weights = weights?;
+        let steps = ((to - from) / STEP_NM).ceil().max(1.0) as usize;
+        let place = |i: usize| from + (to - from) * i as f64 / steps as f64;
         // Half an interval lies at each end.
-        for end in [0, places.len() - 1] {
-            weights[end] *= 0.5;
+        let width = |i: usize| if i == 0 || i == steps { 0.5 } else { 1.0 };
+        let transmitted = (0..=steps).map(|i| (place(i), width(i) * self.transmission(place(i)))).collect();
+        let Some(light) = light else { return Ok(without_ends(transmitted)) };
+        let lit = |(nm, weight)| Ok((nm, weight * light.within("light.spectrum", nm)?));
+        let weights: Vec<(f64, f64)> =
+            without_ends(transmitted).into_iter().map(lit).collect::<Result<_, Invalid>>()?;
+        if weights.iter().any(|(_, weight)| *weight > 0.0) {
+            return Ok(without_ends(weights));
         }
-        let least = NEGLIGIBLE * weights.iter().copied().fold(0.0, f64::max);
-        let (mut sum, mut whole) = (0.0, 0.0);
-        for (nm, weight) in places.iter().zip(weights).filter(|(_, weight)| *weight > least) {
-            sum += weight * quantity.within(field, *nm)?;
-            whole += weight;
-        }
-        if whole > 0.0 {
-            Ok(sum / whole)
-        } else {
-            let given = format!("0 in the whole band of {} nm", self.wavelength_nm);
-            Err(Invalid::new("light.spectrum", given, "a band needs light"))
-        }
+        let given = format!("0 in the whole band of {} nm", self.wavelength_nm);
+        Err(Invalid::new("light.spectrum", given, "a band needs light"))
     }
 
     fn range_nm(&self) -> (f64, f64) {
@@ -155,6 +166,24 @@ impl Band {
             Filter::Table(table) => table.at(nm),
         }
     }
+}
+
+/// Weights by wavelength, without the ends that have less than [`NEGLIGIBLE`] of the whole each.
+fn without_ends(mut weights: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    let least = NEGLIGIBLE * weights.iter().map(|(_, weight)| weight).sum::<f64>();
+    let end = |weights: &mut dyn Iterator<Item = &(f64, f64)>| {
+        let mut sum = 0.0;
+        weights
+            .take_while(|(_, weight)| {
+                sum += weight;
+                sum <= least
+            })
+            .count()
+    };
+    let [low, high] = [end(&mut weights.iter()), end(&mut weights.iter().rev())];
+    weights.truncate(weights.len() - high);
+    weights.drain(..low);
+    weights
 }
 
 /// The transmission of a filter; refused if the band's wavelength does not lie where it is half of its maximum or more.
@@ -253,6 +282,11 @@ mod tests {
         let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
         let step = spectrum(&[(400.0, 1.0), (500.0, 1.0), (500.1, 0.0), (700.0, 0.0)]);
         // The box of 10 nm has a standard deviation of 2.9 nm; 22 % of the light leaks.
+        let stray = band.stray_share(None).unwrap();
+        assert!(
+            (stray / (2.9 / 12.9) - 1.0).abs() < 0.05 && gaussian().stray_share(None).unwrap() == 0.0,
+            "{stray}"
+        );
         assert!((40.0..60.0).contains(&band.std_dev_nm()), "{}", band.std_dev_nm());
         let leaked = 1.0 / (10.0 + 2.9);
         let found = band.mean("rho", &step, None).unwrap();

@@ -158,7 +158,7 @@ impl SessionFile {
         scene: optics_model::Scene,
         text: String,
     ) -> Result<CaptureSession, Invalid> {
-        let doubts = doubts::of(&self);
+        let mut doubts = doubts::of(&self);
         let pattern = self.camera.pattern.as_deref().map(pattern).transpose()?;
         let target = target(&self.target)?;
         if self.samples.is_empty() {
@@ -167,6 +167,9 @@ impl SessionFile {
         let bands = self.read_bands(folder)?;
         let light = self.light.spectrum.as_deref();
         let light = light.map(|file| Spectrum::only_in(folder, "light.spectrum", file)).transpose()?;
+        for band in &bands {
+            doubts.extend(doubts::stray(band, light.as_ref())?);
+        }
         let part = |band| self.part(folder, band, light.as_ref());
         let parts = if bands.is_empty() {
             vec![part(None)?]

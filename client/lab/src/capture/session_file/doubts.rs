@@ -1,6 +1,10 @@
 //! Finds values of a session that are valid but implausible.
 
+use optics_model::Invalid;
+
 use super::{SampleTable, SessionFile};
+use crate::capture::bands::Band;
+use crate::capture::spectrum::Spectrum;
 use crate::measurement_file::normal;
 
 /// Largest plausible relative error of certified patches.
@@ -13,6 +17,10 @@ const THICKNESS_MM: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 const THICKNESS_STD_ERROR: f64 = 0.1;
 /// Thicknesses closer than this are probably those of one slab.
 const ONE_SLAB_MM: f64 = 1e-3;
+
+/// Share of a band's light outside of the filter's passband from which on it misleads absorptions by more than their
+/// usual error.
+const STRAY: f64 = 2e-3;
 
 /// All suspicious values, each with its field.
 pub(super) fn of(file: &SessionFile) -> Vec<String> {
@@ -35,6 +43,19 @@ pub(super) fn of(file: &SessionFile) -> Vec<String> {
         doubts.extend(file.samples[..i].iter().find_map(|before| alike(before, sample)).map(place));
     }
     doubts
+}
+
+/// A doubt about a filter that passes light outside of its passband.
+pub(super) fn stray(band: &Band, light: Option<&Spectrum>) -> Result<Option<String>, Invalid> {
+    let share = band.stray_share(light)?;
+    Ok((share > STRAY).then(|| {
+        format!(
+            "the filter of band {:?} passes {:.1} % of the light outside of its passband: media that absorb in the band \
+             look too bright; block it by a second filter",
+            band.name,
+            100.0 * share
+        )
+    }))
 }
 
 fn slab(sample: &SampleTable) -> Vec<String> {

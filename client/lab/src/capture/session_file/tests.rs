@@ -150,7 +150,13 @@ fn byte_order_marks_are_read() {
 
 /// A session file with two bands, in a folder with their photographs; `change` replaces a part of it by another.
 fn read_bands(change: (&str, &str)) -> Result<CaptureSession> {
+    read_bands_with(change, "")
+}
+
+/// The same, with the table of a filter.
+fn read_bands_with(change: (&str, &str), filter: &str) -> Result<CaptureSession> {
     let folder = tempfile::tempdir().unwrap();
+    write(folder.path().join("filter.csv"), filter).unwrap();
     for band in ["blue", "630"] {
         for name in ["chart", "board", "white"] {
             write(folder.path().join(format!("{band}_{name}.pgm")), "").unwrap();
@@ -202,6 +208,23 @@ fn bands_have_their_own_photographs() {
     }
 }
 
+/// A filter whose table shows light far from its passband is doubted.
+#[test]
+fn leaking_filters_are_doubted() {
+    let doubts = |leak: f64| {
+        let filter =
+            format!("wavelength_nm,t\n440,0\n445,1\n455,1\n460,0\n620,0\n625,{leak}\n635,{leak}\n640,0\n");
+        let session = read_bands_with(("fwhm_nm = 10", "transmission = \"filter.csv\""), &filter);
+        session.unwrap().doubts
+    };
+    assert_eq!(doubts(0.0), [""; 0]);
+    let found = doubts(0.01);
+    assert!(
+        found.len() == 1 && found[0].starts_with("the filter of band \"blue\" passes 1.0 % of the light"),
+        "{found:?}"
+    );
+}
+
 /// Messages name the band's field and the remedy.
 #[test]
 fn wrong_bands_are_refused() {
@@ -223,7 +246,7 @@ fn wrong_bands_are_refused() {
             "\"rho.csv\" with 3 columns of values is not valid",
         ),
         ("\"rho.csv\"", "true", "must be a list with a number or three for each patch"),
-        ("fwhm_nm = 10", "fwhm_nm = 200", "neutral.rho = 195.2 nm is not valid: the table has 400 to 700 nm"),
+        ("fwhm_nm = 10", "fwhm_nm = 200", "neutral.rho = 198.7 nm is not valid: the table has 400 to 700 nm"),
         (
             "fwhm_nm = 10",
             "fwhm_nm = 10\nchannel = \"IR\"",
