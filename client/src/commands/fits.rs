@@ -2,6 +2,7 @@
 
 mod chosen_dictionary;
 pub(crate) mod design;
+mod filters;
 pub(crate) mod fit;
 pub(crate) mod map;
 pub(crate) mod measure;
@@ -9,7 +10,6 @@ mod other_scene;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;
-mod wide_bands;
 
 use std::process::ExitCode;
 

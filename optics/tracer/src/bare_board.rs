@@ -10,8 +10,7 @@
 //!   1/n² times the mean transmittance of the ring's directions,
 //! * b: the share of a Lambertian source under the coat that its face sends back.
 //!
-//! All are integrals of the walk's own interface over visible normals, by sums over a Kronecker sequence
-//! (Roberts 2018, "The unreasonable effectiveness of quasirandom sequences"): accurate to 1e-4.
+//! All are integrals over the coat's [`Face`], accurate to 1e-4.
 
 use std::cell::OnceCell;
 
@@ -21,14 +20,10 @@ use optics_model::scene::{Channel, LEAST_RHO_DARK, LayerMedium};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
 
-use super::fresnel::{Facet, RelativeIndex, reflect, refract};
-use super::microfacet::{masking, sample_visible_normal, split_until_out};
-use super::rng::Stream;
+use super::face::{Face, FacePoint, FaceRays, Side};
 
 /// Points of each sum.
 const POINTS: u32 = 1 << 20;
-/// Share of the light below which Russian roulette decides whether it is followed further on the microsurface.
-const FAINT: f64 = 1e-2;
 
 /// The three numbers of the bare board's radiance factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,21 +40,21 @@ impl BareBoard {
     /// The board of a scene. Its coat is the layer of zero thickness on the base; all other layers above or below the
     /// sample are present in photographs of samples only.
     pub fn of(scene: &Scene) -> Result<Self, Invalid> {
-        let Some(coat) = Coat::of(scene)? else {
+        let Some(coat) = coat(scene)? else {
             return Ok(Self { specular: 0.0, gain: 1.0, returned: 0.0 });
         };
         let (ring, polar) = (scene.light(), scene.sensor().polar_deg());
         let [inner, outer] = [ring.inner_deg(), ring.outer_deg()].map(sin2);
         let in_ring = |d: Vec3| (inner..=outer).contains(&f64::from(d.x * d.x + d.y * d.y));
-        let out = |point: CubePoint, sin2: f64| coat.rays_above(point, sin2);
-        let through = |rays: Rays| share(&rays, |d| d.z < 0.0);
-        let reflected = |rays: Rays| share(&rays, |d| d.z > 0.0 && in_ring(d));
+        let out = |point: FacePoint, sin2: f64| coat.rays(Side::Above, sin2, point);
+        let through = |rays: FaceRays| share(&rays, |d| d.z < 0.0);
+        let reflected = |rays: FaceRays| share(&rays, |d| d.z > 0.0 && in_ring(d));
         let entering = mean(|point| through(out(point, sin2(polar))));
         let lit = mean(|point| through(out(point, inner + point.u * (outer - inner))));
         Ok(Self {
             specular: mean(|point| reflected(out(point, sin2(polar)))) / (outer - inner),
-            gain: entering * lit / coat.ior.powi(2),
-            returned: mean(|point| share(&coat.rays_below(point, point.u), |d| d.z > 0.0)),
+            gain: entering * lit / coat.iors[1].powi(2),
+            returned: mean(|point| share(&coat.rays(Side::Below, point.u, point), |d| d.z > 0.0)),
         })
     }
 
@@ -94,7 +89,7 @@ impl<'a> SeenBase<'a> {
     /// Reflectances are clamped to the range of a channel.
     pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
         let scene = self.scene;
-        if Coat::of(scene)? == Coat::of(varied)?
+        if coat(scene)? == coat(varied)?
             && (scene.light(), scene.sensor().polar_deg()) == (varied.light(), varied.sensor().polar_deg())
         {
             return Ok(scene.channels().to_vec());
@@ -125,112 +120,43 @@ impl<'a> SeenBase<'a> {
     }
 }
 
-/// A point of the unit cube.
-#[derive(Debug, Clone, Copy)]
-struct CubePoint {
-    number: u32,
-    /// For the direction.
-    u: f64,
-    /// For the microfacet.
-    normal: f32,
-    azimuth_bits: u32,
-}
-
 /// Mean over the points of the sequence, added up in a fixed order.
-fn mean(f: impl Fn(CubePoint) -> f64 + Sync) -> f64 {
+fn mean(f: impl Fn(FacePoint) -> f64 + Sync) -> f64 {
     const PART: u32 = 1 << 14;
-    // 1/g and 1/g², g³ = g + 1.
-    let shift = |i: u32, step: f64| (0.5 + f64::from(i) * step).fract();
-    let point = |i: u32| CubePoint {
-        number: i,
-        u: (f64::from(i) + 0.5) / f64::from(POINTS),
-        normal: shift(i, 0.754_877_666_246_692_7) as f32,
-        azimuth_bits: (65_536.0 * shift(i, 0.569_840_290_998_053_2)) as u32,
+    let part = |part: u32| {
+        (part * PART..(part + 1) * PART).map(|i| f(FacePoint::new(i, POINTS))).sum::<f64>()
     };
-    let part = |part: u32| (part * PART..(part + 1) * PART).map(|i| f(point(i))).sum::<f64>();
     let parts: Vec<f64> = (0..POINTS / PART).into_par_iter().map(part).collect();
     parts.iter().sum::<f64>() / f64::from(POINTS)
 }
 
 /// Share of the light in the directions that count.
-fn share(rays: &Rays, counts: impl Fn(Vec3) -> bool) -> f64 {
+fn share(rays: &FaceRays, counts: impl Fn(Vec3) -> bool) -> f64 {
     rays.iter().flatten().filter(|ray| counts(ray.0)).map(|ray| ray.1).sum()
 }
 
-/// A coat with air above.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Coat {
-    ior: f64,
-    alpha: f32,
-    multiple_scattering: bool,
-}
-
-/// A ray after the coat's face: its direction, z > 0 on the side it came from, and its share of the light.
-type Ray = (Vec3, f64);
-type Rays = [Option<Ray>; 4];
-
-impl Coat {
-    fn of(scene: &Scene) -> Result<Option<Self>, Invalid> {
-        let coats: Vec<(f64, f64)> = scene
-            .layers()
-            .iter()
-            .rev()
-            .map_while(|layer| match layer.medium() {
-                LayerMedium::Clear { ior, thickness_mm: 0.0 } => Some((ior, layer.roughness())),
-                _ => None,
-            })
-            .collect();
-        match coats.as_slice() {
-            [] => Ok(None),
-            [(ior, roughness)] => Ok(Some(Self {
-                ior: *ior,
-                alpha: *roughness as f32,
-                multiple_scattering: scene.multiple_scattering(),
-            })),
-            several => {
-                let given = format!("{} coats on the base", several.len());
-                Err(Invalid::new("layer", given, "at most one layer of no thickness may lie on the base"))
-            }
+/// The coat of a scene's base, with air above; None if it has none.
+fn coat(scene: &Scene) -> Result<Option<Face>, Invalid> {
+    let coats: Vec<(f64, f64)> = scene
+        .layers()
+        .iter()
+        .rev()
+        .map_while(|layer| match layer.medium() {
+            LayerMedium::Clear { ior, thickness_mm: 0.0 } => Some((ior, layer.roughness())),
+            _ => None,
+        })
+        .collect();
+    match coats.as_slice() {
+        [] => Ok(None),
+        [(ior, roughness)] => Ok(Some(Face {
+            iors: [1.0, *ior],
+            roughness: *roughness,
+            multiple_scattering: scene.multiple_scattering(),
+        })),
+        several => {
+            let given = format!("{} coats on the base", several.len());
+            Err(Invalid::new("layer", given, "at most one layer of no thickness may lie on the base"))
         }
-    }
-
-    fn rays_above(&self, point: CubePoint, sin2: f64) -> Rays {
-        self.rays(point, sin2, [1.0, self.ior])
-    }
-
-    fn rays_below(&self, point: CubePoint, sin2: f64) -> Rays {
-        self.rays(point, sin2, [self.ior, 1.0])
-    }
-
-    /// The rays into which a ray splits at the coat's face; `iors` are the indices of its side and of the other.
-    fn rays(&self, point: CubePoint, sin2: f64, iors: [f64; 2]) -> Rays {
-        let wi = Vec3::new(0.0, sin2.sqrt() as f32, (1.0 - sin2).sqrt() as f32);
-        let indices = [RelativeIndex::new(iors[0], iors[1]), RelativeIndex::new(iors[1], iors[0])];
-        let m = if self.alpha > 0.0 {
-            sample_visible_normal(wi, self.alpha, point.normal, point.azimuth_bits)
-        } else {
-            Vec3::Z
-        };
-        if self.multiple_scattering && self.alpha > 0.0 {
-            let stream = &mut Stream::new([iors[0].to_bits() as u32, 47], 0, point.number);
-            return split_until_out(wi, m, self.alpha, indices, FAINT, stream).map(Some);
-        }
-        let [up, down] = self.split(wi, m, indices[0]);
-        [up, down, None, None]
-    }
-
-    /// The reflected and the refracted ray at a facet; a ray that ends on the wrong side is lost, as in the walk.
-    fn split(&self, wi: Vec3, m: Vec3, index: RelativeIndex) -> [Option<Ray>; 2] {
-        let cos_i = wi.dot(m);
-        let facet = Facet::new(cos_i, index);
-        let reflectance = if facet.cos_t > 0.0 { f64::from(facet.reflectance()) } else { 1.0 };
-        let up = reflect(wi, m, cos_i);
-        let down = refract(wi, m, cos_i, facet.cos_t, index.eta);
-        let weighed = |d: Vec3, cos: f32, part: f64| {
-            let masked = if self.alpha > 0.0 { masking(cos, d.x * d.x + d.y * d.y, self.alpha) } else { 1.0 };
-            (cos > 0.0 && part > 0.0).then(|| (d, part * f64::from(masked)))
-        };
-        [weighed(up, up.z, reflectance), weighed(down, -down.z, 1.0 - reflectance)]
     }
 }
 
@@ -239,9 +165,10 @@ mod tests {
     use optics_model::scene::{Layer, RingLight, Sensor};
 
     use super::*;
+    use crate::fresnel::RelativeIndex;
     use crate::math::unit_vector;
     use crate::microfacet::scatter_once;
-    use crate::rng::uniform;
+    use crate::rng::{Stream, uniform};
 
     fn coated(roughness: f64) -> Scene {
         let layers =

@@ -10,6 +10,7 @@
 
 mod bare_board;
 mod exits;
+pub mod face;
 mod fresnel;
 mod kernel;
 mod light;

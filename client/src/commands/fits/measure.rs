@@ -22,7 +22,7 @@ use optics_model::fit::{
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, WantedDictionary};
-use super::{other_scene, wide_bands};
+use super::{filters, other_scene};
 use crate::answers::{
     FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
     media_files,
@@ -226,9 +226,10 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
-        let note = wide_bands::note(&found.materials, &folder.band_widths_nm()?);
-        output.notes(note.as_slice(), &inputs.measurements);
-        notes.extend(note);
+        let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
+        let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
+        output.notes(&of_filters, &inputs.measurements);
+        notes.extend(of_filters);
     }
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     // The report of a session contains the tables of the scene's estimates and of the budget, so its text omits them.
