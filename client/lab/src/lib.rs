@@ -4,8 +4,10 @@
 
 mod bounded_file;
 pub mod capture;
+pub mod colour;
 pub mod grid_file;
 pub mod measurement_file;
+pub mod media_file;
 pub mod mixture_file;
 pub mod phase_file;
 pub mod photograph;

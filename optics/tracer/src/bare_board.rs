@@ -123,9 +123,8 @@ impl<'a> SeenBase<'a> {
 /// Mean over the points of the sequence, added up in a fixed order.
 fn mean(f: impl Fn(FacePoint) -> f64 + Sync) -> f64 {
     const PART: u32 = 1 << 14;
-    let part = |part: u32| {
-        (part * PART..(part + 1) * PART).map(|i| f(FacePoint::new(i, POINTS))).sum::<f64>()
-    };
+    let part =
+        |part: u32| (part * PART..(part + 1) * PART).map(|i| f(FacePoint::new(i, POINTS))).sum::<f64>();
     let parts: Vec<f64> = (0..POINTS / PART).into_par_iter().map(part).collect();
     parts.iter().sum::<f64>() / f64::from(POINTS)
 }

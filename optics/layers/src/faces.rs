@@ -1,0 +1,70 @@
+//! The reflection and transmission of the interface between two layers.
+
+use nalgebra::DMatrix;
+use optics_tracer::face::{Face, FacePoint, Side};
+use rayon::prelude::*;
+
+use crate::operator::Operator;
+use crate::quadrature::Quadrature;
+
+/// Points of the sequence over the microfacets of a rough face.
+const POINTS: u32 = 1 << 13;
+
+/// None between layers of the same index, which is no interface.
+pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Option<Operator> {
+    if face.iors[0] == face.iors[1] {
+        return None;
+    }
+    let [above, below] = [Side::Above, Side::Below].map(|from| one_side(quadrature, face, from));
+    Some(Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 })
+}
+
+/// Distributions of the rays that come from one side in each direction: reflected and transmitted.
+fn one_side(quadrature: &Quadrature, face: &Face, from: Side) -> (DMatrix<f64>, DMatrix<f64>) {
+    let n = quadrature.len();
+    let [own, other] = if from == Side::Above { face.iors } else { [face.iors[1], face.iors[0]] };
+    let row = |i: usize| {
+        let mut rows = [vec![0.0; n], vec![0.0; n]];
+        if !quadrature.exists(i, own) {
+            // It is a direction of other layers only.
+            return rows;
+        }
+        if face.roughness == 0.0 {
+            let reflectance = reflectance(quadrature.cosine(i, own), own / other);
+            rows[0][i] = reflectance;
+            rows[1][i] = 1.0 - reflectance;
+            return rows;
+        }
+        let sin2 = quadrature.s2[i] / (own * own);
+        let mut histograms = [vec![0.0; quadrature.places()], vec![0.0; quadrature.places()]];
+        let mut whole = 0.0;
+        for number in 0..POINTS {
+            let rays = face.rays(from, sin2, FacePoint::new(number, POINTS));
+            for (direction, share) in rays.into_iter().flatten() {
+                let sin2 = f64::from(direction.x * direction.x + direction.y * direction.y);
+                let (side, ior) = if direction.z > 0.0 { (0, own) } else { (1, other) };
+                let s2 = (ior * ior * sin2).min(ior * ior * (1.0 - 1e-9));
+                quadrature.deposit(s2, share, &mut histograms[side]);
+                whole += share;
+            }
+        }
+        // Surfaces that lose no light keep the number of rays; the others lose what they lose.
+        let scale = if face.multiple_scattering { whole } else { f64::from(POINTS) };
+        histograms.map(|histogram| quadrature.spread(&histogram).iter().map(|v| v / scale).collect())
+    };
+    let rows: Vec<[Vec<f64>; 2]> = (0..n).into_par_iter().map(row).collect();
+    let matrix = |side: usize| DMatrix::from_fn(n, n, |i, j| rows[i][side][j]);
+    (matrix(0), matrix(1))
+}
+
+/// Unpolarised Fresnel reflectance; `eta` is the index on the ray's side over the other.
+fn reflectance(cos_i: f64, eta: f64) -> f64 {
+    let sin2_t = eta * eta * (1.0 - cos_i * cos_i);
+    if sin2_t >= 1.0 {
+        return 1.0;
+    }
+    let cos_t = (1.0 - sin2_t).sqrt();
+    let s = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
+    let p = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
+    f64::midpoint(s * s, p * p)
+}

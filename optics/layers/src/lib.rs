@@ -1,0 +1,16 @@
+//! The radiance factor of a stack of plane layers over a uniform base, without Monte Carlo noise.
+//!
+//! Ring and sensor are those of a scene, and so are its clear layers and its faces; one or more slabs of media lie in the
+//! place of its sample. The light of a ring does not depend on the azimuth, so radiances are vectors over the polar angle
+//! alone, and layers are matrices: see [`operator`] for how they are added, and [`slab`] for how those of a medium are
+//! doubled.
+
+mod faces;
+mod operator;
+mod prediction;
+mod print;
+mod quadrature;
+mod slab;
+
+pub use prediction::{Predicted, PrintedSlab, Uncertain, predict};
+pub use print::{Print, Slab};

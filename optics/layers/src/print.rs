@@ -1,0 +1,113 @@
+//! A stack of slabs in the place of a scene's sample, and its radiance factor over a base.
+
+use nalgebra::DMatrix;
+use optics_model::angle::sin2;
+use optics_model::phase::PhaseShape;
+use optics_model::scene::LayerMedium;
+use optics_model::{Invalid, Medium, Scene};
+use optics_tracer::face::Face;
+use rayon::prelude::*;
+
+use crate::faces::face;
+use crate::operator::Operator;
+use crate::quadrature::Quadrature;
+use crate::slab::slab;
+
+/// A slab of a medium.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Slab {
+    pub medium: Medium,
+    pub phase: PhaseShape,
+    pub thickness_mm: f64,
+}
+
+/// The layers of a scene, without their slabs: faces, which take the longest to compute, ring and sensor.
+#[derive(Debug)]
+pub struct Print {
+    quadrature: Quadrature,
+    sample_ior: f64,
+    /// Index of the lowest layer, which the base touches.
+    base_ior: f64,
+    /// From top to bottom; None stands for the slabs.
+    elements: Vec<Option<Operator>>,
+    /// Indices of the nodes within the ring, and its measure sin²θ_outer − sin²θ_inner.
+    lit: Vec<usize>,
+    ring: f64,
+    /// Whether the sensor's mirror direction lies within the ring.
+    is_mirrored: bool,
+}
+
+impl Print {
+    /// A scene whose sample has this index. Channels, phase function and uncertain quantities of the scene are not used.
+    pub fn new(scene: &Scene, sample_ior: f64) -> Self {
+        let ior = |layer: &optics_model::scene::Layer| match layer.medium() {
+            LayerMedium::Clear { ior, .. } => ior,
+            LayerMedium::Sample => sample_ior,
+        };
+        let iors: Vec<f64> = std::iter::once(1.0).chain(scene.layers().iter().map(ior)).collect();
+        let ring = [scene.light().inner_deg(), scene.light().outer_deg()].map(sin2);
+        let rough =
+            scene.layers().iter().map(optics_model::scene::Layer::roughness).filter(|alpha| *alpha > 0.0);
+        let roughness = rough.min_by(f64::total_cmp);
+        let sensor = sin2(scene.sensor().polar_deg());
+        let quadrature = Quadrature::new(&iors, sample_ior, roughness, &ring, sensor);
+        let of_layer = |i: usize| {
+            let layer = &scene.layers()[i];
+            let interface = Face {
+                iors: [iors[i], iors[i + 1]],
+                roughness: layer.roughness(),
+                multiple_scattering: scene.multiple_scattering(),
+            };
+            let slabs = (layer.medium() == LayerMedium::Sample).then_some(None);
+            face(&quadrature, &interface).map(Some).into_iter().chain(slabs).collect::<Vec<_>>()
+        };
+        let elements = (0..scene.layers().len()).into_par_iter().flat_map_iter(of_layer).collect();
+        let is_lit =
+            |i: &usize| (ring[0]..=ring[1]).contains(&quadrature.s2[*i]) && quadrature.weights[*i] > 0.0;
+        let lit = (0..quadrature.len()).filter(is_lit).collect();
+        let base_ior = *iors.last().expect("air, at least");
+        let is_mirrored = (ring[0]..=ring[1]).contains(&quadrature.s2[quadrature.sensor()]);
+        Self { quadrature, sample_ior, base_ior, elements, lit, ring: scene.light().measure(), is_mirrored }
+    }
+
+    /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
+    ///
+    /// # Errors
+    /// If a phase function does not have the mean cosine of its medium.
+    pub fn radiance_factors(&self, slabs: &[Slab], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
+        let of_slab = |s: &Slab| {
+            let phase = s.phase.function(s.medium.g())?;
+            let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
+            Ok(slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth))
+        };
+        let slabs = slabs.iter().map(of_slab).collect::<Result<Vec<_>, Invalid>>()?;
+        Ok(rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect())
+    }
+
+    fn radiance_factor(&self, slabs: &[Operator], rho: f64) -> f64 {
+        let mut reflection = self.base(rho);
+        for element in self.elements.iter().rev() {
+            match element {
+                Some(face) => reflection = face.over(&reflection),
+                None => reflection = slabs.iter().rev().fold(reflection, |below, slab| slab.over(&below)),
+            }
+        }
+        let sensor = self.quadrature.sensor();
+        // Smooth faces mirror the ring in the sensor's own direction.
+        let lit = self.lit.iter().chain(self.is_mirrored.then_some(&sensor));
+        lit.map(|j| reflection[(sensor, *j)]).sum::<f64>() / self.ring
+    }
+
+    /// A Lambertian base sends the same radiance in all directions.
+    fn base(&self, rho: f64) -> DMatrix<f64> {
+        let n2 = self.base_ior * self.base_ior;
+        let of = |i: usize, j: usize| {
+            let exist = [i, j].iter().all(|k| self.quadrature.exists(*k, self.base_ior));
+            if exist { rho * self.quadrature.weights[j] / n2 } else { 0.0 }
+        };
+        DMatrix::from_fn(self.quadrature.len(), self.quadrature.len(), of)
+    }
+}
+
+#[cfg(test)]
+mod tests;
