@@ -6,6 +6,7 @@ mod farm;
 mod fits;
 mod manual;
 mod measurements;
+mod prints;
 mod slurm;
 #[cfg(test)]
 mod tests;
@@ -52,6 +53,8 @@ enum Command {
     #[command(flatten)]
     Fits(fits::FitCommand),
     #[command(flatten)]
+    Prints(prints::PrintCommand),
+    #[command(flatten)]
     Dictionaries(dictionaries::DictionaryCommand),
     /// Open a page in the browser: measure, look at dictionaries, run the farm, judge captures.
     Web(web::WebArgs),
@@ -72,6 +75,7 @@ impl Cli {
         match self.command {
             Command::Measurements(command) => return command.run(global, output).await,
             Command::Fits(command) => return command.run(global, output).await,
+            Command::Prints(command) => return command.run(output),
             Command::Dictionaries(command) => return command.run(global, output).await,
             Command::Web(args) => web::run(global, args, output).await?,
             Command::Farm(command) => return command.run(global, output).await,

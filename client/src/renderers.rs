@@ -1,11 +1,14 @@
-//! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML) and pbrt-v4.
+//! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML), pbrt-v4, Blender, MaterialX and USD.
 //!
 //! Both renderers describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
 //! one phase function. A material becomes one medium where its channels are R, G and B with a common phase function, or
 //! wavelengths in nm, whose g may differ; and one medium per channel otherwise.
 
+mod blender;
+mod materialx;
 mod mitsuba;
 mod pbrt;
+mod rgb;
 mod similar;
 
 use std::collections::HashSet;
@@ -15,6 +18,8 @@ use optics_model::fit::{ChannelFit, MaterialFit, Refined};
 use optics_model::measurement::wavelength_nm;
 use optics_model::phase::SecondLobe;
 
+pub(crate) use self::blender::blender;
+pub(crate) use self::materialx::{materialx, usd};
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
 use similar::{SIMILAR, mean_g, with_common_g};
@@ -48,6 +53,7 @@ struct RenderedChannel<'a> {
     name: &'a str,
     medium: Medium,
     second_lobe: Option<SecondLobe>,
+    ior: f64,
     state: ChannelState,
 }
 
@@ -55,7 +61,8 @@ impl<'a> RenderedChannel<'a> {
     fn of(fit: &'a ChannelFit) -> Option<Self> {
         let refined = fit.refined.as_ref()?;
         let (medium, second_lobe) = (refined.best.medium, refined.second_lobe);
-        Some(Self { name: &fit.channel, medium, second_lobe, state: ChannelState::of(refined) })
+        let ior = refined.best.sample_ior;
+        Some(Self { name: &fit.channel, medium, second_lobe, ior, state: ChannelState::of(refined) })
     }
 }
 
@@ -74,6 +81,8 @@ struct MediumBlock {
     notes: Vec<String>,
     values: Values,
     phase: BlockPhase,
+    /// Refractive index.
+    ior: f64,
 }
 
 /// The phase function of a medium.
@@ -108,7 +117,8 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
             notes.extend(is_similar.then(|| SIMILAR.to_owned()));
             let phase = BlockPhase { g: if is_similar { mean_g(&channels) } else { phase.g }, ..phase };
             notes.extend(doubts(&channels));
-            blocks.push(MediumBlock { name: names.take(&fit.material), notes, values, phase });
+            let (name, ior) = (names.take(&fit.material), channels[0].ior);
+            blocks.push(MediumBlock { name, notes, values, phase, ior });
             continue;
         }
         for channel in &channels {
@@ -121,7 +131,7 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
             }
             let name = names.take(&format!("{}_{}", fit.material, channel.name));
             let values = Values::Scalar(channel.medium);
-            blocks.push(MediumBlock { name, notes, values, phase: of(channel) });
+            blocks.push(MediumBlock { name, notes, values, phase: of(channel), ior: channel.ior });
         }
     }
     blocks

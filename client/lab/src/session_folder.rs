@@ -32,6 +32,10 @@ impl SessionFolder {
         Ok(folder)
     }
 
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     pub fn measurements(&self) -> PathBuf {
         self.path.join("measurements.csv")
     }

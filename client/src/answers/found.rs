@@ -36,11 +36,14 @@ impl TryFrom<MeasureResponse> for MeasureAnswer {
 }
 
 /// Table and media for renderers, as files with their names.
-pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 4]> {
+pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 7]> {
     Ok([
         ("table.csv", table_csv(fits)?),
         ("media.py", renderers::mitsuba_dict(fits)),
         ("media.xml", renderers::mitsuba_xml(fits)),
         ("media.pbrt", renderers::pbrt(fits)),
+        ("media_blender.py", renderers::blender(fits)),
+        ("media.mtlx", renderers::materialx(fits)),
+        ("media.usda", renderers::usd(fits)),
     ])
 }

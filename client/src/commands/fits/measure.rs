@@ -1,6 +1,7 @@
 //! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
 //! folder of a session.
 
+mod files;
 #[cfg(test)]
 mod tests;
 
@@ -14,18 +15,18 @@ use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
-use farm_proto::wire::MeasureRequest;
-use optics_model::Scene;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::{GetRequest, MeasureRequest};
 use optics_model::fit::{
     Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
+use optics_model::{Grid, Scene};
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, WantedDictionary};
 use super::{filters, other_scene};
 use crate::answers::{
     FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
-    media_files,
 };
 use crate::cli::set_up::SET_UP;
 use crate::cli::{Global, MuArgs, OptionArgs};
@@ -33,7 +34,7 @@ use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, patient, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::{Output, grouped, warning, wrapped, write_whole};
+use crate::output::{Output, grouped, warning, wrapped};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -87,7 +88,8 @@ pub(crate) struct MeasureArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long)]
     bound: bool,
-    /// Write a folder with table.csv, media for Mitsuba 3 (media.py, media.xml) and pbrt-v4 (media.pbrt).
+    /// Write a folder with table.csv, media.json for `farmctl predict`, and media for Mitsuba 3, pbrt-v4, Blender,
+    /// MaterialX and USD.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
@@ -212,7 +214,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         _ => None,
     };
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
-    let Answer { dictionary, found, note } = ask(global, inputs.own, &asked).await?;
+    let Answer { dictionary, grid, found, note } = ask(global, inputs.own, &asked).await?;
     output.notes(note.as_slice(), &inputs.measurements);
     notes.extend(note);
     if mixtures.is_some() && found.unmixed.is_none() {
@@ -222,10 +224,12 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         Some(path) => figure_files::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
+    let media = files::media(&dictionary, &grid, &found)?;
     if let Some(folder) = &inputs.output {
-        write_folder(folder, &found).with_context(|| format!("writing {}", folder.display()))?;
+        files::write(folder, &found, &media).with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
+        files::write_media(folder.path(), &media)?;
         let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
         let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
         output.notes(&of_filters, &inputs.measurements);
@@ -265,6 +269,7 @@ struct Question<'a> {
 
 struct Answer {
     dictionary: String,
+    grid: Grid,
     found: Box<MeasureAnswer>,
     /// A note if the dictionary's scene differs from the session's.
     note: Option<Note>,
@@ -309,10 +314,10 @@ async fn ask_once(
                 Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
             }
         };
-        let note = match question.session {
-            Some(session) => other_scene::note(connection, &dictionary, session).await?,
-            None => None,
-        };
+        let get = GetRequest { name: dictionary.clone() };
+        let status = connection.dictionaries().get(get).await?.into_inner();
+        let grid = DictionaryStatus::try_from(status)?.grid;
+        let note = question.session.and_then(|session| other_scene::note(&dictionary, session, grid.scene()));
         let request = MeasureRequest { dictionary: dictionary.clone(), ..question.request.clone() };
         let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
@@ -321,7 +326,7 @@ async fn ask_once(
             () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
             found = fits.measure(patient(request)) => found?.into_inner(),
         };
-        Ok(Asked::Answered(Answer { dictionary, found: Box::new(found.try_into()?), note }))
+        Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), note }))
     })
     .await
 }
@@ -349,17 +354,13 @@ fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictu
     }
     text += &figure_files::drawn(pictures);
     if let Some(folder) = folder {
-        text += &format!("\nwritten to {}: table.csv, media.py, media.xml, media.pbrt", folder.display());
+        text += &format!(
+            "\nwritten to {}: table.csv, media.json (for `farmctl predict`), and for renderers media.py, media.xml, \
+             media.pbrt, media_blender.py, media.mtlx, media.usda",
+            folder.display()
+        );
     }
     text
-}
-
-fn write_folder(folder: &Path, found: &MeasureAnswer) -> Result<()> {
-    std::fs::create_dir_all(folder)?;
-    for (name, text) in media_files(&found.materials)? {
-        write_whole(&folder.join(name), text.as_bytes()).context(name)?;
-    }
-    Ok(())
 }
 
 pub(crate) fn data<'a>(

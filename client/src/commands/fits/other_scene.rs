@@ -1,22 +1,10 @@
 //! Notes that a session is measured with a dictionary of another scene.
 
-use anyhow::Result;
 use farm_lab::measurement_file::Note;
-use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::GetRequest;
 use optics_model::Scene;
 
-use crate::connection::Connection;
-
-/// Fetches the dictionary's scene and compares it with the session's.
-pub(super) async fn note(connection: &Connection, dictionary: &str, session: &Scene) -> Result<Option<Note>> {
-    let request = GetRequest { name: dictionary.to_owned() };
-    let status = connection.dictionaries().get(request).await?.into_inner();
-    Ok(note_of(dictionary, session, DictionaryStatus::try_from(status)?.grid.scene()))
-}
-
 /// `None` if all quantities are equal.
-fn note_of(dictionary: &str, session: &Scene, other: &Scene) -> Option<Note> {
+pub(super) fn note(dictionary: &str, session: &Scene, other: &Scene) -> Option<Note> {
     let differences = session.differences(other);
     let list: Vec<String> =
         differences.iter().map(|d| format!("{} {} instead of {}", d.quantity, d.other, d.own)).collect();
@@ -48,12 +36,12 @@ mod tests {
         let gel = priors.iter_mut().find(|prior| lab.name_of(prior) == "gel thickness").unwrap();
         *gel = halved(gel);
         let session = lab.clone().with_priors(priors).unwrap();
-        let note = note_of("lab", &session, &lab).unwrap();
+        let found = note("lab", &session, &lab).unwrap();
         assert_eq!(
-            note.text,
+            found.text,
             "dictionary lab has another scene than the session: gel thickness 0.02 ± 0.02 mm per slab instead of 0.02 ± \
              0.01 mm per slab; without --dictionary the session's own is used"
         );
-        assert_eq!(note_of("lab", &lab, &lab), None);
+        assert_eq!(note("lab", &lab, &lab), None);
     }
 }

@@ -1,0 +1,51 @@
+//! The layers, lamps and sensor through which a print is seen.
+
+use anyhow::{Result, bail};
+use clap::ValueEnum;
+use optics_model::Scene;
+use optics_model::scene::{Channel, Layer, LayerMedium, RingLight, Sensor};
+
+/// How a print is lit and seen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Geometry {
+    /// The set-up of the measurement: its layers, ring and sensor; the base lies under its coat.
+    Session,
+    /// 45°a:0° (ISO 13655): a ring of 45° ± 5°, seen from above; the bare print lies on the base, with air between.
+    #[value(name = "45:0")]
+    FortyFiveZero,
+    /// di:8° (ISO 7724, CIE 15): light from everywhere, with the mirrored, seen at 8°; the bare print lies on the base.
+    #[value(name = "d:8")]
+    DiffuseEight,
+}
+
+impl Geometry {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Session => "session",
+            Self::FortyFiveZero => "45:0",
+            Self::DiffuseEight => "d:8",
+        }
+    }
+
+    /// The scene of a channel. A bare print has the roughness of the scene's sample, unless another is given.
+    pub(super) fn scene(self, session: &Scene, channel: &str, roughness: Option<f64>) -> Result<Scene> {
+        if self == Self::Session && roughness.is_some() {
+            bail!("--roughness is that of a bare print: give --geometry 45:0 or d:8");
+        }
+        // Its ρ are not used.
+        let session = session.of_channel(&Channel::new(channel, 0.5, 0.5)?)?;
+        let (ring, polar_deg) = match self {
+            Self::Session => return Ok(session),
+            Self::FortyFiveZero => (RingLight::new(40.0, 50.0)?, 0.0),
+            Self::DiffuseEight => (RingLight::new(0.0, 90.0)?, 8.0),
+        };
+        let is_sample = |layer: &&Layer| layer.medium() == LayerMedium::Sample;
+        let of_scene = session.layers().iter().find(is_sample).map_or(0.0, Layer::roughness);
+        let roughness = roughness.unwrap_or(of_scene);
+        let layers = vec![Layer::sample("print", roughness)?, Layer::clear("air", 1.0, 0.0, roughness)?];
+        let sensor = Sensor::new(10.0, 1, polar_deg)?;
+        let scene =
+            Scene::new(layers, session.channels().to_vec(), ring, sensor, session.multiple_scattering())?;
+        Ok(scene.with_sample_ior_offset(session.sample_ior_offset()))
+    }
+}

@@ -1,0 +1,350 @@
+//! Implements `farmctl predict`: the reflectance and the colour of slabs of measured media over bases.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+use farm_figures::numbers::{minus, significant, with_error};
+use farm_lab::colour::{Colorimetry, Colour, Illuminant, Observer, Viewing};
+use farm_lab::media_file::MediaFile;
+use optics_layers::{Predicted, Print, predict};
+use optics_model::fit::Z;
+use optics_model::measurement::wavelength_nm;
+use optics_model::{Invalid, Scene};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::geometry::Geometry;
+use super::media::UsedMaterials;
+use super::slabs::{NamedSlab, parsed};
+use crate::output::{Output, table, wrapped};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl predict media white:1                         over a black and a white base, in the measured set-up
+  farmctl predict media cyan:0.2 white:2 --over 0.5     a layer on a thick one
+  farmctl predict media white=0.9,cyan=0.1:1 --geometry d:8
+
+The media are those that `farmctl measure` wrote to media.json, in the folder of -o or of a session.")]
+pub(crate) struct PredictArgs {
+    /// Measured media: media.json, or the folder that contains it.
+    media: PathBuf,
+    /// Slabs from top to bottom: MATERIAL:MM, or a mixture by volume, MATERIAL=SHARE,MATERIAL=SHARE:MM.
+    #[arg(value_name = "SLAB", required = true)]
+    slabs: Vec<String>,
+    /// Reflectances of Lambertian bases under the print; black is 0.03, white 0.9.
+    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "black,white")]
+    over: Vec<String>,
+    /// Lamps and sensor.
+    #[arg(long, value_enum, default_value = "session")]
+    geometry: Geometry,
+    /// GGX roughness of a bare print's faces; 0 is polished [default: that of the measured samples].
+    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
+    roughness: Option<f64>,
+    /// Illuminant of colours, for channels that are wavelengths.
+    #[arg(long, value_enum, default_value = "d50")]
+    illuminant: IlluminantArg,
+    /// Observer of colours: 2 or 10 degrees.
+    #[arg(long, value_enum, default_value = "2")]
+    observer: ObserverArg,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum IlluminantArg {
+    D50,
+    D65,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ObserverArg {
+    #[value(name = "2")]
+    Two,
+    #[value(name = "10")]
+    Ten,
+}
+
+impl PredictArgs {
+    fn viewing(&self) -> Viewing {
+        let illuminant = match self.illuminant {
+            IlluminantArg::D50 => Illuminant::D50,
+            IlluminantArg::D65 => Illuminant::D65,
+        };
+        let observer = match self.observer {
+            ObserverArg::Two => Observer::TwoDegrees,
+            ObserverArg::Ten => Observer::TenDegrees,
+        };
+        Viewing { illuminant, observer }
+    }
+}
+
+/// Reflectances of the bases called black and white: of usual backings (ISO 13655 asks for matt, neutral ones).
+const BASES: [(&str, f64); 2] = [("black", 0.03), ("white", 0.9)];
+
+/// A base, with the name that it was given by.
+#[derive(Debug, Clone, Serialize)]
+struct Base {
+    name: String,
+    rho: f64,
+}
+
+impl Base {
+    fn parsed(text: &str) -> Result<Self> {
+        let named = BASES.iter().find(|(name, _)| *name == text).map(|(_, rho)| *rho);
+        let rho = named.or_else(|| text.parse().ok().filter(|rho| (0.0..=1.0).contains(rho)));
+        let rho = rho.ok_or_else(|| {
+            Invalid::new("over", text, "allowed are black, white, and reflectances from 0 to 1")
+        })?;
+        Ok(Self { name: text.to_owned(), rho })
+    }
+}
+
+pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
+    let data = data(args)?;
+    output.print("predict", &data, || text(&data))
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct PredictJson {
+    slabs: Vec<SlabJson>,
+    geometry: &'static str,
+    channels: Vec<ChannelJson>,
+    /// Null unless the channels are wavelengths that cover the visible range.
+    colours: Option<ColoursJson>,
+    /// Why there are no colours.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    no_colours: Option<String>,
+    /// Materials that the measurement leaves undetermined, with their channels.
+    unresolved: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct SlabJson {
+    label: String,
+    thickness_mm: f64,
+    shares: Vec<ShareJson>,
+}
+
+#[derive(Debug, Serialize)]
+struct ShareJson {
+    material: String,
+    share: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct ChannelJson {
+    channel: String,
+    bases: Vec<ReflectanceJson>,
+}
+
+/// A radiance factor with its 95 % interval.
+#[derive(Debug, Serialize)]
+struct ReflectanceJson {
+    #[serde(flatten)]
+    base: Base,
+    radiance_factor: f64,
+    std_error: f64,
+    interval: [f64; 2],
+}
+
+#[derive(Debug, Serialize)]
+struct ColoursJson {
+    #[serde(flatten)]
+    viewing: Viewing,
+    bases: Vec<ColourJson>,
+    /// Y over the first base over Y over the last one, and its standard error; null with one base.
+    contrast_ratio: Option<[f64; 2]>,
+}
+
+#[derive(Debug, Serialize)]
+struct ColourJson {
+    #[serde(flatten)]
+    base: Base,
+    #[serde(flatten)]
+    colour: Colour,
+    lab_std_errors: [f64; 3],
+    /// Null for the 10° observer.
+    srgb: Option<[u8; 3]>,
+}
+
+fn data(args: &PredictArgs) -> Result<PredictJson> {
+    let file = MediaFile::read(&args.media)?;
+    let is_material = |name: &str| file.material(name).is_ok();
+    let slabs: Vec<NamedSlab> =
+        args.slabs.iter().map(|text| parsed(text, is_material)).collect::<Result<_>>()?;
+    let bases: Vec<Base> = args.over.iter().map(|text| Base::parsed(text.trim())).collect::<Result<_>>()?;
+    let rho: Vec<f64> = bases.iter().map(|base| base.rho).collect();
+    let used = UsedMaterials::new(&file, &slabs)?;
+    let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
+    let channels = used.channels()?;
+    let predicted = |channel: &&str| -> Result<(Vec<Predicted>, Vec<String>)> {
+        let of_channel = used.of(channel)?;
+        let scene = args.geometry.scene(&session, channel, args.roughness)?;
+        let print = Print::new(&scene, of_channel.sample_ior + scene.sample_ior_offset());
+        let found = predict(&print, &of_channel.media, used.slabs(), &rho)?;
+        Ok((found, of_channel.unresolved.into_iter().map(|name| format!("{name} {channel}")).collect()))
+    };
+    let found: Vec<(Vec<Predicted>, Vec<String>)> =
+        channels.par_iter().map(predicted).collect::<Result<_>>()?;
+    let (found, unresolved): (Vec<_>, Vec<_>) = found.into_iter().unzip();
+    let (colours, no_colours) = match colours(&channels, &found, &bases, args.viewing()) {
+        Ok(colours) => (Some(colours), None),
+        Err(reason) => (None, Some(reason.to_string())),
+    };
+    Ok(PredictJson {
+        slabs: slabs.iter().map(slab_json).collect(),
+        geometry: args.geometry.name(),
+        channels: channels
+            .iter()
+            .zip(&found)
+            .map(|(channel, found)| channel_json(channel, found, &bases))
+            .collect(),
+        colours,
+        no_colours,
+        unresolved: unresolved.concat(),
+    })
+}
+
+fn slab_json(slab: &NamedSlab) -> SlabJson {
+    let share = |(material, share): &(String, f64)| ShareJson { material: material.clone(), share: *share };
+    SlabJson {
+        label: slab.label(),
+        thickness_mm: slab.thickness_mm,
+        shares: slab.shares.iter().map(share).collect(),
+    }
+}
+
+fn channel_json(channel: &str, found: &[Predicted], bases: &[Base]) -> ChannelJson {
+    let reflectance = |(found, base): (&Predicted, &Base)| {
+        let (value, std_error) = (found.value, found.std_error());
+        let interval = [(value - Z * std_error).max(0.0), value + Z * std_error];
+        ReflectanceJson { base: base.clone(), radiance_factor: value, std_error, interval }
+    };
+    ChannelJson { channel: channel.to_owned(), bases: found.iter().zip(bases).map(reflectance).collect() }
+}
+
+/// Colours over all bases. How the errors of wavelengths are correlated is not known: of errors that are the same
+/// everywhere, and independent ones, the larger effect is stated.
+fn colours(
+    channels: &[&str],
+    found: &[Vec<Predicted>],
+    bases: &[Base],
+    viewing: Viewing,
+) -> Result<ColoursJson, Invalid> {
+    let wavelengths: Option<Vec<f64>> = channels.iter().map(|channel| wavelength_nm(channel)).collect();
+    let mut order: Vec<(f64, usize)> =
+        wavelengths.unwrap_or_default().into_iter().enumerate().map(|(i, nm)| (nm, i)).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let nm: Vec<f64> = order.iter().map(|(nm, _)| *nm).collect();
+    let colorimetry = Colorimetry::new(&nm, viewing)?;
+    let spectrum = |base: usize| -> Vec<(f64, f64)> {
+        order.iter().map(|(_, i)| (found[*i][base].value, found[*i][base].std_error())).collect()
+    };
+    let colour = |(i, base): (usize, &Base)| {
+        let spectrum = spectrum(i);
+        let values: Vec<f64> = spectrum.iter().map(|(value, _)| *value).collect();
+        let colour = colorimetry.colour(&values);
+        let srgb = colorimetry.srgb(&colour);
+        ColourJson {
+            base: base.clone(),
+            colour,
+            lab_std_errors: lab_std_errors(&colorimetry, &spectrum),
+            srgb,
+        }
+    };
+    let all: Vec<ColourJson> = bases.iter().enumerate().map(colour).collect();
+    let contrast_ratio = (bases.len() > 1).then(|| {
+        let last = bases.len() - 1;
+        let luminance = |base: usize, by: f64| {
+            let moved: Vec<f64> = spectrum(base).iter().map(|(value, error)| value + by * error).collect();
+            colorimetry.xyz(&moved)[1]
+        };
+        let ratio = |by: f64| luminance(0, by) / luminance(last, by);
+        [ratio(0.0), (ratio(1.0) - ratio(-1.0)).abs() / 2.0]
+    });
+    Ok(ColoursJson { viewing, bases: all, contrast_ratio })
+}
+
+fn lab_std_errors(colorimetry: &Colorimetry, spectrum: &[(f64, f64)]) -> [f64; 3] {
+    let lab = |moved: &dyn Fn(usize) -> bool| {
+        let values = spectrum.iter().enumerate().map(|(i, (v, error))| if moved(i) { v + error } else { *v });
+        colorimetry.colour(&values.collect::<Vec<f64>>()).lab
+    };
+    let nominal = lab(&|_| false);
+    let together = lab(&|_| true);
+    let mut squares = [0.0; 3];
+    for i in 0..spectrum.len() {
+        let moved = lab(&|j| j == i);
+        (0..3).for_each(|k| squares[k] += (moved[k] - nominal[k]).powi(2));
+    }
+    std::array::from_fn(|k| squares[k].sqrt().max((together[k] - nominal[k]).abs()))
+}
+
+fn text(data: &PredictJson) -> String {
+    let bases: Vec<String> = data.channels[0]
+        .bases
+        .iter()
+        .map(|b| {
+            if b.base.name.parse::<f64>().is_ok() {
+                b.base.name.clone()
+            } else {
+                format!("{} ({})", b.base.name, b.base.rho)
+            }
+        })
+        .collect();
+    let heads: Vec<String> =
+        bases.iter().flat_map(|base| [format!("over {base}"), "95 %".to_owned()]).collect();
+    let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();
+    let row = |channel: &ChannelJson| {
+        let cells = channel.bases.iter().flat_map(|b| {
+            let digits = (-b.std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1;
+            [
+                format!("{:.digits$}", b.radiance_factor),
+                format!("{:.digits$}…{:.digits$}", b.interval[0], b.interval[1]),
+            ]
+        });
+        std::iter::once(channel.channel.clone()).chain(cells).collect()
+    };
+    let right: Vec<usize> = (0..bases.len()).map(|i| 2 * i + 1).collect();
+    let slabs: Vec<&str> = data.slabs.iter().map(|slab| slab.label.as_str()).collect();
+    let mut text = format!(
+        "radiance factor of {}, {}\n{}",
+        slabs.join(" on "),
+        match data.geometry {
+            "session" => "in the measured set-up".to_owned(),
+            other => format!("a bare print at {other}"),
+        },
+        table(&head, &right, data.channels.iter().map(row))
+    );
+    match (&data.colours, &data.no_colours) {
+        (Some(colours), _) => text += &format!("\n\n{}", colours_text(colours)),
+        (None, Some(reason)) => text += &format!("\n{}", wrapped(&format!("no colours: {reason}"))),
+        _ => {}
+    }
+    if !data.unresolved.is_empty() {
+        let list = data.unresolved.join(", ");
+        text += &format!("\n{}", wrapped(&format!("not determined by the measurement: {list}")));
+    }
+    text
+}
+
+fn colours_text(colours: &ColoursJson) -> String {
+    let head = ["", "L*", "a*", "b*", "Y", "sRGB"];
+    let row = |c: &ColourJson| {
+        let mut cells = vec![format!("over {}", c.base.name)];
+        cells.extend((0..3).map(|k| with_error(c.colour.lab[k], c.lab_std_errors[k])));
+        cells.push(significant(c.colour.xyz[1], 3));
+        cells.push(c.srgb.map_or_else(|| "–".to_owned(), |[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}")));
+        cells
+    };
+    let Viewing { illuminant, observer } = colours.viewing;
+    let observer = if observer == Observer::TwoDegrees { "2°" } else { "10°" };
+    let mut text = format!(
+        "colour, {illuminant:?}, {observer}\n{}",
+        table(&head, &[1, 2, 3, 4], colours.bases.iter().map(row))
+    );
+    if let Some([ratio, std_error]) = colours.contrast_ratio {
+        text += &format!("\ncontrast ratio Y/Y {}", minus(&with_error(ratio, std_error)));
+    }
+    text
+}

@@ -1,0 +1,121 @@
+//! Formats media for MaterialX and USD: an OpenPBR surface for each medium.
+//!
+//! Source: OpenPBR 1.1.1, "Translucent base": μ_t = −ln T/λ, μ_s = S/λ. In the draft of OpenPBR 1.2 S is the albedo
+//! instead, so files name the version. Tried with MaterialX 1.39.5 and usd-core 26.11.
+
+use optics_model::fit::MaterialFit;
+
+use super::blocks;
+use super::rgb::{OpenPbr, RgbMedium, triple};
+
+/// A MaterialX document.
+pub(crate) fn materialx(fits: &[MaterialFit]) -> String {
+    let mut text = "<?xml version=\"1.0\"?>\n<materialx version=\"1.39\" colorspace=\"lin_rec709\">\n  \
+        <!-- Measured media for OpenPBR 1.1, where transmission_scatter is a coefficient times transmission_depth.\n       \
+        Lengths are in mm: for another unit divide transmission_depth by its mm. -->\n"
+        .to_owned();
+    for block in &blocks(fits) {
+        let medium = RgbMedium::of(block);
+        let OpenPbr { depth, colour, scatter } = medium.open_pbr();
+        let name = medium.name;
+        // Two dashes would end the comment.
+        text += &medium.notes.iter().map(|n| format!("  <!-- {} -->\n", comment(n))).collect::<String>();
+        text += &format!("  <open_pbr_surface name=\"{name}_shader\" type=\"surfaceshader\">\n");
+        let inputs = [
+            ("specular_roughness", "float", "0".to_owned()),
+            ("specular_ior", "float", format!("{:?}", medium.ior)),
+            ("transmission_weight", "float", "1".to_owned()),
+            ("transmission_color", "color3", triple(colour)),
+            ("transmission_depth", "float", format!("{depth:.9}")),
+            ("transmission_scatter", "color3", triple(scatter)),
+            ("transmission_scatter_anisotropy", "float", format!("{:?}", medium.g)),
+        ];
+        for (input, kind, value) in inputs {
+            text += &format!("    <input name=\"{input}\" type=\"{kind}\" value=\"{value}\" />\n");
+        }
+        text += &format!(
+            "  </open_pbr_surface>\n  <surfacematerial name=\"{name}\" type=\"material\">\n    \
+             <input name=\"surfaceshader\" type=\"surfaceshader\" nodename=\"{name}_shader\" />\n  </surfacematerial>\n"
+        );
+    }
+    text + "</materialx>\n"
+}
+
+fn comment(note: &str) -> String {
+    note.replace("--", "- -").trim_end_matches('-').to_owned()
+}
+
+/// A USD layer with a material for each medium.
+pub(crate) fn usd(fits: &[MaterialFit]) -> String {
+    let mut text = "#usda 1.0\n(\n    defaultPrim = \"Resins\"\n    metersPerUnit = 0.001\n    upAxis = \"Z\"\n)\n\n\
+        # Measured media as OpenPBR 1.1 surfaces of MaterialX; transmission_depth is in mm, as the stage is.\n\
+        def Scope \"Resins\"\n{\n"
+        .to_owned();
+    for block in &blocks(fits) {
+        let medium = RgbMedium::of(block);
+        let OpenPbr { depth, colour, scatter } = medium.open_pbr();
+        let name = medium.name;
+        text += &medium.notes.iter().map(|note| format!("    # {note}\n")).collect::<String>();
+        text += &format!(
+            "    def Material \"{name}\"
+    {{
+        token outputs:mtlx:surface.connect = </Resins/{name}/shader.outputs:out>
+
+        def Shader \"shader\"
+        {{
+            uniform token info:id = \"ND_open_pbr_surface_surfaceshader\"
+            float inputs:specular_roughness = 0
+            float inputs:specular_ior = {ior:?}
+            float inputs:transmission_weight = 1
+            color3f inputs:transmission_color = ({})
+            float inputs:transmission_depth = {depth:.9}
+            color3f inputs:transmission_scatter = ({})
+            float inputs:transmission_scatter_anisotropy = {g:?}
+            token outputs:out
+        }}
+    }}
+",
+            triple(colour),
+            triple(scatter),
+            ior = medium.ior,
+            g = medium.g
+        );
+    }
+    text + "}\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::renderers::tests::{channel, medium, three_kinds};
+
+    /// σ_t 6, 5 and 4 /mm: λ = 1/6 mm, T = exp(−σ_t λ), S = σ_s λ.
+    #[test]
+    fn media_are_open_pbr_surfaces() {
+        let (mtlx, usda) = (materialx(&three_kinds()), usd(&three_kinds()));
+        let (colour, scatter) =
+            ("0.367879441, 0.434598209, 0.513417119", "0.999100000, 0.825000000, 0.653333333");
+        for (text, expected) in [
+            (&mtlx, format!("<input name=\"transmission_color\" type=\"color3\" value=\"{colour}\" />")),
+            (&mtlx, format!("<input name=\"transmission_scatter\" type=\"color3\" value=\"{scatter}\" />")),
+            (&mtlx, "<input name=\"transmission_depth\" type=\"float\" value=\"0.166666667\" />".to_owned()),
+            (&usda, format!("color3f inputs:transmission_color = ({colour})")),
+            (&usda, format!("color3f inputs:transmission_scatter = ({scatter})")),
+            (&usda, "float inputs:transmission_depth = 0.166666667".to_owned()),
+        ] {
+            assert!(text.contains(&expected), "{expected}\n{text}");
+        }
+        assert_eq!(mtlx.matches("<surfacematerial").count(), 3);
+        assert_eq!(usda.matches("def Material").count(), 3);
+        roxmltree::Document::parse(&mtlx).unwrap();
+    }
+
+    /// Names of materials cannot end the comments that contain them.
+    #[test]
+    fn names_cannot_escape_xml_comments() {
+        let text = materialx(&[medium("a--><b x=\"", vec![channel("R", 1.0, 0.5)])]);
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let surfaces = document.descendants().filter(|node| node.has_tag_name("open_pbr_surface"));
+        assert_eq!(surfaces.count(), 1, "{text}");
+    }
+}
