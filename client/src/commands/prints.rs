@@ -1,9 +1,12 @@
 //! Commands that predict how prints of measured media look.
 
+pub(crate) mod compare;
 mod geometry;
-mod media;
 pub(crate) mod predict;
+pub(crate) mod recipe;
 mod slabs;
+pub(crate) mod validate;
+mod view;
 
 use std::process::ExitCode;
 
@@ -16,12 +19,21 @@ use crate::output::Output;
 pub(crate) enum PrintCommand {
     /// Predict reflectance and colour of prints of measured media, with intervals.
     Predict(predict::PredictArgs),
+    /// Compare two measurements of resins: whether they differ, and what both together give.
+    Compare(compare::CompareArgs),
+    /// Validate measured media by a chart of printed patches: residuals, their expected spread, and colours.
+    Validate(validate::ValidateArgs),
+    /// Find the mixture of measured inks that comes closest to a colour.
+    Recipe(recipe::RecipeArgs),
 }
 
 impl PrintCommand {
     pub(crate) fn run(self, output: &Output) -> Result<ExitCode> {
         match self {
             Self::Predict(args) => predict::run(&args, output)?,
+            Self::Compare(args) => compare::run(&args, output)?,
+            Self::Validate(args) => validate::run(&args, output)?,
+            Self::Recipe(args) => recipe::run(&args, output)?,
         }
         Ok(ExitCode::SUCCESS)
     }

@@ -8,7 +8,7 @@ use crate::operator::Operator;
 use crate::quadrature::Quadrature;
 
 /// Points of the sequence over the microfacets of a rough face.
-const POINTS: u32 = 1 << 13;
+const POINTS: u32 = 1 << 12;
 
 /// None between layers of the same index, which is no interface.
 pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Option<Operator> {

@@ -12,5 +12,5 @@ mod print;
 mod quadrature;
 mod slab;
 
-pub use prediction::{Predicted, PrintedSlab, Uncertain, predict};
+pub use prediction::{Predicted, PrintedSlab, Uncertain, chi2, predict};
 pub use print::{Print, Slab};

@@ -22,6 +22,16 @@ pub(crate) struct Operator {
 }
 
 impl Operator {
+    /// The layer upside down.
+    pub(crate) fn turned(&self) -> Self {
+        Self {
+            reflects_above: self.reflects_below.clone(),
+            reflects_below: self.reflects_above.clone(),
+            down: self.up.clone(),
+            up: self.down.clone(),
+        }
+    }
+
     /// The reflection from above of this layer over something that reflects light from above by `base`:
     /// R + T↑ (1 − B R′)⁻¹ B T↓.
     pub(crate) fn over(&self, base: &DMatrix<f64>) -> DMatrix<f64> {

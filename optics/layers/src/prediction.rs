@@ -93,6 +93,20 @@ fn directions(covariance: &[[f64; 3]; 3]) -> [Vector3<f64>; 3] {
     std::array::from_fn(|i| eigen.eigenvectors.column(i) * eigen.eigenvalues[i].max(0.0).sqrt())
 }
 
+/// dᵀ C⁻¹ d in the directions in which a covariance is not 0, and their number; None if there are none.
+pub fn chi2(difference: &[f64; 3], covariance: impl Fn(usize, usize) -> f64) -> Option<(f64, usize)> {
+    /// Share of the greatest variance that counts as 0.
+    const NONE: f64 = 1e-12;
+    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance(i, j)));
+    let least = NONE * eigen.eigenvalues.max();
+    let difference = Vector3::from(*difference);
+    let kept: Vec<f64> = (0..3)
+        .filter(|i| eigen.eigenvalues[*i] > least)
+        .map(|i| eigen.eigenvectors.column(i).dot(&difference).powi(2) / eigen.eigenvalues[i])
+        .collect();
+    (!kept.is_empty()).then(|| (kept.iter().sum(), kept.len()))
+}
+
 impl Uncertain {
     /// The medium moved in its coordinates; an albedo stays below 1.
     fn moved(&self, by: Vector3<f64>) -> Self {

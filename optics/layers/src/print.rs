@@ -6,7 +6,6 @@ use optics_model::phase::PhaseShape;
 use optics_model::scene::LayerMedium;
 use optics_model::{Invalid, Medium, Scene};
 use optics_tracer::face::Face;
-use rayon::prelude::*;
 
 use crate::faces::face;
 use crate::operator::Operator;
@@ -51,17 +50,21 @@ impl Print {
         let roughness = rough.min_by(f64::total_cmp);
         let sensor = sin2(scene.sensor().polar_deg());
         let quadrature = Quadrature::new(&iors, sample_ior, roughness, &ring, sensor);
-        let of_layer = |i: usize| {
-            let layer = &scene.layers()[i];
-            let interface = Face {
+        let mut faces: Vec<(Face, Option<Operator>)> = Vec::new();
+        let mut elements = Vec::new();
+        for (i, layer) in scene.layers().iter().enumerate() {
+            let own = Face {
                 iors: [iors[i], iors[i + 1]],
                 roughness: layer.roughness(),
                 multiple_scattering: scene.multiple_scattering(),
             };
-            let slabs = (layer.medium() == LayerMedium::Sample).then_some(None);
-            face(&quadrature, &interface).map(Some).into_iter().chain(slabs).collect::<Vec<_>>()
-        };
-        let elements = (0..scene.layers().len()).into_par_iter().flat_map_iter(of_layer).collect();
+            let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
+            faces.push((own, operator.clone()));
+            elements.extend(operator.map(Some));
+            if layer.medium() == LayerMedium::Sample {
+                elements.push(None);
+            }
+        }
         let is_lit =
             |i: &usize| (ring[0]..=ring[1]).contains(&quadrature.s2[*i]) && quadrature.weights[*i] > 0.0;
         let lit = (0..quadrature.len()).filter(is_lit).collect();
@@ -107,6 +110,16 @@ impl Print {
         };
         DMatrix::from_fn(self.quadrature.len(), self.quadrature.len(), of)
     }
+}
+
+/// The operator of a face like an earlier one, or like one upside down.
+fn known(faces: &[(Face, Option<Operator>)], own: &Face) -> Option<Option<Operator>> {
+    let turned = Face { iors: [own.iors[1], own.iors[0]], ..*own };
+    faces.iter().find_map(|(face, operator)| match () {
+        () if face == own => Some(operator.clone()),
+        () if *face == turned => Some(operator.as_ref().map(Operator::turned)),
+        () => None,
+    })
 }
 
 #[cfg(test)]

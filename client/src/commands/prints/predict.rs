@@ -2,21 +2,19 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
-use clap::{Args, ValueEnum};
+use anyhow::Result;
+use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
-use farm_lab::colour::{Colorimetry, Colour, Illuminant, Observer, Viewing};
+use farm_lab::colour::{Colorimetry, Colour, Observer, Viewing};
 use farm_lab::media_file::MediaFile;
-use optics_layers::{Predicted, Print, predict};
+use optics_layers::Predicted;
+use optics_model::Invalid;
 use optics_model::fit::Z;
 use optics_model::measurement::wavelength_nm;
-use optics_model::{Invalid, Scene};
-use rayon::prelude::*;
 use serde::Serialize;
 
-use super::geometry::Geometry;
-use super::media::UsedMaterials;
 use super::slabs::{NamedSlab, parsed};
+use super::view::{Base, View, ViewArgs, materials_of, unresolved};
 use crate::output::{Output, table, wrapped};
 
 #[derive(Debug, Args)]
@@ -33,70 +31,12 @@ pub(crate) struct PredictArgs {
     /// Slabs from top to bottom: MATERIAL:MM, or a mixture by volume, MATERIAL=SHARE,MATERIAL=SHARE:MM.
     #[arg(value_name = "SLAB", required = true)]
     slabs: Vec<String>,
-    /// Reflectances of Lambertian bases under the print; black is 0.03, white 0.9.
+    /// Lambertian bases under the print: reflectances; black (0.03) and white (0.9); light and dark, the sides of the
+    /// measured board.
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "black,white")]
     over: Vec<String>,
-    /// Lamps and sensor.
-    #[arg(long, value_enum, default_value = "session")]
-    geometry: Geometry,
-    /// GGX roughness of a bare print's faces; 0 is polished [default: that of the measured samples].
-    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
-    roughness: Option<f64>,
-    /// Illuminant of colours, for channels that are wavelengths.
-    #[arg(long, value_enum, default_value = "d50")]
-    illuminant: IlluminantArg,
-    /// Observer of colours: 2 or 10 degrees.
-    #[arg(long, value_enum, default_value = "2")]
-    observer: ObserverArg,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum IlluminantArg {
-    D50,
-    D65,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum ObserverArg {
-    #[value(name = "2")]
-    Two,
-    #[value(name = "10")]
-    Ten,
-}
-
-impl PredictArgs {
-    fn viewing(&self) -> Viewing {
-        let illuminant = match self.illuminant {
-            IlluminantArg::D50 => Illuminant::D50,
-            IlluminantArg::D65 => Illuminant::D65,
-        };
-        let observer = match self.observer {
-            ObserverArg::Two => Observer::TwoDegrees,
-            ObserverArg::Ten => Observer::TenDegrees,
-        };
-        Viewing { illuminant, observer }
-    }
-}
-
-/// Reflectances of the bases called black and white: of usual backings (ISO 13655 asks for matt, neutral ones).
-const BASES: [(&str, f64); 2] = [("black", 0.03), ("white", 0.9)];
-
-/// A base, with the name that it was given by.
-#[derive(Debug, Clone, Serialize)]
-struct Base {
-    name: String,
-    rho: f64,
-}
-
-impl Base {
-    fn parsed(text: &str) -> Result<Self> {
-        let named = BASES.iter().find(|(name, _)| *name == text).map(|(_, rho)| *rho);
-        let rho = named.or_else(|| text.parse().ok().filter(|rho| (0.0..=1.0).contains(rho)));
-        let rho = rho.ok_or_else(|| {
-            Invalid::new("over", text, "allowed are black, white, and reflectances from 0 to 1")
-        })?;
-        Ok(Self { name: text.to_owned(), rho })
-    }
+    #[command(flatten)]
+    view: ViewArgs,
 }
 
 pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
@@ -140,7 +80,6 @@ struct ChannelJson {
 /// A radiance factor with its 95 % interval.
 #[derive(Debug, Serialize)]
 struct ReflectanceJson {
-    #[serde(flatten)]
     base: Base,
     radiance_factor: f64,
     std_error: f64,
@@ -152,13 +91,12 @@ struct ColoursJson {
     #[serde(flatten)]
     viewing: Viewing,
     bases: Vec<ColourJson>,
-    /// Y over the first base over Y over the last one, and its standard error; null with one base.
+    /// Least Y over all bases over the greatest, and its standard error; null with one base.
     contrast_ratio: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Serialize)]
 struct ColourJson {
-    #[serde(flatten)]
     base: Base,
     #[serde(flatten)]
     colour: Colour,
@@ -172,28 +110,20 @@ fn data(args: &PredictArgs) -> Result<PredictJson> {
     let is_material = |name: &str| file.material(name).is_ok();
     let slabs: Vec<NamedSlab> =
         args.slabs.iter().map(|text| parsed(text, is_material)).collect::<Result<_>>()?;
-    let bases: Vec<Base> = args.over.iter().map(|text| Base::parsed(text.trim())).collect::<Result<_>>()?;
-    let rho: Vec<f64> = bases.iter().map(|base| base.rho).collect();
-    let used = UsedMaterials::new(&file, &slabs)?;
-    let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
-    let channels = used.channels()?;
-    let predicted = |channel: &&str| -> Result<(Vec<Predicted>, Vec<String>)> {
-        let of_channel = used.of(channel)?;
-        let scene = args.geometry.scene(&session, channel, args.roughness)?;
-        let print = Print::new(&scene, of_channel.sample_ior + scene.sample_ior_offset());
-        let found = predict(&print, &of_channel.media, used.slabs(), &rho)?;
-        Ok((found, of_channel.unresolved.into_iter().map(|name| format!("{name} {channel}")).collect()))
-    };
-    let found: Vec<(Vec<Predicted>, Vec<String>)> =
-        channels.par_iter().map(predicted).collect::<Result<_>>()?;
-    let (found, unresolved): (Vec<_>, Vec<_>) = found.into_iter().unzip();
-    let (colours, no_colours) = match colours(&channels, &found, &bases, args.viewing()) {
+    let bases: Vec<Base> =
+        args.over.iter().map(|text| Base::parsed(text.trim())).collect::<Result<_, _>>()?;
+    let materials = materials_of(&slabs);
+    let view = View::new(&file, &materials, &bases, &args.view)?;
+    let channels = view.names();
+    let found = view.predicted(&slabs)?;
+    let unresolved = unresolved(&file, &materials, &channels)?;
+    let (colours, no_colours) = match colours(&channels, &found, &bases, args.view.viewing()) {
         Ok(colours) => (Some(colours), None),
         Err(reason) => (None, Some(reason.to_string())),
     };
     Ok(PredictJson {
         slabs: slabs.iter().map(slab_json).collect(),
-        geometry: args.geometry.name(),
+        geometry: args.view.geometry.name(),
         channels: channels
             .iter()
             .zip(&found)
@@ -201,7 +131,7 @@ fn data(args: &PredictArgs) -> Result<PredictJson> {
             .collect(),
         colours,
         no_colours,
-        unresolved: unresolved.concat(),
+        unresolved,
     })
 }
 
@@ -254,18 +184,22 @@ fn colours(
     };
     let all: Vec<ColourJson> = bases.iter().enumerate().map(colour).collect();
     let contrast_ratio = (bases.len() > 1).then(|| {
-        let last = bases.len() - 1;
-        let luminance = |base: usize, by: f64| {
-            let moved: Vec<f64> = spectrum(base).iter().map(|(value, error)| value + by * error).collect();
-            colorimetry.xyz(&moved)[1]
+        let ratio = |by: f64| {
+            let luminance = |base: usize| {
+                let moved: Vec<f64> =
+                    spectrum(base).iter().map(|(value, error)| value + by * error).collect();
+                colorimetry.xyz(&moved)[1]
+            };
+            let all: Vec<f64> = (0..bases.len()).map(luminance).collect();
+            let end = |pick: fn(f64, f64) -> f64| all.iter().copied().reduce(pick).unwrap_or(1.0);
+            end(f64::min) / end(f64::max)
         };
-        let ratio = |by: f64| luminance(0, by) / luminance(last, by);
         [ratio(0.0), (ratio(1.0) - ratio(-1.0)).abs() / 2.0]
     });
     Ok(ColoursJson { viewing, bases: all, contrast_ratio })
 }
 
-fn lab_std_errors(colorimetry: &Colorimetry, spectrum: &[(f64, f64)]) -> [f64; 3] {
+pub(super) fn lab_std_errors(colorimetry: &Colorimetry, spectrum: &[(f64, f64)]) -> [f64; 3] {
     let lab = |moved: &dyn Fn(usize) -> bool| {
         let values = spectrum.iter().enumerate().map(|(i, (v, error))| if moved(i) { v + error } else { *v });
         colorimetry.colour(&values.collect::<Vec<f64>>()).lab
@@ -281,17 +215,7 @@ fn lab_std_errors(colorimetry: &Colorimetry, spectrum: &[(f64, f64)]) -> [f64; 3
 }
 
 fn text(data: &PredictJson) -> String {
-    let bases: Vec<String> = data.channels[0]
-        .bases
-        .iter()
-        .map(|b| {
-            if b.base.name.parse::<f64>().is_ok() {
-                b.base.name.clone()
-            } else {
-                format!("{} ({})", b.base.name, b.base.rho)
-            }
-        })
-        .collect();
+    let bases: Vec<&str> = data.channels[0].bases.iter().map(|b| b.base.name.as_str()).collect();
     let heads: Vec<String> =
         bases.iter().flat_map(|base| [format!("over {base}"), "95 %".to_owned()]).collect();
     let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();

@@ -1,0 +1,306 @@
+//! Implements `farmctl recipe`: finds the mixture of measured inks whose print comes closest to a colour.
+
+mod search;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use farm_figures::numbers::{minus, significant, with_error};
+use farm_lab::colour::{Colorimetry, delta_e_2000};
+use farm_lab::media_file::MediaFile;
+use optics_model::measurement::wavelength_nm;
+use serde::Serialize;
+
+use super::predict::lab_std_errors;
+use super::slabs::NamedSlab;
+use super::view::{Base, View, ViewArgs};
+use crate::output::{Output, table, wrapped};
+use search::{Limits, closest};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl recipe media --target 60,20,-10 --thickness 2
+  farmctl recipe media --target 60,20,-10 --target 75,0,30 --inks white,magenta,yellow --most magenta=0.2
+  farmctl recipe media --target wanted.csv --thickness 2 --opacity 0.95
+
+A target is L*,a*,b* where the channels are wavelengths, or a CSV file with the columns channel and value: radiance
+factors. Mixtures add by volume.")]
+pub(crate) struct RecipeArgs {
+    /// Measured inks: media.json, or the folder that contains it.
+    media: PathBuf,
+    /// Colour to match; it may be repeated.
+    #[arg(long, value_name = "LAB|FILE", required = true, allow_hyphen_values = true)]
+    target: Vec<String>,
+    /// Thickness of the print in mm.
+    #[arg(long, value_name = "MM")]
+    thickness: f64,
+    /// Inks to mix [default: all materials of the media].
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    inks: Vec<String>,
+    /// Largest share of an ink, as in magenta=0.2; it may be repeated.
+    #[arg(long, value_name = "INK=SHARE")]
+    most: Vec<String>,
+    /// Base under the print.
+    #[arg(long, value_name = "BASE", default_value = "white")]
+    over: String,
+    /// Contrast ratio to reach as well: brightness over black over that over white. A hundredth counts as one unit of
+    /// CIEDE2000.
+    #[arg(long, value_name = "RATIO")]
+    opacity: Option<f64>,
+    #[command(flatten)]
+    view: ViewArgs,
+}
+
+/// A colour to match.
+enum Target {
+    Lab([f64; 3]),
+    /// Radiance factors by channel.
+    Values(Vec<(String, f64)>),
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct RecipeJson {
+    thickness_mm: f64,
+    recipes: Vec<FoundRecipe>,
+}
+
+#[derive(Debug, Serialize)]
+struct FoundRecipe {
+    target: String,
+    /// Inks with a share of at least a thousandth.
+    shares: Vec<RecipeShare>,
+    /// CIEDE2000, or the root mean square of relative differences in per cent where channels are no wavelengths.
+    difference: f64,
+    is_delta_e: bool,
+    lab: Option<[f64; 3]>,
+    lab_std_errors: Option<[f64; 3]>,
+    /// Brightness over black over that over white.
+    contrast_ratio: f64,
+    radiance_factors: Vec<RecipeValue>,
+    /// Inks at the largest share that is allowed.
+    limited_by: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct RecipeShare {
+    ink: String,
+    share: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct RecipeValue {
+    channel: String,
+    value: f64,
+    std_error: f64,
+}
+
+pub(crate) fn run(args: &RecipeArgs, output: &Output) -> Result<()> {
+    let data = data(args)?;
+    output.print("recipe", &data, || text(&data))
+}
+
+/// The inks of a request, and how their mixtures look.
+struct Inks<'a> {
+    args: &'a RecipeArgs,
+    names: Vec<String>,
+    /// Over the base, over black, and over white.
+    view: View<'a>,
+    /// None unless the channels are wavelengths that cover the visible range.
+    colorimetry: Option<Colorimetry>,
+    /// Places of the channels by rising wavelength.
+    order: Vec<usize>,
+}
+
+fn data(args: &RecipeArgs) -> Result<RecipeJson> {
+    let file = MediaFile::read(&args.media)?;
+    optics_model::medium::check_thickness(args.thickness)?;
+    if let Some(ratio) = args.opacity.filter(|ratio| !(0.0..=1.0).contains(ratio)) {
+        bail!("--opacity {ratio}: allowed are 0 to 1");
+    }
+    let all = || file.materials.iter().map(|m| m.material.clone()).collect();
+    let names: Vec<String> = if args.inks.is_empty() { all() } else { args.inks.clone() };
+    let most = most(&args.most, &names)?;
+    let bases = [Base::parsed(&args.over)?, Base::parsed("black")?, Base::parsed("white")?];
+    let used: Vec<&str> = names.iter().map(String::as_str).collect();
+    let view = View::new(&file, &used, &bases, &args.view)?;
+    let mut order: Vec<(Option<f64>, usize)> =
+        view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
+    order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
+    let nm: Vec<f64> = order.iter().filter_map(|(nm, _)| *nm).collect();
+    let is_spectral = nm.len() == order.len();
+    let colorimetry = if is_spectral { Colorimetry::new(&nm, args.view.viewing()).ok() } else { None };
+    let order = order.into_iter().map(|(_, i)| i).collect();
+    let inks = Inks { args, names, view, colorimetry, order };
+    let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
+    Ok(RecipeJson { thickness_mm: args.thickness, recipes })
+}
+
+/// The largest share of each ink.
+fn most(given: &[String], names: &[String]) -> Result<Vec<f64>> {
+    let mut most = vec![1.0; names.len()];
+    for text in given {
+        let parsed = text.rsplit_once('=').and_then(|(name, share)| Some((name, share.parse::<f64>().ok()?)));
+        let (name, share) = parsed.filter(|(_, share)| (0.0..=1.0).contains(share)).with_context(|| {
+            format!("--most {text}: an ink and its largest share from 0 to 1 are needed, as in magenta=0.2")
+        })?;
+        let at = names.iter().position(|n| n == name);
+        most[at.with_context(|| format!("--most {text}: the inks are {}", names.join(", ")))?] = share;
+    }
+    if most.iter().sum::<f64>() < 1.0 {
+        bail!("--most leaves {} of the volume at most: it must allow all of it", most.iter().sum::<f64>());
+    }
+    Ok(most)
+}
+
+impl Target {
+    fn parsed(text: &str) -> Result<Self> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        if let Some(lab) = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
+            return Ok(Self::Lab(lab));
+        }
+        let path = Path::new(text);
+        let place = || format!("target {text}: it is neither L*,a*,b* nor a file with channel,value");
+        let mut reader = csv::Reader::from_path(path).with_context(place)?;
+        let row = |row: Result<(String, f64), csv::Error>| row.with_context(place);
+        Ok(Self::Values(reader.deserialize().map(row).collect::<Result<_>>()?))
+    }
+}
+
+impl Inks<'_> {
+    fn recipe(&self, text: &str, most: &[f64]) -> Result<FoundRecipe> {
+        let target = Target::parsed(text)?;
+        if matches!(target, Target::Lab(_)) && self.colorimetry.is_none() {
+            bail!(
+                "target {text}: L*,a*,b* need channels that are wavelengths of the visible range; give a file of channel,value"
+            );
+        }
+        let cost = |shares: &[f64]| -> Result<f64> {
+            let found = self.view.values(&[self.slab(shares)])?;
+            let difference = self.difference(&target, &found)?;
+            let opacity =
+                self.args.opacity.map_or(0.0, |ratio| 100.0 * (self.contrast_ratio(&found) - ratio));
+            Ok(difference.hypot(opacity))
+        };
+        let shares = closest(&Limits { most }, cost)?;
+        self.answer(text, &target, &shares, most)
+    }
+
+    fn slab(&self, shares: &[f64]) -> NamedSlab {
+        let parts = self.names.iter().cloned().zip(shares.iter().copied());
+        let sum: f64 = shares.iter().sum();
+        let shares =
+            parts.filter(|(_, share)| *share > 0.0).map(|(name, share)| (name, share / sum)).collect();
+        NamedSlab { shares, thickness_mm: self.args.thickness }
+    }
+
+    fn answer(&self, text: &str, target: &Target, shares: &[f64], most: &[f64]) -> Result<FoundRecipe> {
+        const SMALLEST: f64 = 1e-3;
+        let slab = self.slab(shares);
+        let predicted = self.view.predicted(std::slice::from_ref(&slab))?;
+        let found: Vec<Vec<f64>> = predicted.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
+        let spectrum: Vec<(f64, f64)> =
+            self.order.iter().map(|i| (predicted[*i][0].value, predicted[*i][0].std_error())).collect();
+        let lab = self.lab(&found);
+        let value = |(name, of): (&&str, &Vec<optics_layers::Predicted>)| RecipeValue {
+            channel: (*name).to_owned(),
+            value: of[0].value,
+            std_error: of[0].std_error(),
+        };
+        let limited = |i: &usize| most[*i] < 1.0 && shares[*i] > most[*i] - SMALLEST;
+        let kept = slab.shares.iter().filter(|(_, share)| *share >= SMALLEST);
+        Ok(FoundRecipe {
+            target: text.to_owned(),
+            shares: kept.map(|(ink, share)| RecipeShare { ink: ink.clone(), share: *share }).collect(),
+            difference: self.difference(target, &found)?,
+            is_delta_e: lab.is_some(),
+            lab,
+            lab_std_errors: self.colorimetry.as_ref().map(|c| lab_std_errors(c, &spectrum)),
+            contrast_ratio: self.contrast_ratio(&found),
+            radiance_factors: self.view.names().iter().zip(&predicted).map(value).collect(),
+            limited_by: (0..shares.len()).filter(limited).map(|i| self.names[i].clone()).collect(),
+        })
+    }
+
+    fn lab(&self, found: &[Vec<f64>]) -> Option<[f64; 3]> {
+        let spectrum: Vec<f64> = self.order.iter().map(|i| found[*i][0]).collect();
+        self.colorimetry.as_ref().map(|c| c.colour(&spectrum).lab)
+    }
+
+    /// CIEDE2000, or per cent.
+    fn difference(&self, target: &Target, found: &[Vec<f64>]) -> Result<f64> {
+        let values = match target {
+            Target::Lab(lab) => {
+                return Ok(self.lab(found).map_or(f64::INFINITY, |found| delta_e_2000(*lab, found)));
+            }
+            Target::Values(values) => values,
+        };
+        let of = |name: &&str| {
+            let found = values.iter().find(|(channel, _)| channel == name).map(|(_, value)| *value);
+            found
+                .filter(|v| *v > 0.0)
+                .with_context(|| format!("the target has no value above 0 for channel {name}"))
+        };
+        let wanted: Vec<f64> = self.view.names().iter().map(of).collect::<Result<_>>()?;
+        if let Some(colorimetry) = &self.colorimetry {
+            let ordered: Vec<f64> = self.order.iter().map(|i| wanted[*i]).collect();
+            let lab = colorimetry.colour(&ordered).lab;
+            return Ok(self.lab(found).map_or(f64::INFINITY, |found| delta_e_2000(lab, found)));
+        }
+        let squares: f64 = wanted.iter().zip(found).map(|(w, f)| (100.0 * (f[0] / w).ln()).powi(2)).sum();
+        Ok((squares / wanted.len() as f64).sqrt())
+    }
+
+    /// Of luminances, or of the means of all channels.
+    fn contrast_ratio(&self, found: &[Vec<f64>]) -> f64 {
+        let brightness = |base: usize| {
+            let spectrum: Vec<f64> = self.order.iter().map(|i| found[*i][base]).collect();
+            let mean = || spectrum.iter().sum::<f64>() / spectrum.len() as f64;
+            self.colorimetry.as_ref().map_or_else(mean, |c| c.xyz(&spectrum)[1])
+        };
+        brightness(1) / brightness(2)
+    }
+}
+
+/// Differences up to which a colour counts as reached.
+const REACHED: f64 = 1.0;
+
+fn text(data: &RecipeJson) -> String {
+    let head = ["target", "recipe", "L*  a*  b*", "ΔE₀₀", "Y/Y"];
+    let row = |r: &FoundRecipe| {
+        let parts = r.shares.iter().map(|s| format!("{} % {}", significant(100.0 * s.share, 3), s.ink));
+        let lab = r.lab.zip(r.lab_std_errors).map_or_else(
+            || "–".to_owned(),
+            |(lab, errors)| (0..3).map(|k| with_error(lab[k], errors[k])).collect::<Vec<_>>().join("\n"),
+        );
+        let unit = if r.is_delta_e { "" } else { " %" };
+        let difference = format!("{}{unit}", significant(r.difference, 2));
+        vec![
+            minus(&r.target),
+            parts.collect::<Vec<_>>().join("\n"),
+            lab,
+            difference,
+            significant(r.contrast_ratio, 3),
+        ]
+    };
+    let mut text = format!(
+        "mixtures by volume, {} mm\n{}",
+        data.thickness_mm,
+        table(&head, &[3, 4], data.recipes.iter().map(row))
+    );
+    for r in &data.recipes {
+        let limits = if r.limited_by.is_empty() {
+            "the inks do not reach it: another ink, or another thickness, is needed".to_owned()
+        } else {
+            format!("limited by --most of {}", r.limited_by.join(", "))
+        };
+        if r.difference > REACHED {
+            text += &format!(
+                "\n{}",
+                wrapped(&format!("{}: off by {}: {limits}", minus(&r.target), significant(r.difference, 2)))
+            );
+        }
+    }
+    text
+}

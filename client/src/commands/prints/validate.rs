@@ -1,0 +1,286 @@
+//! Implements `farmctl validate`: compares a chart of printed patches with what measured media predict for it.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+use clap::Args;
+use farm_figures::numbers::{minus, short, significant};
+use farm_lab::colour::{Colorimetry, delta_e_2000};
+use farm_lab::measurement_file::MeasurementFile;
+use farm_lab::media_file::MediaFile;
+use farm_lab::mixture_file::read_mixtures;
+use optics_model::fit::{FitSettings, Mixtures};
+use optics_model::measurement::wavelength_nm;
+use optics_model::{MeasuredProfile, Measurement};
+use serde::Serialize;
+
+use super::slabs::NamedSlab;
+use super::view::{Base, View, ViewArgs, materials_of};
+use crate::output::{Output, table, wrapped};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl validate media chart.csv --mixtures chart.toml
+  farmctl validate media slabs.csv --over white --geometry 45:0
+
+The chart has the columns of a measurement, a row a patch and channel, without x_mm: material, channel, thickness_mm,
+value, std_error. Its materials are those of the media, or mixtures of them.")]
+pub(crate) struct ValidateArgs {
+    /// Measured media: media.json, or the folder that contains it.
+    media: PathBuf,
+    /// Measured patches, as a measurement without x.
+    chart: PathBuf,
+    /// TOML file with the mixtures of the chart and their volume fractions.
+    #[arg(long, value_name = "FILE")]
+    mixtures: Option<PathBuf>,
+    /// Base under the patches: a reflectance, black (0.03), white (0.9), or light or dark, a side of the measured board.
+    #[arg(long, value_name = "BASE", default_value = "light")]
+    over: String,
+    /// Standard error of each patch's brightness, as a share of it: of the white reference and the even light.
+    #[arg(long, value_name = "SHARE", default_value_t = FitSettings::default().gain_std_error)]
+    gain_std_error: f64,
+    /// Standard error of the patches' thickness in mm.
+    #[arg(long, value_name = "MM", default_value_t = FitSettings::default().thickness_std_error_mm)]
+    thickness_std_error: f64,
+    #[command(flatten)]
+    view: ViewArgs,
+}
+
+/// A patch in one channel.
+#[derive(Debug, Serialize)]
+struct PatchJson {
+    material: String,
+    thickness_mm: f64,
+    channel: String,
+    measured: f64,
+    predicted: f64,
+    /// Standard error of the difference: of the value, the gain, the thickness and the media.
+    expected_std_error: f64,
+    /// Difference, measured less predicted, in expected standard errors.
+    z: f64,
+}
+
+/// Mean deviation of the patches that contain a material.
+#[derive(Debug, Serialize)]
+struct InkJson {
+    material: String,
+    patches: usize,
+    /// Σ z/√n, by share of the material: beyond ± 3 the patches contradict it together.
+    z: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct PatchColourJson {
+    material: String,
+    thickness_mm: f64,
+    delta_e_2000: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub(crate) struct ValidateJson {
+    patches: Vec<PatchJson>,
+    chi2: f64,
+    inks: Vec<InkJson>,
+    /// Empty unless the channels are wavelengths that cover the visible range.
+    colours: Vec<PatchColourJson>,
+}
+
+pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
+    let media = MediaFile::read(&args.media)?;
+    let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
+    let MeasurementFile { materials, .. } = output.read_measurements(&args.chart)?;
+    let data = validated(args, &media, mixtures.as_ref(), &materials)?;
+    output.print("validate", &data, || text(&data))
+}
+
+/// A patch with all of its channels.
+struct Patch<'a> {
+    material: &'a str,
+    slab: NamedSlab,
+    /// Channel, value and standard error.
+    values: Vec<(&'a str, f64, f64)>,
+}
+
+fn validated(
+    args: &ValidateArgs,
+    media: &MediaFile,
+    mixtures: Option<&Mixtures>,
+    chart: &[Measurement],
+) -> Result<ValidateJson> {
+    for (field, value) in
+        [("gain_std_error", args.gain_std_error), ("thickness_std_error", args.thickness_std_error)]
+    {
+        if !(0.0..=1.0).contains(&value) {
+            bail!("--{} {value}: allowed are 0 to 1", field.replace('_', "-"));
+        }
+    }
+    let of_each = chart.iter().map(|m| of_material(m, media, mixtures)).collect::<Result<Vec<_>>>()?;
+    let patches: Vec<Patch> = of_each.into_iter().flatten().collect();
+    let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
+    let materials = materials_of(&slabs);
+    let view = View::new(media, &materials, &[Base::parsed(&args.over)?], &args.view)?;
+    let (mut all, mut colours) = (Vec::new(), Vec::new());
+    for patch in &patches {
+        let found = compared(args, &view, patch)?;
+        colours.extend(colour(args, patch, &found));
+        all.extend(found);
+    }
+    if all.is_empty() {
+        bail!("the chart has no channel of the media: these have {}", view.names().join(", "));
+    }
+    let chi2 = all.iter().map(|patch| patch.z * patch.z).sum();
+    let inks = materials.iter().map(|name| ink(name, &patches, &all)).collect();
+    Ok(ValidateJson { patches: all, chi2, inks, colours })
+}
+
+/// The patches of a material, by thickness.
+fn of_material<'a>(
+    measured: &'a Measurement,
+    media: &MediaFile,
+    mixtures: Option<&Mixtures>,
+) -> Result<Vec<Patch<'a>>> {
+    let name = measured.material();
+    let parts = mixtures.and_then(|mixtures| mixtures.all().iter().find(|m| m.material() == name));
+    let shares: Vec<(String, f64)> = match parts {
+        Some(mixture) => mixture.parts().iter().map(|p| (p.ink().to_owned(), p.volume_fraction())).collect(),
+        None => vec![(name.to_owned(), 1.0)],
+    };
+    for (ink, _) in &shares {
+        media
+            .material(ink)
+            .with_context(|| format!("patch {name:?}: neither measured nor a mixture (--mixtures)"))?;
+    }
+    let mut patches: Vec<Patch> = Vec::new();
+    for profile in measured.profiles() {
+        let value = (profile.channel(), value_of(profile, name)?);
+        let (channel, (value, error)) = value;
+        let thickness_mm = profile.thickness_mm();
+        match patches.iter_mut().find(|patch| patch.slab.thickness_mm == thickness_mm) {
+            Some(patch) => patch.values.push((channel, value, error)),
+            None => patches.push(Patch {
+                material: name,
+                slab: NamedSlab { shares: shares.clone(), thickness_mm },
+                values: vec![(channel, value, error)],
+            }),
+        }
+    }
+    Ok(patches)
+}
+
+/// Value and standard error of a patch, whose pixels all have its value.
+fn value_of(profile: &MeasuredProfile, material: &str) -> Result<(f64, f64)> {
+    let values = profile.values();
+    let errors = profile.std_errors().filter(|_| values.iter().all(|v| *v == values[0]));
+    let errors = errors.with_context(|| {
+        format!(
+            "{material} {}: it is a profile over an edge; a patch is one row without x_mm, with std_error",
+            profile.channel()
+        )
+    })?;
+    Ok((values[0], errors[0] / (values.len() as f64).sqrt()))
+}
+
+fn compared(args: &ValidateArgs, view: &View, patch: &Patch) -> Result<Vec<PatchJson>> {
+    let slab = &patch.slab;
+    let thicker = NamedSlab { thickness_mm: slab.thickness_mm + args.thickness_std_error, ..slab.clone() };
+    let (found, moved) =
+        (view.predicted(std::slice::from_ref(slab))?, view.values(std::slice::from_ref(&thicker))?);
+    let of = |(channel, value, error): &(&str, f64, f64)| {
+        let at = view.names().iter().position(|name| name == channel)?;
+        let predicted = &found[at][0];
+        let by_thickness = moved[at][0] - predicted.value;
+        let parts = [*error, args.gain_std_error * value, by_thickness, predicted.std_error()];
+        let expected = parts.iter().map(|part| part * part).sum::<f64>().sqrt();
+        Some(PatchJson {
+            material: patch.material.to_owned(),
+            thickness_mm: slab.thickness_mm,
+            channel: (*channel).to_owned(),
+            measured: *value,
+            predicted: predicted.value,
+            expected_std_error: expected,
+            z: (value - predicted.value) / expected,
+        })
+    };
+    Ok(patch.values.iter().filter_map(of).collect())
+}
+
+/// The difference of measured and predicted colour; None unless the channels are wavelengths of the visible range.
+fn colour(args: &ValidateArgs, patch: &Patch, found: &[PatchJson]) -> Option<PatchColourJson> {
+    let mut spectrum: Vec<(f64, f64, f64)> = found
+        .iter()
+        .map(|p| Some((wavelength_nm(&p.channel)?, p.measured, p.predicted)))
+        .collect::<Option<_>>()?;
+    spectrum.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let nm: Vec<f64> = spectrum.iter().map(|(nm, ..)| *nm).collect();
+    let colorimetry = Colorimetry::new(&nm, args.view.viewing()).ok()?;
+    let lab = |of: fn(&(f64, f64, f64)) -> f64| {
+        colorimetry.colour(&spectrum.iter().map(of).collect::<Vec<_>>()).lab
+    };
+    Some(PatchColourJson {
+        material: patch.material.to_owned(),
+        thickness_mm: patch.slab.thickness_mm,
+        delta_e_2000: delta_e_2000(lab(|p| p.1), lab(|p| p.2)),
+    })
+}
+
+fn ink(name: &str, patches: &[Patch], all: &[PatchJson]) -> InkJson {
+    let share = |p: &PatchJson| {
+        let patch = patches.iter().find(|patch| patch.material == p.material)?;
+        patch.slab.shares.iter().find(|(ink, _)| ink == name).map(|(_, share)| *share)
+    };
+    let weighted: Vec<(f64, f64)> = all.iter().filter_map(|p| Some((share(p)?, p.z))).collect();
+    let squares: f64 = weighted.iter().map(|(share, _)| share * share).sum();
+    let sum: f64 = weighted.iter().map(|(share, z)| share * z).sum();
+    InkJson {
+        material: name.to_owned(),
+        patches: weighted.len(),
+        z: sum / squares.sqrt().max(f64::MIN_POSITIVE),
+    }
+}
+
+/// Deviation in standard errors that is marked.
+const FAR: f64 = 3.0;
+
+fn text(data: &ValidateJson) -> String {
+    let head = ["patch", "mm", "ch", "measured", "predicted", "± expected", "z"];
+    let row = |p: &PatchJson| {
+        let mark = if p.z.abs() >= FAR { " !" } else { "" };
+        vec![
+            short(&p.material),
+            p.thickness_mm.to_string(),
+            p.channel.clone(),
+            significant(p.measured, 4),
+            significant(p.predicted, 4),
+            significant(p.expected_std_error, 2),
+            minus(&format!("{:.1}{mark}", p.z)),
+        ]
+    };
+    let mut text = table(&head, &[1, 3, 4, 5, 6], data.patches.iter().map(row));
+    let (n, far) = (data.patches.len(), data.patches.iter().filter(|p| p.z.abs() >= FAR).count());
+    text += &format!("\nχ² {} of {n} values, {far} beyond {FAR} standard errors", significant(data.chi2, 3));
+    let off: Vec<String> = data
+        .inks
+        .iter()
+        .filter(|ink| ink.z.abs() >= FAR)
+        .map(|ink| {
+            format!(
+                "{} ({} by {:.1} σ)",
+                ink.material,
+                if ink.z > 0.0 { "brighter" } else { "darker" },
+                ink.z.abs()
+            )
+        })
+        .collect();
+    if !off.is_empty() {
+        text += &format!("\n{}", wrapped(&format!("patches contradict: {}", off.join(", "))));
+    }
+    if !data.colours.is_empty() {
+        let mut all: Vec<f64> = data.colours.iter().map(|c| c.delta_e_2000).collect();
+        all.sort_by(f64::total_cmp);
+        let (median, worst) = (all[all.len() / 2], all[all.len() - 1]);
+        text +=
+            &format!("\nCIEDE2000: median {}, greatest {}", significant(median, 2), significant(worst, 2));
+    }
+    text
+}
