@@ -4,6 +4,7 @@ mod autoscale;
 mod errors;
 mod fit;
 mod measurements;
+mod prints;
 mod scenes;
 mod serve;
 mod surroundings;

@@ -1,5 +1,7 @@
 //! How prints are seen: geometry, bases, illuminant and observer, and the prepared layers of each channel.
 
+use std::sync::Arc;
+
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use farm_lab::colour::{Illuminant, Observer, Viewing};
@@ -110,7 +112,7 @@ impl Base {
 #[derive(Debug)]
 struct ViewedChannel {
     name: String,
-    print: Print,
+    print: Arc<Print>,
     /// Of the bases.
     rho: Vec<f64>,
     /// By material of the file; None if it has no medium in this channel.
@@ -136,22 +138,28 @@ impl<'a> View<'a> {
         let all = materials.iter().map(|name| file.material(name)).collect::<Result<Vec<_>>>()?;
         let first = all.first().context("a print has at least one slab")?;
         let names = first.channels.iter().filter(|c| all.iter().all(|m| m.channel(&c.channel).is_some()));
-        let channel = |c: &farm_lab::media_file::MediaChannel| -> Result<ViewedChannel> {
+        let mut prints: Vec<(Scene, f64, Arc<Print>)> = Vec::new();
+        let mut channel = |c: &farm_lab::media_file::MediaChannel| -> Result<ViewedChannel> {
             let name = c.channel.clone();
             let scene = args.geometry.scene(&session, &name, args.roughness)?;
+            let sample_ior = c.sample_ior + scene.sample_ior_offset();
+            let known = prints.iter().find(|(s, ior, _)| s.layers() == scene.layers() && *ior == sample_ior);
+            let print = known.map(|(.., print)| print.clone());
+            let print = print.unwrap_or_else(|| Arc::new(Print::new(&scene, sample_ior)));
+            prints.push((scene, sample_ior, print.clone()));
             let medium = |m: &farm_lab::media_file::MediaMaterial| -> Result<Option<Uncertain>> {
                 let Some(found) = m.channel(&name) else { return Ok(None) };
                 let (medium, second_lobe) = (found.medium()?, found.second_lobe()?);
                 Ok(Some(Uncertain { medium, second_lobe, covariance: found.covariance }))
             };
             Ok(ViewedChannel {
-                print: Print::new(&scene, c.sample_ior + scene.sample_ior_offset()),
+                print,
                 rho: bases.iter().map(|base| base.rho(&session, &name)).collect::<Result<_>>()?,
                 media: file.materials.iter().map(medium).collect::<Result<_>>()?,
                 name,
             })
         };
-        let channels = names.collect::<Vec<_>>().into_par_iter().map(channel).collect::<Result<Vec<_>>>()?;
+        let channels = names.map(&mut channel).collect::<Result<Vec<_>>>()?;
         if channels.is_empty() {
             bail!("no channel has a medium of {}", materials.join(" and "));
         }

@@ -1,0 +1,226 @@
+//! Predictions of prints: against the tracer, charts, recipes and comparisons, from a media file.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use farm_tests::cli::{fails, folder, json, write};
+use farm_tests::photograph::{EXAMPLE_NM, SpectralMaterial};
+use farm_tests::process::run;
+use optics_model::SceneFile;
+use optics_model::scene::{Channel, Scene};
+use serde_json::{Value, json as value};
+
+/// White and magenta in eight bands, with standard errors of 1 % in σ_t and of 3 % in √(1 − α).
+fn media(change: f64) -> Value {
+    let channels = EXAMPLE_NM.map(|nm| Channel::new(nm.to_string(), 0.95, 0.03).unwrap()).to_vec();
+    let scene = Scene::lab().with_channels(channels).unwrap();
+    let interval = |v: f64| value!({"low": 0.98 * v, "high": 1.02 * v});
+    let channel = |material: &SpectralMaterial, nm: f64| {
+        let m = material.at(nm);
+        let (sigma_t, albedo, g) = (change * m.sigma_t_per_mm(), m.albedo(), m.g());
+        let root = (1.0 - albedo).sqrt();
+        value!({
+            "channel": nm.to_string(), "sigma_t_per_mm": sigma_t, "albedo": albedo, "g": g, "sample_ior": 1.53,
+            "covariance": [[1e-4, 0.0, 0.0], [0.0, (0.03 * root).powi(2), 0.0], [0.0, 0.0, 0.0]],
+            "resolved": true, "misfit": 1.0, "sigma_t_interval": interval(sigma_t), "albedo_interval": interval(albedo),
+            "g_interval": interval(g), "reduced_scattering_interval": interval(sigma_t * albedo * (1.0 - g)),
+            "absorption_interval": interval(sigma_t * (1.0 - albedo)),
+        })
+    };
+    let material = |m: &SpectralMaterial| value!({"material": m.name, "channels": EXAMPLE_NM.map(|nm| channel(m, nm)).to_vec()});
+    value!({
+        "format": "farmctl-media/1", "program": "test", "dictionary": "d", "dictionary_digest": "0", "mu": 1.0,
+        "mu_std_error": 0.0, "scene": SceneFile::from(&scene),
+        "materials": SpectralMaterial::ALL[..2].iter().map(material).collect::<Vec<_>>(),
+    })
+}
+
+fn prepared() -> tempfile::TempDir {
+    let folder = folder();
+    write(folder.path(), "media.json", &media(1.0).to_string());
+    folder
+}
+
+/// A polished print, whose faces need few directions.
+const POLISHED: [&str; 4] = ["--geometry", "45:0", "--roughness", "0"];
+
+fn predicted(folder: &Path, args: &[&str]) -> Value {
+    let ran = run(folder, &[&["predict", "media.json", "--json"], args].concat());
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    json(&ran, "predict")
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+/// A slab over a uniform base looks as the tracer simulates it, in the layers of `lab` (its second lobe apart).
+#[test]
+fn predicted_prints_are_as_simulated() {
+    let folder = prepared();
+    let data = predicted(folder.path(), &["magenta:0.5", "--over", "0.9,0.03"]);
+    let m = SpectralMaterial::ALL[1].at(550.0);
+    let medium = [m.sigma_t_per_mm(), m.albedo(), m.g()].map(|v| v.to_string());
+    let channel = data["channels"].as_array().unwrap().iter().find(|c| c["channel"] == "550").unwrap();
+    for (base, rho) in channel["bases"].as_array().unwrap().iter().zip(["0.9", "0.03"]) {
+        let [sigma_t, albedo, g] = &medium;
+        let simulated = run(
+            folder.path(),
+            &[
+                "simulate",
+                "--sigma-t",
+                sigma_t,
+                "--albedo",
+                albedo,
+                "--g",
+                g,
+                "--thickness",
+                "0.5",
+                "--second-lobe",
+                "0,0",
+                "--rho-light",
+                rho,
+                "--rho-dark",
+                rho,
+                "--pixels",
+                "1",
+                "--walks",
+                "1e6",
+                "--json",
+            ],
+        );
+        let simulated = json(&simulated, "simulate");
+        let [walked, error] =
+            ["values", "std_errors"].map(|field| number(&simulated["channels"][0][field][0]));
+        let found = number(&base["radiance_factor"]);
+        assert!(
+            (found - walked).abs() < 4.0 * error + 1e-3 * walked,
+            "{rho}: {found} for {walked} ± {error}"
+        );
+        assert!(number(&base["std_error"]) > 0.0);
+    }
+    let [light, dark] = [0, 1].map(|base| number(&data["colours"]["bases"][base]["lab"][0]));
+    assert!(light > dark + 5.0, "{light} {dark}");
+}
+
+/// A chart of what is predicted validates its inks; one with other inks contradicts the one that differs.
+#[test]
+fn charts_validate_their_inks() {
+    let folder = prepared();
+    write(
+        folder.path(),
+        "chart.toml",
+        "[[mixture]]\nmaterial = 'pink'\nparts = { white = 0.9, magenta = 0.1 }\n",
+    );
+    let chart = |factor: f64| {
+        let mut rows = "material,channel,thickness_mm,x_mm,value,std_error\n".to_owned();
+        for (name, slab) in
+            [("white", "white:1"), ("magenta", "magenta:1"), ("pink", "white=0.9,magenta=0.1:1")]
+        {
+            let data = predicted(folder.path(), &[&[slab, "--over", "light"][..], &POLISHED].concat());
+            for channel in data["channels"].as_array().unwrap() {
+                let shift = if name == "magenta" { factor } else { 1.0 };
+                let value = shift * number(&channel["bases"][0]["radiance_factor"]);
+                _ = writeln!(
+                    rows,
+                    "{name},{},1,,{value},{}",
+                    channel["channel"].as_str().unwrap(),
+                    2e-3 * value
+                );
+            }
+        }
+        write(folder.path(), "chart.csv", &rows);
+        let args = ["validate", "media.json", "chart.csv", "--mixtures", "chart.toml", "--json"];
+        let ran = run(folder.path(), &[&args[..], &POLISHED].concat());
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        json(&ran, "validate")
+    };
+    let good = chart(1.0);
+    assert_eq!(good["patches"].as_array().unwrap().len(), 24);
+    assert!(number(&good["chi2"]) < 1e-6, "{}", good["chi2"]);
+    assert!(good["colours"].as_array().unwrap().iter().all(|c| number(&c["delta_e_2000"]) < 1e-6));
+    let wrong = chart(1.3);
+    let of = |name: &str| {
+        number(&wrong["inks"].as_array().unwrap().iter().find(|i| i["material"] == name).unwrap()["z"])
+    };
+    assert!(of("magenta") > 3.0 && of("white").abs() < 1.0, "{}", wrong["inks"]);
+    fails(
+        folder.path(),
+        &["validate", "media.json", "chart.csv"],
+        &["patch \"pink\": neither measured nor a mixture"],
+    );
+}
+
+/// The colour of a mixture leads back to the mixture.
+#[test]
+fn recipes_find_the_mixture() {
+    let folder = prepared();
+    let data = predicted(
+        folder.path(),
+        &[&["white=0.85,magenta=0.15:1", "--over", "white"][..], &POLISHED].concat(),
+    );
+    let lab = &data["colours"]["bases"][0]["lab"];
+    let target: Vec<String> = (0..3).map(|k| number(&lab[k]).to_string()).collect();
+    let recipe = |more: &[&str]| {
+        let target = target.join(",");
+        let args = ["recipe", "media.json", "--thickness", "1", "--json", "--target", &target];
+        let ran = run(folder.path(), &[&args[..], more, &POLISHED].concat());
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        json(&ran, "recipe")["recipes"][0].clone()
+    };
+    let found = recipe(&[]);
+    let share = |found: &Value| {
+        number(&found["shares"].as_array().unwrap().iter().find(|s| s["ink"] == "magenta").unwrap()["share"])
+    };
+    assert!((share(&found) - 0.15).abs() < 2e-3 && number(&found["difference"]) < 0.1, "{found}");
+    let limited = recipe(&["--most", "magenta=0.05"]);
+    assert!((share(&limited) - 0.05).abs() < 1e-9 && limited["limited_by"][0] == "magenta", "{limited}");
+}
+
+/// A measurement agrees with itself, and differs from one whose σ_t is 10 % larger.
+#[test]
+fn comparisons_count_differences() {
+    let folder = prepared();
+    write(folder.path(), "other.json", &media(1.1).to_string());
+    let compared = |other: &str| {
+        let ran = run(folder.path(), &["compare", "media.json", other, "--json"]);
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        json(&ran, "compare")["channels"].as_array().unwrap().clone()
+    };
+    let same = compared("media.json");
+    assert_eq!(same.len(), 16);
+    assert!(same.iter().all(|c| number(&c["probability"]) > 0.999));
+    let other = compared("other.json");
+    let of = |c: &Value, name: &str| {
+        number(&c["quantities"].as_array().unwrap().iter().find(|q| q["quantity"] == name).unwrap()["e_n"])
+    };
+    assert!(other.iter().all(|c| number(&c["probability"]) < 1e-6 && of(c, "σ_t") < -2.0), "{:?}", other[0]);
+}
+
+#[test]
+fn wrong_prints_are_refused() {
+    let folder = prepared();
+    let dir = folder.path();
+    fails(
+        dir,
+        &["predict", "media.json", "cyan:1"],
+        &["material \"cyan\" is not in the file: it has white, magenta"],
+    );
+    fails(dir, &["predict", "media.json", "white"], &["slab \"white\": MATERIAL:MM or"]);
+    fails(
+        dir,
+        &["predict", "media.json", "white:1", "--over", "2"],
+        &["over = 2 is not valid: allowed are black"],
+    );
+    fails(dir, &["predict", "media.json", "white:1", "--roughness", "0.1"], &["give --geometry 45:0 or d:8"]);
+    fails(
+        dir,
+        &["predict", "none.json", "white:1"],
+        &["media file none.json", "`farmctl measure` writes it"],
+    );
+    fails(
+        dir,
+        &["recipe", "media.json", "--thickness", "1", "--target", "nothing"],
+        &["target nothing: it is neither L*,a*,b* nor a file"],
+    );
+}
