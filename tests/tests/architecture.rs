@@ -67,6 +67,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "optics-model",
             "optics-tracer",
             "optics-fit",
+            "optics-layers",
             "optics-capture",
             "farm-proto",
             "farm-link",

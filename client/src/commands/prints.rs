@@ -5,6 +5,7 @@ mod geometry;
 pub(crate) mod predict;
 pub(crate) mod recipe;
 mod slabs;
+pub(crate) mod translucency;
 pub(crate) mod validate;
 mod view;
 
@@ -25,6 +26,8 @@ pub(crate) enum PrintCommand {
     Validate(validate::ValidateArgs),
     /// Find the mixture of measured inks that comes closest to a colour.
     Recipe(recipe::RecipeArgs),
+    /// Describe how translucent measured media are: mean free path, depth, K and S, transmission distance.
+    Translucency(translucency::TranslucencyArgs),
 }
 
 impl PrintCommand {
@@ -34,6 +37,7 @@ impl PrintCommand {
             Self::Compare(args) => compare::run(&args, output)?,
             Self::Validate(args) => validate::run(&args, output)?,
             Self::Recipe(args) => recipe::run(&args, output)?,
+            Self::Translucency(args) => translucency::run(&args, output)?,
         }
         Ok(ExitCode::SUCCESS)
     }

@@ -4,7 +4,7 @@
 //! j. By reciprocity a row is also the distribution over j of a ray that arrives from direction i, so the row of the
 //! sensor needs no weight of its own.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Loss of light at every passage between two layers: without it, directions that are totally reflected on both sides,
 /// and that no light enters, would have no solution.
@@ -30,6 +30,14 @@ impl Operator {
             down: self.up.clone(),
             up: self.down.clone(),
         }
+    }
+
+    /// Light upwards through this layer, of which `light` comes from below, over something that reflects light from above
+    /// by `base`: T↑ (1 − B R′)⁻¹ L.
+    pub(crate) fn passed(&self, base: &DMatrix<f64>, light: &DVector<f64>) -> DVector<f64> {
+        let n = base.nrows();
+        let back = DMatrix::identity(n, n) * (1.0 + LOSS) - base * &self.reflects_below;
+        &self.up * back.lu().solve(light).expect("light between two layers fades")
     }
 
     /// The reflection from above of this layer over something that reflects light from above by `base`:

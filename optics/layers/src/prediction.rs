@@ -108,6 +108,19 @@ pub fn chi2(difference: &[f64; 3], covariance: impl Fn(usize, usize) -> f64) -> 
 }
 
 impl Uncertain {
+    /// A function of the medium, and the standard error that the covariance gives it.
+    pub fn spread(&self, f: impl Fn(&Self) -> f64) -> (f64, f64) {
+        let change = |direction: Vector3<f64>| 0.5 * (f(&self.moved(direction)) - f(&self.moved(-direction)));
+        let squares = directions(&self.covariance).map(|direction| change(direction).powi(2));
+        (f(self), squares.iter().sum::<f64>().sqrt())
+    }
+
+    /// The medium as a slab.
+    pub fn slab(&self, thickness_mm: f64) -> Slab {
+        let phase = PhaseShape::Lobes(self.second_lobe.limited_to(self.medium.g()));
+        Slab { medium: self.medium, phase, thickness_mm }
+    }
+
     /// The medium moved in its coordinates; an albedo stays below 1.
     fn moved(&self, by: Vector3<f64>) -> Self {
         let m = self.medium;

@@ -1,6 +1,6 @@
 //! A stack of slabs in the place of a scene's sample, and its radiance factor over a base.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use optics_model::angle::sin2;
 use optics_model::phase::PhaseShape;
 use optics_model::scene::LayerMedium;
@@ -78,27 +78,68 @@ impl Print {
     /// # Errors
     /// If a phase function does not have the mean cosine of its medium.
     pub fn radiance_factors(&self, slabs: &[Slab], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
-        let of_slab = |s: &Slab| {
-            let phase = s.phase.function(s.medium.g())?;
-            let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
-            Ok(slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth))
-        };
-        let slabs = slabs.iter().map(of_slab).collect::<Result<Vec<_>, Invalid>>()?;
+        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
         Ok(rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect())
     }
 
-    fn radiance_factor(&self, slabs: &[Operator], rho: f64) -> f64 {
-        let mut reflection = self.base(rho);
-        for element in self.elements.iter().rev() {
-            match element {
-                Some(face) => reflection = face.over(&reflection),
-                None => reflection = slabs.iter().rev().fold(reflection, |below, slab| slab.over(&below)),
-            }
+    /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
+    /// a base.
+    ///
+    /// # Errors
+    /// If a phase function does not have the mean cosine of its medium.
+    pub fn transmittance(&self, slabs: &[Slab]) -> Result<f64, Invalid> {
+        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
+        let n = self.quadrature.len();
+        let mut reflection = DMatrix::zeros(n, n);
+        let below = |i: usize, _| if self.quadrature.exists(i, 1.0) { 1.0 } else { 0.0 };
+        let mut light = DVector::from_fn(n, below);
+        let layers = self.elements.iter().rev().flat_map(|element| match element {
+            Some(face) => vec![face],
+            None => slabs.iter().rev().collect(),
+        });
+        for layer in layers {
+            light = layer.passed(&reflection, &light);
+            reflection = layer.over(&reflection);
         }
+        Ok(light[self.quadrature.sensor()])
+    }
+
+    fn operator(&self, s: &Slab) -> Result<Operator, Invalid> {
+        let phase = s.phase.function(s.medium.g())?;
+        let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
+        Ok(slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth))
+    }
+
+    /// Share of even light from above that comes back in all directions, over Lambertian bases of these reflectances.
+    ///
+    /// # Errors
+    /// If a phase function does not have the mean cosine of its medium.
+    pub fn reflectances(&self, slabs: &[Slab], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
+        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
+        let in_air: Vec<usize> =
+            (0..self.quadrature.len()).filter(|i| self.quadrature.exists(*i, 1.0)).collect();
+        let of = |rho: &f64| {
+            let reflection = self.reflection(&slabs, *rho);
+            let leaves = |i: usize| in_air.iter().map(|j| reflection[(i, *j)]).sum::<f64>();
+            in_air.iter().map(|i| self.quadrature.weights[*i] * leaves(*i)).sum()
+        };
+        Ok(rho.iter().map(of).collect())
+    }
+
+    fn radiance_factor(&self, slabs: &[Operator], rho: f64) -> f64 {
+        let reflection = self.reflection(slabs, rho);
         let sensor = self.quadrature.sensor();
         // Smooth faces mirror the ring in the sensor's own direction.
         let lit = self.lit.iter().chain(self.is_mirrored.then_some(&sensor));
         lit.map(|j| reflection[(sensor, *j)]).sum::<f64>() / self.ring
+    }
+
+    /// The reflection of all layers over a Lambertian base.
+    fn reflection(&self, slabs: &[Operator], rho: f64) -> DMatrix<f64> {
+        self.elements.iter().rev().fold(self.base(rho), |below, element| match element {
+            Some(face) => face.over(&below),
+            None => slabs.iter().rev().fold(below, |below, slab| slab.over(&below)),
+        })
     }
 
     /// A Lambertian base sends the same radiance in all directions.

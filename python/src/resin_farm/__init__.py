@@ -30,6 +30,7 @@ from resin_farm.maps import DistanceMap
 from resin_farm.measurement import MeasuredProfile, Measurement, MeasurementWarning, read_measurements
 from resin_farm.medium import Interval, Medium, SecondLobe
 from resin_farm.options import FitOptions
+from resin_farm.prints import Prediction, PrintColour, Reflectance, predict
 from resin_farm.profile import Profile, simulate
 from resin_farm.results import MaterialFit, Measured, ScaleCurve
 
@@ -58,8 +59,11 @@ __all__ = [
     "Medium",
     "NotFound",
     "NuisanceEstimate",
+    "Prediction",
+    "PrintColour",
     "Profile",
     "Refined",
+    "Reflectance",
     "Refused",
     "ScaleCurve",
     "SceneEstimate",
@@ -67,6 +71,7 @@ __all__ = [
     "SlabSet",
     "SourceShare",
     "Unavailable",
+    "predict",
     "read_measurements",
     "simulate",
 ]

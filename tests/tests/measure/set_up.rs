@@ -6,6 +6,7 @@
 mod broad_bands;
 mod outcome;
 mod phase;
+mod prints;
 mod scenes;
 mod session;
 
@@ -67,7 +68,12 @@ type Sessions = Vec<Vec<SetUpOutcome>>;
 fn coverage<'a>(sessions: &'a Sessions, held: impl Fn(&'a SetUpOutcome) -> Vec<bool>) -> Share {
     let groups: Vec<Vec<bool>> =
         sessions.iter().map(|found| found.iter().flat_map(&held).collect()).collect();
-    Share::of_groups(&groups).unwrap()
+    coverage_of(&groups)
+}
+
+/// The share of all, with the error that their correlation within groups gives it.
+fn coverage_of(groups: &[Vec<bool>]) -> Share {
+    Share::of_groups(groups).unwrap()
 }
 
 /// Coverage and widths of set-ups whose quantities are all drawn from their priors.

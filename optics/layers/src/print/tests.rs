@@ -88,3 +88,23 @@ fn slabs_of_one_medium_add_up() {
     let two = print.radiance_factors(&[part(0.3), part(0.4)], &[0.2]).unwrap();
     assert!((one[0] / two[0] - 1.0).abs() < 1e-5, "{one:?} {two:?}");
 }
+
+/// Light that does not come back passes, where nothing absorbs; Beer's law holds where nothing scatters.
+#[test]
+fn light_passes_or_comes_back() {
+    let furnace = Scene::smooth().with_light(RingLight::new(0.0, 90.0).unwrap());
+    let print = Print::new(&furnace, IOR);
+    let white = plain(6.0, 1.0, 0.4, 0.5);
+    let reflected = print.radiance_factors(std::slice::from_ref(&white), &[0.0]).unwrap()[0];
+    // The base without reflectance takes what enters it; between air and the lowest layer nothing is reflected.
+    let layers = vec![Layer::sample("sample", 0.0).unwrap()];
+    let bare =
+        Scene::new(layers, furnace.channels().to_vec(), furnace.light(), furnace.sensor(), true).unwrap();
+    let matched = Print::new(&bare, 1.0);
+    let back = matched.radiance_factors(std::slice::from_ref(&white), &[0.0]).unwrap()[0];
+    let passed = matched.transmittance(std::slice::from_ref(&white)).unwrap();
+    assert!((back + passed - 1.0).abs() < 1e-6 && reflected > 0.2, "{back} {passed} {reflected}");
+    let black = plain(2.0, 0.0, 0.0, 1.0);
+    let beer = matched.transmittance(std::slice::from_ref(&black)).unwrap();
+    assert!((beer / (-2.0_f64).exp() - 1.0).abs() < 1e-4, "{beer}");
+}

@@ -14,7 +14,8 @@ const ROUGHNESS: usize = 0;
 const COAT_ROUGHNESS: usize = 1;
 const GEL_THICKNESS: usize = 3;
 const GEL_INDEX: usize = 4;
-const SAMPLE_INDEX: usize = 5;
+pub(super) const SAMPLE_INDEX: usize = 5;
+pub(super) const LOBE_WEIGHT: usize = 7;
 const RING: usize = 8;
 
 /// The scene `lab` with the first channel alone.

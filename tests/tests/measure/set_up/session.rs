@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use farm_tests::statistics::Normal;
 use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
-use optics_model::fit::{FitOptions, FitSettings, MuRange, PhaseModel};
+use optics_model::fit::{FitOptions, FitSettings, Measured, MuRange, PhaseModel};
 use optics_model::grid::{Axes, NoiseLevel, Responses};
 use optics_model::job::JobSpec;
 use optics_model::phase::PhaseShape;
@@ -158,6 +158,23 @@ impl SetUpSession {
 
     /// The same, with a phase function.
     pub(super) fn measured_as(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Vec<SetUpOutcome> {
+        let found = self.fitted(dictionary, phase);
+        let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
+        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m], truth);
+        found.materials.iter().enumerate().map(outcome).collect()
+    }
+
+    /// The true medium of a material.
+    pub(super) fn medium(&self, material: usize) -> Medium {
+        self.media[material]
+    }
+
+    /// The true difference of a quantity of a material from the scene's value.
+    pub(super) fn difference(&self, material: usize, prior: usize) -> f64 {
+        self.set_up.difference(material, None, prior).unwrap_or(0.0)
+    }
+
+    pub(super) fn fitted(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Measured {
         let count = self.media.len();
         let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();
         let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
@@ -166,9 +183,6 @@ impl SetUpSession {
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
         let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
-        let found = measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap();
-        let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
-        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m], truth);
-        found.materials.iter().enumerate().map(outcome).collect()
+        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap()
     }
 }

@@ -1,0 +1,39 @@
+"""Predictions of prints of a measured medium."""
+
+import pathlib
+
+import pytest
+from conftest import WHITE
+
+import resin_farm
+from resin_farm import _programs
+
+
+@pytest.fixture(scope="module")
+def media(farm: resin_farm.Farm, tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
+    folder = tmp_path_factory.mktemp("media")
+    _programs.farmctl([*farm._arguments(), "measure", str(WHITE), "--mu", "1", "--output", str(folder)])
+    return folder
+
+
+def test_prints_are_brighter_over_white(media: pathlib.Path) -> None:
+    """A camera's red, green and blue have reflectances and no colours."""
+    found = resin_farm.predict(media, ["white:1"], over=["black", 0.9], geometry="45:0", roughness=0)
+    for channel in "RGB":
+        assert 0.3 < found.radiance_factor(channel, "black") < found.radiance_factor(channel, "0.9") < 1
+    assert all(r.std_error > 0 for r in found.reflectances)
+    assert found.colours == ()
+    with pytest.raises(KeyError, match="R over white"):
+        found.radiance_factor("R", "white")
+
+
+def test_slabs_are_texts_or_mixtures(media: pathlib.Path) -> None:
+    """A mixture of one material is the material; farmctl's refusals are raised."""
+    options = {"over": [0.5], "geometry": "d:8", "roughness": 0}
+    text, mixture = (
+        resin_farm.predict(media, [slab], **options)  # type: ignore[arg-type]
+        for slab in ("white:0.5", ({"white": 1.0}, 0.5))
+    )
+    assert text == mixture
+    with pytest.raises(resin_farm.FarmError, match="cyan"):
+        resin_farm.predict(media, [("cyan", 0.5)])
