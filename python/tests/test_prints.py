@@ -3,16 +3,25 @@
 import pathlib
 
 import pytest
-from conftest import WHITE
 
 import resin_farm
+from conftest import WHITE
 from resin_farm import _programs
 
 
 @pytest.fixture(scope="module")
 def media(farm: resin_farm.Farm, tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     folder = tmp_path_factory.mktemp("media")
-    _programs.farmctl([*farm._arguments(), "measure", str(WHITE), "--mu", "1", "--output", str(folder)])
+    _programs.farmctl(
+        [
+            *farm._arguments(),
+            "measure",
+            str(WHITE),
+            *("--mu", "1"),
+            *("--dictionary", "grid"),
+            *("--output", str(folder)),
+        ]
+    )
     return folder
 
 

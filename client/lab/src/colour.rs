@@ -20,7 +20,7 @@ pub enum Illuminant {
 
 /// A standard observer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub enum Observer {
+pub enum StandardObserver {
     /// CIE 1931.
     #[serde(rename = "2°")]
     TwoDegrees,
@@ -33,7 +33,7 @@ pub enum Observer {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Viewing {
     pub illuminant: Illuminant,
-    pub observer: Observer,
+    pub observer: StandardObserver,
 }
 
 /// Weights of a spectrum's samples in X, Y and Z, white having Y = 1, with the white point.
@@ -47,26 +47,26 @@ pub struct Colorimetry {
 
 /// A colour: X, Y, Z with Y = 1 of white, and L*, a*, b*.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Colour {
+pub struct SeenColour {
     pub xyz: [f64; 3],
     pub lab: [f64; 3],
 }
 
-/// Row of the tables: wavelength in nm, colour-matching functions of both observers, power of both illuminants.
-struct Row([f64; 9]);
+/// A row of the tables: wavelength in nm, colour-matching functions of both observers, power of both illuminants.
+struct TableRow([f64; 9]);
 
-static TABLE: LazyLock<Vec<Row>> = LazyLock::new(|| {
+static TABLE: LazyLock<Vec<TableRow>> = LazyLock::new(|| {
     let lines = include_str!("colour/cie_5nm.csv").lines().filter(|line| !line.starts_with('#')).skip(1);
     let row = |line: &str| {
         let mut numbers = line.split(',').map(|cell| cell.parse().expect("a number of the table"));
-        Row(std::array::from_fn(|_| numbers.next().expect("nine columns")))
+        TableRow(std::array::from_fn(|_| numbers.next().expect("nine columns")))
     };
     lines.map(row).collect()
 });
 
-impl Row {
-    fn matching(&self, observer: Observer) -> [f64; 3] {
-        let first = if observer == Observer::TwoDegrees { 1 } else { 4 };
+impl TableRow {
+    fn matching(&self, observer: StandardObserver) -> [f64; 3] {
+        let first = if observer == StandardObserver::TwoDegrees { 1 } else { 4 };
         std::array::from_fn(|i| self.0[first + i])
     }
 
@@ -112,9 +112,9 @@ impl Colorimetry {
         std::array::from_fn(|i| self.weights.iter().zip(spectrum).map(|(w, v)| w[i] * v).sum())
     }
 
-    pub fn colour(&self, spectrum: &[f64]) -> Colour {
+    pub fn colour(&self, spectrum: &[f64]) -> SeenColour {
         let xyz = self.xyz(spectrum);
-        Colour { xyz, lab: self.lab(xyz) }
+        SeenColour { xyz, lab: self.lab(xyz) }
     }
 
     /// L*, a*, b* against the white of this illuminant.
@@ -128,8 +128,8 @@ impl Colorimetry {
 
     /// The colour in sRGB, 0 to 255, clipped to its gamut; adapted from D50 by Bradford's method. None for the 10°
     /// observer, for which sRGB is not defined.
-    pub fn srgb(&self, colour: &Colour) -> Option<[u8; 3]> {
-        if self.viewing.observer == Observer::TenDegrees {
+    pub fn srgb(&self, colour: &SeenColour) -> Option<[u8; 3]> {
+        if self.viewing.observer == StandardObserver::TenDegrees {
             return None;
         }
         let [x, y, z] = colour.xyz;
@@ -174,11 +174,11 @@ fn check(wavelengths_nm: &[f64]) -> Result<()> {
 mod tests {
     use super::*;
 
-    const ALL: [(Illuminant, Observer, [f64; 2]); 4] = [
-        (Illuminant::D65, Observer::TwoDegrees, [0.9505, 1.0888]),
-        (Illuminant::D50, Observer::TwoDegrees, [0.9642, 0.8251]),
-        (Illuminant::D65, Observer::TenDegrees, [0.9481, 1.0732]),
-        (Illuminant::D50, Observer::TenDegrees, [0.9672, 0.8143]),
+    const ALL: [(Illuminant, StandardObserver, [f64; 2]); 4] = [
+        (Illuminant::D65, StandardObserver::TwoDegrees, [0.9505, 1.0888]),
+        (Illuminant::D50, StandardObserver::TwoDegrees, [0.9642, 0.8251]),
+        (Illuminant::D65, StandardObserver::TenDegrees, [0.9481, 1.0732]),
+        (Illuminant::D50, StandardObserver::TenDegrees, [0.9672, 0.8143]),
     ];
 
     fn bands(step: f64) -> Vec<f64> {
@@ -209,7 +209,7 @@ mod tests {
         for (illuminant, observer, _) in ALL {
             let colorimetry = Colorimetry::new(&bands(10.0), Viewing { illuminant, observer }).unwrap();
             let of = |grey: f64| colorimetry.srgb(&colorimetry.colour(&[grey; 31]));
-            let expected = |code| (observer == Observer::TwoDegrees).then_some([code; 3]);
+            let expected = |code| (observer == StandardObserver::TwoDegrees).then_some([code; 3]);
             assert_eq!([of(1.0), of(0.215_861)], [expected(255), expected(128)]);
         }
     }
@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn spectra_with_gaps_have_no_colour() {
-        let viewing = Viewing { illuminant: Illuminant::D50, observer: Observer::TwoDegrees };
+        let viewing = Viewing { illuminant: Illuminant::D50, observer: StandardObserver::TwoDegrees };
         let refused = |nm: &[f64]| Colorimetry::new(nm, viewing).unwrap_err().to_string();
         assert!(refused(&[]).contains("none is not valid: a colour needs channels that are wavelengths"));
         assert!(refused(&[470.0, 640.0]).contains("470 to 640 nm is not valid"));

@@ -52,7 +52,7 @@ pub struct MediaChannel {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub second_lobe: Option<MediaLobe>,
     pub sample_ior: f64,
-    /// Of (ln σ_t, √(1 − α), ln(1 − g)).
+    /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)).
     pub covariance: [[f64; 3]; 3],
     /// Whether the data determine σ_t and the albedo.
     pub resolved: bool,
@@ -85,7 +85,7 @@ impl From<Interval> for MediaInterval {
     }
 }
 
-/// What a measurement was made with.
+/// The dictionary, scene and scale factor of a measurement.
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredWith<'a> {
     pub dictionary: &'a str,

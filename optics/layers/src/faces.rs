@@ -1,7 +1,7 @@
 //! The reflection and transmission of the interface between two layers.
 
 use nalgebra::DMatrix;
-use optics_tracer::face::{Face, FacePoint, Side};
+use optics_tracer::face::{Face, FacePoint, FaceSide};
 use rayon::prelude::*;
 
 use crate::operator::Operator;
@@ -15,14 +15,14 @@ pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Option<Operator> {
     if face.iors[0] == face.iors[1] {
         return None;
     }
-    let [above, below] = [Side::Above, Side::Below].map(|from| one_side(quadrature, face, from));
+    let [above, below] = [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, from));
     Some(Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 })
 }
 
 /// Distributions of the rays that come from one side in each direction: reflected and transmitted.
-fn one_side(quadrature: &Quadrature, face: &Face, from: Side) -> (DMatrix<f64>, DMatrix<f64>) {
+fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = quadrature.len();
-    let [own, other] = if from == Side::Above { face.iors } else { [face.iors[1], face.iors[0]] };
+    let [own, other] = if from == FaceSide::Above { face.iors } else { [face.iors[1], face.iors[0]] };
     let row = |i: usize| {
         let mut rows = [vec![0.0; n], vec![0.0; n]];
         if !quadrature.exists(i, own) {

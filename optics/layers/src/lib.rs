@@ -13,4 +13,4 @@ mod quadrature;
 mod slab;
 
 pub use prediction::{Predicted, PrintedSlab, Uncertain, chi2, predict};
-pub use print::{Print, Slab};
+pub use print::{Print, PrintLayer};

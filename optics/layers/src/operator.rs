@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 /// and that no light enters, would have no solution.
 const LOSS: f64 = 1e-10;
 
-/// What a layer does with light from above and from below.
+/// Reflection and transmission of a layer, for light from above and from below.
 #[derive(Debug, Clone)]
 pub(crate) struct Operator {
     pub reflects_above: DMatrix<f64>,

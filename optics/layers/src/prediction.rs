@@ -5,7 +5,7 @@ use optics_model::phase::{PhaseShape, SecondLobe};
 use optics_model::{Invalid, Medium};
 use rayon::prelude::*;
 
-use crate::print::{Print, Slab};
+use crate::print::{Print, PrintLayer};
 
 /// A medium with the covariance of (ln σ_t, √(1 − α), ln(1 − g)).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +53,8 @@ pub fn predict(
         .enumerate()
         .try_for_each(|(i, s)| check(s, media.len()).map_err(|e| e.within(format_args!("slab[{i}]"))))?;
     let at = |media: &[Uncertain]| {
-        let slabs: Vec<Slab> = slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
+        let slabs: Vec<PrintLayer> =
+            slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
         print.radiance_factors(&slabs, rho)
     };
     let used = |medium: &usize| slabs.iter().any(|slab| slab.shares.iter().any(|(of, _)| of == medium));
@@ -116,9 +117,9 @@ impl Uncertain {
     }
 
     /// The medium as a slab.
-    pub fn slab(&self, thickness_mm: f64) -> Slab {
+    pub fn slab(&self, thickness_mm: f64) -> PrintLayer {
         let phase = PhaseShape::Lobes(self.second_lobe.limited_to(self.medium.g()));
-        Slab { medium: self.medium, phase, thickness_mm }
+        PrintLayer { medium: self.medium, phase, thickness_mm }
     }
 
     /// The medium moved in its coordinates; an albedo stays below 1.
@@ -134,7 +135,7 @@ impl Uncertain {
 
 /// The slab of a mixture: σ_s, σ_a and σ_s p add up by volume. The phase function is that of two lobes with the mean
 /// cosine, and the mean weight and anisotropy of the second lobe, of all scattering.
-fn mixed(media: &[Uncertain], slab: &PrintedSlab) -> Result<Slab, Invalid> {
+fn mixed(media: &[Uncertain], slab: &PrintedSlab) -> Result<PrintLayer, Invalid> {
     let (mut absorption, mut scattering, mut forward, mut weight, mut of_lobe) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (medium, share) in &slab.shares {
         let Uncertain { medium: m, second_lobe, .. } = media[*medium];
@@ -150,7 +151,7 @@ fn mixed(media: &[Uncertain], slab: &PrintedSlab) -> Result<Slab, Invalid> {
     let lobe = SecondLobe::new(mean(weight, scattering), mean(of_lobe, weight))?.limited_to(g);
     let extinction = scattering + absorption;
     let medium = Medium::new(extinction, scattering / extinction, g)?;
-    Ok(Slab { medium, phase: PhaseShape::Lobes(lobe), thickness_mm: slab.thickness_mm })
+    Ok(PrintLayer { medium, phase: PhaseShape::Lobes(lobe), thickness_mm: slab.thickness_mm })
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use crate::slab::slab;
 
 /// A slab of a medium.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Slab {
+pub struct PrintLayer {
     pub medium: Medium,
     pub phase: PhaseShape,
     pub thickness_mm: f64,
@@ -77,7 +77,7 @@ impl Print {
     ///
     /// # Errors
     /// If a phase function does not have the mean cosine of its medium.
-    pub fn radiance_factors(&self, slabs: &[Slab], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
+    pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
         let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
         Ok(rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect())
     }
@@ -87,7 +87,7 @@ impl Print {
     ///
     /// # Errors
     /// If a phase function does not have the mean cosine of its medium.
-    pub fn transmittance(&self, slabs: &[Slab]) -> Result<f64, Invalid> {
+    pub fn transmittance(&self, slabs: &[PrintLayer]) -> Result<f64, Invalid> {
         let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
         let n = self.quadrature.len();
         let mut reflection = DMatrix::zeros(n, n);
@@ -104,7 +104,7 @@ impl Print {
         Ok(light[self.quadrature.sensor()])
     }
 
-    fn operator(&self, s: &Slab) -> Result<Operator, Invalid> {
+    fn operator(&self, s: &PrintLayer) -> Result<Operator, Invalid> {
         let phase = s.phase.function(s.medium.g())?;
         let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
         Ok(slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth))
@@ -114,7 +114,7 @@ impl Print {
     ///
     /// # Errors
     /// If a phase function does not have the mean cosine of its medium.
-    pub fn reflectances(&self, slabs: &[Slab], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
+    pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
         let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
         let in_air: Vec<usize> =
             (0..self.quadrature.len()).filter(|i| self.quadrature.exists(*i, 1.0)).collect();

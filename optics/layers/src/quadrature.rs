@@ -8,8 +8,8 @@ use std::f64::consts::PI;
 
 /// Nodes per unit of the cosine between smooth faces.
 const SMOOTH: f64 = 20.0;
-/// The same times the least roughness α of a face, and its maximum: rough faces blur the ends of the ring over α, which
-/// the nodes must resolve.
+/// Nodes per unit of the cosine times the least roughness α of a face, and their maximum: rough faces blur the ends of
+/// the ring over α, which the nodes must resolve.
 const ROUGH: f64 = 2.0;
 const MOST: f64 = 120.0;
 /// Fewest nodes between two places.

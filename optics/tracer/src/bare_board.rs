@@ -20,7 +20,7 @@ use optics_model::scene::{Channel, LEAST_RHO_DARK, LayerMedium};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
 
-use super::face::{Face, FacePoint, FaceRays, Side};
+use super::face::{Face, FacePoint, FaceRays, FaceSide};
 
 /// Points of each sum.
 const POINTS: u32 = 1 << 20;
@@ -46,7 +46,7 @@ impl BareBoard {
         let (ring, polar) = (scene.light(), scene.sensor().polar_deg());
         let [inner, outer] = [ring.inner_deg(), ring.outer_deg()].map(sin2);
         let in_ring = |d: Vec3| (inner..=outer).contains(&f64::from(d.x * d.x + d.y * d.y));
-        let out = |point: FacePoint, sin2: f64| coat.rays(Side::Above, sin2, point);
+        let out = |point: FacePoint, sin2: f64| coat.rays(FaceSide::Above, sin2, point);
         let through = |rays: FaceRays| share(&rays, |d| d.z < 0.0);
         let reflected = |rays: FaceRays| share(&rays, |d| d.z > 0.0 && in_ring(d));
         let entering = mean(|point| through(out(point, sin2(polar))));
@@ -54,7 +54,7 @@ impl BareBoard {
         Ok(Self {
             specular: mean(|point| reflected(out(point, sin2(polar)))) / (outer - inner),
             gain: entering * lit / coat.iors[1].powi(2),
-            returned: mean(|point| share(&coat.rays(Side::Below, point.u, point), |d| d.z > 0.0)),
+            returned: mean(|point| share(&coat.rays(FaceSide::Below, point.u, point), |d| d.z > 0.0)),
         })
     }
 

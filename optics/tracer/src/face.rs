@@ -25,7 +25,7 @@ pub struct Face {
 
 /// The side from which a ray comes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Side {
+pub enum FaceSide {
     Above,
     Below,
 }
@@ -61,9 +61,9 @@ pub type FaceRays = [Option<FaceRay>; 4];
 
 impl Face {
     /// The rays into which a ray splits; `sin2` is sin² of its polar angle in the medium that it comes from.
-    pub fn rays(&self, from: Side, sin2: f64, point: FacePoint) -> FaceRays {
+    pub fn rays(&self, from: FaceSide, sin2: f64, point: FacePoint) -> FaceRays {
         let [above, below] = self.iors;
-        let iors = if from == Side::Above { [above, below] } else { [below, above] };
+        let iors = if from == FaceSide::Above { [above, below] } else { [below, above] };
         let wi = Vec3::new(0.0, sin2.sqrt() as f32, (1.0 - sin2).sqrt() as f32);
         let indices = [RelativeIndex::new(iors[0], iors[1]), RelativeIndex::new(iors[1], iors[0])];
         let alpha = self.roughness as f32;

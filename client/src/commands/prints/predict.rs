@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
-use farm_lab::colour::{Colorimetry, Colour, Observer, Viewing};
+use farm_lab::colour::{Colorimetry, SeenColour, StandardObserver, Viewing};
 use farm_lab::media_file::MediaFile;
 use optics_layers::Predicted;
 use optics_model::Invalid;
@@ -14,7 +14,7 @@ use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
 use super::slabs::{NamedSlab, parsed};
-use super::view::{Base, View, ViewArgs, materials_of, unresolved};
+use super::view::{PrintBase, PrintView, ViewArgs, materials_of, unresolved};
 use crate::output::{Output, table, wrapped};
 
 #[derive(Debug, Args)]
@@ -48,7 +48,7 @@ pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
 pub(crate) struct PredictJson {
     slabs: Vec<SlabJson>,
     geometry: &'static str,
-    channels: Vec<ChannelJson>,
+    channels: Vec<PredictedChannelJson>,
     /// Null unless the channels are wavelengths that cover the visible range.
     colours: Option<ColoursJson>,
     /// Why there are no colours.
@@ -72,7 +72,7 @@ struct ShareJson {
 }
 
 #[derive(Debug, Serialize)]
-struct ChannelJson {
+struct PredictedChannelJson {
     channel: String,
     bases: Vec<ReflectanceJson>,
 }
@@ -80,7 +80,7 @@ struct ChannelJson {
 /// A radiance factor with its 95 % interval.
 #[derive(Debug, Serialize)]
 struct ReflectanceJson {
-    base: Base,
+    base: PrintBase,
     radiance_factor: f64,
     std_error: f64,
     interval: [f64; 2],
@@ -97,9 +97,9 @@ struct ColoursJson {
 
 #[derive(Debug, Serialize)]
 struct ColourJson {
-    base: Base,
+    base: PrintBase,
     #[serde(flatten)]
-    colour: Colour,
+    colour: SeenColour,
     lab_std_errors: [f64; 3],
     /// Null for the 10° observer.
     srgb: Option<[u8; 3]>,
@@ -110,10 +110,10 @@ fn data(args: &PredictArgs) -> Result<PredictJson> {
     let is_material = |name: &str| file.material(name).is_ok();
     let slabs: Vec<NamedSlab> =
         args.slabs.iter().map(|text| parsed(text, is_material)).collect::<Result<_>>()?;
-    let bases: Vec<Base> =
-        args.over.iter().map(|text| Base::parsed(text.trim())).collect::<Result<_, _>>()?;
+    let bases: Vec<PrintBase> =
+        args.over.iter().map(|text| PrintBase::parsed(text.trim())).collect::<Result<_, _>>()?;
     let materials = materials_of(&slabs);
-    let view = View::new(&file, &materials, &bases, &args.view)?;
+    let view = PrintView::new(&file, &materials, &bases, &args.view)?;
     let channels = view.names();
     let found = view.predicted(&slabs)?;
     let unresolved = unresolved(&file, &materials, &channels)?;
@@ -144,13 +144,16 @@ fn slab_json(slab: &NamedSlab) -> SlabJson {
     }
 }
 
-fn channel_json(channel: &str, found: &[Predicted], bases: &[Base]) -> ChannelJson {
-    let reflectance = |(found, base): (&Predicted, &Base)| {
+fn channel_json(channel: &str, found: &[Predicted], bases: &[PrintBase]) -> PredictedChannelJson {
+    let reflectance = |(found, base): (&Predicted, &PrintBase)| {
         let (value, std_error) = (found.value, found.std_error());
         let interval = [(value - Z * std_error).max(0.0), value + Z * std_error];
         ReflectanceJson { base: base.clone(), radiance_factor: value, std_error, interval }
     };
-    ChannelJson { channel: channel.to_owned(), bases: found.iter().zip(bases).map(reflectance).collect() }
+    PredictedChannelJson {
+        channel: channel.to_owned(),
+        bases: found.iter().zip(bases).map(reflectance).collect(),
+    }
 }
 
 /// Colours over all bases. How the errors of wavelengths are correlated is not known: of errors that are the same
@@ -158,7 +161,7 @@ fn channel_json(channel: &str, found: &[Predicted], bases: &[Base]) -> ChannelJs
 fn colours(
     channels: &[&str],
     found: &[Vec<Predicted>],
-    bases: &[Base],
+    bases: &[PrintBase],
     viewing: Viewing,
 ) -> Result<ColoursJson, Invalid> {
     let wavelengths: Option<Vec<f64>> = channels.iter().map(|channel| wavelength_nm(channel)).collect();
@@ -170,7 +173,7 @@ fn colours(
     let spectrum = |base: usize| -> Vec<(f64, f64)> {
         order.iter().map(|(_, i)| (found[*i][base].value, found[*i][base].std_error())).collect()
     };
-    let colour = |(i, base): (usize, &Base)| {
+    let colour = |(i, base): (usize, &PrintBase)| {
         let spectrum = spectrum(i);
         let values: Vec<f64> = spectrum.iter().map(|(value, _)| *value).collect();
         let colour = colorimetry.colour(&values);
@@ -219,7 +222,7 @@ fn text(data: &PredictJson) -> String {
     let heads: Vec<String> =
         bases.iter().flat_map(|base| [format!("over {base}"), "95 %".to_owned()]).collect();
     let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();
-    let row = |channel: &ChannelJson| {
+    let row = |channel: &PredictedChannelJson| {
         let cells = channel.bases.iter().flat_map(|b| {
             let digits = (-b.std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1;
             [
@@ -262,7 +265,7 @@ fn colours_text(colours: &ColoursJson) -> String {
         cells
     };
     let Viewing { illuminant, observer } = colours.viewing;
-    let observer = if observer == Observer::TwoDegrees { "2°" } else { "10°" };
+    let observer = if observer == StandardObserver::TwoDegrees { "2°" } else { "10°" };
     let mut text = format!(
         "colour, {illuminant:?}, {observer}\n{}",
         table(&head, &[1, 2, 3, 4], colours.bases.iter().map(row))

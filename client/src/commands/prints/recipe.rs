@@ -14,9 +14,9 @@ use serde::Serialize;
 
 use super::predict::lab_std_errors;
 use super::slabs::NamedSlab;
-use super::view::{Base, View, ViewArgs};
+use super::view::{PrintBase, PrintView, ViewArgs};
 use crate::output::{Output, table, wrapped};
-use search::{Limits, closest};
+use search::{ShareLimits, closest};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -54,7 +54,7 @@ pub(crate) struct RecipeArgs {
 }
 
 /// A colour to match.
-enum Target {
+enum ColourTarget {
     Lab([f64; 3]),
     /// Radiance factors by channel.
     Values(Vec<(String, f64)>),
@@ -102,11 +102,11 @@ pub(crate) fn run(args: &RecipeArgs, output: &Output) -> Result<()> {
 }
 
 /// The inks of a request, and how their mixtures look.
-struct Inks<'a> {
+struct InkMixer<'a> {
     args: &'a RecipeArgs,
     names: Vec<String>,
     /// Over the base, over black, and over white.
-    view: View<'a>,
+    view: PrintView<'a>,
     /// None unless the channels are wavelengths that cover the visible range.
     colorimetry: Option<Colorimetry>,
     /// Places of the channels by rising wavelength.
@@ -122,9 +122,9 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let all = || file.materials.iter().map(|m| m.material.clone()).collect();
     let names: Vec<String> = if args.inks.is_empty() { all() } else { args.inks.clone() };
     let most = most(&args.most, &names)?;
-    let bases = [Base::parsed(&args.over)?, Base::parsed("black")?, Base::parsed("white")?];
+    let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
     let used: Vec<&str> = names.iter().map(String::as_str).collect();
-    let view = View::new(&file, &used, &bases, &args.view)?;
+    let view = PrintView::new(&file, &used, &bases, &args.view)?;
     let mut order: Vec<(Option<f64>, usize)> =
         view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
     order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
@@ -132,7 +132,7 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let is_spectral = nm.len() == order.len();
     let colorimetry = if is_spectral { Colorimetry::new(&nm, args.view.viewing()).ok() } else { None };
     let order = order.into_iter().map(|(_, i)| i).collect();
-    let inks = Inks { args, names, view, colorimetry, order };
+    let inks = InkMixer { args, names, view, colorimetry, order };
     let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
     Ok(RecipeJson { thickness_mm: args.thickness, recipes })
 }
@@ -154,7 +154,7 @@ fn most(given: &[String], names: &[String]) -> Result<Vec<f64>> {
     Ok(most)
 }
 
-impl Target {
+impl ColourTarget {
     fn parsed(text: &str) -> Result<Self> {
         let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
         if let Some(lab) = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
@@ -168,10 +168,10 @@ impl Target {
     }
 }
 
-impl Inks<'_> {
+impl InkMixer<'_> {
     fn recipe(&self, text: &str, most: &[f64]) -> Result<FoundRecipe> {
-        let target = Target::parsed(text)?;
-        if matches!(target, Target::Lab(_)) && self.colorimetry.is_none() {
+        let target = ColourTarget::parsed(text)?;
+        if matches!(target, ColourTarget::Lab(_)) && self.colorimetry.is_none() {
             bail!(
                 "target {text}: L*,a*,b* need channels that are wavelengths of the visible range; give a file of channel,value"
             );
@@ -183,7 +183,7 @@ impl Inks<'_> {
                 self.args.opacity.map_or(0.0, |ratio| 100.0 * (self.contrast_ratio(&found) - ratio));
             Ok(difference.hypot(opacity))
         };
-        let shares = closest(&Limits { most }, cost)?;
+        let shares = closest(&ShareLimits { most }, cost)?;
         self.answer(text, &target, &shares, most)
     }
 
@@ -195,7 +195,7 @@ impl Inks<'_> {
         NamedSlab { shares, thickness_mm: self.args.thickness }
     }
 
-    fn answer(&self, text: &str, target: &Target, shares: &[f64], most: &[f64]) -> Result<FoundRecipe> {
+    fn answer(&self, text: &str, target: &ColourTarget, shares: &[f64], most: &[f64]) -> Result<FoundRecipe> {
         const SMALLEST: f64 = 1e-3;
         let slab = self.slab(shares);
         let predicted = self.view.predicted(std::slice::from_ref(&slab))?;
@@ -229,12 +229,12 @@ impl Inks<'_> {
     }
 
     /// CIEDE2000, or per cent.
-    fn difference(&self, target: &Target, found: &[Vec<f64>]) -> Result<f64> {
+    fn difference(&self, target: &ColourTarget, found: &[Vec<f64>]) -> Result<f64> {
         let values = match target {
-            Target::Lab(lab) => {
+            ColourTarget::Lab(lab) => {
                 return Ok(self.lab(found).map_or(f64::INFINITY, |found| delta_e_2000(*lab, found)));
             }
-            Target::Values(values) => values,
+            ColourTarget::Values(values) => values,
         };
         let of = |name: &&str| {
             let found = values.iter().find(|(channel, _)| channel == name).map(|(_, value)| *value);
@@ -252,7 +252,7 @@ impl Inks<'_> {
         Ok((squares / wanted.len() as f64).sqrt())
     }
 
-    /// Of luminances, or of the means of all channels.
+    /// The ratio of luminances, or of the means of all channels.
     fn contrast_ratio(&self, found: &[Vec<f64>]) -> f64 {
         let brightness = |base: usize| {
             let spectrum: Vec<f64> = self.order.iter().map(|i| found[*i][base]).collect();

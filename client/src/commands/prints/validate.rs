@@ -15,7 +15,7 @@ use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
 use super::slabs::NamedSlab;
-use super::view::{Base, View, ViewArgs, materials_of};
+use super::view::{PrintBase, PrintView, ViewArgs, materials_of};
 use crate::output::{Output, table, wrapped};
 
 #[derive(Debug, Args)]
@@ -34,7 +34,8 @@ pub(crate) struct ValidateArgs {
     /// TOML file with the mixtures of the chart and their volume fractions.
     #[arg(long, value_name = "FILE")]
     mixtures: Option<PathBuf>,
-    /// Base under the patches: a reflectance, black (0.03), white (0.9), or light or dark, a side of the measured board.
+    /// Base under the patches: a reflectance, black (0.03), white (0.9), or light or dark, a side of the measured
+    /// board.
     #[arg(long, value_name = "BASE", default_value = "light")]
     over: String,
     /// Standard error of each patch's brightness, as a share of it: of the white reference and the even light.
@@ -95,7 +96,7 @@ pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
 }
 
 /// A patch with all of its channels.
-struct Patch<'a> {
+struct ChartPatch<'a> {
     material: &'a str,
     slab: NamedSlab,
     /// Channel, value and standard error.
@@ -116,10 +117,10 @@ fn validated(
         }
     }
     let of_each = chart.iter().map(|m| of_material(m, media, mixtures)).collect::<Result<Vec<_>>>()?;
-    let patches: Vec<Patch> = of_each.into_iter().flatten().collect();
+    let patches: Vec<ChartPatch> = of_each.into_iter().flatten().collect();
     let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
     let materials = materials_of(&slabs);
-    let view = View::new(media, &materials, &[Base::parsed(&args.over)?], &args.view)?;
+    let view = PrintView::new(media, &materials, &[PrintBase::parsed(&args.over)?], &args.view)?;
     let (mut all, mut colours) = (Vec::new(), Vec::new());
     for patch in &patches {
         let found = compared(args, &view, patch)?;
@@ -139,7 +140,7 @@ fn of_material<'a>(
     measured: &'a Measurement,
     media: &MediaFile,
     mixtures: Option<&Mixtures>,
-) -> Result<Vec<Patch<'a>>> {
+) -> Result<Vec<ChartPatch<'a>>> {
     let name = measured.material();
     let parts = mixtures.and_then(|mixtures| mixtures.all().iter().find(|m| m.material() == name));
     let shares: Vec<(String, f64)> = match parts {
@@ -151,14 +152,14 @@ fn of_material<'a>(
             .material(ink)
             .with_context(|| format!("patch {name:?}: neither measured nor a mixture (--mixtures)"))?;
     }
-    let mut patches: Vec<Patch> = Vec::new();
+    let mut patches: Vec<ChartPatch> = Vec::new();
     for profile in measured.profiles() {
         let value = (profile.channel(), value_of(profile, name)?);
         let (channel, (value, error)) = value;
         let thickness_mm = profile.thickness_mm();
         match patches.iter_mut().find(|patch| patch.slab.thickness_mm == thickness_mm) {
             Some(patch) => patch.values.push((channel, value, error)),
-            None => patches.push(Patch {
+            None => patches.push(ChartPatch {
                 material: name,
                 slab: NamedSlab { shares: shares.clone(), thickness_mm },
                 values: vec![(channel, value, error)],
@@ -181,7 +182,7 @@ fn value_of(profile: &MeasuredProfile, material: &str) -> Result<(f64, f64)> {
     Ok((values[0], errors[0] / (values.len() as f64).sqrt()))
 }
 
-fn compared(args: &ValidateArgs, view: &View, patch: &Patch) -> Result<Vec<PatchJson>> {
+fn compared(args: &ValidateArgs, view: &PrintView, patch: &ChartPatch) -> Result<Vec<PatchJson>> {
     let slab = &patch.slab;
     let thicker = NamedSlab { thickness_mm: slab.thickness_mm + args.thickness_std_error, ..slab.clone() };
     let (found, moved) =
@@ -206,7 +207,7 @@ fn compared(args: &ValidateArgs, view: &View, patch: &Patch) -> Result<Vec<Patch
 }
 
 /// The difference of measured and predicted colour; None unless the channels are wavelengths of the visible range.
-fn colour(args: &ValidateArgs, patch: &Patch, found: &[PatchJson]) -> Option<PatchColourJson> {
+fn colour(args: &ValidateArgs, patch: &ChartPatch, found: &[PatchJson]) -> Option<PatchColourJson> {
     let mut spectrum: Vec<(f64, f64, f64)> = found
         .iter()
         .map(|p| Some((wavelength_nm(&p.channel)?, p.measured, p.predicted)))
@@ -224,7 +225,7 @@ fn colour(args: &ValidateArgs, patch: &Patch, found: &[PatchJson]) -> Option<Pat
     })
 }
 
-fn ink(name: &str, patches: &[Patch], all: &[PatchJson]) -> InkJson {
+fn ink(name: &str, patches: &[ChartPatch], all: &[PatchJson]) -> InkJson {
     let share = |p: &PatchJson| {
         let patch = patches.iter().find(|patch| patch.material == p.material)?;
         patch.slab.shares.iter().find(|(ink, _)| ink == name).map(|(_, share)| *share)

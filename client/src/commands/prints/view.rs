@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
-use farm_lab::colour::{Illuminant, Observer, Viewing};
+use farm_lab::colour::{Illuminant, StandardObserver, Viewing};
 use farm_lab::media_file::MediaFile;
 use optics_layers::{Predicted, Print, Uncertain, predict};
 use optics_model::{Invalid, Scene};
@@ -51,8 +51,8 @@ impl ViewArgs {
             IlluminantArg::D65 => Illuminant::D65,
         };
         let observer = match self.observer {
-            ObserverArg::Two => Observer::TwoDegrees,
-            ObserverArg::Ten => Observer::TenDegrees,
+            ObserverArg::Two => StandardObserver::TwoDegrees,
+            ObserverArg::Ten => StandardObserver::TenDegrees,
         };
         Viewing { illuminant, observer }
     }
@@ -64,7 +64,7 @@ const BASES: [(&str, f64); 2] = [("black", 0.03), ("white", 0.9)];
 /// A base under a print.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
-pub(super) struct Base {
+pub(super) struct PrintBase {
     pub name: String,
     #[serde(skip)]
     kind: BaseKind,
@@ -78,7 +78,7 @@ enum BaseKind {
     Dark,
 }
 
-impl Base {
+impl PrintBase {
     pub(super) fn parsed(text: &str) -> Result<Self, Invalid> {
         let named = BASES.iter().find(|(name, _)| *name == text).map(|(_, rho)| BaseKind::Neutral(*rho));
         let number = || text.parse().ok().filter(|rho| (0.0..=1.0).contains(rho)).map(BaseKind::Neutral);
@@ -113,7 +113,7 @@ impl Base {
 struct ViewedChannel {
     name: String,
     print: Arc<Print>,
-    /// Of the bases.
+    /// Reflectances of the bases.
     rho: Vec<f64>,
     /// By material of the file; None if it has no medium in this channel.
     media: Vec<Option<Uncertain>>,
@@ -121,17 +121,17 @@ struct ViewedChannel {
 
 /// The channels of some materials over bases.
 #[derive(Debug)]
-pub(super) struct View<'a> {
+pub(super) struct PrintView<'a> {
     file: &'a MediaFile,
     channels: Vec<ViewedChannel>,
 }
 
-impl<'a> View<'a> {
+impl<'a> PrintView<'a> {
     /// The channels that all of these materials have.
     pub(super) fn new(
         file: &'a MediaFile,
         materials: &[&str],
-        bases: &[Base],
+        bases: &[PrintBase],
         args: &ViewArgs,
     ) -> Result<Self> {
         let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
@@ -175,7 +175,7 @@ impl<'a> View<'a> {
         self.each(|channel, media| Ok(predict(&channel.print, media, &self.printed(slabs)?, &channel.rho)?))
     }
 
-    /// The same without standard errors, which takes a seventh of the time.
+    /// Radiance factors without standard errors, which take a seventh of the time.
     pub(super) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
         let exact = |media: &[Uncertain]| -> Vec<Uncertain> {
             media.iter().map(|medium| Uncertain { covariance: [[0.0; 3]; 3], ..*medium }).collect()

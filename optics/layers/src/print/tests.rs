@@ -8,13 +8,13 @@ use super::*;
 
 const IOR: f64 = 1.53;
 
-fn plain(sigma_t: f64, albedo: f64, g: f64, thickness_mm: f64) -> Slab {
+fn plain(sigma_t: f64, albedo: f64, g: f64, thickness_mm: f64) -> PrintLayer {
     let medium = Medium::new(sigma_t, albedo, g).unwrap();
-    Slab { medium, phase: PhaseShape::default(), thickness_mm }
+    PrintLayer { medium, phase: PhaseShape::default(), thickness_mm }
 }
 
 /// Radiance factor and standard error by the Monte Carlo tracer, over uniform bases.
-fn traced(scene: &Scene, slab: &Slab, rho: &[f64], walks: u64) -> Vec<(f64, f64)> {
+fn traced(scene: &Scene, slab: &PrintLayer, rho: &[f64], walks: u64) -> Vec<(f64, f64)> {
     let channel = |rho: &f64| Channel::new(rho.to_string(), *rho, *rho).unwrap();
     let scene = scene.clone().with_phase(slab.phase.clone()).with_priors(Vec::new()).unwrap();
     let scene = scene.with_channels(rho.iter().map(channel).collect()).unwrap();
@@ -63,7 +63,7 @@ fn radiance_factors_agree_with_walks() {
     for scene in [Scene::smooth(), Scene::paper(), lab.clone()] {
         let print = Print::new(&scene, IOR);
         for slab in [plain(6.0, 0.9991, 0.4, 0.5), plain(5.5, 0.35, 0.4, 1.0), plain(12.0, 0.98, 0.8, 0.5)] {
-            let slab = Slab { phase: scene.phase().clone(), ..slab };
+            let slab = PrintLayer { phase: scene.phase().clone(), ..slab };
             let rho = [0.03, 0.95];
             let found = print.radiance_factors(std::slice::from_ref(&slab), &rho).unwrap();
             for (found, (walked, std_error)) in found.iter().zip(traced(&scene, &slab, &rho, 400_000)) {

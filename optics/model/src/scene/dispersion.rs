@@ -71,13 +71,13 @@ impl fmt::Display for Dispersion {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let curve = &self.curve;
         match curve.kind() {
-            Ok(Kind::Cauchy) if curve.cauchy_c_um4 == 0.0 => {
+            Ok(CurveKind::Cauchy) if curve.cauchy_c_um4 == 0.0 => {
                 write!(f, "Cauchy B = {} µm²", curve.cauchy_b_um2)
             }
-            Ok(Kind::Cauchy) => {
+            Ok(CurveKind::Cauchy) => {
                 write!(f, "Cauchy B = {} µm², C = {} µm⁴", curve.cauchy_b_um2, curve.cauchy_c_um4)
             }
-            Ok(Kind::Sellmeier) => {
+            Ok(CurveKind::Sellmeier) => {
                 write!(f, "Sellmeier B = {:?}, C = {:?} µm²", curve.sellmeier_b, curve.sellmeier_c_um2)
             }
             _ => write!(f, "{:?} at {:?} nm", curve.ior, curve.wavelength_nm),
@@ -86,18 +86,18 @@ impl fmt::Display for Dispersion {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Kind {
+enum CurveKind {
     Cauchy,
     Sellmeier,
     Table,
 }
 
 impl DispersionCurve {
-    fn kind(&self) -> Result<Kind> {
+    fn kind(&self) -> Result<CurveKind> {
         let given = [
-            (self.cauchy_b_um2 != 0.0 || self.cauchy_c_um4 != 0.0, Kind::Cauchy),
-            (!self.sellmeier_b.is_empty() || !self.sellmeier_c_um2.is_empty(), Kind::Sellmeier),
-            (!self.wavelength_nm.is_empty() || !self.ior.is_empty(), Kind::Table),
+            (self.cauchy_b_um2 != 0.0 || self.cauchy_c_um4 != 0.0, CurveKind::Cauchy),
+            (!self.sellmeier_b.is_empty() || !self.sellmeier_c_um2.is_empty(), CurveKind::Sellmeier),
+            (!self.wavelength_nm.is_empty() || !self.ior.is_empty(), CurveKind::Table),
         ];
         let mut kinds = given.iter().filter(|(is_given, _)| *is_given).map(|(_, kind)| *kind);
         match (kinds.next(), kinds.next()) {
@@ -126,13 +126,13 @@ impl DispersionCurve {
             Err(Invalid::new(a, format!("{} and {} numbers", of[0].len(), of[1].len()), allowed))
         };
         match self.kind()? {
-            Kind::Cauchy => {
+            CurveKind::Cauchy => {
                 finite("cauchy_b_um2", &[self.cauchy_b_um2]).and(finite("cauchy_c_um4", &[self.cauchy_c_um4]))
             }
-            Kind::Sellmeier => {
+            CurveKind::Sellmeier => {
                 pairs(["sellmeier_b", "sellmeier_c_um2"], [&self.sellmeier_b, &self.sellmeier_c_um2], 1)
             }
-            Kind::Table => {
+            CurveKind::Table => {
                 pairs(["wavelength_nm", "ior"], [&self.wavelength_nm, &self.ior], 2)?;
                 if let Some(i) = (1..self.wavelength_nm.len())
                     .find(|i| self.wavelength_nm[*i] <= self.wavelength_nm[i - 1])
@@ -153,8 +153,8 @@ impl DispersionCurve {
     fn at(&self, wavelength_nm: f64) -> Result<f64> {
         let square_um2 = (1e-3 * wavelength_nm).powi(2);
         match self.kind()? {
-            Kind::Cauchy => Ok(self.cauchy_b_um2 / square_um2 + self.cauchy_c_um4 / square_um2.powi(2)),
-            Kind::Sellmeier => {
+            CurveKind::Cauchy => Ok(self.cauchy_b_um2 / square_um2 + self.cauchy_c_um4 / square_um2.powi(2)),
+            CurveKind::Sellmeier => {
                 let terms = self.sellmeier_b.iter().zip(&self.sellmeier_c_um2);
                 let square = 1.0 + terms.map(|(b, c)| b * square_um2 / (square_um2 - c)).sum::<f64>();
                 if square.is_finite() && square >= 1.0 {
@@ -163,7 +163,7 @@ impl DispersionCurve {
                 let given = format!("n² = {square} at {wavelength_nm} nm");
                 Err(Invalid::new("sellmeier_b", given, "indices of at least 1 are needed"))
             }
-            Kind::Table => self.in_table(wavelength_nm).ok_or_else(|| {
+            CurveKind::Table => self.in_table(wavelength_nm).ok_or_else(|| {
                 let [first, last] = [self.wavelength_nm[0], self.wavelength_nm[self.wavelength_nm.len() - 1]];
                 let given = format!("{first} to {last} nm");
                 Invalid::new("wavelength_nm", given, format!("the table must contain {wavelength_nm} nm"))

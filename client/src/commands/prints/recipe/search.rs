@@ -4,7 +4,7 @@ use anyhow::Result;
 
 /// Largest share of each part.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Limits<'a> {
+pub(super) struct ShareLimits<'a> {
     pub most: &'a [f64],
 }
 
@@ -15,7 +15,7 @@ const STEPS: (f64, f64) = (0.25, 5e-4);
 ///
 /// The search begins at the best of the parts alone and the even mixture, each as far as the limits allow. An exchange
 /// that lowers the cost is repeated; the step is halved when none does.
-pub(super) fn closest(limits: &Limits, cost: impl Fn(&[f64]) -> Result<f64>) -> Result<Vec<f64>> {
+pub(super) fn closest(limits: &ShareLimits, cost: impl Fn(&[f64]) -> Result<f64>) -> Result<Vec<f64>> {
     let n = limits.most.len();
     let alone = (0..n).map(|i| filled(limits, |j| if i == j { 1.0 } else { 0.0 }));
     let mut best: Option<(Vec<f64>, f64)> = None;
@@ -48,7 +48,7 @@ pub(super) fn closest(limits: &Limits, cost: impl Fn(&[f64]) -> Result<f64>) -> 
 }
 
 /// Shares near the wanted ones; what is above a limit goes to the others in their order.
-fn filled(limits: &Limits, wanted: impl Fn(usize) -> f64) -> Vec<f64> {
+fn filled(limits: &ShareLimits, wanted: impl Fn(usize) -> f64) -> Vec<f64> {
     let mut shares: Vec<f64> = limits.most.iter().enumerate().map(|(i, most)| wanted(i).min(*most)).collect();
     for i in 0..shares.len() {
         let lacking = 1.0 - shares.iter().sum::<f64>();
@@ -58,7 +58,7 @@ fn filled(limits: &Limits, wanted: impl Fn(usize) -> f64) -> Vec<f64> {
 }
 
 /// The shares after an exchange, which may be smaller than the step at a limit; None if nothing can be moved.
-fn exchanged(limits: &Limits, shares: &[f64], from: usize, to: usize, step: f64) -> Option<Vec<f64>> {
+fn exchanged(limits: &ShareLimits, shares: &[f64], from: usize, to: usize, step: f64) -> Option<Vec<f64>> {
     let moved = step.min(shares[from]).min(limits.most[to] - shares[to]);
     (moved > 1e-9).then(|| {
         let mut shares = shares.to_vec();
@@ -76,7 +76,7 @@ mod tests {
         let cost = |shares: &[f64]| {
             Ok(shares.iter().zip(wanted).zip(1..).map(|((s, w), i)| f64::from(i) * (s - w).powi(2)).sum())
         };
-        closest(&Limits { most }, cost).unwrap()
+        closest(&ShareLimits { most }, cost).unwrap()
     }
 
     /// The minimum of a quadratic is found inside, on a face and at a limit; shares add up to 1.
