@@ -5,6 +5,9 @@ use super::{MediumBlock, Values};
 /// Wavelengths that stand for red, green and blue in a spectrum, in nm.
 const COLOURS_NM: [f64; 3] = [610.0, 550.0, 465.0];
 
+/// A note on spectra.
+const NEAREST: &str = "Red, green and blue are the measured wavelengths next to 610, 550 and 465 nm.";
+
 /// Coefficients of red, green and blue, in 1/mm.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct RgbMedium<'a> {
@@ -23,9 +26,7 @@ impl<'a> RgbMedium<'a> {
             Values::Rgb(media) => *media,
             Values::Scalar(medium) => [*medium; 3],
             Values::Spectrum(samples) => {
-                notes.push(format!(
-                    "Red, green and blue are the measured wavelengths next to 610, 550 and 465 nm."
-                ));
+                notes.push(NEAREST.to_owned());
                 COLOURS_NM.map(|nm| {
                     let off = |at: &f64| (at - nm).abs();
                     let nearest = samples.iter().min_by(|a, b| off(&a.0).total_cmp(&off(&b.0)));

@@ -10,13 +10,9 @@ use crate::quadrature::Quadrature;
 /// Points of the sequence over the microfacets of a rough face.
 const POINTS: u32 = 1 << 12;
 
-/// None between layers of the same index, which is no interface.
-pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Option<Operator> {
-    if face.iors[0] == face.iors[1] {
-        return None;
-    }
+pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Operator {
     let [above, below] = [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, from));
-    Some(Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 })
+    Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 }
 }
 
 /// Distributions of the rays that come from one side in each direction: reflected and transmitted.

@@ -98,7 +98,7 @@ fn directions(covariance: &[[f64; 3]; 3]) -> [Vector3<f64>; 3] {
 pub fn chi2(difference: &[f64; 3], covariance: impl Fn(usize, usize) -> f64) -> Option<(f64, usize)> {
     /// Share of the greatest variance that counts as 0.
     const NONE: f64 = 1e-12;
-    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance(i, j)));
+    let eigen = SymmetricEigen::new(Matrix3::from_fn(covariance));
     let least = NONE * eigen.eigenvalues.max();
     let difference = Vector3::from(*difference);
     let kept: Vec<f64> = (0..3)

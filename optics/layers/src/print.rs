@@ -50,17 +50,20 @@ impl Print {
         let roughness = rough.min_by(f64::total_cmp);
         let sensor = sin2(scene.sensor().polar_deg());
         let quadrature = Quadrature::new(&iors, sample_ior, roughness, &ring, sensor);
-        let mut faces: Vec<(Face, Option<Operator>)> = Vec::new();
+        let mut faces: Vec<(Face, Operator)> = Vec::new();
         let mut elements = Vec::new();
         for (i, layer) in scene.layers().iter().enumerate() {
-            let own = Face {
-                iors: [iors[i], iors[i + 1]],
-                roughness: layer.roughness(),
-                multiple_scattering: scene.multiple_scattering(),
-            };
-            let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
-            faces.push((own, operator.clone()));
-            elements.extend(operator.map(Some));
+            // Between layers of one index there is no interface.
+            if iors[i] != iors[i + 1] {
+                let own = Face {
+                    iors: [iors[i], iors[i + 1]],
+                    roughness: layer.roughness(),
+                    multiple_scattering: scene.multiple_scattering(),
+                };
+                let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
+                faces.push((own, operator.clone()));
+                elements.push(Some(operator));
+            }
             if layer.medium() == LayerMedium::Sample {
                 elements.push(None);
             }
@@ -154,11 +157,11 @@ impl Print {
 }
 
 /// The operator of a face like an earlier one, or like one upside down.
-fn known(faces: &[(Face, Option<Operator>)], own: &Face) -> Option<Option<Operator>> {
+fn known(faces: &[(Face, Operator)], own: &Face) -> Option<Operator> {
     let turned = Face { iors: [own.iors[1], own.iors[0]], ..*own };
     faces.iter().find_map(|(face, operator)| match () {
         () if face == own => Some(operator.clone()),
-        () if *face == turned => Some(operator.as_ref().map(Operator::turned)),
+        () if *face == turned => Some(operator.turned()),
         () => None,
     })
 }

@@ -39,7 +39,9 @@ pub(super) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<N
     if (sum - 1.0).abs() > ROUNDED {
         bail!("slab {text:?}: shares by volume must add up to 1, not {sum}");
     }
-    shares.iter_mut().for_each(|(_, share)| *share /= sum);
+    for (_, share) in &mut shares {
+        *share /= sum;
+    }
     Ok(NamedSlab { shares, thickness_mm })
 }
 

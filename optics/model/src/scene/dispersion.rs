@@ -174,15 +174,13 @@ impl DispersionCurve {
     fn in_table(&self, nm: f64) -> Option<f64> {
         let rows = &self.wavelength_nm;
         let next = rows.partition_point(|row| *row < nm);
-        match (next, rows.get(next)) {
-            (_, None) => None,
-            (_, Some(row)) if *row == nm => Some(self.ior[next]),
-            (0, _) => None,
-            (_, Some(row)) => {
-                let share = (nm - rows[next - 1]) / (row - rows[next - 1]);
-                Some(self.ior[next - 1] + share * (self.ior[next] - self.ior[next - 1]))
-            }
+        let row = *rows.get(next)?;
+        if row == nm {
+            return Some(self.ior[next]);
         }
+        let before = next.checked_sub(1)?;
+        let share = (nm - rows[before]) / (row - rows[before]);
+        Some(self.ior[before] + share * (self.ior[next] - self.ior[before]))
     }
 }
 

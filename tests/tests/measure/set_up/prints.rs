@@ -50,8 +50,8 @@ fn predicted_prints_keep_their_coverage() {
     let print = Print::new(&scene, IOR);
     let (mut held, mut errors, mut widths) = (Vec::new(), Vec::new(), Vec::new());
     for number in 0..20 * effort() {
-        let (measured, truth, iors) = media(number as u64);
-        let mut random = Normal::new(940_000 + number as u64);
+        let (measured, truth, iors) = media(number);
+        let mut random = Normal::new(940_000 + number);
         let mut of_session = Vec::new();
         for _ in 0..PRINTS {
             let (a, b) = ((6.0 * random.uniform()) as usize, (6.0 * random.uniform()) as usize);
