@@ -2,7 +2,7 @@
 //!
 //! Ring and sensor are those of a scene, and so are its clear layers and its faces; one or more slabs of media lie in the
 //! place of its sample. The light of a ring does not depend on the azimuth, so radiances are vectors over the polar angle
-//! alone, and layers are matrices: see [`operator`] for how they are added, and [`slab`] for how those of a medium are
+//! alone, and layers are matrices: see `operator` for how they are added, and `slab` for how those of a medium are
 //! doubled.
 
 mod faces;

@@ -1,5 +1,7 @@
 //! Predictions of prints: against the tracer, charts, recipes and comparisons, from a media file.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 use std::fmt::Write as _;
 use std::path::Path;
 
