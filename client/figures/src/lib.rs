@@ -6,6 +6,7 @@
 
 mod budget;
 mod changes;
+mod chart;
 #[cfg(test)]
 mod checks;
 mod design;
@@ -26,6 +27,7 @@ pub mod testing;
 
 pub use budget::{ChannelBudget, ErrorBudget, error_budget};
 pub use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
+pub use chart::{ChartPoint, chart_figure};
 pub use design::design_figure;
 pub use drawing::picture::Picture;
 pub use edge::{EdgeCurve, edge_figure};

@@ -161,6 +161,12 @@ fn check(wavelengths_nm: &[f64]) -> Result<()> {
         );
         return refused(format!("{first} to {last} nm"), allowed);
     }
+    if let Some(pair) = wavelengths_nm.windows(2).find(|pair| pair[1] <= pair[0]) {
+        return refused(
+            format!("{} and {} nm", pair[0], pair[1]),
+            "wavelengths must differ, and rise".to_owned(),
+        );
+    }
     match wavelengths_nm.windows(2).find(|pair| pair[1] - pair[0] > MISSING_NM + 1e-9) {
         Some(pair) => refused(
             format!("{} and {} nm with nothing between them", pair[0], pair[1]),
@@ -232,6 +238,10 @@ mod tests {
         let viewing = Viewing { illuminant: Illuminant::D50, observer: StandardObserver::TwoDegrees };
         let refused = |nm: &[f64]| Colorimetry::new(nm, viewing).unwrap_err().to_string();
         assert!(refused(&[]).contains("none is not valid: a colour needs channels that are wavelengths"));
+        assert!(
+            refused(&[460.0, 460.0, 500.0, 640.0])
+                .contains("460 and 460 nm is not valid: wavelengths must differ")
+        );
         assert!(refused(&[470.0, 640.0]).contains("470 to 640 nm is not valid"));
         assert!(refused(&[450.0, 500.0, 540.0, 640.0]).contains("450 and 500 nm with nothing between them"));
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use optics_model::fit::{Interval, MaterialFit, Refined, Z};
+use optics_model::medium::check_ior;
 use optics_model::phase::SecondLobe;
 use optics_model::scene::Scene;
 use optics_model::{Digest, Medium, SceneFile};
@@ -128,11 +129,14 @@ impl MediaFile {
             bail!("{}: its format is {}, not {FORMAT:?}", place(), json["format"]);
         }
         let file: Self = serde_json::from_value(json).with_context(place)?;
-        for material in &file.materials {
+        for (i, material) in file.materials.iter().enumerate() {
+            if file.materials[..i].iter().any(|other| other.material == material.material) {
+                bail!("{}: material {:?} occurs twice", place(), material.material);
+            }
             for channel in &material.channels {
-                let named = || format!("{}: {} {}", place(), material.material, channel.channel);
-                channel.medium().with_context(named)?;
-                channel.second_lobe().with_context(named)?;
+                channel
+                    .check()
+                    .with_context(|| format!("{}: {} {}", place(), material.material, channel.channel))?;
             }
         }
         Ok(file)
@@ -179,6 +183,24 @@ impl MediaChannel {
         }
     }
 
+    fn check(&self) -> Result<(), optics_model::Invalid> {
+        self.medium()?;
+        self.second_lobe()?;
+        check_ior("sample_ior", self.sample_ior)?;
+        let c = &self.covariance;
+        // Of a covariance all entries are finite, and none exceeds those of the diagonal in the same row and column.
+        let is_bounded = |i: usize, j: usize| {
+            c[i][j].is_finite()
+                && (c[i][j] - c[j][i]).abs() <= 1e-9 * (c[i][i] * c[j][j]).abs().sqrt() + 1e-300
+                && c[i][j].powi(2) <= (1.0 + 1e-6) * c[i][i] * c[j][j] + 1e-300
+        };
+        if (0..3).all(|i| c[i][i] >= 0.0 && (0..3).all(|j| is_bounded(i, j))) {
+            return Ok(());
+        }
+        let allowed = "a symmetric matrix of finite variances and covariances is needed";
+        Err(optics_model::Invalid::new("covariance", format!("{c:?}"), allowed))
+    }
+
     pub fn medium(&self) -> Result<Medium, optics_model::Invalid> {
         Medium::new(self.sigma_t_per_mm, self.albedo, self.g)
     }
@@ -196,7 +218,8 @@ fn covariance(refined: &Refined) -> [[f64; 3]; 3] {
     }
     let variance = |i: &Interval, coordinate: fn(f64) -> f64| {
         let half = 0.5 * (coordinate(i.high) - coordinate(i.low)).abs() / Z;
-        if half.is_finite() { half * half } else { 0.0 }
+        // An end that is not known leaves a factor of e.
+        if half.is_finite() { half * half } else { 1.0 }
     };
     let of = [
         variance(&refined.sigma_t_per_mm, f64::ln),
@@ -245,6 +268,22 @@ mod tests {
         assert!(refused("{}").ends_with("its format is null, not \"farmctl-media/1\""));
         let wrong = refused(&text.replacen("\"sigma_t_per_mm\": 6.0", "\"sigma_t_per_mm\": -6.0", 1));
         assert!(wrong.contains("media.json: white R: sigma_t_per_mm = -6 is not valid"), "{wrong}");
+        for (from, to, message) in [
+            ("\"sample_ior\": 1.53", "\"sample_ior\": 0.5", "sample_ior = 0.5 is not valid"),
+            (
+                "\"material\": \"white\"",
+                "\"material\": \"white\", \"channels\": []}, {\"material\": \"white\"",
+                "occurs twice",
+            ),
+        ] {
+            assert!(text.contains(from), "{text}");
+            let wrong = refused(&text.replacen(from, to, 1));
+            assert!(wrong.contains(message), "{wrong}");
+        }
+        let mut wrong = media();
+        wrong.materials[0].channels[0].covariance[0][0] = -1.0;
+        let wrong = refused(&wrong.text().unwrap());
+        assert!(wrong.contains("a symmetric matrix of finite variances"), "{wrong}");
         std::fs::remove_file(folder.path().join(MEDIA_FILE)).unwrap();
         let missing = format!("{:#}", MediaFile::read(folder.path()).unwrap_err());
         assert!(missing.contains("`farmctl measure` writes it into the session's folder"), "{missing}");

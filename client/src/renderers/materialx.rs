@@ -6,6 +6,7 @@
 use optics_model::fit::MaterialFit;
 
 use super::blocks;
+use super::mitsuba::xml_comment;
 use super::rgb::{OpenPbr, RgbMedium, triple};
 
 /// A MaterialX document.
@@ -18,9 +19,8 @@ pub(crate) fn materialx(fits: &[MaterialFit]) -> String {
         let medium = RgbMedium::of(block);
         let OpenPbr { depth, colour, scatter } = medium.open_pbr();
         let name = medium.name;
-        // Two dashes would end the comment.
-        text += &medium.notes.iter().map(|n| format!("  <!-- {} -->\n", comment(n))).collect::<String>();
-        text += &format!("  <open_pbr_surface name=\"{name}_shader\" type=\"surfaceshader\">\n");
+        text += &medium.notes.iter().map(|note| xml_comment(note, "  ")).collect::<String>();
+        text += &format!("  <open_pbr_surface name=\"{name}__shader\" type=\"surfaceshader\">\n");
         let inputs = [
             ("specular_roughness", "float", "0".to_owned()),
             ("specular_ior", "float", format!("{:?}", medium.ior)),
@@ -35,14 +35,10 @@ pub(crate) fn materialx(fits: &[MaterialFit]) -> String {
         }
         text += &format!(
             "  </open_pbr_surface>\n  <surfacematerial name=\"{name}\" type=\"material\">\n    \
-             <input name=\"surfaceshader\" type=\"surfaceshader\" nodename=\"{name}_shader\" />\n  </surfacematerial>\n"
+             <input name=\"surfaceshader\" type=\"surfaceshader\" nodename=\"{name}__shader\" />\n  </surfacematerial>\n"
         );
     }
     text + "</materialx>\n"
-}
-
-fn comment(note: &str) -> String {
-    note.replace("--", "- -").trim_end_matches('-').to_owned()
 }
 
 /// A USD layer with a material for each medium.
@@ -113,7 +109,7 @@ mod tests {
     /// Names of materials cannot end the comments that contain them.
     #[test]
     fn names_cannot_escape_xml_comments() {
-        let text = materialx(&[medium("a--><b x=\"", vec![channel("R", 1.0, 0.5)])]);
+        let text = materialx(&[medium("a---><b x=\"", vec![channel("R", 1.0, 0.5)])]);
         let document = roxmltree::Document::parse(&text).unwrap();
         let surfaces = document.descendants().filter(|node| node.has_tag_name("open_pbr_surface"));
         assert_eq!(surfaces.count(), 1, "{text}");

@@ -60,7 +60,7 @@ pub(crate) fn mitsuba_xml(fits: &[MaterialFit]) -> String {
         let phase = xml_phase(block.phase);
         let sigma_t = xml("sigma_t", &block.values, |c| c.sigma_t_per_mm() / scale);
         let albedo = xml("albedo", &block.values, Medium::albedo);
-        text += &notes(&block).map(|note| xml_comment(&note)).collect::<String>();
+        text += &notes(&block).map(|note| xml_comment(&note, "    ")).collect::<String>();
         text += &format!(
             "    <medium type=\"homogeneous\" id=\"{name}\">
         {sigma_t}
@@ -155,12 +155,12 @@ fn xml(name: &str, values: &Values, value: impl Fn(&Medium) -> f64) -> String {
 }
 
 /// XML escapes nothing in a comment and forbids two hyphens in a row.
-fn xml_comment(text: &str) -> String {
+pub(super) fn xml_comment(text: &str, indent: &str) -> String {
     let mut text = text.to_owned();
     while text.contains("--") {
         text = text.replace("--", "- -");
     }
-    format!("    <!-- {text} -->\n")
+    format!("{indent}<!-- {text} -->\n")
 }
 
 #[cfg(test)]

@@ -7,18 +7,28 @@ use rayon::prelude::*;
 use crate::operator::Operator;
 use crate::quadrature::Quadrature;
 
-/// Points of the sequence over the microfacets of a rough face.
+/// Points of the sequence over the microfacets of a rough face. Few rays of a very rough face meet a narrow ring: it has
+/// more, and so has the sensor's direction.
 const POINTS: u32 = 1 << 12;
+const MANY_POINTS: u32 = 1 << 14;
+const POINTS_OF_SENSOR: u32 = 1 << 16;
+/// Roughness from which on a face is very rough, and width of a ring over α below which it is narrow.
+const VERY_ROUGH: f64 = 0.2;
+const NARROW: f64 = 0.5;
 
-pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Operator {
-    let [above, below] = [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, from));
+/// `ring` is the difference of sin θ of its ends.
+pub(crate) fn face(quadrature: &Quadrature, face: &Face, ring: f64) -> Operator {
+    let [above, below] =
+        [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, ring, from));
     Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 }
 }
 
 /// Distributions of the rays that come from one side in each direction: reflected and transmitted.
-fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> (DMatrix<f64>, DMatrix<f64>) {
+fn one_side(quadrature: &Quadrature, face: &Face, ring: f64, from: FaceSide) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = quadrature.len();
     let [own, other] = if from == FaceSide::Above { face.iors } else { [face.iors[1], face.iors[0]] };
+    let is_hard = face.roughness > VERY_ROUGH || ring < NARROW * face.roughness;
+    let of_others = if is_hard { MANY_POINTS } else { POINTS };
     let row = |i: usize| {
         let mut rows = [vec![0.0; n], vec![0.0; n]];
         if !quadrature.exists(i, own) {
@@ -34,8 +44,9 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> (DMatrix<f6
         let sin2 = quadrature.s2[i] / (own * own);
         let mut histograms = [vec![0.0; quadrature.places()], vec![0.0; quadrature.places()]];
         let mut whole = 0.0;
-        for number in 0..POINTS {
-            let rays = face.rays(from, sin2, FacePoint::new(number, POINTS));
+        let points = if i == quadrature.sensor() { POINTS_OF_SENSOR } else { of_others };
+        for number in 0..points {
+            let rays = face.rays(from, sin2, FacePoint::new(number, points));
             for (direction, share) in rays.into_iter().flatten() {
                 let sin2 = f64::from(direction.x * direction.x + direction.y * direction.y);
                 let (side, ior) = if direction.z > 0.0 { (0, own) } else { (1, other) };
@@ -45,7 +56,7 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> (DMatrix<f6
             }
         }
         // Surfaces that lose no light keep the number of rays; the others lose what they lose.
-        let scale = if face.multiple_scattering { whole } else { f64::from(POINTS) };
+        let scale = if face.multiple_scattering { whole } else { f64::from(points) };
         histograms.map(|histogram| quadrature.spread(&histogram).iter().map(|v| v / scale).collect())
     };
     let rows: Vec<[Vec<f64>; 2]> = (0..n).into_par_iter().map(row).collect();

@@ -27,14 +27,20 @@ pub struct PrintedSlab {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Predicted {
     pub value: f64,
-    /// Changes by one standard deviation along each direction in which the media are uncertain: three for each medium.
-    pub changes: Vec<f64>,
+    /// Changes by one standard deviation along each direction in which a medium is uncertain: its index, and the change.
+    pub changes: Vec<(usize, f64)>,
 }
 
 impl Predicted {
     /// Root of the sum of the squares of the changes.
     pub fn std_error(&self) -> f64 {
-        self.changes.iter().map(|change| change * change).sum::<f64>().sqrt()
+        self.changes.iter().map(|(_, change)| change * change).sum::<f64>().sqrt()
+    }
+
+    /// The part of the standard error that one medium causes.
+    pub fn std_error_of(&self, medium: usize) -> f64 {
+        let own = self.changes.iter().filter(|(of, _)| *of == medium);
+        own.map(|(_, change)| change * change).sum::<f64>().sqrt()
     }
 }
 
@@ -55,13 +61,15 @@ pub fn predict(
     let at = |media: &[Uncertain]| {
         let slabs: Vec<PrintLayer> =
             slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
-        print.radiance_factors(&slabs, rho)
+        Ok(print.radiance_factors(&slabs, rho))
     };
     let used = |medium: &usize| slabs.iter().any(|slab| slab.shares.iter().any(|(of, _)| of == medium));
     let directions: Vec<(usize, Vector3<f64>)> = (0..media.len())
         .filter(used)
         .flat_map(|medium| directions(&media[medium].covariance).map(|direction| (medium, direction)))
+        .filter(|(_, direction)| direction.norm() > 0.0)
         .collect();
+    let values = at(media)?;
     let changed = |(medium, direction): &(usize, Vector3<f64>)| {
         let moved = |sign: f64| {
             let mut media = media.to_vec();
@@ -69,13 +77,26 @@ pub fn predict(
             at(&media)
         };
         let (up, down) = (moved(1.0)?, moved(-1.0)?);
-        Ok(up.iter().zip(&down).map(|(up, down)| 0.5 * (up - down)).collect())
+        let ends = up.iter().zip(&down).zip(&values);
+        Ok((*medium, ends.map(|((up, down), value)| change(*up, *down, *value)).collect()))
     };
-    let values = at(media)?;
-    let changes: Vec<Vec<f64>> = directions.par_iter().map(changed).collect::<Result<_, Invalid>>()?;
-    let predicted =
-        |(i, value): (usize, f64)| Predicted { value, changes: changes.iter().map(|c| c[i]).collect() };
-    Ok(values.into_iter().enumerate().map(predicted).collect())
+    let changes: Vec<(usize, Vec<f64>)> =
+        directions.par_iter().map(changed).collect::<Result<_, Invalid>>()?;
+    let predicted = |(i, value): (usize, &f64)| Predicted {
+        value: *value,
+        changes: changes.iter().map(|(medium, change)| (*medium, change[i])).collect(),
+    };
+    Ok(values.iter().enumerate().map(predicted).collect())
+}
+
+/// Half of the difference of both ends; where one end is at a limit of the medium, such as an albedo of 1, the other
+/// counts.
+fn change(up: f64, down: f64, value: f64) -> f64 {
+    match () {
+        () if down == value => up - value,
+        () if up == value => value - down,
+        () => 0.5 * (up - down),
+    }
 }
 
 fn check(slab: &PrintedSlab, media: usize) -> Result<(), Invalid> {
@@ -111,9 +132,11 @@ pub fn chi2(difference: &[f64; 3], covariance: impl Fn(usize, usize) -> f64) -> 
 impl Uncertain {
     /// A function of the medium, and the standard error that the covariance gives it.
     pub fn spread(&self, f: impl Fn(&Self) -> f64) -> (f64, f64) {
-        let change = |direction: Vector3<f64>| 0.5 * (f(&self.moved(direction)) - f(&self.moved(-direction)));
-        let squares = directions(&self.covariance).map(|direction| change(direction).powi(2));
-        (f(self), squares.iter().sum::<f64>().sqrt())
+        let value = f(self);
+        let moved =
+            |direction: Vector3<f64>| change(f(&self.moved(direction)), f(&self.moved(-direction)), value);
+        let squares = directions(&self.covariance).map(|direction| moved(direction).powi(2));
+        (value, squares.iter().sum::<f64>().sqrt())
     }
 
     /// The medium as a slab.
@@ -125,9 +148,9 @@ impl Uncertain {
     /// The medium moved in its coordinates; an albedo stays below 1.
     fn moved(&self, by: Vector3<f64>) -> Self {
         let m = self.medium;
-        let sigma_t = m.sigma_t_per_mm() * by[0].exp();
+        let sigma_t = (m.sigma_t_per_mm() * by[0].exp()).clamp(1e-6, 1e6);
         let albedo = 1.0 - ((1.0 - m.albedo()).sqrt() + by[1]).clamp(0.0, 1.0).powi(2);
-        let g = (1.0 - (1.0 - m.g()) * by[2].exp()).clamp(-0.99, 0.99);
+        let g = (1.0 - (1.0 - m.g()) * by[2].exp()).clamp(-Print::MOST_G, Print::MOST_G);
         let medium = Medium::new(sigma_t, albedo, g).unwrap_or(m);
         Self { medium, ..*self }
     }
@@ -149,7 +172,8 @@ fn mixed(media: &[Uncertain], slab: &PrintedSlab) -> Result<PrintLayer, Invalid>
     let mean = |sum: f64, of: f64| if of > 0.0 { sum / of } else { 0.0 };
     let g = mean(forward, scattering);
     let lobe = SecondLobe::new(mean(weight, scattering), mean(of_lobe, weight))?.limited_to(g);
-    let extinction = scattering + absorption;
+    // Rounded shares of media at the least extinction may lie below it.
+    let extinction = (scattering + absorption).max(1e-6);
     let medium = Medium::new(extinction, scattering / extinction, g)?;
     Ok(PrintLayer { medium, phase: PhaseShape::Lobes(lobe), thickness_mm: slab.thickness_mm })
 }
@@ -188,7 +212,7 @@ mod tests {
     /// The standard error is the slope times that of the medium, and errors of two media add up as squares.
     #[test]
     fn errors_follow_from_covariances() {
-        let print = Print::new(&Scene::smooth(), 1.53);
+        let print = Print::new(&Scene::smooth(), 1.53, 0.5);
         let value = |sigma_t: f64| {
             let media = [medium(sigma_t, 0.9, [0.0; 3])];
             predict(&print, &media, &[slab(&[(0, 1.0)])], &[0.5]).unwrap()[0].value
@@ -204,7 +228,7 @@ mod tests {
 
     #[test]
     fn wrong_shares_are_refused() {
-        let print = Print::new(&Scene::smooth(), 1.53);
+        let print = Print::new(&Scene::smooth(), 1.53, 0.5);
         let refused = |shares: &[(usize, f64)]| {
             predict(&print, &[medium(6.0, 0.9, [0.0; 3])], &[slab(shares)], &[0.5]).unwrap_err().to_string()
         };

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector};
 use optics_model::angle::sin2;
 use optics_model::phase::PhaseShape;
 use optics_model::scene::LayerMedium;
-use optics_model::{Invalid, Medium, Scene};
+use optics_model::{Medium, Scene};
 use optics_tracer::face::Face;
 
 use crate::faces::face;
@@ -37,19 +37,25 @@ pub struct Print {
 }
 
 impl Print {
-    /// A scene whose sample has this index. Channels, phase function and uncertain quantities of the scene are not used.
-    pub fn new(scene: &Scene, sample_ior: f64) -> Self {
+    /// Greatest |g| of a lobe that the directions resolve to 1 %.
+    pub const MOST_G: f64 = 0.96;
+
+    /// A scene whose sample has this index, for slabs whose phase functions have peaks of at least this width
+    /// (`PhaseFunction::peak_width`: 1 − |g| of a lobe). Channels, phase function and uncertain quantities of the scene are
+    /// not used.
+    pub fn new(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
         let ior = |layer: &optics_model::scene::Layer| match layer.medium() {
             LayerMedium::Clear { ior, .. } => ior,
             LayerMedium::Sample => sample_ior,
         };
         let iors: Vec<f64> = std::iter::once(1.0).chain(scene.layers().iter().map(ior)).collect();
         let ring = [scene.light().inner_deg(), scene.light().outer_deg()].map(sin2);
+        let sines = ring.map(f64::sqrt);
         let rough =
             scene.layers().iter().map(optics_model::scene::Layer::roughness).filter(|alpha| *alpha > 0.0);
         let roughness = rough.min_by(f64::total_cmp);
         let sensor = sin2(scene.sensor().polar_deg());
-        let quadrature = Quadrature::new(&iors, sample_ior, roughness, &ring, sensor);
+        let quadrature = Quadrature::new(&iors, sample_ior, roughness, peak, sines, sensor);
         let mut faces: Vec<(Face, Operator)> = Vec::new();
         let mut elements = Vec::new();
         for (i, layer) in scene.layers().iter().enumerate() {
@@ -60,7 +66,8 @@ impl Print {
                     roughness: layer.roughness(),
                     multiple_scattering: scene.multiple_scattering(),
                 };
-                let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
+                let operator =
+                    known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own, sines[1] - sines[0]));
                 faces.push((own, operator.clone()));
                 elements.push(Some(operator));
             }
@@ -77,21 +84,15 @@ impl Print {
     }
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
-    ///
-    /// # Errors
-    /// If a phase function does not have the mean cosine of its medium.
-    pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
-        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
-        Ok(rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect())
+    pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
+        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
+        rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect()
     }
 
     /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
     /// a base.
-    ///
-    /// # Errors
-    /// If a phase function does not have the mean cosine of its medium.
-    pub fn transmittance(&self, slabs: &[PrintLayer]) -> Result<f64, Invalid> {
-        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
+    pub fn transmittance(&self, slabs: &[PrintLayer]) -> f64 {
+        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
         let n = self.quadrature.len();
         let mut reflection = DMatrix::zeros(n, n);
         let below = |i: usize, _| if self.quadrature.exists(i, 1.0) { 1.0 } else { 0.0 };
@@ -104,21 +105,19 @@ impl Print {
             light = layer.passed(&reflection, &light);
             reflection = layer.over(&reflection);
         }
-        Ok(light[self.quadrature.sensor()])
+        light[self.quadrature.sensor()]
     }
 
-    fn operator(&self, s: &PrintLayer) -> Result<Operator, Invalid> {
-        let phase = s.phase.function(s.medium.g())?;
+    fn operator(&self, s: &PrintLayer) -> Operator {
+        // A mean cosine at the limit of the lobes may lie beyond it by rounding.
+        let phase = s.phase.function_near(s.medium.g());
         let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
-        Ok(slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth))
+        slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth)
     }
 
     /// Share of even light from above that comes back in all directions, over Lambertian bases of these reflectances.
-    ///
-    /// # Errors
-    /// If a phase function does not have the mean cosine of its medium.
-    pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Result<Vec<f64>, Invalid> {
-        let slabs = slabs.iter().map(|s| self.operator(s)).collect::<Result<Vec<_>, Invalid>>()?;
+    pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
+        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
         let in_air: Vec<usize> =
             (0..self.quadrature.len()).filter(|i| self.quadrature.exists(*i, 1.0)).collect();
         let of = |rho: &f64| {
@@ -126,7 +125,7 @@ impl Print {
             let leaves = |i: usize| in_air.iter().map(|j| reflection[(i, *j)]).sum::<f64>();
             in_air.iter().map(|i| self.quadrature.weights[*i] * leaves(*i)).sum()
         };
-        Ok(rho.iter().map(of).collect())
+        rho.iter().map(of).collect()
     }
 
     fn radiance_factor(&self, slabs: &[Operator], rho: f64) -> f64 {

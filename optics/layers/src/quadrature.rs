@@ -8,10 +8,13 @@ use std::f64::consts::PI;
 
 /// Nodes per unit of the cosine between smooth faces.
 const SMOOTH: f64 = 20.0;
-/// Nodes per unit of the cosine times the least roughness α of a face, and their maximum: rough faces blur the ends of
-/// the ring over α, which the nodes must resolve.
-const ROUGH: f64 = 2.0;
+/// Nodes per unit of the cosine times the least roughness α of a face, which blurs the ends of the ring; times the width
+/// of the narrowest peak of a phase function; and their maximum.
+const PER_ROUGHNESS: f64 = 2.0;
+const PER_PEAK: f64 = 4.0;
 const MOST: f64 = 120.0;
+/// Width of a ring over α up to which the blurred ring has nodes of its own.
+const NARROW: f64 = 2.0;
 /// Fewest nodes between two places.
 const FEWEST: usize = 4;
 /// Places of a histogram of rays in each segment.
@@ -42,16 +45,23 @@ pub(crate) struct Quadrature {
 
 impl Quadrature {
     /// `iors` are the indices of all layers; `scattering` is that of the slabs, in which the nodes are spread evenly over
-    /// the cosine; `roughness` is the least α of a rough face, `others` are s² of further places, `sensor` is s² of the
-    /// sensor.
+    /// the cosine; `roughness` is the least α of a rough face, `peak` the width of the narrowest peak of a phase function;
+    /// `ring` are sin θ of its ends, and `sensor` is s² of the sensor.
     pub(crate) fn new(
         iors: &[f64],
         scattering: f64,
         roughness: Option<f64>,
-        others: &[f64],
+        peak: f64,
+        ring: [f64; 2],
         sensor: f64,
     ) -> Self {
-        let per_cosine = roughness.map_or(SMOOTH, |alpha| (ROUGH / alpha).clamp(SMOOTH, MOST));
+        let for_faces = roughness.map_or(0.0, |alpha| PER_ROUGHNESS / alpha);
+        let per_cosine = for_faces.max(PER_PEAK / peak).clamp(SMOOTH, MOST);
+        let blurred = roughness.filter(|alpha| ring[1] - ring[0] < NARROW * alpha);
+        let around =
+            |alpha: f64| ring.into_iter().flat_map(move |end| [end - NARROW * alpha, end + NARROW * alpha]);
+        let others: Vec<f64> = ring.into_iter().chain(blurred.into_iter().flat_map(around)).collect();
+        let others: Vec<f64> = others.iter().map(|sin| sin.clamp(0.0, 1.0).powi(2)).collect();
         let greatest = iors.iter().fold(scattering.max(1.0), |a, b| a.max(*b)).powi(2);
         let squares = iors.iter().map(|n| n * n).chain(others.iter().copied());
         let mut places: Vec<f64> = squares.chain([0.0, 1.0, scattering * scattering]).collect();
@@ -214,7 +224,7 @@ mod tests {
     #[test]
     fn weights_measure_projected_solid_angles() {
         let iors = [1.0, 1.52, 1.33, 1.49];
-        let quadrature = Quadrature::new(&iors, 1.53, None, &[0.41, 0.58], 0.0);
+        let quadrature = Quadrature::new(&iors, 1.53, None, 1.0, [0.64, 0.76], 0.0);
         for n in iors.into_iter().chain([1.53]) {
             for power in 0..3 {
                 let nodes = (0..quadrature.len()).filter(|i| quadrature.exists(*i, n));
@@ -228,7 +238,7 @@ mod tests {
     /// A polynomial is interpolated exactly, also at the ends of segments.
     #[test]
     fn polynomials_are_interpolated() {
-        let quadrature = Quadrature::new(&[1.0], 1.5, None, &[], 0.0);
+        let quadrature = Quadrature::new(&[1.0], 1.5, None, 1.0, [0.0, 1.0], 0.0);
         let f = |s2: f64| 1.0 - 2.0 * s2 + 0.5 * s2 * s2;
         for s2 in [0.0, 0.3, 0.999, 1.0, 1.7, 2.24] {
             let mut histogram = vec![0.0; quadrature.places()];

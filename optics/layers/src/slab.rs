@@ -64,8 +64,8 @@ fn thin(
 }
 
 /// Shares of the light scattered in direction i that come from direction j, on the same way down or up, and on the other:
-/// ½ p̄(μᵢ, ±μⱼ) dμⱼ, with p̄ the mean over the azimuth. The diagonal is corrected so that no light is lost (Hansen 1971,
-/// "Multiple scattering of polarized light in planetary atmospheres").
+/// ½ p̄(μᵢ, ±μⱼ) dμⱼ, with p̄ the mean over the azimuth. The diagonal of the narrower peak is corrected so that no light is
+/// lost (Hansen 1971, "Multiple scattering of polarized light in planetary atmospheres").
 fn scattering(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = quadrature.len();
     let share = |i: usize, j: usize, sign: f64| {
@@ -81,6 +81,8 @@ fn scattering(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction) -> (DMat
         let sum = forward.row(i).sum() + backward.row(i).sum();
         if i == quadrature.sensor() {
             forward.row_mut(i).iter_mut().chain(backward.row_mut(i).iter_mut()).for_each(|v| *v /= sum);
+        } else if phase.mean_cosine() < 0.0 {
+            backward[(i, i)] += 1.0 - sum;
         } else {
             forward[(i, i)] += 1.0 - sum;
         }

@@ -24,7 +24,10 @@ async fn job_with_dying_workers_is_quarantined() {
             (farm.events("ATTEMPT_FAILED").len() == death).then_some(())
         });
     }
-    let quarantined = farm.events("JOB_QUARANTINED");
+    // Events are written shortly after what they report, not all at once.
+    let quarantined = wait_for("the quarantine is listed", SOON, || {
+        Some(farm.events("JOB_QUARANTINED")).filter(|all| !all.is_empty())
+    });
     assert_eq!((quarantined.len(), quarantined[0]["job"].as_u64()), (1, poison.map(u64::from)));
     let worker = farm.worker("worker", &[]);
     let waited = farm.farmctl(&["wait", "grid", "--timeout", "120"]);

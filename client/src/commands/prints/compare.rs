@@ -68,7 +68,6 @@ fn compared(a: &MediaFile, b: &MediaFile) -> Result<CompareJson> {
     let is_matched =
         |name: &str| pairs.iter().any(|(one, other)| one.material == name || other.material == name);
     let names = a.materials.iter().chain(&b.materials).map(|m| m.material.clone());
-    let unmatched = names.filter(|name| !is_matched(name)).collect();
     let channels: Vec<ComparedChannel> = pairs
         .iter()
         .flat_map(|(one, other)| {
@@ -79,6 +78,10 @@ fn compared(a: &MediaFile, b: &MediaFile) -> Result<CompareJson> {
     if channels.is_empty() {
         bail!("the files have no material with a common channel");
     }
+    let is_compared = |name: &str| channels.iter().any(|c| c.material == name);
+    let lacking = pairs.iter().filter(|(one, _)| !is_compared(&one.material));
+    let unmatched =
+        names.filter(|name| !is_matched(name)).chain(lacking.map(|(one, _)| one.material.clone())).collect();
     Ok(CompareJson { channels, unmatched })
 }
 
@@ -153,24 +156,21 @@ fn text(data: &CompareJson) -> String {
     // σ_s(1 − g) and σ_a are shared by similar media: they are compared first, the others are in the JSON.
     let rows = data.channels.iter().flat_map(|c| c.quantities.iter().take(2).map(move |q| row(c, q)));
     let mut text = table(&head, &[3, 4, 5, 6], rows);
-    let (differ, agree): (Vec<&ComparedChannel>, Vec<_>) =
-        data.channels.iter().partition(|c| c.probability.is_some_and(|p| p < 0.05));
-    let names = |of: &[&ComparedChannel]| {
-        of.iter()
-            .map(|c| {
-                format!("{} {} (p {})", c.material, c.channel, significant(c.probability.unwrap_or(1.0), 2))
-            })
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
-    let line = if differ.is_empty() {
-        format!("no difference: all {} media agree within their covariances", agree.len())
-    } else {
-        format!("different media, with the covariances of both: {}", names(&differ))
+    let known: Vec<(&ComparedChannel, f64)> =
+        data.channels.iter().filter_map(|c| Some((c, c.probability?))).collect();
+    let differ: Vec<String> = known
+        .iter()
+        .filter(|(_, p)| *p < 0.05)
+        .map(|(c, p)| format!("{} {} (p {})", c.material, c.channel, significant(*p, 2)))
+        .collect();
+    let line = match (known.len(), differ.len()) {
+        (0, _) => "without covariances E_n alone counts".to_owned(),
+        (n, 0) => format!("no difference: all {n} media with a covariance agree within it"),
+        _ => format!("different media, with the covariances of both: {}", differ.join(", ")),
     };
     text += &format!("\n{}", wrapped(&line));
     if !data.unmatched.is_empty() {
-        text += &format!("\n{}", wrapped(&format!("in one file only: {}", data.unmatched.join(", "))));
+        text += &format!("\n{}", wrapped(&format!("without a counterpart: {}", data.unmatched.join(", "))));
     }
     text
 }

@@ -45,7 +45,7 @@ pub(crate) struct RecipeArgs {
     /// Base under the print.
     #[arg(long, value_name = "BASE", default_value = "white")]
     over: String,
-    /// Contrast ratio to reach as well: brightness over black over that over white. A hundredth counts as one unit of
+    /// Least contrast ratio: brightness over black over that over white. A hundredth that lacks counts as one unit of
     /// CIEDE2000.
     #[arg(long, value_name = "RATIO")]
     opacity: Option<f64>,
@@ -63,6 +63,8 @@ enum ColourTarget {
 #[derive(Debug, Serialize)]
 pub(crate) struct RecipeJson {
     thickness_mm: f64,
+    /// The least contrast ratio that was asked for.
+    opacity: Option<f64>,
     recipes: Vec<FoundRecipe>,
 }
 
@@ -121,6 +123,9 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     }
     let all = || file.materials.iter().map(|m| m.material.clone()).collect();
     let names: Vec<String> = if args.inks.is_empty() { all() } else { args.inks.clone() };
+    if let Some(twice) = (1..names.len()).find(|i| names[..*i].contains(&names[*i])) {
+        bail!("--inks: {} may be given once", names[twice]);
+    }
     let most = most(&args.most, &names)?;
     let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
     let used: Vec<&str> = names.iter().map(String::as_str).collect();
@@ -134,7 +139,7 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let order = order.into_iter().map(|(_, i)| i).collect();
     let inks = InkMixer { args, names, view, colorimetry, order };
     let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
-    Ok(RecipeJson { thickness_mm: args.thickness, recipes })
+    Ok(RecipeJson { thickness_mm: args.thickness, opacity: args.opacity, recipes })
 }
 
 /// The largest share of each ink.
@@ -148,7 +153,7 @@ fn most(given: &[String], names: &[String]) -> Result<Vec<f64>> {
         let at = names.iter().position(|n| n == name);
         most[at.with_context(|| format!("--most {text}: the inks are {}", names.join(", ")))?] = share;
     }
-    if most.iter().sum::<f64>() < 1.0 {
+    if most.iter().sum::<f64>() < 1.0 - 1e-9 {
         bail!("--most leaves {} of the volume at most: it must allow all of it", most.iter().sum::<f64>());
     }
     Ok(most)
@@ -158,6 +163,10 @@ impl ColourTarget {
     fn parsed(text: &str) -> Result<Self> {
         let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
         if let Some(lab) = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok()) {
+            let within = |v: &f64, most: f64| (-most..=most).contains(v);
+            if !((0.0..=100.0).contains(&lab[0]) && lab[1..].iter().all(|v| within(v, 200.0))) {
+                bail!("target {text}: allowed are L* from 0 to 100, a* and b* from -200 to 200");
+            }
             return Ok(Self::Lab(lab));
         }
         let path = Path::new(text);
@@ -180,7 +189,7 @@ impl InkMixer<'_> {
             let found = self.view.values(&[self.slab(shares)])?;
             let difference = self.difference(&target, &found)?;
             let opacity =
-                self.args.opacity.map_or(0.0, |ratio| 100.0 * (self.contrast_ratio(&found) - ratio));
+                self.args.opacity.map_or(0.0, |ratio| 100.0 * (ratio - self.contrast_ratio(&found)).max(0.0));
             Ok(difference.hypot(opacity))
         };
         let shares = closest(&ShareLimits { most }, cost)?;
@@ -290,11 +299,18 @@ fn text(data: &RecipeJson) -> String {
         table(&head, &[3, 4], data.recipes.iter().map(row))
     );
     for r in &data.recipes {
-        let limits = if r.limited_by.is_empty() {
-            "the inks do not reach it: another ink, or another thickness, is needed".to_owned()
-        } else {
-            format!("limited by --most of {}", r.limited_by.join(", "))
+        let limits = match (&r.limited_by[..], data.opacity) {
+            ([], None) => "the inks do not reach it: another ink, or another thickness, is needed".to_owned(),
+            ([], Some(_)) => "the inks do not reach it, or not with this opacity".to_owned(),
+            (inks, _) => format!("limited by --most of {}", inks.join(", ")),
         };
+        if let Some(ratio) = data.opacity.filter(|ratio| r.contrast_ratio < ratio - 0.005) {
+            let found = significant(r.contrast_ratio, 3);
+            text += &format!(
+                "\n{}",
+                wrapped(&format!("{}: contrast ratio {found} instead of {ratio}", minus(&r.target)))
+            );
+        }
         if r.difference > REACHED {
             text += &format!(
                 "\n{}",

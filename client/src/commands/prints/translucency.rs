@@ -8,10 +8,11 @@ use farm_figures::numbers::{minus, short, with_error};
 use farm_lab::media_file::{MediaChannel, MediaFile};
 use optics_layers::{Print, Uncertain};
 use optics_model::Scene;
-use optics_model::scene::{Layer, RingLight, Sensor};
+use optics_model::scene::{Channel, Layer, RingLight, Sensor};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::view::narrowest_peak;
 use crate::output::{Output, table};
 
 #[derive(Debug, Args)]
@@ -41,9 +42,11 @@ struct TranslucencyRow {
     mean_free_path_mm: [f64; 2],
     /// Null where nothing absorbs.
     depth_mm: Option<[f64; 2]>,
-    kubelka_munk_k_per_mm: [f64; 2],
-    kubelka_munk_s_per_mm: [f64; 2],
-    transmission_distance_mm: [f64; 2],
+    /// Null where a slab of the thickness does not determine them: it is too clear, or too dense.
+    kubelka_munk_k_per_mm: Option<[f64; 2]>,
+    kubelka_munk_s_per_mm: Option<[f64; 2]>,
+    /// Null below 1 µm and above 1 m.
+    transmission_distance_mm: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Serialize)]
@@ -64,8 +67,9 @@ pub(crate) fn run(args: &TranslucencyArgs, output: &Output) -> Result<()> {
     let file = MediaFile::read(&args.media)?;
     let all: Vec<(&str, &MediaChannel)> =
         file.materials.iter().flat_map(|m| m.channels.iter().map(|c| (m.material.as_str(), c))).collect();
+    let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
     let row = |(material, channel): &(&str, &MediaChannel)| {
-        of_channel(material, channel, args.thickness)
+        of_channel(material, channel, &session, args.thickness)
             .with_context(|| format!("{material} {}", channel.channel))
     };
     let channels = all.par_iter().map(row).collect::<Result<_>>()?;
@@ -74,24 +78,34 @@ pub(crate) fn run(args: &TranslucencyArgs, output: &Output) -> Result<()> {
 }
 
 /// A slab with polished faces, in air; with an index of 1 it has none.
-fn print(ior: f64) -> Result<Print> {
+fn print(ior: f64, peak: f64) -> Result<Print> {
     let layers = vec![Layer::sample("slab", 0.0)?, Layer::clear("air", 1.0, 0.0, 0.0)?];
     let channels = Scene::smooth().channels().to_vec();
     let scene = Scene::new(layers, channels, RingLight::new(0.0, 90.0)?, Sensor::new(10.0, 1, 8.0)?, true)?;
-    Ok(Print::new(&scene, ior))
+    Ok(Print::new(&scene, ior, peak))
 }
 
-fn of_channel(material: &str, channel: &MediaChannel, thickness_mm: f64) -> Result<TranslucencyRow> {
+fn of_channel(
+    material: &str,
+    channel: &MediaChannel,
+    session: &Scene,
+    thickness_mm: f64,
+) -> Result<TranslucencyRow> {
     let (medium, second_lobe) = (channel.medium()?, channel.second_lobe()?);
     let uncertain = Uncertain { medium, second_lobe, covariance: channel.covariance };
-    let (without, polished) = (print(1.0)?, print(channel.sample_ior)?);
+    let in_channel = session.of_channel(&Channel::new(&channel.channel, 0.5, 0.5)?)?;
+    let sample_ior = channel.sample_ior + in_channel.sample_ior_offset();
+    let peak = narrowest_peak(material, channel)?;
+    let (without, polished) = (print(1.0, peak)?, print(sample_ior, peak)?);
     let value = |f: &dyn Fn(&Uncertain) -> f64| {
         let (value, std_error) = uncertain.spread(f);
         [value, std_error]
     };
     let transport = |u: &Uncertain| u.medium.reduced_scattering_per_mm() + u.medium.absorption_per_mm();
     let depth = |u: &Uncertain| 1.0 / (3.0 * u.medium.absorption_per_mm() * transport(u)).sqrt();
-    let coefficient = |i: usize| value(&|u| kubelka_munk(&without, u, thickness_mm)[i]);
+    let coefficient = |i: usize| known(value(&|u| kubelka_munk(&without, u, thickness_mm)[i]));
+    let passed = value(&|u| distance(&polished, u));
+    let within = DISTANCES_MM.0 * 1.001..DISTANCES_MM.1 / 1.001;
     Ok(TranslucencyRow {
         material: material.to_owned(),
         channel: channel.channel.clone(),
@@ -99,15 +113,19 @@ fn of_channel(material: &str, channel: &MediaChannel, thickness_mm: f64) -> Resu
         depth_mm: (medium.absorption_per_mm() > 0.0).then(|| value(&depth)),
         kubelka_munk_k_per_mm: coefficient(0),
         kubelka_munk_s_per_mm: coefficient(1),
-        transmission_distance_mm: value(&|u| distance(&polished, u)),
+        transmission_distance_mm: known(passed).filter(|[distance, _]| within.contains(distance)),
     })
+}
+
+fn known(value: [f64; 2]) -> Option<[f64; 2]> {
+    value.iter().all(|v| v.is_finite()).then_some(value)
 }
 
 /// K and S that give the reflectances R₀ over black and R over a base of ρ: with c = 1/R₀ − a = b coth(b S t),
 /// 2a = (1 − R (1/R₀ − ρ))/ρ + 1/R₀, b² = a² − 1, K = S (a − 1).
 fn kubelka_munk(print: &Print, medium: &Uncertain, thickness_mm: f64) -> [f64; 2] {
     let found = print.reflectances(&[medium.slab(thickness_mm)], &BASES);
-    let Ok(&[black, white]) = found.as_deref() else { return [f64::NAN; 2] };
+    let (black, white) = (found[0], found[1]);
     let a = 0.5 * ((1.0 - white * (1.0 / black - BASES[1])) / BASES[1] + 1.0 / black);
     let a = a.max(1.0 + 1e-12);
     let b = (a * a - 1.0).sqrt();
@@ -118,7 +136,7 @@ fn kubelka_munk(print: &Print, medium: &Uncertain, thickness_mm: f64) -> [f64; 2
 
 /// The thickness that passes [`PASSED`], by bisection of its logarithm.
 fn distance(print: &Print, medium: &Uncertain) -> f64 {
-    let passes = |mm: f64| print.transmittance(&[medium.slab(mm)]).is_ok_and(|passed| passed > PASSED);
+    let passes = |mm: f64| print.transmittance(&[medium.slab(mm)]) > PASSED;
     let (mut low, mut high) = DISTANCES_MM;
     while high / low > 1.0 + 1e-6 {
         let middle = (low * high).sqrt();
@@ -138,15 +156,16 @@ fn text(data: &TranslucencyJson) -> String {
         "transmission\ndistance mm",
     ];
     let cell = |[value, std_error]: [f64; 2]| minus(&with_error(value, std_error));
+    let optional = |value: Option<[f64; 2]>| value.map_or_else(|| "–".to_owned(), cell);
     let row = |r: &TranslucencyRow| {
         vec![
             short(&r.material),
             r.channel.clone(),
             cell(r.mean_free_path_mm),
             r.depth_mm.map_or_else(|| "∞".to_owned(), cell),
-            cell(r.kubelka_munk_k_per_mm),
-            cell(r.kubelka_munk_s_per_mm),
-            cell(r.transmission_distance_mm),
+            optional(r.kubelka_munk_k_per_mm),
+            optional(r.kubelka_munk_s_per_mm),
+            optional(r.transmission_distance_mm),
         ]
     };
     table(&head, &[2, 3, 4, 5, 6], data.channels.iter().map(row))
@@ -167,7 +186,7 @@ mod tests {
     /// In thick bright media S is ¾ σ_s and K 2 σ_a in the limit; so K/S is 8/3 of σ_a/σ_s.
     #[test]
     fn kubelka_munk_has_its_limits() {
-        let [k, s] = kubelka_munk(&print(1.0).unwrap(), &uncertain(10.0, 0.999), 2.0);
+        let [k, s] = kubelka_munk(&print(1.0, 0.5).unwrap(), &uncertain(10.0, 0.999), 2.0);
         assert!((s / 7.5 - 1.0).abs() < 0.05, "{s}");
         assert!((k / 0.02 - 1.0).abs() < 0.1, "{k}");
     }
@@ -175,7 +194,7 @@ mod tests {
     /// Without scattering and faces the distance is −ln 0.05/σ_a, at 8°.
     #[test]
     fn transmission_distance_follows_beer() {
-        let found = distance(&print(1.0).unwrap(), &uncertain(3.0, 0.0));
+        let found = distance(&print(1.0, 0.5).unwrap(), &uncertain(3.0, 0.0));
         let expected = 20_f64.ln() / 3.0 * 8_f64.to_radians().cos();
         assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
     }

@@ -1,14 +1,17 @@
 //! Implements `farmctl validate`: compares a chart of printed patches with what measured media predict for it.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::numbers::{minus, short, significant};
+use farm_figures::{ChartPoint, chart_figure};
 use farm_lab::colour::{Colorimetry, delta_e_2000};
 use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::media_file::MediaFile;
 use farm_lab::mixture_file::read_mixtures;
+use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{FitSettings, Mixtures};
 use optics_model::measurement::wavelength_nm;
 use optics_model::{MeasuredProfile, Measurement};
@@ -16,6 +19,7 @@ use serde::Serialize;
 
 use super::slabs::NamedSlab;
 use super::view::{PrintBase, PrintView, ViewArgs, materials_of};
+use crate::figure_files;
 use crate::output::{Output, table, wrapped};
 
 #[derive(Debug, Args)]
@@ -24,8 +28,8 @@ Examples:
   farmctl validate media chart.csv --mixtures chart.toml
   farmctl validate media slabs.csv --over white --geometry 45:0
 
-The chart has the columns of a measurement, a row a patch and channel, without x_mm: material, channel, thickness_mm,
-value, std_error. Its materials are those of the media, or mixtures of them.")]
+The chart has the columns of a measurement, a row for a patch and channel, with an empty x_mm: material, channel,
+thickness_mm, x_mm, value, std_error. Its materials are those of the media, or mixtures of them.")]
 pub(crate) struct ValidateArgs {
     /// Measured media: media.json, or the folder that contains it.
     media: PathBuf,
@@ -44,6 +48,9 @@ pub(crate) struct ValidateArgs {
     /// Standard error of the patches' thickness in mm.
     #[arg(long, value_name = "MM", default_value_t = FitSettings::default().thickness_std_error_mm)]
     thickness_std_error: f64,
+    /// Draw measured against predicted values, and their differences: FILE.svg or FILE.png.
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
     #[command(flatten)]
     view: ViewArgs,
 }
@@ -60,6 +67,30 @@ struct PatchJson {
     expected_std_error: f64,
     /// Difference, measured less predicted, in expected standard errors.
     z: f64,
+    #[serde(skip)]
+    parts: DifferenceParts,
+}
+
+/// Standard errors of a difference by their source. Gain and thickness are common to the channels of a patch, a medium's
+/// errors to all patches that contain it.
+#[derive(Debug, Clone, Default)]
+struct DifferenceParts {
+    own: f64,
+    gain: f64,
+    thickness: f64,
+    /// By name of the material.
+    media: Vec<(String, f64)>,
+}
+
+impl DifferenceParts {
+    fn of(&self, material: &str) -> f64 {
+        self.media.iter().find(|(name, _)| name == material).map_or(0.0, |(_, error)| *error)
+    }
+
+    /// Gain, thickness, and each medium: the same in all channels of a patch.
+    fn common(&self) -> Vec<f64> {
+        [self.gain, self.thickness].into_iter().chain(self.media.iter().map(|(_, error)| *error)).collect()
+    }
 }
 
 /// Mean deviation of the patches that contain a material.
@@ -67,7 +98,8 @@ struct PatchJson {
 struct InkJson {
     material: String,
     patches: usize,
-    /// Σ z/√n, by share of the material: beyond ± 3 the patches contradict it together.
+    /// Mean difference of the patches, weighted by its share, over its standard error: beyond ± 3 they contradict it
+    /// together.
     z: f64,
 }
 
@@ -88,10 +120,20 @@ pub(crate) struct ValidateJson {
 }
 
 pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
+    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
     let media = MediaFile::read(&args.media)?;
     let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
     let MeasurementFile { materials, .. } = output.read_measurements(&args.chart)?;
     let data = validated(args, &media, mixtures.as_ref(), &materials)?;
+    let point = |p: &PatchJson| ChartPoint {
+        predicted: p.predicted,
+        measured: p.measured,
+        std_error: p.expected_std_error,
+    };
+    let points: Vec<ChartPoint> = data.patches.iter().map(point).collect();
+    if let (Some(path), Some(picture)) = (&args.plot, chart_figure(&points)) {
+        figure_files::write(&picture, path)?;
+    }
     output.print("validate", &data, || text(&data))
 }
 
@@ -121,18 +163,18 @@ fn validated(
     let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
     let materials = materials_of(&slabs);
     let view = PrintView::new(media, &materials, &[PrintBase::parsed(&args.over)?], &args.view)?;
-    let (mut all, mut colours) = (Vec::new(), Vec::new());
+    let (mut of_patches, mut colours) = (Vec::new(), Vec::new());
     for patch in &patches {
         let found = compared(args, &view, patch)?;
         colours.extend(colour(args, patch, &found));
-        all.extend(found);
+        of_patches.push(found);
     }
-    if all.is_empty() {
+    if of_patches.iter().all(Vec::is_empty) {
         bail!("the chart has no channel of the media: these have {}", view.names().join(", "));
     }
-    let chi2 = all.iter().map(|patch| patch.z * patch.z).sum();
-    let inks = materials.iter().map(|name| ink(name, &patches, &all)).collect();
-    Ok(ValidateJson { patches: all, chi2, inks, colours })
+    let chi2 = of_patches.iter().map(|patch| chi2(patch)).sum();
+    let inks = materials.iter().map(|name| ink(name, &patches, &of_patches)).collect();
+    Ok(ValidateJson { patches: of_patches.into_iter().flatten().collect(), chi2, inks, colours })
 }
 
 /// The patches of a material, by thickness.
@@ -191,8 +233,19 @@ fn compared(args: &ValidateArgs, view: &PrintView, patch: &ChartPatch) -> Result
         let at = view.names().iter().position(|name| name == channel)?;
         let predicted = &found[at][0];
         let by_thickness = moved[at][0] - predicted.value;
-        let parts = [*error, args.gain_std_error * value, by_thickness, predicted.std_error()];
-        let expected = parts.iter().map(|part| part * part).sum::<f64>().sqrt();
+        let names = materials_of(std::slice::from_ref(slab));
+        let of_medium = |name: &&str| {
+            let number = view.number(name)?;
+            Some(((*name).to_owned(), predicted.std_error_of(number)))
+        };
+        let parts = DifferenceParts {
+            own: *error,
+            gain: args.gain_std_error * value,
+            thickness: by_thickness,
+            media: names.iter().filter_map(of_medium).collect(),
+        };
+        let squares = parts.common().iter().map(|part| part * part).sum::<f64>() + error * error;
+        let expected = squares.sqrt();
         Some(PatchJson {
             material: patch.material.to_owned(),
             thickness_mm: slab.thickness_mm,
@@ -201,6 +254,7 @@ fn compared(args: &ValidateArgs, view: &PrintView, patch: &ChartPatch) -> Result
             predicted: predicted.value,
             expected_std_error: expected,
             z: (value - predicted.value) / expected,
+            parts,
         })
     };
     Ok(patch.values.iter().filter_map(of).collect())
@@ -225,19 +279,39 @@ fn colour(args: &ValidateArgs, patch: &ChartPatch, found: &[PatchJson]) -> Optio
     })
 }
 
-fn ink(name: &str, patches: &[ChartPatch], all: &[PatchJson]) -> InkJson {
-    let share = |p: &PatchJson| {
-        let patch = patches.iter().find(|patch| patch.material == p.material)?;
-        patch.slab.shares.iter().find(|(ink, _)| ink == name).map(|(_, share)| *share)
-    };
-    let weighted: Vec<(f64, f64)> = all.iter().filter_map(|p| Some((share(p)?, p.z))).collect();
-    let squares: f64 = weighted.iter().map(|(share, _)| share * share).sum();
-    let sum: f64 = weighted.iter().map(|(share, z)| share * z).sum();
-    InkJson {
-        material: name.to_owned(),
-        patches: weighted.len(),
-        z: sum / squares.sqrt().max(f64::MIN_POSITIVE),
+/// χ² of the channels of a patch, with errors that are common to them: dᵀ C⁻¹ d for C = D + U Uᵀ, by the inverse of
+/// Woodbury.
+fn chi2(patch: &[PatchJson]) -> f64 {
+    let Some(first) = patch.first() else { return 0.0 };
+    let count = first.parts.common().len();
+    let difference =
+        DVector::from_iterator(patch.len(), patch.iter().map(|p| (p.measured - p.predicted) / p.parts.own));
+    let common = DMatrix::from_fn(patch.len(), count, |i, k| patch[i].parts.common()[k] / patch[i].parts.own);
+    let inner = DMatrix::identity(count, count) + common.transpose() * &common;
+    let along = common.transpose() * &difference;
+    let explained = inner.cholesky().map_or(0.0, |root| along.dot(&root.solve(&along)));
+    difference.dot(&difference) - explained
+}
+
+/// The mean difference of the patches that contain a material.
+fn ink(name: &str, patches: &[ChartPatch], found: &[Vec<PatchJson>]) -> InkJson {
+    let (mut sum, mut variance, mut count) = (0.0, 0.0, 0);
+    let mut of_media: BTreeMap<&str, f64> = BTreeMap::new();
+    for (patch, channels) in patches.iter().zip(found) {
+        let Some((_, share)) = patch.slab.shares.iter().find(|(ink, _)| ink == name) else { continue };
+        // Relative differences: bright and dark patches count alike.
+        let weight = |p: &PatchJson| share / p.predicted.max(f64::MIN_POSITIVE);
+        let total = |of: &dyn Fn(&PatchJson) -> f64| channels.iter().map(|p| weight(p) * of(p)).sum::<f64>();
+        sum += total(&|p| p.measured - p.predicted);
+        variance += channels.iter().map(|p| (weight(p) * p.parts.own).powi(2)).sum::<f64>();
+        variance += total(&|p| p.parts.gain).powi(2) + total(&|p| p.parts.thickness).powi(2);
+        for (ink, _) in &patch.slab.shares {
+            *of_media.entry(ink).or_default() += total(&|p| p.parts.of(ink));
+        }
+        count += channels.len();
     }
+    variance += of_media.values().map(|error| error * error).sum::<f64>();
+    InkJson { material: name.to_owned(), patches: count, z: sum / variance.sqrt().max(f64::MIN_POSITIVE) }
 }
 
 /// Deviation in standard errors that is marked.

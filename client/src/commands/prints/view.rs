@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use farm_lab::colour::{Illuminant, StandardObserver, Viewing};
-use farm_lab::media_file::MediaFile;
+use farm_lab::media_file::{MediaChannel, MediaFile, MediaMaterial};
 use optics_layers::{Predicted, Print, Uncertain, predict};
 use optics_model::{Invalid, Scene};
 use rayon::prelude::*;
@@ -138,16 +138,22 @@ impl<'a> PrintView<'a> {
         let all = materials.iter().map(|name| file.material(name)).collect::<Result<Vec<_>>>()?;
         let first = all.first().context("a print has at least one slab")?;
         let names = first.channels.iter().filter(|c| all.iter().all(|m| m.channel(&c.channel).is_some()));
+        let mut peak = f64::INFINITY;
+        for material in &all {
+            for channel in &material.channels {
+                peak = narrowest_peak(&material.material, channel)?.min(peak);
+            }
+        }
         let mut prints: Vec<(Scene, f64, Arc<Print>)> = Vec::new();
-        let mut channel = |c: &farm_lab::media_file::MediaChannel| -> Result<ViewedChannel> {
+        let mut channel = |c: &MediaChannel| -> Result<ViewedChannel> {
             let name = c.channel.clone();
             let scene = args.geometry.scene(&session, &name, args.roughness)?;
             let sample_ior = c.sample_ior + scene.sample_ior_offset();
             let known = prints.iter().find(|(s, ior, _)| s.layers() == scene.layers() && *ior == sample_ior);
             let print = known.map(|(.., print)| print.clone());
-            let print = print.unwrap_or_else(|| Arc::new(Print::new(&scene, sample_ior)));
+            let print = print.unwrap_or_else(|| Arc::new(Print::new(&scene, sample_ior, peak)));
             prints.push((scene, sample_ior, print.clone()));
-            let medium = |m: &farm_lab::media_file::MediaMaterial| -> Result<Option<Uncertain>> {
+            let medium = |m: &MediaMaterial| -> Result<Option<Uncertain>> {
                 let Some(found) = m.channel(&name) else { return Ok(None) };
                 let (medium, second_lobe) = (found.medium()?, found.second_lobe()?);
                 Ok(Some(Uncertain { medium, second_lobe, covariance: found.covariance }))
@@ -166,6 +172,11 @@ impl<'a> PrintView<'a> {
         Ok(Self { file, channels })
     }
 
+    /// Index of a material, as in the changes of predictions.
+    pub(super) fn number(&self, material: &str) -> Option<usize> {
+        self.file.materials.iter().position(|m| m.material == material)
+    }
+
     pub(super) fn names(&self) -> Vec<&str> {
         self.channels.iter().map(|c| c.name.as_str()).collect()
     }
@@ -175,7 +186,7 @@ impl<'a> PrintView<'a> {
         self.each(|channel, media| Ok(predict(&channel.print, media, &self.printed(slabs)?, &channel.rho)?))
     }
 
-    /// Radiance factors without standard errors, which take a seventh of the time.
+    /// Radiance factors without standard errors, which takes a seventh of the time with one material.
     pub(super) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
         let exact = |media: &[Uncertain]| -> Vec<Uncertain> {
             media.iter().map(|medium| Uncertain { covariance: [[0.0; 3]; 3], ..*medium }).collect()
@@ -211,6 +222,18 @@ impl<'a> PrintView<'a> {
         };
         slabs.iter().map(slab).collect()
     }
+}
+
+/// Width of the narrowest peak of a phase function: 1 − |g| of a lobe. Narrower ones than directions resolve are refused.
+pub(super) fn narrowest_peak(material: &str, channel: &MediaChannel) -> Result<f64> {
+    let second = channel.second_lobe()?.limited_to(channel.g);
+    let of_second = if second.weight() > 0.0 { second.g().abs() } else { 0.0 };
+    let most = second.first(channel.g).abs().max(of_second);
+    if most > Print::MOST_G {
+        let (name, allowed) = (&channel.channel, Print::MOST_G);
+        bail!("{material} {name}: a lobe of |g| = {most:.3}; predictions resolve up to {allowed}");
+    }
+    Ok(1.0 - most)
 }
 
 /// The materials of slabs, each once.

@@ -37,9 +37,9 @@ fn traced(scene: &Scene, slab: &PrintLayer, rho: &[f64], walks: u64) -> Vec<(f64
 fn white_furnace_loses_no_light() {
     for scene in [Scene::smooth(), Scene::lab()] {
         let furnace = scene.with_multiple_scattering(true).with_light(RingLight::new(0.0, 90.0).unwrap());
-        let print = Print::new(&furnace, IOR);
+        let print = Print::new(&furnace, IOR, 0.2);
         for g in [0.0, 0.8] {
-            let found = print.radiance_factors(&[plain(5.0, 1.0, g, 1.0)], &[1.0]).unwrap();
+            let found = print.radiance_factors(&[plain(5.0, 1.0, g, 1.0)], &[1.0]);
             assert!((found[0] - 1.0).abs() < 1e-6, "{g}: {found:?}");
         }
     }
@@ -51,41 +51,62 @@ fn thin_clear_slab_shows_its_base() {
     let layers = vec![Layer::sample("sample", 0.0).unwrap()];
     let paper = Scene::paper();
     let scene = Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), true).unwrap();
-    let print = Print::new(&scene, 1.0);
-    let found = print.radiance_factors(&[plain(1e-4, 0.0, 0.0, 1e-4)], &[0.5]).unwrap();
+    let print = Print::new(&scene, 1.0, 0.2);
+    let found = print.radiance_factors(&[plain(1e-4, 0.0, 0.0, 1e-4)], &[0.5]);
     assert!((found[0] - 0.5).abs() < 1e-6, "{found:?}");
 }
 
-/// The tracer's radiance factors agree within four standard errors and 0.1 %.
+fn check(scene: &Scene, slab: &PrintLayer, walks: u64) {
+    let rho = [0.03, 0.95];
+    let peak = slab.phase.function(slab.medium.g()).unwrap().peak_width();
+    let found = Print::new(scene, IOR, peak).radiance_factors(std::slice::from_ref(slab), &rho);
+    for (found, (walked, std_error)) in found.iter().zip(traced(scene, slab, &rho, walks)) {
+        let off = (found - walked).abs();
+        let ring = (scene.light().inner_deg(), scene.light().outer_deg());
+        assert!(off < 4.0 * std_error + 3e-3 * walked, "{ring:?} {slab:?}: {found} {walked} ± {std_error}");
+    }
+}
+
+/// The tracer's radiance factors agree within four standard errors and 0.3 %.
 #[test]
 fn radiance_factors_agree_with_walks() {
-    let lab = Scene::lab();
-    for scene in [Scene::smooth(), Scene::paper(), lab.clone()] {
-        let print = Print::new(&scene, IOR);
+    for scene in [Scene::smooth(), Scene::paper(), Scene::lab()] {
         for slab in [plain(6.0, 0.9991, 0.4, 0.5), plain(5.5, 0.35, 0.4, 1.0), plain(12.0, 0.98, 0.8, 0.5)] {
-            let slab = PrintLayer { phase: scene.phase().clone(), ..slab };
-            let rho = [0.03, 0.95];
-            let found = print.radiance_factors(std::slice::from_ref(&slab), &rho).unwrap();
-            for (found, (walked, std_error)) in found.iter().zip(traced(&scene, &slab, &rho, 400_000)) {
-                let off = (found - walked).abs();
-                println!(
-                    "{found:.5} {walked:.5} ± {std_error:.5}: {:.2} σ, {:.3} %",
-                    off / std_error,
-                    100.0 * off / walked
-                );
-                assert!(off < 4.0 * std_error + 1e-3 * walked, "{found} {walked} {std_error}");
-            }
+            check(&scene, &PrintLayer { phase: scene.phase().clone(), ..slab }, 400_000);
         }
+    }
+}
+
+/// They agree through very rough faces, in rings near the normal and of one degree, and with narrow peaks of both
+/// directions.
+#[test]
+fn hard_geometries_agree_with_walks() {
+    let bare = |roughness: f64, ring: [f64; 2]| {
+        let layers = vec![
+            Layer::sample("print", roughness).unwrap(),
+            Layer::clear("air", 1.0, 0.0, roughness).unwrap(),
+        ];
+        let (lab, light) = (Scene::lab(), RingLight::new(ring[0], ring[1]).unwrap());
+        Scene::new(layers, lab.channels().to_vec(), light, lab.sensor(), true).unwrap()
+    };
+    let slab = plain(7.0, 0.99, 0.4, 0.5);
+    for (roughness, ring) in
+        [(0.3, [40.0, 50.0]), (1.0, [40.0, 50.0]), (0.05, [0.0, 5.0]), (0.1, [44.0, 45.0])]
+    {
+        check(&bare(roughness, ring), &slab, 400_000);
+    }
+    for g in [0.9, -0.9, Print::MOST_G] {
+        check(&Scene::smooth(), &plain(7.0, 0.99, g, 0.5), 400_000);
     }
 }
 
 /// Two slabs of one medium are one of their thicknesses together.
 #[test]
 fn slabs_of_one_medium_add_up() {
-    let print = Print::new(&Scene::smooth(), IOR);
+    let print = Print::new(&Scene::smooth(), IOR, 0.2);
     let part = |mm: f64| plain(6.0, 0.99, 0.4, mm);
-    let one = print.radiance_factors(&[part(0.7)], &[0.2]).unwrap();
-    let two = print.radiance_factors(&[part(0.3), part(0.4)], &[0.2]).unwrap();
+    let one = print.radiance_factors(&[part(0.7)], &[0.2]);
+    let two = print.radiance_factors(&[part(0.3), part(0.4)], &[0.2]);
     assert!((one[0] / two[0] - 1.0).abs() < 1e-5, "{one:?} {two:?}");
 }
 
@@ -93,18 +114,18 @@ fn slabs_of_one_medium_add_up() {
 #[test]
 fn light_passes_or_comes_back() {
     let furnace = Scene::smooth().with_light(RingLight::new(0.0, 90.0).unwrap());
-    let print = Print::new(&furnace, IOR);
+    let print = Print::new(&furnace, IOR, 0.2);
     let white = plain(6.0, 1.0, 0.4, 0.5);
-    let reflected = print.radiance_factors(std::slice::from_ref(&white), &[0.0]).unwrap()[0];
+    let reflected = print.radiance_factors(std::slice::from_ref(&white), &[0.0])[0];
     // The base without reflectance takes what enters it; between air and the lowest layer nothing is reflected.
     let layers = vec![Layer::sample("sample", 0.0).unwrap()];
     let bare =
         Scene::new(layers, furnace.channels().to_vec(), furnace.light(), furnace.sensor(), true).unwrap();
-    let matched = Print::new(&bare, 1.0);
-    let back = matched.radiance_factors(std::slice::from_ref(&white), &[0.0]).unwrap()[0];
-    let passed = matched.transmittance(std::slice::from_ref(&white)).unwrap();
+    let matched = Print::new(&bare, 1.0, 0.2);
+    let back = matched.radiance_factors(std::slice::from_ref(&white), &[0.0])[0];
+    let passed = matched.transmittance(std::slice::from_ref(&white));
     assert!((back + passed - 1.0).abs() < 1e-6 && reflected > 0.2, "{back} {passed} {reflected}");
     let black = plain(2.0, 0.0, 0.0, 1.0);
-    let beer = matched.transmittance(std::slice::from_ref(&black)).unwrap();
+    let beer = matched.transmittance(std::slice::from_ref(&black));
     assert!((beer / (-2.0_f64).exp() - 1.0).abs() < 1e-4, "{beer}");
 }

@@ -47,7 +47,7 @@ fn media(number: u64) -> (Vec<Uncertain>, Vec<Uncertain>, Vec<f64>) {
 #[ignore = "long form"]
 fn predicted_prints_keep_their_coverage() {
     let scene = bare();
-    let print = Print::new(&scene, IOR);
+    let print = Print::new(&scene, IOR, 0.2);
     let (mut held, mut errors, mut widths) = (Vec::new(), Vec::new(), Vec::new());
     for number in 0..20 * effort() {
         let (measured, truth, iors) = media(number);
@@ -58,7 +58,7 @@ fn predicted_prints_keep_their_coverage() {
             let share = if a == b { 1.0 } else { random.uniform() };
             let shares = if a == b { vec![(a, 1.0)] } else { vec![(a, share), (b, 1.0 - share)] };
             let slab = [PrintedSlab { shares, thickness_mm: 0.2 * 15_f64.powf(random.uniform()) }];
-            let own = Print::new(&scene, share * iors[a] + (1.0 - share) * iors[b]);
+            let own = Print::new(&scene, share * iors[a] + (1.0 - share) * iors[b], 0.2);
             let found = predict(&print, &measured, &slab, &RHO).unwrap();
             let exact = predict(&own, &truth, &slab, &RHO).unwrap();
             for (found, exact) in found.iter().zip(&exact) {

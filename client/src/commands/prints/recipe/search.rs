@@ -1,5 +1,7 @@
 //! Minimises a cost over the shares of a mixture: exchanges of volume between two parts, in smaller and smaller steps.
 
+use std::cmp::Ordering;
+
 use anyhow::Result;
 
 /// Largest share of each part.
@@ -33,7 +35,8 @@ pub(super) fn closest(limits: &ShareLimits, cost: impl Fn(&[f64]) -> Result<f64>
             for to in (0..n).filter(|to| *to != from) {
                 while let Some(moved) = exchanged(limits, &shares, from, to, step) {
                     let at = cost(&moved)?;
-                    if at >= least {
+                    // A cost that is no number is not lower.
+                    if at.partial_cmp(&least) != Some(Ordering::Less) {
                         break;
                     }
                     (shares, least, has_fallen) = (moved, at, true);
