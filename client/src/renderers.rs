@@ -1,8 +1,8 @@
 //! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML), pbrt-v4, Blender, MaterialX and USD.
 //!
-//! Mitsuba and pbrt describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and one
-//! phase function; the others have three colours. A material becomes one medium where its channels are R, G and B with a common phase function, or
-//! wavelengths in nm, whose g may differ; and one medium per channel otherwise.
+//! Mitsuba and pbrt describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
+//! one phase function; the others have three colours. A material becomes one medium where its channels are R, G and B
+//! with a common phase function, or wavelengths in nm, whose g may differ; and one medium per channel otherwise.
 
 mod blender;
 mod materialx;

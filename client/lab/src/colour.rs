@@ -161,11 +161,9 @@ fn check(wavelengths_nm: &[f64]) -> Result<()> {
         );
         return refused(format!("{first} to {last} nm"), allowed);
     }
-    if let Some(pair) = wavelengths_nm.windows(2).find(|pair| pair[1] <= pair[0]) {
-        return refused(
-            format!("{} and {} nm", pair[0], pair[1]),
-            "wavelengths must differ, and rise".to_owned(),
-        );
+    if let Some(i) = (1..wavelengths_nm.len()).find(|i| wavelengths_nm[*i] <= wavelengths_nm[i - 1]) {
+        let given = format!("{} and {} nm", wavelengths_nm[i - 1], wavelengths_nm[i]);
+        return refused(given, "wavelengths must differ, and rise".to_owned());
     }
     match wavelengths_nm.windows(2).find(|pair| pair[1] - pair[0] > MISSING_NM + 1e-9) {
         Some(pair) => refused(

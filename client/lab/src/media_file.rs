@@ -188,7 +188,7 @@ impl MediaChannel {
         self.second_lobe()?;
         check_ior("sample_ior", self.sample_ior)?;
         let c = &self.covariance;
-        // Of a covariance all entries are finite, and none exceeds those of the diagonal in the same row and column.
+        // The entries of a covariance are finite, and none exceeds those of the diagonal in its row and column.
         let is_bounded = |i: usize, j: usize| {
             c[i][j].is_finite()
                 && (c[i][j] - c[j][i]).abs() <= 1e-9 * (c[i][i] * c[j][j]).abs().sqrt() + 1e-300

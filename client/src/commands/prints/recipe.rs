@@ -22,7 +22,7 @@ use search::{ShareLimits, closest};
 #[command(after_help = "\
 Examples:
   farmctl recipe media --target 60,20,-10 --thickness 2
-  farmctl recipe media --target 60,20,-10 --target 75,0,30 --inks white,magenta,yellow --most magenta=0.2
+  farmctl recipe media --target 60,20,-10 --target 75,0,30 --thickness 1 --inks white,cyan --most cyan=0.2
   farmctl recipe media --target wanted.csv --thickness 2 --opacity 0.95
 
 A target is L*,a*,b* where the channels are wavelengths, or a CSV file with the columns channel and value: radiance
