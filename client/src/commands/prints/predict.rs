@@ -119,7 +119,8 @@ fn data(args: &PredictArgs) -> Result<PredictJson> {
     let unresolved = unresolved(&file, &materials, &channels)?;
     let (colours, no_colours) = match colours(&channels, &found, &bases, args.view.viewing()) {
         Ok(colours) => (Some(colours), None),
-        Err(reason) => (None, Some(reason.to_string())),
+        Err(reason) if wavelength_nm(channels[0]).is_none() => (None, Some(reason.allowed().to_owned())),
+        Err(reason) => (None, Some(format!("{}: {}", reason.given(), reason.allowed()))),
     };
     Ok(PredictJson {
         slabs: slabs.iter().map(slab_json).collect(),
