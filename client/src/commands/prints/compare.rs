@@ -17,8 +17,8 @@ Examples:
   farmctl compare monday/ tuesday/       materials of the same names
   farmctl compare lab-a/media.json lab-b/media.json
 
-E_n (ISO 13528) is the difference over the expanded uncertainties of both: 1 and more is a real difference.
-Errors that both share, such as those of one white reference, do not count in it.")]
+E_n (ISO 13528) is the difference over the expanded uncertainties of both: 1 and more is a
+real difference. Errors that both share, such as those of one white reference, do not count in it.")]
 pub(crate) struct CompareArgs {
     /// Measured media: media.json, or the folder that contains it.
     a: PathBuf,

@@ -20,11 +20,13 @@ use crate::output::{Output, table, wrapped};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  farmctl predict media white:1                         over a black and a white base, in the measured set-up
+  farmctl predict media white:1                         over black and white, in the measured set-up
   farmctl predict media cyan:0.2 white:2 --over 0.5     a layer on a thick one
   farmctl predict media white=0.9,cyan=0.1:1 --geometry d:8
 
-The media are those that `farmctl measure` wrote to media.json, in the folder of -o or of a session.")]
+The media are those that `farmctl measure` wrote to media.json, in the folder of -o or of a session.
+Intervals contain the errors of the media, not those of the print's index and roughness, which
+are the scene's.")]
 pub(crate) struct PredictArgs {
     /// Measured media: media.json, or the folder that contains it.
     media: PathBuf,

@@ -22,11 +22,11 @@ use search::{ShareLimits, closest};
 #[command(after_help = "\
 Examples:
   farmctl recipe media --target 60,20,-10 --thickness 2
-  farmctl recipe media --target 60,20,-10 --target 75,0,30 --thickness 1 --inks white,cyan --most cyan=0.2
+  farmctl recipe media --target 60,20,-10 --target 75,0,30 --thickness 1 --most cyan=0.2
   farmctl recipe media --target wanted.csv --thickness 2 --opacity 0.95
 
-A target is L*,a*,b* where the channels are wavelengths, or a CSV file with the columns channel and value: radiance
-factors. Mixtures add by volume.")]
+A target is L*,a*,b* where the channels are wavelengths, or a CSV file with the columns
+channel and value: radiance factors. Mixtures add by volume.")]
 pub(crate) struct RecipeArgs {
     /// Measured inks: media.json, or the folder that contains it.
     media: PathBuf,

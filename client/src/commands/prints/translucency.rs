@@ -23,8 +23,8 @@ Examples:
 
 mean free path: 1/(σ_s(1−g) + σ_a), after which the direction of light is forgotten
 depth: 1/√(3 σ_a (σ_a + σ_s(1−g))), over which light fades in a thick block
-K, S: of Kubelka and Munk, from the reflectance of a slab of --thickness in even light over black and white, without
-    its surfaces
+K, S: of Kubelka and Munk, from the reflectance of a slab of --thickness in even light over bases
+    of 0 and 0.8, without its surfaces
 transmission distance: thickness of a polished slab that passes 5 % of even light")]
 pub(crate) struct TranslucencyArgs {
     /// Measured media: media.json, or the folder that contains it.
