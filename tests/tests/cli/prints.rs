@@ -225,4 +225,14 @@ fn wrong_prints_are_refused() {
         &["recipe", "media.json", "--thickness", "1", "--target", "nothing"],
         &["target nothing: it is neither L*,a*,b* nor a file"],
     );
+    let mut two_indices = media(1.0);
+    let channel = &mut two_indices["materials"][1]["channels"][0];
+    let name = channel["channel"].as_str().unwrap().to_owned();
+    channel["sample_ior"] = 1.49.into();
+    write(dir, "media.json", &two_indices.to_string());
+    fails(
+        dir,
+        &["predict", "media.json", "white:1", "magenta:1"],
+        &[&format!("{name}: white was measured with the index 1.5"), "magenta with 1.49; a print has one"],
+    );
 }

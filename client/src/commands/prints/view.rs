@@ -148,7 +148,7 @@ impl<'a> PrintView<'a> {
         let mut channel = |c: &MediaChannel| -> Result<ViewedChannel> {
             let name = c.channel.clone();
             let scene = args.geometry.scene(&session, &name, args.roughness)?;
-            let sample_ior = c.sample_ior + scene.sample_ior_offset();
+            let sample_ior = common_ior(&all, &name)? + scene.sample_ior_offset();
             let known = prints.iter().find(|(s, ior, _)| s.layers() == scene.layers() && *ior == sample_ior);
             let print = known.map(|(.., print)| print.clone());
             let print = print.unwrap_or_else(|| Arc::new(Print::new(&scene, sample_ior, peak)));
@@ -209,10 +209,8 @@ impl<'a> PrintView<'a> {
 
     /// The slabs with the materials' numbers.
     fn printed(&self, slabs: &[NamedSlab]) -> Result<Vec<optics_layers::PrintedSlab>> {
-        let number = |name: &str| {
-            let found = self.file.materials.iter().position(|m| m.material == *name);
-            found.with_context(|| format!("material {name:?} is not in the file"))
-        };
+        let number =
+            |name: &str| self.number(name).with_context(|| format!("material {name:?} is not in the file"));
         let slab = |slab: &NamedSlab| -> Result<optics_layers::PrintedSlab> {
             let shares = slab.shares.iter().map(|(name, share)| Ok((number(name)?, *share)));
             Ok(optics_layers::PrintedSlab {
@@ -222,6 +220,21 @@ impl<'a> PrintView<'a> {
         };
         slabs.iter().map(slab).collect()
     }
+}
+
+/// The index of all materials in a channel. A print of media that were measured at several indices is refused: it has
+/// faces between its slabs, which predictions do not have.
+fn common_ior(materials: &[&MediaMaterial], channel: &str) -> Result<f64> {
+    let of = |m: &&MediaMaterial| Some((m.material.clone(), m.channel(channel)?.sample_ior));
+    let mut iors = materials.iter().filter_map(of);
+    let (first, ior) = iors.next().context("a print has at least one medium")?;
+    if let Some((other, own)) = iors.find(|(_, own)| *own != ior) {
+        bail!(
+            "{channel}: {first} was measured with the index {ior}, {other} with {own}; a print has one: measure them with a \
+             dictionary of one sample_ior"
+        );
+    }
+    Ok(ior)
 }
 
 /// Width of the narrowest peak of a phase function: 1 − |g| of a lobe. Narrower ones than directions resolve are refused.
