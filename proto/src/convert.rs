@@ -11,6 +11,7 @@ mod mixtures;
 mod model;
 mod profile;
 mod scale;
+mod shared_errors;
 mod status;
 mod text;
 

@@ -203,6 +203,7 @@ fn answer_of_a_measurement_is_understood() {
                 materials: materials.iter().cloned().map(Into::into).collect(),
                 common: common.clone().map(Into::into),
                 unmixed: None,
+                shared_errors: None,
             },
         );
         assert_eq!(scale.unwrap().points.len(), 5, "version {version}");

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use optics_model::fit::{Interval, MaterialFit, Refined, Z};
+use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined, SceneDifference, SharedErrors, Z};
 use optics_model::medium::check_ior;
 use optics_model::phase::SecondLobe;
 use optics_model::scene::Scene;
@@ -33,6 +33,9 @@ pub struct MediaFile {
     pub mu_std_error: f64,
     /// The set-up, with its uncertain numbers.
     pub scene: SceneFile,
+    /// What the measurement found of these numbers.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub set_up: Vec<MediaSetUp>,
     pub materials: Vec<MediaMaterial>,
 }
 
@@ -41,6 +44,20 @@ pub struct MediaFile {
 pub struct MediaMaterial {
     pub material: String,
     pub channels: Vec<MediaChannel>,
+}
+
+/// The estimate of an uncertain number of the scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MediaSetUp {
+    /// Its name, such as `gel index`.
+    pub quantity: String,
+    /// None for one value in the whole session.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub material: Option<String>,
+    /// Difference from the scene's value.
+    pub difference: f64,
+    /// Its changes by one standard deviation of each source of errors that it shares with media.
+    pub shared: Vec<f64>,
 }
 
 /// The medium of a material in one channel, with 95 % intervals.
@@ -55,6 +72,10 @@ pub struct MediaChannel {
     pub sample_ior: f64,
     /// Covariance of (ln σ_t, √(1 − α), ln(1 − g)).
     pub covariance: [[f64; 3]; 3],
+    /// Changes of (ln σ_t, √(1 − α), ln(1 − g)), and of weight and anisotropy of the second lobe, by one standard
+    /// deviation of each independent source of errors that it shares with other media and the set-up.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub shared: Vec<[f64; SharedErrors::OF_MEDIUM]>,
     /// Whether the data determine σ_t and the albedo.
     pub resolved: bool,
     /// Root mean square of the residuals over that of the noise.
@@ -98,13 +119,25 @@ pub struct MeasuredWith<'a> {
 
 impl MediaFile {
     /// The refined channels of fits.
-    pub fn new(fits: &[MaterialFit], with: &MeasuredWith) -> Self {
-        let channels = |fit: &MaterialFit| -> Vec<MediaChannel> {
-            let channels = fit.channels.iter();
-            channels.filter_map(|c| Some(MediaChannel::of(&c.channel, c.refined.as_ref()?))).collect()
+    pub fn new(fits: &[MaterialFit], errors: &SharedErrors, with: &MeasuredWith) -> Self {
+        let mut number = 0;
+        let mut channels = |fit: &MaterialFit| -> Vec<MediaChannel> {
+            let mut channel = |c: &ChannelFit| {
+                number += 1;
+                Some(MediaChannel::of(&c.channel, c.refined.as_ref()?, errors.of_channel(number - 1)))
+            };
+            fit.channels.iter().filter_map(&mut channel).collect()
         };
         let material =
             |fit: &MaterialFit| MediaMaterial { material: fit.material.clone(), channels: channels(fit) };
+        let set_up = |d: &SceneDifference| {
+            Some(MediaSetUp {
+                quantity: with.scene.name_of(with.scene.priors().get(d.prior)?),
+                material: d.material.map(|i| fits.get(i).map(|fit| fit.material.clone())).unwrap_or_default(),
+                difference: d.difference,
+                shared: d.changes.iter().copied().map(rounded).collect(),
+            })
+        };
         Self {
             format: FORMAT.to_owned(),
             program: concat!("farmctl ", env!("CARGO_PKG_VERSION")).to_owned(),
@@ -113,6 +146,7 @@ impl MediaFile {
             mu: with.mu[0],
             mu_std_error: with.mu[1],
             scene: SceneFile::from(with.scene),
+            set_up: errors.scene.iter().filter_map(set_up).collect(),
             materials: fits.iter().map(material).collect(),
         }
     }
@@ -129,17 +163,28 @@ impl MediaFile {
             bail!("{}: its format is {}, not {FORMAT:?}", place(), json["format"]);
         }
         let file: Self = serde_json::from_value(json).with_context(place)?;
+        let sources = file.sources();
+        if let Some(other) = file.set_up.iter().find(|s| s.shared.len() != sources) {
+            let found = other.shared.len();
+            bail!("{}: set_up {}: it has {found} shared errors, others {sources}", place(), other.quantity);
+        }
         for (i, material) in file.materials.iter().enumerate() {
             if file.materials[..i].iter().any(|other| other.material == material.material) {
                 bail!("{}: material {:?} occurs twice", place(), material.material);
             }
             for channel in &material.channels {
                 channel
-                    .check()
+                    .check(sources)
                     .with_context(|| format!("{}: {} {}", place(), material.material, channel.channel))?;
             }
         }
         Ok(file)
+    }
+
+    /// Number of sources of errors that media and set-up share.
+    fn sources(&self) -> usize {
+        let all = self.materials.iter().flat_map(|m| &m.channels).map(|c| c.shared.len());
+        all.chain(self.set_up.iter().map(|s| s.shared.len())).max().unwrap_or(0)
     }
 
     /// The text of the file.
@@ -163,8 +208,10 @@ impl MediaMaterial {
 }
 
 impl MediaChannel {
-    fn of(channel: &str, refined: &Refined) -> Self {
+    fn of(channel: &str, refined: &Refined, shared: &[[f64; SharedErrors::OF_MEDIUM]]) -> Self {
         let medium = refined.best.medium;
+        // Media from mixtures are not those of the joint fit.
+        let shared = if refined.from_mixtures { &[] } else { shared };
         Self {
             channel: channel.to_owned(),
             sigma_t_per_mm: medium.sigma_t_per_mm(),
@@ -173,6 +220,7 @@ impl MediaChannel {
             second_lobe: refined.second_lobe.map(|lobe| MediaLobe { weight: lobe.weight(), g: lobe.g() }),
             sample_ior: refined.best.sample_ior,
             covariance: covariance(refined),
+            shared: shared.iter().map(|changes| changes.map(rounded)).collect(),
             resolved: refined.resolved,
             misfit: refined.misfit,
             sigma_t_interval: refined.sigma_t_per_mm.into(),
@@ -183,7 +231,7 @@ impl MediaChannel {
         }
     }
 
-    fn check(&self) -> Result<(), optics_model::Invalid> {
+    fn check(&self, sources: usize) -> Result<(), optics_model::Invalid> {
         self.medium()?;
         self.second_lobe()?;
         check_ior("sample_ior", self.sample_ior)?;
@@ -194,11 +242,23 @@ impl MediaChannel {
                 && (c[i][j] - c[j][i]).abs() <= 1e-9 * (c[i][i] * c[j][j]).abs().sqrt() + 1e-300
                 && c[i][j].powi(2) <= (1.0 + 1e-6) * c[i][i] * c[j][j] + 1e-300
         };
-        if (0..3).all(|i| c[i][i] >= 0.0 && (0..3).all(|j| is_bounded(i, j))) {
-            return Ok(());
+        if !(0..3).all(|i| c[i][i] >= 0.0 && (0..3).all(|j| is_bounded(i, j))) {
+            let allowed = "a symmetric matrix of finite variances and covariances is needed";
+            return Err(optics_model::Invalid::new("covariance", format!("{c:?}"), allowed));
         }
-        let allowed = "a symmetric matrix of finite variances and covariances is needed";
-        Err(optics_model::Invalid::new("covariance", format!("{c:?}"), allowed))
+        let variance = |i: usize| self.shared.iter().map(|changes| changes[i].powi(2)).sum::<f64>();
+        if ![0, sources].contains(&self.shared.len())
+            || !self.shared.iter().flatten().all(|change| change.is_finite())
+            || !(0..3).all(|i| variance(i) <= 1.01 * c[i][i])
+        {
+            let allowed = format!("{sources} changes are needed, whose squares are part of the variances");
+            return Err(optics_model::Invalid::new(
+                "shared",
+                format!("{} changes", self.shared.len()),
+                allowed,
+            ));
+        }
+        Ok(())
     }
 
     pub fn medium(&self) -> Result<Medium, optics_model::Invalid> {
@@ -209,6 +269,11 @@ impl MediaChannel {
     pub fn second_lobe(&self) -> Result<SecondLobe, optics_model::Invalid> {
         self.second_lobe.map_or(Ok(SecondLobe::default()), |lobe| SecondLobe::new(lobe.weight, lobe.g))
     }
+}
+
+/// Five digits, which keep the file small.
+fn rounded(change: f64) -> f64 {
+    format!("{change:.4e}").parse().unwrap_or(change)
 }
 
 /// The covariance of a fit. That of an ink from mixtures is not known: the variances follow from its intervals.
@@ -240,7 +305,21 @@ mod tests {
         let fits = [MaterialFit { material: "white".into(), channels }];
         let scene = Scene::lab();
         let digest = Digest::of_bytes(b"grid");
-        MediaFile::new(&fits, &MeasuredWith { dictionary: "lab", digest, scene: &scene, mu: [1.0, 0.01] })
+        let variances = [0, 1, 2].map(|i| fits[0].channels[0].refined.as_ref().unwrap().covariance[i][i]);
+        let of_medium = [0.5 * variances[0].sqrt(), 0.0, 0.0, 0.01, 0.0];
+        let difference = |prior, material| SceneDifference {
+            prior,
+            material,
+            difference: 0.01,
+            changes: vec![0.0, 0.005],
+        };
+        let errors = SharedErrors {
+            sources: 2,
+            media: vec![of_medium, [0.0; 5], of_medium, [0.0; 5]],
+            scene: vec![difference(0, Some(0)), difference(1, None)],
+        };
+        let with = MeasuredWith { dictionary: "lab", digest, scene: &scene, mu: [1.0, 0.01] };
+        MediaFile::new(&fits, &errors, &with)
     }
 
     /// A file is read as it was written, from its folder, too; the scene keeps its uncertain numbers.
@@ -271,8 +350,8 @@ mod tests {
         for (from, to, message) in [
             ("\"sample_ior\": 1.53", "\"sample_ior\": 0.5", "sample_ior = 0.5 is not valid"),
             (
-                "\"material\": \"white\"",
-                "\"material\": \"white\", \"channels\": []}, {\"material\": \"white\"",
+                "\"materials\": [",
+                "\"materials\": [{\"material\": \"white\", \"channels\": []}, ",
                 "occurs twice",
             ),
         ] {
@@ -284,6 +363,14 @@ mod tests {
         wrong.materials[0].channels[0].covariance[0][0] = -1.0;
         let wrong = refused(&wrong.text().unwrap());
         assert!(wrong.contains("a symmetric matrix of finite variances"), "{wrong}");
+        let mut wrong = media();
+        wrong.materials[0].channels[0].shared.pop();
+        let wrong = refused(&wrong.text().unwrap());
+        assert!(wrong.contains("white R: shared = 1 changes is not valid: 2 changes are needed"), "{wrong}");
+        let mut wrong = media();
+        wrong.set_up[1].shared.pop();
+        let wrong = refused(&wrong.text().unwrap());
+        assert!(wrong.contains("set_up coat roughness: it has 1 shared errors, others 2"), "{wrong}");
         std::fs::remove_file(folder.path().join(MEDIA_FILE)).unwrap();
         let missing = format!("{:#}", MediaFile::read(folder.path()).unwrap_err());
         assert!(missing.contains("`farmctl measure` writes it into the session's folder"), "{missing}");

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use farm_proto::wire::MeasureResponse;
-use optics_model::fit::{Common, MaterialFit, ScaleCurve, Unmixed};
+use optics_model::fit::{Common, MaterialFit, ScaleCurve, SharedErrors, Unmixed};
 
 use super::table::table_csv;
 use crate::renderers;
@@ -20,6 +20,8 @@ pub(crate) struct MeasureAnswer {
     pub(crate) materials: Vec<MaterialFit>,
     /// `None` if no mixtures were given.
     pub(crate) unmixed: Option<Unmixed>,
+    /// None of an older coordinator.
+    pub(crate) shared_errors: SharedErrors,
 }
 
 impl TryFrom<MeasureResponse> for MeasureAnswer {
@@ -31,6 +33,7 @@ impl TryFrom<MeasureResponse> for MeasureAnswer {
             common: answer.common.context(OLDER)?.try_into()?,
             materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
             unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
+            shared_errors: answer.shared_errors.unwrap_or_default().try_into()?,
         })
     }
 }

@@ -14,8 +14,8 @@ use farm_proto::wire::StatusResponse;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
     ErrorSource, FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside,
-    PixelRow, PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, SourceShare, Suspicion,
-    ThicknessError, Wavelet,
+    PixelRow, PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, SharedErrors,
+    SourceShare, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
@@ -60,6 +60,7 @@ fn answers() -> Vec<String> {
         common: common[g].clone(),
         materials: fits.clone(),
         unmixed: None,
+        shared_errors: SharedErrors::default(),
     };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
@@ -124,6 +125,7 @@ fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
         common: common(Some(0.4)),
         materials,
         unmixed: Some(farm_figures::testing::unmixed()),
+        shared_errors: SharedErrors::default(),
     }
 }
 

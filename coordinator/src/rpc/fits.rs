@@ -128,6 +128,7 @@ impl Fits for Context {
             materials: encoded(answer.materials),
             common: Some(answer.common.into()),
             unmixed: unmixed.map(Into::into),
+            shared_errors: Some(answer.shared_errors.into()),
         }))
     }
 

@@ -11,6 +11,8 @@ mod prediction;
 mod print;
 mod quadrature;
 mod slab;
+mod uncertain;
 
-pub use prediction::{Predicted, PrintedSlab, Uncertain, chi2, predict};
+pub use prediction::{ChangeSource, Predicted, PrintedSlab, SetUpChange, predict, radiance_factors};
 pub use print::{Print, PrintLayer};
+pub use uncertain::{Uncertain, chi2};

@@ -1,19 +1,11 @@
-//! The radiance factor of prints of measured media, with the standard error that the media's covariance gives.
+//! The radiance factor of prints of measured media, with its changes by the errors of the media and of the set-up.
 
-use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 use optics_model::phase::{PhaseShape, SecondLobe};
 use optics_model::{Invalid, Medium};
 use rayon::prelude::*;
 
 use crate::print::{Print, PrintLayer};
-
-/// A medium with the covariance of (ln σ_t, √(1 − α), ln(1 − g)).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Uncertain {
-    pub medium: Medium,
-    pub second_lobe: SecondLobe,
-    pub covariance: [[f64; 3]; 3],
-}
+use crate::uncertain::Uncertain;
 
 /// A slab of a medium, or of a mixture of media.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,12 +15,33 @@ pub struct PrintedSlab {
     pub thickness_mm: f64,
 }
 
+/// The effect of an error of the set-up: the difference of two prints, times the error.
+#[derive(Debug, Clone, Copy)]
+pub struct SetUpChange<'a> {
+    pub from: &'a Print,
+    /// The set-up with the quantity larger by one step.
+    pub to: &'a Print,
+    /// Reflectances of the bases there.
+    pub to_rho: &'a [f64],
+    /// Changes of the quantity in steps, by one standard deviation of each shared source.
+    pub shared: &'a [f64],
+}
+
+/// Origin of a change of a prediction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ChangeSource {
+    /// A source of errors that media, channels and set-up share.
+    Shared(usize),
+    /// A direction in which a medium is uncertain by itself, in its channel.
+    Own { medium: usize, direction: usize },
+}
+
 /// A radiance factor.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Predicted {
     pub value: f64,
-    /// Changes by one standard deviation along each direction in which a medium is uncertain: its index, and the change.
-    pub changes: Vec<(usize, f64)>,
+    /// Changes by one standard deviation of independent sources, in their order.
+    pub changes: Vec<(ChangeSource, f64)>,
 }
 
 impl Predicted {
@@ -36,66 +49,99 @@ impl Predicted {
     pub fn std_error(&self) -> f64 {
         self.changes.iter().map(|(_, change)| change * change).sum::<f64>().sqrt()
     }
-
-    /// The part of the standard error that one medium causes.
-    pub fn std_error_of(&self, medium: usize) -> f64 {
-        let own = self.changes.iter().filter(|(of, _)| *of == medium);
-        own.map(|(_, change)| change * change).sum::<f64>().sqrt()
-    }
 }
 
 /// Radiance factors over bases of these reflectances.
 ///
 /// # Errors
 /// If the shares of a slab are not positive or do not add up to 1, or a slab has no thickness.
-pub fn predict(
+pub fn radiance_factors(
     print: &Print,
     media: &[Uncertain],
     slabs: &[PrintedSlab],
     rho: &[f64],
-) -> Result<Vec<Predicted>, Invalid> {
+) -> Result<Vec<f64>, Invalid> {
     slabs
         .iter()
         .enumerate()
         .try_for_each(|(i, s)| check(s, media.len()).map_err(|e| e.within(format_args!("slab[{i}]"))))?;
-    let at = |media: &[Uncertain]| {
-        let slabs: Vec<PrintLayer> =
-            slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
-        Ok(print.radiance_factors(&slabs, rho))
-    };
-    let used = |medium: &usize| slabs.iter().any(|slab| slab.shares.iter().any(|(of, _)| of == medium));
-    let directions: Vec<(usize, Vector3<f64>)> = (0..media.len())
-        .filter(used)
-        .flat_map(|medium| directions(&media[medium].covariance).map(|direction| (medium, direction)))
-        .filter(|(_, direction)| direction.norm() > 0.0)
+    let slabs: Vec<PrintLayer> =
+        slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
+    Ok(print.radiance_factors(&slabs, rho))
+}
+
+/// Radiance factors with their errors.
+///
+/// # Errors
+/// As those of [`radiance_factors`].
+pub fn predict(
+    print: &Print,
+    media: &[Uncertain],
+    set_up: &[SetUpChange],
+    slabs: &[PrintedSlab],
+    rho: &[f64],
+) -> Result<Vec<Predicted>, Invalid> {
+    let values = radiance_factors(print, media, slabs, rho)?;
+    let is_used = |medium: usize| slabs.iter().any(|slab| slab.shares.iter().any(|(of, _)| *of == medium));
+    let used: Vec<usize> = (0..media.len()).filter(|medium| is_used(*medium)).collect();
+    let moved: Vec<(usize, Uncertain)> = used
+        .iter()
+        .flat_map(|medium| media[*medium].moved_both_ways().into_iter().flatten().map(|m| (*medium, m)))
         .collect();
-    let values = at(media)?;
-    let changed = |(medium, direction): &(usize, Vector3<f64>)| {
-        let moved = |sign: f64| {
-            let mut media = media.to_vec();
-            media[*medium] = media[*medium].moved(sign * direction);
-            at(&media)
-        };
-        let (up, down) = (moved(1.0)?, moved(-1.0)?);
-        let ends = up.iter().zip(&down).zip(&values);
-        Ok((*medium, ends.map(|((up, down), value)| change(*up, *down, *value)).collect()))
+    let at = |(medium, moved): &(usize, Uncertain)| {
+        let mut media = media.to_vec();
+        media[*medium] = moved.clone();
+        radiance_factors(print, &media, slabs, rho)
     };
-    let changes: Vec<(usize, Vec<f64>)> =
-        directions.par_iter().map(changed).collect::<Result<_, Invalid>>()?;
-    let predicted = |(i, value): (usize, &f64)| Predicted {
-        value: *value,
-        changes: changes.iter().map(|(medium, change)| (*medium, change[i])).collect(),
+    let ends: Vec<Vec<f64>> = moved.par_iter().map(at).collect::<Result<_, Invalid>>()?;
+    let by_set_up = |change: &SetUpChange| -> Result<Vec<f64>, Invalid> {
+        let of = |print, rho| radiance_factors(print, media, slabs, rho);
+        let (from, to) = (of(change.from, rho), of(change.to, change.to_rho));
+        Ok(to?.iter().zip(from?).map(|(to, from)| to - from).collect())
+    };
+    let steps: Vec<Vec<f64>> = set_up.par_iter().map(by_set_up).collect::<Result<_, Invalid>>()?;
+    let predicted = |(i, value): (usize, &f64)| {
+        let mut sum = ChangeSum::default();
+        for medium in &used {
+            let own = moved.iter().zip(&ends).filter(|((of, _), _)| of == medium);
+            let own: Vec<f64> = own.map(|(_, ends)| ends[i]).collect();
+            sum.add_medium(*medium, &media[*medium], *value, &own);
+        }
+        for (change, step) in set_up.iter().zip(&steps) {
+            sum.add_shared(change.shared.iter().map(|shared| shared * step[i]));
+        }
+        Predicted { value: *value, changes: sum.changes() }
     };
     Ok(values.iter().enumerate().map(predicted).collect())
 }
 
-/// Half of the difference of both ends; where one end is at a limit of the medium, such as an albedo of 1, the other
-/// counts.
-fn change(up: f64, down: f64, value: f64) -> f64 {
-    match () {
-        () if down == value => up - value,
-        () if up == value => value - down,
-        () => 0.5 * (up - down),
+/// Changes under construction.
+#[derive(Debug, Default)]
+struct ChangeSum {
+    shared: Vec<f64>,
+    own: Vec<(ChangeSource, f64)>,
+}
+
+impl ChangeSum {
+    fn add_shared(&mut self, changes: impl Iterator<Item = f64>) {
+        for (k, change) in changes.enumerate() {
+            if k == self.shared.len() {
+                self.shared.push(0.0);
+            }
+            self.shared[k] += change;
+        }
+    }
+
+    fn add_medium(&mut self, medium: usize, uncertain: &Uncertain, value: f64, ends: &[f64]) {
+        let slopes = uncertain.slopes(value, ends);
+        self.add_shared(uncertain.shared_changes(&slopes).into_iter());
+        let own = uncertain.own_changes(&slopes).into_iter().enumerate();
+        self.own.extend(own.map(|(direction, change)| (ChangeSource::Own { medium, direction }, change)));
+    }
+
+    fn changes(self) -> Vec<(ChangeSource, f64)> {
+        let shared = self.shared.into_iter().enumerate().map(|(k, change)| (ChangeSource::Shared(k), change));
+        shared.chain(self.own).collect()
     }
 }
 
@@ -109,59 +155,12 @@ fn check(slab: &PrintedSlab, media: usize) -> Result<(), Invalid> {
     optics_model::medium::check_thickness(slab.thickness_mm).map(|_| ())
 }
 
-/// Directions of one standard deviation: the roots of a covariance's eigenvalues along its eigenvectors.
-fn directions(covariance: &[[f64; 3]; 3]) -> [Vector3<f64>; 3] {
-    let eigen = SymmetricEigen::new(Matrix3::from_fn(|i, j| covariance[i][j]));
-    std::array::from_fn(|i| eigen.eigenvectors.column(i) * eigen.eigenvalues[i].max(0.0).sqrt())
-}
-
-/// dᵀ C⁻¹ d in the directions in which a covariance is not 0, and their number; None if there are none.
-pub fn chi2(difference: &[f64; 3], covariance: impl Fn(usize, usize) -> f64) -> Option<(f64, usize)> {
-    /// Share of the greatest variance that counts as 0.
-    const NONE: f64 = 1e-12;
-    let eigen = SymmetricEigen::new(Matrix3::from_fn(covariance));
-    let least = NONE * eigen.eigenvalues.max();
-    let difference = Vector3::from(*difference);
-    let kept: Vec<f64> = (0..3)
-        .filter(|i| eigen.eigenvalues[*i] > least)
-        .map(|i| eigen.eigenvectors.column(i).dot(&difference).powi(2) / eigen.eigenvalues[i])
-        .collect();
-    (!kept.is_empty()).then(|| (kept.iter().sum(), kept.len()))
-}
-
-impl Uncertain {
-    /// A function of the medium, and the standard error that the covariance gives it.
-    pub fn spread(&self, f: impl Fn(&Self) -> f64) -> (f64, f64) {
-        let value = f(self);
-        let moved =
-            |direction: Vector3<f64>| change(f(&self.moved(direction)), f(&self.moved(-direction)), value);
-        let squares = directions(&self.covariance).map(|direction| moved(direction).powi(2));
-        (value, squares.iter().sum::<f64>().sqrt())
-    }
-
-    /// The medium as a slab.
-    pub fn slab(&self, thickness_mm: f64) -> PrintLayer {
-        let phase = PhaseShape::Lobes(self.second_lobe.limited_to(self.medium.g()));
-        PrintLayer { medium: self.medium, phase, thickness_mm }
-    }
-
-    /// The medium moved in its coordinates; an albedo stays below 1.
-    fn moved(&self, by: Vector3<f64>) -> Self {
-        let m = self.medium;
-        let sigma_t = (m.sigma_t_per_mm() * by[0].exp()).clamp(1e-6, 1e6);
-        let albedo = 1.0 - ((1.0 - m.albedo()).sqrt() + by[1]).clamp(0.0, 1.0).powi(2);
-        let g = (1.0 - (1.0 - m.g()) * by[2].exp()).clamp(-Print::MOST_G, Print::MOST_G);
-        let medium = Medium::new(sigma_t, albedo, g).unwrap_or(m);
-        Self { medium, ..*self }
-    }
-}
-
 /// The slab of a mixture: σ_s, σ_a and σ_s p add up by volume. The phase function is that of two lobes with the mean
 /// cosine, and the mean weight and anisotropy of the second lobe, of all scattering.
 fn mixed(media: &[Uncertain], slab: &PrintedSlab) -> Result<PrintLayer, Invalid> {
     let (mut absorption, mut scattering, mut forward, mut weight, mut of_lobe) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (medium, share) in &slab.shares {
-        let Uncertain { medium: m, second_lobe, .. } = media[*medium];
+        let Uncertain { medium: m, second_lobe, .. } = &media[*medium];
         let scattered = share * m.sigma_t_per_mm() * m.albedo();
         absorption += share * m.absorption_per_mm();
         scattering += scattered;
@@ -188,7 +187,7 @@ mod tests {
         let covariance =
             std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variances[i] } else { 0.0 }));
         let medium = Medium::new(sigma_t, albedo, 0.4).unwrap();
-        Uncertain { medium, second_lobe: SecondLobe::new(0.05, -0.5).unwrap(), covariance }
+        Uncertain { covariance, ..Uncertain::exact(medium, SecondLobe::new(0.05, -0.5).unwrap()) }
     }
 
     fn slab(shares: &[(usize, f64)]) -> PrintedSlab {
@@ -199,7 +198,7 @@ mod tests {
     #[test]
     fn mixtures_add_by_volume() {
         let (white, clear) = (medium(6.0, 0.99, [0.0; 3]), medium(1e-6, 0.0, [0.0; 3]));
-        let same = mixed(&[white, white], &slab(&[(0, 0.3), (1, 0.7)])).unwrap();
+        let same = mixed(&[white.clone(), white.clone()], &slab(&[(0, 0.3), (1, 0.7)])).unwrap();
         assert!(
             (same.medium.sigma_t_per_mm() - 6.0).abs() < 1e-12 && (same.medium.albedo() - 0.99).abs() < 1e-12
         );
@@ -215,22 +214,53 @@ mod tests {
         let print = Print::new(&Scene::smooth(), 1.53, 0.5);
         let value = |sigma_t: f64| {
             let media = [medium(sigma_t, 0.9, [0.0; 3])];
-            predict(&print, &media, &[slab(&[(0, 1.0)])], &[0.5]).unwrap()[0].value
+            radiance_factors(&print, &media, &[slab(&[(0, 1.0)])], &[0.5]).unwrap()[0]
         };
         let slope = (value(6.0 * 0.01_f64.exp()) - value(6.0 * (-0.01_f64).exp())) / 0.02;
         let uncertain = medium(6.0, 0.9, [0.02_f64.powi(2), 0.0, 0.0]);
-        let one = predict(&print, &[uncertain], &[slab(&[(0, 1.0)])], &[0.5]).unwrap();
-        assert!((one[0].std_error() / (0.02 * slope.abs()) - 1.0).abs() < 1e-3, "{one:?} {slope}");
-        let halves =
-            predict(&print, &[uncertain, uncertain], &[slab(&[(0, 0.5), (1, 0.5)])], &[0.5]).unwrap();
-        assert!((halves[0].std_error() / one[0].std_error() - 0.5_f64.sqrt()).abs() < 1e-2, "{halves:?}");
+        let errors = |media: &[Uncertain], shares: &[(usize, f64)]| {
+            predict(&print, media, &[], &[slab(shares)], &[0.5]).unwrap()[0].std_error()
+        };
+        let one = errors(std::slice::from_ref(&uncertain), &[(0, 1.0)]);
+        assert!((one / (0.02 * slope.abs()) - 1.0).abs() < 1e-3, "{one} {slope}");
+        let halves = [(0, 0.5), (1, 0.5)];
+        let own = errors(&[uncertain.clone(), uncertain.clone()], &halves);
+        assert!((own / one - 0.5_f64.sqrt()).abs() < 1e-2, "{own} {one}");
+        // An error of both media adds up, and one that is opposite in both cancels out.
+        let shared = |by: f64| Uncertain { shared: vec![[by, 0.0, 0.0, 0.0, 0.0]], ..uncertain.clone() };
+        let same = errors(&[shared(0.02), shared(0.02)], &halves);
+        assert!((same / one - 1.0).abs() < 1e-2, "{same} {one}");
+        assert!(errors(&[shared(0.02), shared(-0.02)], &halves) < 0.05 * one);
+    }
+
+    /// An error of the second lobe changes a prediction by its slope, and one of the set-up by the difference of prints.
+    #[test]
+    fn errors_of_lobe_and_set_up_count() {
+        let [print, other] = [1.53, 1.54].map(|ior| Print::new(&Scene::smooth(), ior, 0.5));
+        let slab = [slab(&[(0, 1.0)])];
+        let with = |print: &Print, weight: f64| {
+            let exact =
+                Uncertain::exact(medium(6.0, 0.9, [0.0; 3]).medium, SecondLobe::new(weight, -0.5).unwrap());
+            radiance_factors(print, &[exact], &slab, &[0.5]).unwrap()[0]
+        };
+        let by_lobe = with(&print, 0.06) - with(&print, 0.05);
+        let by_index = with(&other, 0.05) - with(&print, 0.05);
+        let shared = vec![[0.0, 0.0, 0.0, 0.01, 0.0], [0.0; 5]];
+        let media = [Uncertain { shared, ..medium(6.0, 0.9, [0.0; 3]) }];
+        let set_up = [SetUpChange { from: &print, to: &other, to_rho: &[0.5], shared: &[0.0, 0.5] }];
+        let found = predict(&print, &media, &set_up, &slab, &[0.5]).unwrap();
+        let change = |k: usize| found[0].changes[k].1;
+        assert!((change(0) / by_lobe - 1.0).abs() < 0.02, "{found:?} {by_lobe}");
+        assert!((change(1) / (0.5 * by_index) - 1.0).abs() < 1e-9, "{found:?} {by_index}");
     }
 
     #[test]
     fn wrong_shares_are_refused() {
         let print = Print::new(&Scene::smooth(), 1.53, 0.5);
         let refused = |shares: &[(usize, f64)]| {
-            predict(&print, &[medium(6.0, 0.9, [0.0; 3])], &[slab(shares)], &[0.5]).unwrap_err().to_string()
+            radiance_factors(&print, &[medium(6.0, 0.9, [0.0; 3])], &[slab(shares)], &[0.5])
+                .unwrap_err()
+                .to_string()
         };
         for shares in [&[(0, 0.9)][..], &[(1, 1.0)], &[(0, 1.5), (0, -0.5)], &[]] {
             assert!(refused(shares).starts_with("slab[0].shares = "), "{}", refused(shares));

@@ -7,6 +7,7 @@ mod measured;
 mod mixtures;
 mod options;
 mod profile;
+mod shared_errors;
 
 pub use answer::{
     Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
@@ -21,3 +22,4 @@ pub use measured::{MeasurePlan, Measured, Z};
 pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, PhaseModel, Wavelet};
 pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};
+pub use shared_errors::{SceneDifference, SharedErrors};

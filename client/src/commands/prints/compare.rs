@@ -193,6 +193,7 @@ mod tests {
             second_lobe: None,
             sample_ior: 1.53,
             covariance: [[sd * sd, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+            shared: Vec::new(),
             resolved: true,
             misfit: 1.0,
             sigma_t_interval: interval(sigma_t),

@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 use clap::ValueEnum;
 use optics_model::Scene;
-use optics_model::scene::{Channel, Layer, LayerMedium, RingLight, Sensor};
+use optics_model::scene::{Layer, LayerMedium, RingLight, Sensor};
 
 /// How a print is lit and seen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -27,13 +27,12 @@ impl Geometry {
         }
     }
 
-    /// The scene of a channel. A bare print has the roughness of the scene's sample, unless another is given.
-    pub(super) fn scene(self, session: &Scene, channel: &str, roughness: Option<f64>) -> Result<Scene> {
+    /// The scene of a print, given that of the measurement in a channel. A bare print has the roughness of the scene's
+    /// sample, unless another is given.
+    pub(super) fn scene(self, session: Scene, roughness: Option<f64>) -> Result<Scene> {
         if self == Self::Session && roughness.is_some() {
             bail!("--roughness is that of a bare print: give --geometry 45:0 or d:8");
         }
-        // Its ρ are not used.
-        let session = session.of_channel(&Channel::new(channel, 0.5, 0.5)?)?;
         let (ring, polar_deg) = match self {
             Self::Session => return Ok(session),
             Self::FortyFiveZero => (RingLight::new(40.0, 50.0)?, 0.0),

@@ -13,8 +13,10 @@ use optics_model::fit::Z;
 use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
+use super::bases::PrintBase;
+use super::errors::{lab_std_errors, std_error};
 use super::slabs::{NamedSlab, parsed};
-use super::view::{PrintBase, PrintView, ViewArgs, materials_of, unresolved};
+use super::view::{PrintView, ViewArgs, materials_of, unresolved};
 use crate::output::{Output, table, wrapped};
 
 #[derive(Debug, Args)]
@@ -25,8 +27,8 @@ Examples:
   farmctl predict media white=0.9,cyan=0.1:1 --geometry d:8
 
 The media are those that `farmctl measure` wrote to media.json, in the folder of -o or of a session.
-Intervals contain the errors of the media, not those of the print's index and roughness, which
-are the scene's.")]
+Set-up and index of the print are those that the measurement found; intervals contain the errors of
+the media and of the set-up.")]
 pub(crate) struct PredictArgs {
     /// Measured media: media.json, or the folder that contains it.
     media: PathBuf,
@@ -115,7 +117,7 @@ fn data(args: &PredictArgs) -> Result<PredictJson> {
     let bases: Vec<PrintBase> =
         args.over.iter().map(|text| PrintBase::parsed(text.trim())).collect::<Result<_, _>>()?;
     let materials = materials_of(&slabs);
-    let view = PrintView::new(&file, &materials, &bases, &args.view)?;
+    let view = PrintView::new(&file, &slabs, &bases, &args.view)?;
     let channels = view.names();
     let found = view.predicted(&slabs)?;
     let unresolved = unresolved(&file, &materials, &channels)?;
@@ -159,8 +161,7 @@ fn channel_json(channel: &str, found: &[Predicted], bases: &[PrintBase]) -> Pred
     }
 }
 
-/// Colours over all bases. How the errors of wavelengths are correlated is not known: of errors that are the same
-/// everywhere, and independent ones, the larger effect is stated.
+/// Colours over all bases.
 fn colours(
     channels: &[&str],
     found: &[Vec<Predicted>],
@@ -168,56 +169,50 @@ fn colours(
     viewing: Viewing,
 ) -> Result<ColoursJson, Invalid> {
     let wavelengths: Option<Vec<f64>> = channels.iter().map(|channel| wavelength_nm(channel)).collect();
-    let mut order: Vec<(f64, usize)> =
+    let mut sorted: Vec<(f64, usize)> =
         wavelengths.unwrap_or_default().into_iter().enumerate().map(|(i, nm)| (nm, i)).collect();
-    order.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let nm: Vec<f64> = order.iter().map(|(nm, _)| *nm).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (nm, order): (Vec<f64>, Vec<usize>) = sorted.into_iter().unzip();
     let colorimetry = Colorimetry::new(&nm, viewing)?;
-    let spectrum = |base: usize| -> Vec<(f64, f64)> {
-        order.iter().map(|(_, i)| (found[*i][base].value, found[*i][base].std_error())).collect()
-    };
     let colour = |(i, base): (usize, &PrintBase)| {
-        let spectrum = spectrum(i);
-        let values: Vec<f64> = spectrum.iter().map(|(value, _)| *value).collect();
+        let values: Vec<f64> = order.iter().map(|channel| found[*channel][i].value).collect();
         let colour = colorimetry.colour(&values);
-        let srgb = colorimetry.srgb(&colour);
         ColourJson {
             base: base.clone(),
             colour,
-            lab_std_errors: lab_std_errors(&colorimetry, &spectrum),
-            srgb,
+            lab_std_errors: lab_std_errors(&colorimetry, found, &order, i),
+            srgb: colorimetry.srgb(&colour),
         }
     };
     let all: Vec<ColourJson> = bases.iter().enumerate().map(colour).collect();
-    let contrast_ratio = (bases.len() > 1).then(|| {
-        let ratio = |by: f64| {
-            let luminance = |base: usize| {
-                let moved: Vec<f64> =
-                    spectrum(base).iter().map(|(value, error)| value + by * error).collect();
-                colorimetry.xyz(&moved)[1]
-            };
-            let all: Vec<f64> = (0..bases.len()).map(luminance).collect();
-            let end = |pick: fn(f64, f64) -> f64| all.iter().copied().reduce(pick).unwrap_or(1.0);
-            end(f64::min) / end(f64::max)
-        };
-        [ratio(0.0), (ratio(1.0) - ratio(-1.0)).abs() / 2.0]
-    });
+    let contrast_ratio = (all.len() > 1).then(|| contrast_ratio(&colorimetry, found, &order, &all));
     Ok(ColoursJson { viewing, bases: all, contrast_ratio })
 }
 
-pub(super) fn lab_std_errors(colorimetry: &Colorimetry, spectrum: &[(f64, f64)]) -> [f64; 3] {
-    let lab = |moved: &dyn Fn(usize) -> bool| {
-        let values = spectrum.iter().enumerate().map(|(i, (v, error))| if moved(i) { v + error } else { *v });
-        colorimetry.colour(&values.collect::<Vec<f64>>()).lab
-    };
-    let nominal = lab(&|_| false);
-    let together = lab(&|_| true);
-    let mut squares = [0.0; 3];
-    for i in 0..spectrum.len() {
-        let moved = lab(&|j| j == i);
-        (0..3).for_each(|k| squares[k] += (moved[k] - nominal[k]).powi(2));
+/// Least Y over the greatest, q = Y₁/Y₂, and its standard error, by dq = (dY₁ − q dY₂)/Y₂.
+fn contrast_ratio(
+    colorimetry: &Colorimetry,
+    found: &[Vec<Predicted>],
+    order: &[usize],
+    colours: &[ColourJson],
+) -> [f64; 2] {
+    let y = |base: &usize| colours[*base].colour.xyz[1];
+    let all = || 0..colours.len();
+    let least = all().min_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
+    let greatest = all().max_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
+    let ratio = y(&least) / y(&greatest);
+    // Y is linear in the spectrum.
+    let mut weights = vec![0.0; found.len()];
+    for (at, channel) in order.iter().enumerate() {
+        let unit: Vec<f64> = (0..order.len()).map(|i| if i == at { 1.0 } else { 0.0 }).collect();
+        weights[*channel] = colorimetry.xyz(&unit)[1] / y(&greatest);
     }
-    std::array::from_fn(|k| squares[k].sqrt().max((together[k] - nominal[k]).abs()))
+    let error = std_error(found, |channel, base| match base {
+        _ if base == least => weights[channel],
+        _ if base == greatest => -ratio * weights[channel],
+        _ => 0.0,
+    });
+    [ratio, if least == greatest { 0.0 } else { error }]
 }
 
 fn text(data: &PredictJson) -> String {

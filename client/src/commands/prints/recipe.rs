@@ -12,9 +12,10 @@ use farm_lab::media_file::MediaFile;
 use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
-use super::predict::lab_std_errors;
+use super::bases::PrintBase;
+use super::errors::lab_std_errors;
 use super::slabs::NamedSlab;
-use super::view::{PrintBase, PrintView, ViewArgs};
+use super::view::{PrintView, ViewArgs};
 use crate::output::{Output, table, wrapped};
 use search::{ShareLimits, closest};
 
@@ -128,8 +129,12 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     }
     let most = most(&args.most, &names)?;
     let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
-    let used: Vec<&str> = names.iter().map(String::as_str).collect();
-    let view = PrintView::new(&file, &used, &bases, &args.view)?;
+    let share = 1.0 / names.len() as f64;
+    let even = NamedSlab {
+        shares: names.iter().map(|name| (name.clone(), share)).collect(),
+        thickness_mm: args.thickness,
+    };
+    let view = PrintView::new(&file, &[even], &bases, &args.view)?;
     let mut order: Vec<(Option<f64>, usize)> =
         view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
     order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
@@ -209,8 +214,6 @@ impl InkMixer<'_> {
         let slab = self.slab(shares);
         let predicted = self.view.predicted(std::slice::from_ref(&slab))?;
         let found: Vec<Vec<f64>> = predicted.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
-        let spectrum: Vec<(f64, f64)> =
-            self.order.iter().map(|i| (predicted[*i][0].value, predicted[*i][0].std_error())).collect();
         let lab = self.lab(&found);
         let value = |(name, of): (&&str, &Vec<optics_layers::Predicted>)| RecipeValue {
             channel: (*name).to_owned(),
@@ -225,7 +228,7 @@ impl InkMixer<'_> {
             difference: self.difference(target, &found)?,
             is_delta_e: lab.is_some(),
             lab,
-            lab_std_errors: self.colorimetry.as_ref().map(|c| lab_std_errors(c, &spectrum)),
+            lab_std_errors: self.colorimetry.as_ref().map(|c| lab_std_errors(c, &predicted, &self.order, 0)),
             contrast_ratio: self.contrast_ratio(&found),
             radiance_factors: self.view.names().iter().zip(&predicted).map(value).collect(),
             limited_by: (0..shares.len()).filter(limited).map(|i| self.names[i].clone()).collect(),

@@ -8,11 +8,13 @@ use farm_figures::numbers::{minus, short, with_error};
 use farm_lab::media_file::{MediaChannel, MediaFile};
 use optics_layers::{Print, Uncertain};
 use optics_model::Scene;
-use optics_model::scene::{Channel, Layer, RingLight, Sensor};
+use optics_model::scene::{Layer, RingLight, Sensor};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::view::narrowest_peak;
+use super::set_up::FoundSetUp;
+use super::slabs::NamedSlab;
+use super::view::{narrowest_peak, uncertain};
 use crate::output::{Output, table};
 
 #[derive(Debug, Args)]
@@ -67,9 +69,10 @@ pub(crate) fn run(args: &TranslucencyArgs, output: &Output) -> Result<()> {
     let file = MediaFile::read(&args.media)?;
     let all: Vec<(&str, &MediaChannel)> =
         file.materials.iter().flat_map(|m| m.channels.iter().map(|c| (m.material.as_str(), c))).collect();
-    let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
     let row = |(material, channel): &(&str, &MediaChannel)| {
-        of_channel(material, channel, &session, args.thickness)
+        let slab = NamedSlab { shares: vec![((*material).to_owned(), 1.0)], thickness_mm: args.thickness };
+        let set_up = FoundSetUp::new(&file, &[slab])?;
+        of_channel(material, channel, &set_up, args.thickness)
             .with_context(|| format!("{material} {}", channel.channel))
     };
     let channels = all.par_iter().map(row).collect::<Result<_>>()?;
@@ -88,13 +91,12 @@ fn print(ior: f64, peak: f64) -> Result<Print> {
 fn of_channel(
     material: &str,
     channel: &MediaChannel,
-    session: &Scene,
+    set_up: &FoundSetUp,
     thickness_mm: f64,
 ) -> Result<TranslucencyRow> {
-    let (medium, second_lobe) = (channel.medium()?, channel.second_lobe()?);
-    let uncertain = Uncertain { medium, second_lobe, covariance: channel.covariance };
-    let in_channel = session.of_channel(&Channel::new(&channel.channel, 0.5, 0.5)?)?;
-    let sample_ior = channel.sample_ior + in_channel.sample_ior_offset();
+    let uncertain = uncertain(channel)?;
+    let medium = uncertain.medium;
+    let sample_ior = channel.sample_ior + set_up.scene(&channel.channel)?.sample_ior_offset();
     let peak = narrowest_peak(material, channel)?;
     let (without, polished) = (print(1.0, peak)?, print(sample_ior, peak)?);
     let value = |f: &dyn Fn(&Uncertain) -> f64| {
@@ -180,7 +182,7 @@ mod tests {
 
     fn uncertain(sigma_t: f64, albedo: f64) -> Uncertain {
         let medium = Medium::new(sigma_t, albedo, 0.0).unwrap();
-        Uncertain { medium, second_lobe: SecondLobe::default(), covariance: [[0.0; 3]; 3] }
+        Uncertain::exact(medium, SecondLobe::default())
     }
 
     /// In thick bright media S is ¾ σ_s and K 2 σ_a in the limit; so K/S is 8/3 of σ_a/σ_s.

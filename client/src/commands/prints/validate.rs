@@ -3,7 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -20,8 +20,10 @@ use optics_model::measurement::wavelength_nm;
 use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
+use super::bases::PrintBase;
+use super::errors::{ErrorKey, changes, sum_std_error};
 use super::slabs::NamedSlab;
-use super::view::{PrintBase, PrintView, ViewArgs, materials_of};
+use super::view::{PrintView, ViewArgs, materials_of};
 use crate::figure_files;
 use crate::output::{Output, table, wrapped};
 
@@ -74,25 +76,20 @@ struct PatchJson {
     parts: DifferenceParts,
 }
 
-/// Standard errors of a difference by their source. Gain and thickness are common to the channels of a patch, a medium's
-/// errors to all patches that contain it.
+/// Errors of a difference: the value's own, and those that it shares with other channels or patches.
 #[derive(Debug, Clone, Default)]
 struct DifferenceParts {
     own: f64,
-    gain: f64,
-    thickness: f64,
-    /// By name of the material.
-    media: Vec<(String, f64)>,
+    shared: Vec<(ErrorKey, f64)>,
 }
 
 impl DifferenceParts {
-    fn of(&self, material: &str) -> f64 {
-        self.media.iter().find(|(name, _)| name == material).map_or(0.0, |(_, error)| *error)
+    fn of(&self, key: &ErrorKey) -> f64 {
+        self.shared.iter().find(|(of, _)| of == key).map_or(0.0, |(_, change)| *change)
     }
 
-    /// Gain, thickness, and each medium: the same in all channels of a patch.
-    fn common(&self) -> Vec<f64> {
-        [self.gain, self.thickness].into_iter().chain(self.media.iter().map(|(_, error)| *error)).collect()
+    fn std_error(&self) -> f64 {
+        self.shared.iter().map(|(_, change)| change * change).sum::<f64>().sqrt().hypot(self.own)
     }
 }
 
@@ -165,17 +162,17 @@ fn validated(
     let patches: Vec<ChartPatch> = of_each.into_iter().flatten().collect();
     let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
     let materials = materials_of(&slabs);
-    let view = PrintView::new(media, &materials, &[PrintBase::parsed(&args.over)?], &args.view)?;
+    let view = PrintView::new(media, &slabs, &[PrintBase::parsed(&args.over)?], &args.view)?;
     let (mut of_patches, mut colours) = (Vec::new(), Vec::new());
-    for patch in &patches {
-        let found = compared(args, &view, patch)?;
+    for (number, patch) in patches.iter().enumerate() {
+        let found = compared(args, &view, number, patch)?;
         colours.extend(colour(args, patch, &found));
         of_patches.push(found);
     }
     if of_patches.iter().all(Vec::is_empty) {
         bail!("the chart has no channel of the media: these have {}", view.names().join(", "));
     }
-    let chi2 = of_patches.iter().map(|patch| chi2(patch)).sum();
+    let chi2 = chi2(&of_patches);
     let inks = materials.iter().map(|name| ink(name, &patches, &of_patches)).collect();
     Ok(ValidateJson { patches: of_patches.into_iter().flatten().collect(), chi2, inks, colours })
 }
@@ -227,7 +224,12 @@ fn value_of(profile: &MeasuredProfile, material: &str) -> Result<(f64, f64)> {
     Ok((values[0], errors[0] / (values.len() as f64).sqrt()))
 }
 
-fn compared(args: &ValidateArgs, view: &PrintView, patch: &ChartPatch) -> Result<Vec<PatchJson>> {
+fn compared(
+    args: &ValidateArgs,
+    view: &PrintView,
+    number: usize,
+    patch: &ChartPatch,
+) -> Result<Vec<PatchJson>> {
     let slab = &patch.slab;
     let thicker = NamedSlab { thickness_mm: slab.thickness_mm + args.thickness_std_error, ..slab.clone() };
     let (found, moved) =
@@ -235,20 +237,13 @@ fn compared(args: &ValidateArgs, view: &PrintView, patch: &ChartPatch) -> Result
     let of = |(channel, value, error): &(&str, f64, f64)| {
         let at = view.names().iter().position(|name| name == channel)?;
         let predicted = &found[at][0];
-        let by_thickness = moved[at][0] - predicted.value;
-        let names = materials_of(std::slice::from_ref(slab));
-        let of_medium = |name: &&str| {
-            let number = view.number(name)?;
-            Some(((*name).to_owned(), predicted.std_error_of(number)))
-        };
+        let gain = (ErrorKey::Gain(number), args.gain_std_error * value);
+        let thickness = (ErrorKey::Thickness(number), moved[at][0] - predicted.value);
         let parts = DifferenceParts {
             own: *error,
-            gain: args.gain_std_error * value,
-            thickness: by_thickness,
-            media: names.iter().filter_map(of_medium).collect(),
+            shared: [gain, thickness].into_iter().chain(changes(at, predicted)).collect(),
         };
-        let squares = parts.common().iter().map(|part| part * part).sum::<f64>() + error * error;
-        let expected = squares.sqrt();
+        let expected = parts.std_error();
         Some(PatchJson {
             material: patch.material.to_owned(),
             thickness_mm: slab.thickness_mm,
@@ -282,39 +277,56 @@ fn colour(args: &ValidateArgs, patch: &ChartPatch, found: &[PatchJson]) -> Optio
     })
 }
 
-/// χ² of the channels of a patch, with errors that are common to them: dᵀ C⁻¹ d for C = D + U Uᵀ, by the inverse of
-/// Woodbury.
-fn chi2(patch: &[PatchJson]) -> f64 {
-    let Some(first) = patch.first() else { return 0.0 };
-    let count = first.parts.common().len();
-    let difference =
-        DVector::from_iterator(patch.len(), patch.iter().map(|p| (p.measured - p.predicted) / p.parts.own));
-    let common = DMatrix::from_fn(patch.len(), count, |i, k| patch[i].parts.common()[k] / patch[i].parts.own);
-    let inner = DMatrix::identity(count, count) + common.transpose() * &common;
-    let along = common.transpose() * &difference;
-    let explained = inner.cholesky().map_or(0.0, |root| along.dot(&root.solve(&along)));
-    difference.dot(&difference) - explained
+/// χ² of all values, dᵀ C⁻¹ d. Patches have errors of their own, C_p, and errors that they share, the columns of U; with
+/// A = Σ Uᵀ C_p⁻¹ U and b = Σ Uᵀ C_p⁻¹ d it is Σ dᵀ C_p⁻¹ d − bᵀ (1 + A)⁻¹ b (Woodbury).
+fn chi2(patches: &[Vec<PatchJson>]) -> f64 {
+    let is_of_patch = |key: &ErrorKey| matches!(key, ErrorKey::Gain(_) | ErrorKey::Thickness(_));
+    let all = patches.iter().flatten().flat_map(|p| &p.parts.shared).map(|(key, _)| *key);
+    let columns: BTreeSet<ErrorKey> = all.filter(|key| !is_of_patch(key)).collect();
+    let columns: BTreeMap<ErrorKey, usize> =
+        columns.into_iter().enumerate().map(|(i, key)| (key, i)).collect();
+    let mut information = DMatrix::identity(columns.len(), columns.len());
+    let (mut pull, mut sum) = (DVector::zeros(columns.len()), 0.0);
+    for patch in patches {
+        let n = patch.len();
+        let mut own = DMatrix::from_fn(n, n, |i, j| if i == j { patch[i].parts.own.powi(2) } else { 0.0 });
+        let mut shared = DMatrix::zeros(n, columns.len());
+        for (i, p) in patch.iter().enumerate() {
+            for (key, change) in &p.parts.shared {
+                if let Some(column) = columns.get(key) {
+                    shared[(i, *column)] += change;
+                    continue;
+                }
+                patch.iter().enumerate().for_each(|(j, other)| own[(i, j)] += change * other.parts.of(key));
+            }
+        }
+        let Some(root) = own.cholesky() else { continue };
+        let difference = DVector::from_iterator(n, patch.iter().map(|p| p.measured - p.predicted));
+        let weighted = root.solve(&difference);
+        sum += difference.dot(&weighted);
+        pull += shared.tr_mul(&weighted);
+        information += shared.tr_mul(&root.solve(&shared));
+    }
+    sum - information.cholesky().map_or(0.0, |root| pull.dot(&root.solve(&pull)))
 }
 
 /// The mean difference of the patches that contain a material.
 fn ink(name: &str, patches: &[ChartPatch], found: &[Vec<PatchJson>]) -> InkJson {
     let (mut sum, mut variance, mut count) = (0.0, 0.0, 0);
-    let mut of_media: BTreeMap<&str, f64> = BTreeMap::new();
+    let mut shared: Vec<(ErrorKey, f64)> = Vec::new();
     for (patch, channels) in patches.iter().zip(found) {
         let Some((_, share)) = patch.slab.shares.iter().find(|(ink, _)| ink == name) else { continue };
-        // Relative differences: bright and dark patches count alike.
-        let weight = |p: &PatchJson| share / p.predicted.max(f64::MIN_POSITIVE);
-        let total = |of: &dyn Fn(&PatchJson) -> f64| channels.iter().map(|p| weight(p) * of(p)).sum::<f64>();
-        sum += total(&|p| p.measured - p.predicted);
-        variance += channels.iter().map(|p| (weight(p) * p.parts.own).powi(2)).sum::<f64>();
-        variance += total(&|p| p.parts.gain).powi(2) + total(&|p| p.parts.thickness).powi(2);
-        for (ink, _) in &patch.slab.shares {
-            *of_media.entry(ink).or_default() += total(&|p| p.parts.of(ink));
+        for p in channels {
+            // Relative differences: bright and dark patches count alike.
+            let weight = share / p.predicted.max(f64::MIN_POSITIVE);
+            sum += weight * (p.measured - p.predicted);
+            variance += (weight * p.parts.own).powi(2);
+            shared.extend(p.parts.shared.iter().map(|(key, change)| (*key, weight * change)));
         }
         count += channels.len();
     }
-    variance += of_media.values().map(|error| error * error).sum::<f64>();
-    InkJson { material: name.to_owned(), patches: count, z: sum / variance.sqrt().max(f64::MIN_POSITIVE) }
+    let std_error = sum_std_error(shared.into_iter()).hypot(variance.sqrt());
+    InkJson { material: name.to_owned(), patches: count, z: sum / std_error.max(f64::MIN_POSITIVE) }
 }
 
 /// Deviation in standard errors that is marked.

@@ -6,12 +6,14 @@ use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use farm_lab::colour::{Illuminant, StandardObserver, Viewing};
 use farm_lab::media_file::{MediaChannel, MediaFile, MediaMaterial};
-use optics_layers::{Predicted, Print, Uncertain, predict};
-use optics_model::{Invalid, Scene};
+use optics_layers::{Predicted, Print, SetUpChange, Uncertain, predict, radiance_factors};
+use optics_model::Scene;
 use rayon::prelude::*;
-use serde::Serialize;
 
+use super::bases::PrintBase;
 use super::geometry::Geometry;
+use super::prepared::{Prints, looks_different};
+use super::set_up::{ChangedSetUp, FoundSetUp};
 use super::slabs::NamedSlab;
 
 #[derive(Debug, Clone, Args)]
@@ -45,6 +47,23 @@ enum ObserverArg {
 }
 
 impl ViewArgs {
+    /// The scene of a print, given that of the measurement.
+    fn seen(&self, session: Scene) -> Result<Scene> {
+        self.geometry.scene(session, self.roughness)
+    }
+
+    /// The errors of the set-up that change how a print looks.
+    fn changes_of<'a>(&self, set_up: &'a FoundSetUp, channel: &str) -> Result<Vec<ChangedSetUp<'a>>> {
+        let found = self.seen(set_up.scene(channel)?)?;
+        let mut all = Vec::new();
+        for changed in set_up.changed() {
+            if looks_different(&self.seen(changed.scene(channel)?)?, &found) {
+                all.push(changed);
+            }
+        }
+        Ok(all)
+    }
+
     pub(super) fn viewing(&self) -> Viewing {
         let illuminant = match self.illuminant {
             IlluminantArg::D50 => Illuminant::D50,
@@ -58,56 +77,6 @@ impl ViewArgs {
     }
 }
 
-/// Reflectances of the bases called black and white: of usual backings (ISO 13655 asks for matt, neutral ones).
-const BASES: [(&str, f64); 2] = [("black", 0.03), ("white", 0.9)];
-
-/// A base under a print.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[serde(transparent)]
-pub(super) struct PrintBase {
-    pub name: String,
-    #[serde(skip)]
-    kind: BaseKind,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum BaseKind {
-    Neutral(f64),
-    /// A side of the board of the measurement.
-    Light,
-    Dark,
-}
-
-impl PrintBase {
-    pub(super) fn parsed(text: &str) -> Result<Self, Invalid> {
-        let named = BASES.iter().find(|(name, _)| *name == text).map(|(_, rho)| BaseKind::Neutral(*rho));
-        let number = || text.parse().ok().filter(|rho| (0.0..=1.0).contains(rho)).map(BaseKind::Neutral);
-        let kind = match text {
-            "light" => BaseKind::Light,
-            "dark" => BaseKind::Dark,
-            _ => named.or_else(number).ok_or_else(|| {
-                let allowed = "allowed are black (0.03), white (0.9), reflectances from 0 to 1, and light and dark, the \
-                               sides of the measured board";
-                Invalid::new("over", text, allowed)
-            })?,
-        };
-        Ok(Self { name: text.to_owned(), kind })
-    }
-
-    /// Its reflectance in a channel.
-    fn rho(&self, session: &Scene, channel: &str) -> Result<f64> {
-        let side = || {
-            let found = session.channels().iter().find(|c| c.name() == channel);
-            found.with_context(|| format!("the scene of the media file has no board in channel {channel}"))
-        };
-        Ok(match self.kind {
-            BaseKind::Neutral(rho) => rho,
-            BaseKind::Light => side()?.rho_light(),
-            BaseKind::Dark => side()?.rho_dark(),
-        })
-    }
-}
-
 /// One channel, ready for predictions.
 #[derive(Debug)]
 struct ViewedChannel {
@@ -117,6 +86,23 @@ struct ViewedChannel {
     rho: Vec<f64>,
     /// By material of the file; None if it has no medium in this channel.
     media: Vec<Option<Uncertain>>,
+    /// Reflectances of the bases in each changed set-up.
+    changed_rho: Vec<Vec<f64>>,
+}
+
+/// Prints before and after a change of the set-up, for all channels: errors of an index hardly depend on the index.
+#[derive(Debug)]
+struct ViewedChange {
+    from: Arc<Print>,
+    to: Arc<Print>,
+    /// Changes by source, in steps.
+    shared: Vec<f64>,
+}
+
+impl ViewedChange {
+    fn with<'a>(&'a self, to_rho: &'a [f64]) -> SetUpChange<'a> {
+        SetUpChange { from: &self.from, to: &self.to, to_rho, shared: &self.shared }
+    }
 }
 
 /// The channels of some materials over bases.
@@ -124,57 +110,56 @@ struct ViewedChannel {
 pub(super) struct PrintView<'a> {
     file: &'a MediaFile,
     channels: Vec<ViewedChannel>,
+    changes: Vec<ViewedChange>,
 }
 
 impl<'a> PrintView<'a> {
-    /// The channels that all of these materials have.
+    /// The channels that all materials of these slabs have. What the set-up of each material has separately is averaged over
+    /// the volume of the slabs.
     pub(super) fn new(
         file: &'a MediaFile,
-        materials: &[&str],
+        slabs: &[NamedSlab],
         bases: &[PrintBase],
         args: &ViewArgs,
     ) -> Result<Self> {
-        let session = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
+        let materials = materials_of(slabs);
         let all = materials.iter().map(|name| file.material(name)).collect::<Result<Vec<_>>>()?;
         let first = all.first().context("a print has at least one slab")?;
-        let names = first.channels.iter().filter(|c| all.iter().all(|m| m.channel(&c.channel).is_some()));
+        let of_all = |c: &&MediaChannel| all.iter().all(|m| m.channel(&c.channel).is_some());
+        let names: Vec<&str> = first.channels.iter().filter(of_all).map(|c| c.channel.as_str()).collect();
+        let Some(middle) = names.get(names.len() / 2) else {
+            bail!("no channel has a medium of {}", materials.join(" and "));
+        };
         let mut peak = f64::INFINITY;
-        for material in &all {
-            for channel in &material.channels {
-                peak = narrowest_peak(&material.material, channel)?.min(peak);
-            }
+        for (material, channel) in all.iter().flat_map(|m| m.channels.iter().map(|c| (&m.material, c))) {
+            peak = narrowest_peak(material, channel)?.min(peak);
         }
-        let mut prints: Vec<(Scene, f64, Arc<Print>)> = Vec::new();
-        let mut channel = |c: &MediaChannel| -> Result<ViewedChannel> {
-            let name = c.channel.clone();
-            let scene = args.geometry.scene(&session, &name, args.roughness)?;
-            let sample_ior = common_ior(&all, &name)? + scene.sample_ior_offset();
-            let known = prints.iter().find(|(s, ior, _)| s.layers() == scene.layers() && *ior == sample_ior);
-            let print = known.map(|(.., print)| print.clone());
-            let print = print.unwrap_or_else(|| Arc::new(Print::new(&scene, sample_ior, peak)));
-            prints.push((scene, sample_ior, print.clone()));
-            let medium = |m: &MediaMaterial| -> Result<Option<Uncertain>> {
-                let Some(found) = m.channel(&name) else { return Ok(None) };
-                let (medium, second_lobe) = (found.medium()?, found.second_lobe()?);
-                Ok(Some(Uncertain { medium, second_lobe, covariance: found.covariance }))
-            };
-            Ok(ViewedChannel {
-                print,
-                rho: bases.iter().map(|base| base.rho(&session, &name)).collect::<Result<_>>()?,
-                media: file.materials.iter().map(medium).collect::<Result<_>>()?,
-                name,
+        let set_up = FoundSetUp::new(file, slabs)?;
+        let changed = args.changes_of(&set_up, middle)?;
+        let mut prints = Prints::new(peak);
+        let mut change = |changed: &ChangedSetUp| -> Result<ViewedChange> {
+            let ior = common_ior(&all, middle)?;
+            Ok(ViewedChange {
+                from: prints.coarse(&args.seen(set_up.scene(middle)?)?, ior),
+                to: prints.coarse(&args.seen(changed.scene(middle)?)?, ior),
+                shared: changed.shared(),
             })
         };
-        let channels = names.map(&mut channel).collect::<Result<Vec<_>>>()?;
-        if channels.is_empty() {
-            bail!("no channel has a medium of {}", materials.join(" and "));
-        }
-        Ok(Self { file, channels })
-    }
-
-    /// Index of a material, as in the changes of predictions.
-    pub(super) fn number(&self, material: &str) -> Option<usize> {
-        self.file.materials.iter().position(|m| m.material == material)
+        let changes = changed.iter().map(&mut change).collect::<Result<_>>()?;
+        let mut channel = |name: &&str| -> Result<ViewedChannel> {
+            let scene = set_up.scene(name)?;
+            let medium = |m: &MediaMaterial| m.channel(name).map(uncertain).transpose();
+            let rho = |scene: &Scene| PrintBase::all_rho(bases, &set_up, name, scene);
+            Ok(ViewedChannel {
+                rho: rho(&scene)?,
+                changed_rho: changed.iter().map(|c| rho(&c.scene(name)?)).collect::<Result<_>>()?,
+                print: prints.fine(&args.seen(scene)?, common_ior(&all, name)?),
+                media: file.materials.iter().map(medium).collect::<Result<_>>()?,
+                name: (*name).to_owned(),
+            })
+        };
+        let channels = names.iter().map(&mut channel).collect::<Result<_>>()?;
+        Ok(Self { file, channels, changes })
     }
 
     pub(super) fn names(&self) -> Vec<&str> {
@@ -183,25 +168,26 @@ impl<'a> PrintView<'a> {
 
     /// Radiance factors of a print, by channel and base.
     pub(super) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
-        self.each(|channel, media| Ok(predict(&channel.print, media, &self.printed(slabs)?, &channel.rho)?))
+        self.each(|channel, media| {
+            let changes = self.changes.iter().zip(&channel.changed_rho);
+            let changes: Vec<SetUpChange> = changes.map(|(change, rho)| change.with(rho)).collect();
+            Ok(predict(&channel.print, media, &changes, &self.printed(slabs)?, &channel.rho)?)
+        })
     }
 
-    /// Radiance factors without standard errors, which takes a seventh of the time with one material.
+    /// Radiance factors without their errors, which take most of the time.
     pub(super) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
-        let exact = |media: &[Uncertain]| -> Vec<Uncertain> {
-            media.iter().map(|medium| Uncertain { covariance: [[0.0; 3]; 3], ..*medium }).collect()
-        };
-        let found = self.each(|channel, media| {
-            Ok(predict(&channel.print, &exact(media), &self.printed(slabs)?, &channel.rho)?)
-        })?;
-        Ok(found.iter().map(|of| of.iter().map(|p| p.value).collect()).collect())
+        self.each(|channel, media| {
+            Ok(radiance_factors(&channel.print, media, &self.printed(slabs)?, &channel.rho)?)
+        })
     }
 
     fn each<T: Send>(&self, f: impl Fn(&ViewedChannel, &[Uncertain]) -> Result<T> + Sync) -> Result<Vec<T>> {
         let one = |channel: &ViewedChannel| {
             // Materials without a medium are not those of the slabs.
             let some = channel.media.iter().flatten().next().context("a channel has media")?;
-            let media: Vec<Uncertain> = channel.media.iter().map(|m| m.unwrap_or(*some)).collect();
+            let media: Vec<Uncertain> =
+                channel.media.iter().map(|m| m.as_ref().unwrap_or(some).clone()).collect();
             f(channel, &media)
         };
         self.channels.par_iter().map(one).collect()
@@ -209,8 +195,10 @@ impl<'a> PrintView<'a> {
 
     /// The slabs with the materials' numbers.
     fn printed(&self, slabs: &[NamedSlab]) -> Result<Vec<optics_layers::PrintedSlab>> {
-        let number =
-            |name: &str| self.number(name).with_context(|| format!("material {name:?} is not in the file"));
+        let number = |name: &str| {
+            let found = self.file.materials.iter().position(|m| m.material == name);
+            found.with_context(|| format!("material {name:?} is not in the file"))
+        };
         let slab = |slab: &NamedSlab| -> Result<optics_layers::PrintedSlab> {
             let shares = slab.shares.iter().map(|(name, share)| Ok((number(name)?, *share)));
             Ok(optics_layers::PrintedSlab {
@@ -220,6 +208,16 @@ impl<'a> PrintView<'a> {
         };
         slabs.iter().map(slab).collect()
     }
+}
+
+/// A medium with its errors.
+pub(super) fn uncertain(channel: &MediaChannel) -> Result<Uncertain> {
+    Ok(Uncertain {
+        medium: channel.medium()?,
+        second_lobe: channel.second_lobe()?,
+        covariance: channel.covariance,
+        shared: channel.shared.clone(),
+    })
 }
 
 /// The index of all materials in a channel. A print of media that were measured at several indices is refused: it has

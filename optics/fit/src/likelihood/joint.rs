@@ -11,11 +11,12 @@
 
 mod minimum;
 mod response;
+mod shared;
 #[cfg(test)]
 mod tests;
 
 use optics_model::fit::{
-    ChannelFit, Common, FitOptions, GError, Interval, MaterialFit, MeasurePlan, Measured, MuRange,
+    ChannelFit, Common, FitOptions, GError, Interval, MaterialFit, MeasurePlan, Measured, MuRange, Refined,
 };
 use optics_model::{Invalid, Measurement};
 use rayon::prelude::*;
@@ -34,6 +35,7 @@ use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::surrogate::{Surrogate, g};
 use minimum::{Joint, common_slots};
 use response::Response;
+use shared::shared_errors;
 
 /// Greatest distance of two scale factors of the mesh, in the logarithm.
 const MESH_STEP: f64 = 0.05;
@@ -272,6 +274,8 @@ impl<'a> Set<'a> {
                 found.fit(Some(refined), &nearest, data.outside(scan))
             })
             .collect();
+        let refined: Vec<&Refined> = fits.iter().filter_map(|fit| fit.refined.as_ref()).collect();
+        let shared_errors = shared_errors(joint, grid.scene().priors(), &refined);
         let best_g = |fit: &ChannelFit| fit.refined.as_ref().map(|r| r.best.medium.g());
         let found_g = fits.first().filter(|_| common_g).and_then(best_g);
         let mut fits = fits.into_iter();
@@ -295,6 +299,7 @@ impl<'a> Set<'a> {
                 by_g,
             },
             materials: materials.collect(),
+            shared_errors,
         }
     }
 

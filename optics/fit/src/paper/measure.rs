@@ -1,6 +1,6 @@
 //! Measures a set of materials as the paper does: scale factor and common anisotropy by Eq. 3, then the best records.
 
-use optics_model::fit::{Common, FitOptions, MeasurePlan, Measured, MuRange};
+use optics_model::fit::{Common, FitOptions, MeasurePlan, Measured, MuRange, SharedErrors};
 use optics_model::{Invalid, Measurement};
 
 use super::scale::scale;
@@ -43,5 +43,5 @@ pub(crate) fn measure(
         g_interval: None,
         by_g: by_records.map_or_else(Vec::new, |curve| curve.by_g.clone()),
     };
-    Ok(Measured { scale: scale.cloned(), common, materials })
+    Ok(Measured { scale: scale.cloned(), common, materials, shared_errors: SharedErrors::default() })
 }

@@ -1,6 +1,6 @@
 //! The question and the answer of a measurement of several materials.
 
-use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve};
+use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve, SharedErrors};
 use crate::invalid::{Invalid, Result};
 
 /// Two-sided 95 % quantile of the normal distribution.
@@ -14,6 +14,8 @@ pub struct Measured {
     /// The parameters chosen for all channels.
     pub common: Common,
     pub materials: Vec<MaterialFit>,
+    /// None of the paper's objective.
+    pub shared_errors: SharedErrors,
 }
 
 /// The plan for finding the scale factor and the anisotropy.

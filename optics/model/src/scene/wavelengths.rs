@@ -50,10 +50,18 @@ impl Scene {
 
     /// The scene as it is in one channel: its indices are those of its wavelength, and no quantity is uncertain.
     pub fn of_channel(&self, channel: &Channel) -> Result<Self> {
+        self.found_in(channel, &vec![0.0; self.priors().len()])
+    }
+
+    /// The same, with the quantities of the priors larger by these differences.
+    pub fn found_in(&self, channel: &Channel, differences: &[f64]) -> Result<Self> {
         let alone = || vec![channel.clone()];
         let mut scene = self.clone().with_priors(Vec::new())?.with_channels(alone())?;
-        for prior in self.priors().iter().filter(|prior| prior.dispersion().is_some()) {
-            scene = scene.varied(prior, self.difference_in(channel, prior)?, alone())?;
+        for (prior, difference) in self.priors().iter().zip(differences) {
+            let step = difference + self.difference_in(channel, prior)?;
+            if step != 0.0 {
+                scene = scene.varied(prior, step, alone())?;
+            }
         }
         Ok(scene)
     }

@@ -27,7 +27,7 @@ pub(super) fn media(dictionary: &str, grid: &Grid, found: &MeasureAnswer) -> Res
         scene: grid.scene(),
         mu: [mu, mu_std_error],
     };
-    MediaFile::new(&found.materials, &with).text()
+    MediaFile::new(&found.materials, &found.shared_errors, &with).text()
 }
 
 pub(super) fn write_media(folder: &Path, text: &str) -> Result<()> {

@@ -1,0 +1,46 @@
+//! Prepares the layers of prints, those of equal scenes once: rough faces take most of the time of a prediction.
+
+use std::sync::Arc;
+
+use optics_layers::Print;
+use optics_model::Scene;
+
+/// Prepared prints, each once.
+pub(super) struct Prints {
+    /// Width of the narrowest peak of a phase function.
+    peak: f64,
+    known: Vec<(Scene, f64, bool, Arc<Print>)>,
+}
+
+impl Prints {
+    pub(super) fn new(peak: f64) -> Self {
+        Self { peak, known: Vec::new() }
+    }
+
+    pub(super) fn fine(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
+        self.of(scene, ior, false)
+    }
+
+    pub(super) fn coarse(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
+        self.of(scene, ior, true)
+    }
+
+    fn of(&mut self, scene: &Scene, ior: f64, coarse: bool) -> Arc<Print> {
+        let is_known = |(s, i, c, _): &&(Scene, f64, bool, Arc<Print>)| {
+            !looks_different(s, scene) && (*i, *c) == (ior, coarse)
+        };
+        if let Some((.., print)) = self.known.iter().find(is_known) {
+            return print.clone();
+        }
+        let prepared = if coarse { Print::coarse } else { Print::new };
+        let print = Arc::new(prepared(scene, ior + scene.sample_ior_offset(), self.peak));
+        self.known.push((scene.clone(), ior, coarse, print.clone()));
+        print
+    }
+}
+
+/// Whether prints look different in two scenes.
+pub(super) fn looks_different(a: &Scene, b: &Scene) -> bool {
+    let of = |s: &Scene| (s.layers().to_vec(), s.light(), s.sensor().polar_deg(), s.sample_ior_offset());
+    of(a) != of(b)
+}

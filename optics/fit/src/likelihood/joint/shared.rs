@@ -1,0 +1,237 @@
+//! Finds the errors that the media of a joint fit share: a covariance of all of them would have a million numbers, but
+//! they are correlated through few unknowns only.
+//!
+//! Given the unknowns that several channels have (set-up, thicknesses, g, μ), those of different channels are independent.
+//! So the covariance is F Fᵀ plus a block of each channel, where F are regressions on a root of the covariance of these
+//! unknowns. Of F the principal components are kept that cause nearly all of its variance.
+
+use nalgebra::{Cholesky, DMatrix, Matrix3, RowDVector, SymmetricEigen};
+use optics_model::fit::{Refined, SceneDifference, SharedErrors};
+use optics_model::scene::{Prior, PriorKind};
+
+use super::minimum::Joint;
+use crate::likelihood::system::unknowns::{SceneUnknown, submatrix};
+
+/// Share of each variance that left-out components may cause.
+const LEFT_OUT: f64 = 0.01;
+/// Most components that are kept.
+const MOST: usize = 96;
+/// Added to correlations, which may be singular by rounding.
+const JITTER: f64 = 1e-10;
+
+/// The errors that channels share; `refined` are their answers, whose covariances these errors are part of.
+pub(super) fn shared_errors(joint: &Joint, priors: &[Prior], refined: &[&Refined]) -> SharedErrors {
+    let roots = joint.covariance.as_ref().and_then(|covariance| Roots::new(joint, covariance));
+    let Some(roots) = roots else { return SharedErrors::default() };
+    let of_phase = |kind: PriorKind| priors.iter().position(|prior| prior.kind() == kind);
+    let lobe = [PriorKind::SecondLobeWeight, PriorKind::SecondLobeG].map(of_phase);
+    let mut rows: Vec<RowDVector<f64>> = Vec::new();
+    for (i, refined) in refined.iter().enumerate() {
+        let slots = &joint.assembly.system.slots[joint.assembly.terms[i].start];
+        rows.extend(roots.of_medium(&[slots[0], slots[1], slots[2]], &refined.covariance));
+        rows.extend(lobe.map(|prior| {
+            let own = |u: &&SceneUnknown| Some(u.prior) == prior && slots.contains(&u.slot);
+            let unknown = joint.assembly.system.of_scene.iter().find(own);
+            unknown.map_or_else(|| roots.none(), |u| roots.of(u.slot) * priors[u.prior].std_error())
+        }));
+    }
+    let of_scene: Vec<&SceneUnknown> =
+        joint.assembly.system.of_scene.iter().filter(|u| is_of_print(u, priors)).collect();
+    rows.extend(of_scene.iter().map(|u| roots.of(u.slot) * priors[u.prior].std_error()));
+    let kept = principal(&rows);
+    let sources = kept.ncols();
+    let media = |channel: usize| {
+        let kept = &kept;
+        (0..sources).map(move |k| std::array::from_fn(|j| kept[(SharedErrors::OF_MEDIUM * channel + j, k)]))
+    };
+    let first = SharedErrors::OF_MEDIUM * refined.len();
+    let scene = of_scene.iter().enumerate().map(|(i, u)| SceneDifference {
+        prior: u.prior,
+        material: u.material,
+        difference: priors[u.prior].std_error() * joint.state.x[u.slot],
+        changes: kept.row(first + i).iter().copied().collect(),
+    });
+    SharedErrors { sources, media: (0..refined.len()).flat_map(media).collect(), scene: scene.collect() }
+}
+
+/// Quantities that each slab has separately are not those of other prints, and the phase function is the medium's.
+fn is_of_print(unknown: &SceneUnknown, priors: &[Prior]) -> bool {
+    unknown.slab_mm.is_none() && !priors[unknown.prior].kind().is_of_phase()
+}
+
+/// Regressions of unknowns on a root of the covariance of those that several channels have.
+struct Roots<'a> {
+    covariance: &'a DMatrix<f64>,
+    /// Variances of all channels' pulls over those of noise.
+    inflation: f64,
+    shared: Vec<usize>,
+    /// Standard deviations of the shared unknowns.
+    deviations: Vec<f64>,
+    /// Lower root of their correlations.
+    root: DMatrix<f64>,
+}
+
+impl<'a> Roots<'a> {
+    fn new(joint: &Joint, covariance: &'a DMatrix<f64>) -> Option<Self> {
+        let system = &joint.assembly.system;
+        let mut users = vec![0; system.unknowns.len()];
+        for terms in &joint.assembly.terms {
+            let terms: Vec<usize> = terms.clone().collect();
+            system.used_by(&terms).into_iter().for_each(|slot| users[slot] += 1);
+        }
+        system.of_scene.iter().for_each(|u| users[u.slot] += 1);
+        let is_shared = |slot: &usize| users[*slot] > 1 && covariance[(*slot, *slot)] > 0.0;
+        let shared: Vec<usize> = (0..system.unknowns.len()).filter(is_shared).collect();
+        let deviations: Vec<f64> = shared.iter().map(|slot| covariance[(*slot, *slot)].sqrt()).collect();
+        let mut correlations = submatrix(covariance, &shared);
+        for i in 0..shared.len() {
+            for j in 0..shared.len() {
+                correlations[(i, j)] /= deviations[i] * deviations[j];
+            }
+            correlations[(i, i)] += JITTER;
+        }
+        let root = Cholesky::new(correlations)?.l();
+        Some(Self { covariance, inflation: joint.disagreement, shared, deviations, root })
+    }
+
+    fn none(&self) -> RowDVector<f64> {
+        RowDVector::zeros(self.shared.len())
+    }
+
+    /// Changes of an unknown by the sources, without the disagreement of channels.
+    fn regression(&self, slot: usize) -> RowDVector<f64> {
+        let with = |(shared, sd): (&usize, &f64)| self.covariance[(slot, *shared)] / sd;
+        let mut column = nalgebra::DVector::from_iterator(
+            self.shared.len(),
+            self.shared.iter().zip(&self.deviations).map(with),
+        );
+        self.root.solve_lower_triangular_mut(&mut column);
+        column.transpose()
+    }
+
+    /// Changes of a quantity of the set-up.
+    fn of(&self, slot: usize) -> RowDVector<f64> {
+        self.regression(slot) * self.inflation.sqrt()
+    }
+
+    /// Changes of a medium whose covariance in the answer is `answered`: that of the joint fit, transformed into it.
+    fn of_medium(&self, slots: &[usize; 3], answered: &[[f64; 3]; 3]) -> [RowDVector<f64>; 3] {
+        let joint = Matrix3::from_fn(|i, j| self.covariance[(slots[i], slots[j])]);
+        let answered = Matrix3::from_fn(|i, j| answered[i][j]);
+        let regressions = slots.map(|slot| self.regression(slot));
+        let Some(into) = transformation(&joint, &answered) else {
+            return std::array::from_fn(|_| self.none());
+        };
+        std::array::from_fn(|i| (0..3).fold(self.none(), |sum, j| sum + &regressions[j] * into[(i, j)]))
+    }
+}
+
+/// T with T C Tᵀ = D for covariances C and D, near 1 if they are alike. A number that is exact in one of them is exact.
+fn transformation(from: &Matrix3<f64>, to: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let is_free = |i: usize| from[(i, i)] > 0.0 && to[(i, i)] > 0.0;
+    let root = |of: &Matrix3<f64>| {
+        let entry = |i: usize, j: usize| match () {
+            () if is_free(i) && is_free(j) => of[(i, j)] * if i == j { 1.0 + JITTER } else { 1.0 },
+            () => f64::from(u8::from(i == j)),
+        };
+        Cholesky::new(Matrix3::from_fn(entry)).map(|c| c.l())
+    };
+    let mut into = root(to)? * root(from)?.try_inverse()?;
+    for i in (0..3).filter(|i| !is_free(*i)) {
+        into.row_mut(i).fill(0.0);
+        into.column_mut(i).fill(0.0);
+    }
+    Some(into)
+}
+
+/// The rows in their principal components: the fewest that leave out little of the variance of each.
+fn principal(rows: &[RowDVector<f64>]) -> DMatrix<f64> {
+    let all = DMatrix::from_rows(rows);
+    let norms: Vec<f64> = rows.iter().map(RowDVector::norm).collect();
+    let mut scaled = all.clone();
+    for (mut row, norm) in scaled.row_iter_mut().zip(&norms) {
+        row /= if *norm > 0.0 { *norm } else { 1.0 };
+    }
+    let eigen = SymmetricEigen::new(scaled.transpose() * &scaled);
+    let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    order.truncate(MOST);
+    let turned = &all * eigen.eigenvectors.select_columns(&order);
+    let is_enough = |kept: &usize| {
+        let caused = |i: usize| turned.row(i).columns(0, *kept).norm_squared();
+        (0..rows.len()).all(|i| caused(i) >= (1.0 - LEFT_OUT) * norms[i] * norms[i])
+    };
+    let kept = (0..order.len()).find(is_enough).unwrap_or(order.len());
+    turned.columns(0, kept).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::fit::{FitOptions, FitSettings, MeasurePlan, SharedErrors};
+    use optics_model::{MeasuredProfile, Measurement};
+
+    use super::super::Set;
+    use super::*;
+    use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+
+    /// Three channels of a slab of unknown thickness.
+    fn measured() -> Measurement {
+        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
+        let profile = |(i, name): (usize, &str)| {
+            let (sigma_t, albedo) = [(2.2, 0.91), (3.1, 0.93), (4.4, 0.95)][i];
+            let noisy = |(k, x): (usize, &f64)| {
+                profile_value(*x, sigma_t, albedo, 0.3, 0.5, i as f64) + 0.002 * normal((120 * i + k) as u64)
+            };
+            let values = x.iter().enumerate().map(noisy).collect();
+            MeasuredProfile::new(name, 0.5, x.clone(), values, Some(vec![0.002; x.len()])).unwrap()
+        };
+        Measurement::new("m", ["R", "G", "B"].into_iter().enumerate().map(profile).collect()).unwrap()
+    }
+
+    /// Changes of two channels have their covariance in the joint fit, and those of one channel at most its own.
+    #[test]
+    fn shared_errors_have_the_covariance_of_the_fit() {
+        let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
+        let settings = FitSettings { thickness_std_error_mm: 0.01, ..FitSettings::default() };
+        let materials = [measured()];
+        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let plan = MeasurePlan::default();
+        let (cells, joint) = set.search(&plan);
+        let answer = set.answer(&joint, &plan, &cells);
+        let errors = &answer.shared_errors;
+        let covariance = joint.covariance.as_ref().unwrap();
+        let changes = |channel: usize, i: usize| errors.of_channel(channel).iter().map(move |c| c[i]);
+        let slot = |channel: usize, i: usize| joint.assembly.system.slots[channel][i];
+        let channels = answer.materials[0].channels.iter();
+        let refined: Vec<&Refined> = channels.map(|c| c.refined.as_ref().unwrap()).collect();
+        let mut greatest: f64 = 0.0;
+        for (a, b, i) in [(0, 1, 0), (0, 2, 0), (1, 2, 0), (0, 2, 1), (0, 1, 2)] {
+            let found: f64 = changes(a, i).zip(changes(b, i)).map(|(x, y)| x * y).sum();
+            let sd = |c: usize| covariance[(slot(c, i), slot(c, i))].sqrt();
+            let answered = |c: usize| refined[c].covariance[i][i].sqrt();
+            let expected = covariance[(slot(a, i), slot(b, i))] / sd(a) / sd(b);
+            let found = found / answered(a) / answered(b);
+            assert!((found - expected).abs() < 0.05, "{a} {b} {i}: {found} {expected}");
+            greatest = greatest.max(expected.abs());
+        }
+        assert!(greatest > 0.3 && errors.sources > 0, "{errors:?}");
+        for (channel, refined) in refined.iter().enumerate() {
+            for i in 0..3 {
+                let variance = refined.covariance[i][i];
+                let caused: f64 = changes(channel, i).map(|c| c * c).sum();
+                assert!(caused <= variance * (1.0 + 1e-6), "{channel} {i}: {caused} {variance}");
+            }
+        }
+    }
+
+    /// Channels that share nothing but exact numbers have no shared errors.
+    #[test]
+    fn transformations_keep_exact_numbers() {
+        let from = Matrix3::new(1.0, 0.5, 0.0, 0.5, 2.0, 0.0, 0.0, 0.0, 0.0);
+        let to = from * 4.0;
+        let into = transformation(&from, &to).unwrap();
+        assert!((into * from * into.transpose() - to).norm() < 1e-8, "{into}");
+        assert_eq!(into.row(2).norm() + into.column(2).norm(), 0.0);
+        assert_eq!(SharedErrors::default().of_channel(3), &[] as &[[f64; 5]]);
+    }
+}
