@@ -5,7 +5,7 @@ use optics_tracer::face::{Face, FacePoint, FaceSide};
 use rayon::prelude::*;
 
 use crate::operator::Operator;
-use crate::quadrature::{Quadrature, Resolution};
+use crate::quadrature::Quadrature;
 
 /// Points of the sequence over the microfacets of a rough face. Few rays of a very rough face meet a narrow ring: it has
 /// more, and so has the sensor's direction.
@@ -15,25 +15,16 @@ const POINTS_OF_SENSOR: u32 = 1 << 16;
 /// Roughness from which on a face is very rough, and width of a ring over α below which it is narrow.
 const VERY_ROUGH: f64 = 0.2;
 const NARROW: f64 = 0.5;
-/// Divisor of all numbers of points at the coarse resolution.
-const FEWER: u32 = 4;
 
 /// `ring` is the difference of sin θ of its ends.
-pub(crate) fn face(quadrature: &Quadrature, face: &Face, ring: f64, resolution: Resolution) -> Operator {
-    let fewer = if resolution == Resolution::Coarse { FEWER } else { 1 };
+pub(crate) fn face(quadrature: &Quadrature, face: &Face, ring: f64) -> Operator {
     let [above, below] =
-        [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, ring, from, fewer));
+        [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, ring, from));
     Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 }
 }
 
 /// Distributions of the rays that come from one side in each direction: reflected and transmitted.
-fn one_side(
-    quadrature: &Quadrature,
-    face: &Face,
-    ring: f64,
-    from: FaceSide,
-    fewer: u32,
-) -> (DMatrix<f64>, DMatrix<f64>) {
+fn one_side(quadrature: &Quadrature, face: &Face, ring: f64, from: FaceSide) -> (DMatrix<f64>, DMatrix<f64>) {
     let n = quadrature.len();
     let [own, other] = if from == FaceSide::Above { face.iors } else { [face.iors[1], face.iors[0]] };
     let is_hard = face.roughness > VERY_ROUGH || ring < NARROW * face.roughness;
@@ -53,7 +44,7 @@ fn one_side(
         let sin2 = quadrature.s2[i] / (own * own);
         let mut histograms = [vec![0.0; quadrature.places()], vec![0.0; quadrature.places()]];
         let mut whole = 0.0;
-        let points = if i == quadrature.sensor() { POINTS_OF_SENSOR } else { of_others } / fewer;
+        let points = if i == quadrature.sensor() { POINTS_OF_SENSOR } else { of_others };
         for number in 0..points {
             let rays = face.rays(from, sin2, FacePoint::new(number, points));
             for (direction, share) in rays.into_iter().flatten() {

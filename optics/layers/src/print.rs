@@ -9,7 +9,7 @@ use optics_tracer::face::Face;
 
 use crate::faces::face;
 use crate::operator::Operator;
-use crate::quadrature::{Quadrature, Resolution};
+use crate::quadrature::Quadrature;
 use crate::slab::slab;
 
 /// A slab of a medium.
@@ -44,15 +44,6 @@ impl Print {
     /// (`PhaseFunction::peak_width`: 1 − |g| of a lobe). Channels, phase function and uncertain quantities of the scene are
     /// not used.
     pub fn new(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
-        Self::with(scene, sample_ior, peak, Resolution::Fine)
-    }
-
-    /// The same with fewer directions and fewer rays: a tenth of the time where faces are rough, for differences of prints.
-    pub fn coarse(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
-        Self::with(scene, sample_ior, peak, Resolution::Coarse)
-    }
-
-    fn with(scene: &Scene, sample_ior: f64, peak: f64, resolution: Resolution) -> Self {
         let ior = |layer: &optics_model::scene::Layer| match layer.medium() {
             LayerMedium::Clear { ior, .. } => ior,
             LayerMedium::Sample => sample_ior,
@@ -64,7 +55,7 @@ impl Print {
             scene.layers().iter().map(optics_model::scene::Layer::roughness).filter(|alpha| *alpha > 0.0);
         let roughness = rough.min_by(f64::total_cmp);
         let sensor = sin2(scene.sensor().polar_deg());
-        let quadrature = Quadrature::new(&iors, sample_ior, roughness, peak, sines, sensor, resolution);
+        let quadrature = Quadrature::new(&iors, sample_ior, roughness, peak, sines, sensor);
         let mut faces: Vec<(Face, Operator)> = Vec::new();
         let mut elements = Vec::new();
         for (i, layer) in scene.layers().iter().enumerate() {
@@ -75,8 +66,8 @@ impl Print {
                     roughness: layer.roughness(),
                     multiple_scattering: scene.multiple_scattering(),
                 };
-                let operator = known(&faces, &own)
-                    .unwrap_or_else(|| face(&quadrature, &own, sines[1] - sines[0], resolution));
+                let operator =
+                    known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own, sines[1] - sines[0]));
                 faces.push((own, operator.clone()));
                 elements.push(Some(operator));
             }

@@ -13,22 +13,12 @@ const SMOOTH: f64 = 20.0;
 const PER_ROUGHNESS: f64 = 2.0;
 const PER_PEAK: f64 = 4.0;
 const MOST: f64 = 120.0;
-/// Their maximum at the coarse resolution.
-const MOST_COARSE: f64 = 30.0;
 /// Width of a ring over α up to which the blurred ring has nodes of its own.
 const NARROW: f64 = 2.0;
 /// Fewest nodes between two places.
 const FEWEST: usize = 4;
 /// Places of a histogram of rays in each segment.
 const PLACES: usize = 256;
-
-/// Number of nodes, and of rays of rough faces.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Resolution {
-    Fine,
-    /// For differences, in which errors of the resolution cancel.
-    Coarse,
-}
 
 /// Nodes between two places.
 #[derive(Debug, Clone)]
@@ -64,11 +54,9 @@ impl Quadrature {
         peak: f64,
         ring: [f64; 2],
         sensor: f64,
-        resolution: Resolution,
     ) -> Self {
-        let most = if resolution == Resolution::Fine { MOST } else { MOST_COARSE };
         let for_faces = roughness.map_or(0.0, |alpha| PER_ROUGHNESS / alpha);
-        let per_cosine = for_faces.max(PER_PEAK / peak).clamp(SMOOTH, most);
+        let per_cosine = for_faces.max(PER_PEAK / peak).clamp(SMOOTH, MOST);
         let blurred = roughness.filter(|alpha| ring[1] - ring[0] < NARROW * alpha);
         let around =
             |alpha: f64| ring.into_iter().flat_map(move |end| [end - NARROW * alpha, end + NARROW * alpha]);
@@ -236,7 +224,7 @@ mod tests {
     #[test]
     fn weights_measure_projected_solid_angles() {
         let iors = [1.0, 1.52, 1.33, 1.49];
-        let quadrature = Quadrature::new(&iors, 1.53, None, 1.0, [0.64, 0.76], 0.0, Resolution::Fine);
+        let quadrature = Quadrature::new(&iors, 1.53, None, 1.0, [0.64, 0.76], 0.0);
         for n in iors.into_iter().chain([1.53]) {
             for power in 0..3 {
                 let nodes = (0..quadrature.len()).filter(|i| quadrature.exists(*i, n));
@@ -250,7 +238,7 @@ mod tests {
     /// A polynomial is interpolated exactly, also at the ends of segments.
     #[test]
     fn polynomials_are_interpolated() {
-        let quadrature = Quadrature::new(&[1.0], 1.5, None, 1.0, [0.0, 1.0], 0.0, Resolution::Fine);
+        let quadrature = Quadrature::new(&[1.0], 1.5, None, 1.0, [0.0, 1.0], 0.0);
         let f = |s2: f64| 1.0 - 2.0 * s2 + 0.5 * s2 * s2;
         for s2 in [0.0, 0.3, 0.999, 1.0, 1.7, 2.24] {
             let mut histogram = vec![0.0; quadrature.places()];

@@ -9,7 +9,7 @@ use optics_model::Scene;
 pub(super) struct Prints {
     /// Width of the narrowest peak of a phase function.
     peak: f64,
-    known: Vec<(Scene, f64, bool, Arc<Print>)>,
+    known: Vec<(Scene, f64, Arc<Print>)>,
 }
 
 impl Prints {
@@ -17,24 +17,13 @@ impl Prints {
         Self { peak, known: Vec::new() }
     }
 
-    pub(super) fn fine(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
-        self.of(scene, ior, false)
-    }
-
-    pub(super) fn coarse(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
-        self.of(scene, ior, true)
-    }
-
-    fn of(&mut self, scene: &Scene, ior: f64, coarse: bool) -> Arc<Print> {
-        let is_known = |(s, i, c, _): &&(Scene, f64, bool, Arc<Print>)| {
-            !looks_different(s, scene) && (*i, *c) == (ior, coarse)
-        };
+    pub(super) fn of(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
+        let is_known = |(s, i, _): &&(Scene, f64, Arc<Print>)| !looks_different(s, scene) && *i == ior;
         if let Some((.., print)) = self.known.iter().find(is_known) {
             return print.clone();
         }
-        let prepared = if coarse { Print::coarse } else { Print::new };
-        let print = Arc::new(prepared(scene, ior + scene.sample_ior_offset(), self.peak));
-        self.known.push((scene.clone(), ior, coarse, print.clone()));
+        let print = Arc::new(Print::new(scene, ior + scene.sample_ior_offset(), self.peak));
+        self.known.push((scene.clone(), ior, print.clone()));
         print
     }
 }

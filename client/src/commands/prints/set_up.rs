@@ -1,11 +1,13 @@
 //! The set-up of a print as the measurement found it: the scene of each channel, and scenes with a quantity changed, for
 //! the errors of predictions.
 
+use std::cell::RefCell;
+
 use anyhow::{Context, Result};
 use farm_lab::media_file::{MediaFile, MediaSetUp};
 use optics_model::Scene;
 use optics_model::scene::Channel;
-use optics_tracer::SeenBase;
+use optics_tracer::BareBoard;
 
 use super::slabs::NamedSlab;
 
@@ -16,6 +18,7 @@ pub(super) struct FoundSetUp {
     assumed: Scene,
     /// By prior of the scene: estimates for the print.
     found: Vec<FoundQuantity>,
+    boards: RefCell<Vec<(Scene, BareBoard)>>,
 }
 
 /// The estimate of a quantity, and its changes by source of errors.
@@ -48,7 +51,7 @@ impl FoundSetUp {
             let weight = of_file.material.as_ref().map_or(1.0, |name| volume(slabs, name) / total);
             found[number].add(of_file, weight);
         }
-        Ok(Self { assumed, found })
+        Ok(Self { assumed, found, boards: RefCell::default() })
     }
 
     /// The scene in a channel, as found; its ρ are not used.
@@ -73,9 +76,21 @@ impl FoundSetUp {
         let found = self.assumed.channels().iter().find(|c| c.name() == channel);
         let side = found
             .with_context(|| format!("the scene of the media file has no board in channel {channel}"))?;
-        let assumed = self.assumed.clone().with_priors(Vec::new())?.with_channels(vec![side.clone()])?;
-        let seen = SeenBase::of(&assumed).through(scene)?;
-        Ok([seen[0].rho_light(), seen[0].rho_dark()])
+        let (assumed, seen) = (self.bare_board(&self.assumed)?, self.bare_board(scene)?);
+        Ok([side.rho_light(), side.rho_dark()]
+            .map(|rho| seen.reflectance(assumed.apparent(rho)).clamp(0.0, 1.0)))
+    }
+
+    /// The bare board of a scene, each once: its coat is the lowest layer.
+    fn bare_board(&self, scene: &Scene) -> Result<BareBoard> {
+        let of = |s: &Scene| (s.layers().last().cloned(), s.light(), s.sensor().polar_deg());
+        let mut boards = self.boards.borrow_mut();
+        if let Some((_, board)) = boards.iter().find(|(known, _)| of(known) == of(scene)) {
+            return Ok(*board);
+        }
+        let board = BareBoard::of(scene)?;
+        boards.push((scene.clone(), board));
+        Ok(board)
     }
 
     fn differences(&self) -> Vec<f64> {

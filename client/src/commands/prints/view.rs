@@ -140,8 +140,8 @@ impl<'a> PrintView<'a> {
         let mut change = |changed: &ChangedSetUp| -> Result<ViewedChange> {
             let ior = common_ior(&all, middle)?;
             Ok(ViewedChange {
-                from: prints.coarse(&args.seen(set_up.scene(middle)?)?, ior),
-                to: prints.coarse(&args.seen(changed.scene(middle)?)?, ior),
+                from: prints.of(&args.seen(set_up.scene(middle)?)?, ior),
+                to: prints.of(&args.seen(changed.scene(middle)?)?, ior),
                 shared: changed.shared(),
             })
         };
@@ -150,10 +150,15 @@ impl<'a> PrintView<'a> {
             let scene = set_up.scene(name)?;
             let medium = |m: &MediaMaterial| m.channel(name).map(uncertain).transpose();
             let rho = |scene: &Scene| PrintBase::all_rho(bases, &set_up, name, scene);
+            let changed_rho = |c: &ChangedSetUp| -> Result<Vec<f64>> {
+                let at_middle = [rho(&set_up.scene(middle)?)?, rho(&c.scene(middle)?)?];
+                let moved = at_middle[1].iter().zip(&at_middle[0]).map(|(to, from)| to - from);
+                Ok(rho(&scene)?.iter().zip(moved).map(|(rho, by)| (rho + by).clamp(0.0, 1.0)).collect())
+            };
             Ok(ViewedChannel {
                 rho: rho(&scene)?,
-                changed_rho: changed.iter().map(|c| rho(&c.scene(name)?)).collect::<Result<_>>()?,
-                print: prints.fine(&args.seen(scene)?, common_ior(&all, name)?),
+                changed_rho: changed.iter().map(changed_rho).collect::<Result<_>>()?,
+                print: prints.of(&args.seen(scene)?, common_ior(&all, name)?),
                 media: file.materials.iter().map(medium).collect::<Result<_>>()?,
                 name: (*name).to_owned(),
             })
