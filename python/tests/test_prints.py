@@ -1,11 +1,13 @@
 """Predictions of prints of a measured medium."""
 
+import json
 import pathlib
 
+import jsonschema
 import pytest
 
 import resin_farm
-from conftest import WHITE
+from conftest import CHECKOUT, WHITE
 from resin_farm import _programs
 
 
@@ -46,3 +48,17 @@ def test_slabs_are_texts_or_mixtures(media: pathlib.Path) -> None:
     assert text == mixture
     with pytest.raises(resin_farm.FarmError, match="cyan"):
         resin_farm.predict(media, [("cyan", 0.5)])
+
+
+def test_media_follow_their_schema(media: pathlib.Path) -> None:
+    """The schema also refuses what is not a media file."""
+    schema = json.loads((CHECKOUT / "docs/media.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    content = json.loads((media / "media.json").read_text())
+    validator.validate(content)
+    assert content["materials"][0]["channels"][0]["shared"]
+    content["materials"][0]["channels"][0]["sigma_t_per_mm"] = -1
+    assert [error.json_path for error in validator.iter_errors(content)] == [
+        "$.materials[0].channels[0].sigma_t_per_mm"
+    ]

@@ -47,7 +47,7 @@ pub fn error_budget(fits: &[MaterialFit]) -> Option<ErrorBudget> {
     Some(ErrorBudget {
         first: format!(
             "{}, {:.0} % of the variance on average: {}",
-            name(first),
+            source_name(first),
             100.0 * share,
             remedy(first.source)
         ),
@@ -61,7 +61,7 @@ fn shares(budget: &[SourceShare]) -> String {
     large.sort_by(|a, b| b.sigma_t.total_cmp(&a.sigma_t));
     // Rounded to neighbouring whole numbers that add up to 100: the largest remainders are rounded up.
     let rest = 1.0 - large.iter().map(|s| s.sigma_t).sum::<f64>();
-    let named = large.iter().map(|s| (name(s), s.sigma_t)).chain([("rest", rest.max(0.0))]);
+    let named = large.iter().map(|s| (source_name(s), s.sigma_t)).chain([("rest", rest.max(0.0))]);
     let named: Vec<(&str, f64)> = named.map(|(name, share)| (name, 100.0 * share)).collect();
     let mut whole: Vec<f64> = named.iter().map(|(_, percent)| percent.floor()).collect();
     let mut by_remainder: Vec<usize> = (0..named.len()).collect();
@@ -77,7 +77,7 @@ fn largest<'a>(budgets: &[&'a [SourceShare]]) -> Option<(&'a SourceShare, f64)> 
     let mut mean: Vec<(&SourceShare, f64)> = Vec::new();
     for share in budgets.iter().copied().flatten() {
         let part = share.sigma_t / budgets.len() as f64;
-        match mean.iter_mut().find(|(other, _)| name(other) == name(share)) {
+        match mean.iter_mut().find(|(other, _)| source_name(other) == source_name(share)) {
             Some((_, sum)) => *sum += part,
             None => mean.push((share, part)),
         }
@@ -85,7 +85,8 @@ fn largest<'a>(budgets: &[&'a [SourceShare]]) -> Option<(&'a SourceShare, f64)> 
     mean.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))
 }
 
-fn name(share: &SourceShare) -> &str {
+/// Name of a source, as in tables.
+pub fn source_name(share: &SourceShare) -> &str {
     match share.source {
         ErrorSource::Scene => share.quantity.as_deref().unwrap_or("scene"),
         ErrorSource::Noise => "noise",

@@ -25,7 +25,7 @@ mod spectra;
 #[expect(clippy::unwrap_used, reason = "data of tests; with the feature they are not compiled as a test")]
 pub mod testing;
 
-pub use budget::{ChannelBudget, ErrorBudget, error_budget};
+pub use budget::{ChannelBudget, ErrorBudget, error_budget, source_name};
 pub use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
 pub use chart::{ChartPoint, chart_figure};
 pub use design::design_figure;

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::capture::{CaptureReport, Media, Simulated};
 use crate::grid_file::read_grid;
+use crate::record::Record;
 use crate::whole_file::write_whole;
 
 /// A folder that `capture` wrote.
@@ -72,6 +73,18 @@ impl SessionFolder {
         let number = |band: &serde_json::Value, field: &str| band[field].as_f64();
         let width = |band| Some((number(band, "wavelength_nm")?, number(band, "std_dev_nm")?));
         Ok(session["bands"].as_array().into_iter().flatten().filter_map(width).collect())
+    }
+
+    /// What the laboratory recorded about the session.
+    pub fn record(&self) -> Result<Record> {
+        let Some(path) = self.session() else { return Ok(Record::default()) };
+        let place = || format!("session file {}", path.display());
+        let text = std::fs::read_to_string(&path).with_context(place)?;
+        let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
+        match session["record"].take() {
+            serde_json::Value::Null => Ok(Record::default()),
+            record => serde_json::from_value(record).with_context(place),
+        }
     }
 
     /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path;

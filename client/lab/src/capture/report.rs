@@ -14,9 +14,8 @@ use serde::{Deserialize, Serialize};
 pub use media::{Media, Simulated};
 
 use super::captured::{Captured, CapturedPart};
+use crate::page::{escaped, page};
 use samples::SlabSection;
-
-const STYLE: &str = include_str!("report/page.css");
 
 /// The parts of the page from `capture`: sections as HTML, and the slabs with their pictures.
 #[derive(Debug, Serialize, Deserialize)]
@@ -58,11 +57,11 @@ impl CaptureReport {
             || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>".to_owned(),
             |media| media.section(&self.slabs),
         );
-        format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-             <style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{media}\n\
-             {slabs}{set_up}{bands}\n{inputs}\n</body>\n</html>\n",
+        page(
+            &self.title,
+            &format!(
+                "<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{media}\n{slabs}{set_up}{bands}\n{inputs}\n"
+            ),
         )
     }
 }
@@ -106,9 +105,4 @@ fn warning_list(texts: &[&str]) -> String {
     }
     let items = texts.iter().map(|text| format!("<li>{}</li>", escaped(text)));
     format!("<ul class=\"warnings\">{}</ul>\n", items.collect::<String>())
-}
-
-/// Text escaped for HTML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

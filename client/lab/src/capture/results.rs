@@ -16,6 +16,7 @@ use super::channels::{CapturedChannel, profiles};
 use super::report::{self, CaptureReport};
 use super::stage::{board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
+use crate::record::Record;
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
@@ -203,6 +204,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         blur_std_error_mm: Value,
         #[serde(flatten)]
         parts: Map<String, Value>,
+        record: Record,
         inputs: Vec<Value>,
         digest: String,
     }
@@ -216,6 +218,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         blur_mm: by_channel(&channels, |c| json!(c.blur_mm().value)),
         blur_std_error_mm: by_channel(&channels, |c| json!(c.blur_mm().std_error)),
         parts: parts(captured),
+        record: captured.session.record.clone(),
         inputs: inputs.collect(),
         digest: digest.to_hex().to_string(),
     }

@@ -16,6 +16,7 @@ use super::globs::files_of;
 use super::spectrum::Spectrum;
 use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
+use crate::record::Record;
 use neutral::NeutralTable;
 
 const WHAT: &str = "session file";
@@ -33,6 +34,7 @@ pub struct CaptureSession {
     pub scene: optics_model::Scene,
     /// Values that are valid but implausible.
     pub doubts: Vec<String>,
+    pub record: Record,
     /// The text of the file.
     pub text: String,
 }
@@ -105,6 +107,8 @@ struct SessionFile {
     target: TargetTable,
     #[serde(default)]
     light: LampTable,
+    #[serde(default)]
+    record: Record,
     #[serde(default, rename = "band")]
     bands: Vec<BandTable>,
     #[serde(rename = "sample")]
@@ -178,7 +182,8 @@ impl SessionFile {
         };
         check_once(&parts)?;
         check_slabs(&parts[0].samples)?;
-        Ok(CaptureSession { pattern, parts, target, scene, doubts, text })
+        let record = self.record.checked()?;
+        Ok(CaptureSession { pattern, parts, target, scene, doubts, record, text })
     }
 
     fn read_bands(&self, folder: &Path) -> Result<Vec<Band>, Invalid> {

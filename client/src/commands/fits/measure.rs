@@ -88,8 +88,8 @@ pub(crate) struct MeasureArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long)]
     bound: bool,
-    /// Write a folder with table.csv, media.json for `farmctl predict`, and media for Mitsuba 3, pbrt-v4, Blender,
-    /// MaterialX and USD.
+    /// Write a folder with table.csv, media.json for `farmctl predict`, uncertainty.html, and media for Mitsuba 3, pbrt-v4,
+    /// Blender, MaterialX and USD.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
@@ -225,11 +225,15 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         None => Vec::new(),
     };
     let media = files::media(&dictionary, &grid, &found)?;
+    let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
+    let uncertainty = files::uncertainty(&dictionary, &grid, &found, &record);
     if let Some(folder) = &inputs.output {
-        files::write(folder, &found, &media).with_context(|| format!("writing {}", folder.display()))?;
+        files::write(folder, &found, &media, &uncertainty)
+            .with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
         files::write_media(folder.path(), &media)?;
+        files::write_uncertainty(folder.path(), &uncertainty)?;
         let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
         let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
         output.notes(&of_filters, &inputs.measurements);
@@ -245,13 +249,23 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let report = match &inputs.folder {
         Some(folder) => {
             let plain = anstream::adapter::strip_str(&answer(false)).to_string();
-            folder.complete(&found.materials, found.common.mu, plain)?
+            let completed = folder.complete(&found.materials, found.common.mu, plain)?;
+            files::describe(folder.path(), &found, &record)?;
+            completed
         }
         None => None,
     };
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
     output.print("measure", &data, || {
-        let completed = report.map_or_else(String::new, |path| format!("\nadded to {}", path.display()));
+        let completed = inputs.folder.as_ref().map_or_else(String::new, |folder| {
+            let report = report.map_or("", |_| "report.html with the media, ");
+            let text = format!(
+                "written to {}: {report}uncertainty.html (statement of uncertainty), media.json (for `farmctl \
+                 predict`), ro-crate-metadata.json (for archives)",
+                folder.path().display()
+            );
+            format!("\n{}", wrapped(&text))
+        });
         let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
         answer(true) + &budget + &completed
@@ -355,8 +369,8 @@ fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictu
     text += &figure_files::drawn(pictures);
     if let Some(folder) = folder {
         text += &format!(
-            "\nwritten to {}: table.csv, media.json (for `farmctl predict`), and for renderers media.py, media.xml, \
-             media.pbrt, media_blender.py, media.mtlx, media.usda",
+            "\nwritten to {}: table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of \
+             uncertainty), and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda",
             folder.display()
         );
     }

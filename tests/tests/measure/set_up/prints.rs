@@ -1,120 +1,189 @@
-//! Prints of media that were measured in random set-ups: whether the intervals of their radiance factors hold.
+//! Prints of media that were measured in random set-ups: whether the intervals of `farmctl predict` hold.
 
+use farm_lab::colour::{Colorimetry, Illuminant, StandardObserver, Viewing, delta_e_2000};
+use farm_lab::media_file::{MEDIA_FILE, MeasuredWith, MediaFile};
+use farm_tests::cli::json;
+use farm_tests::process::run;
 use farm_tests::statistics::{Normal, effort, quantile};
-use optics_layers::{Predicted, Print, PrintedSlab, SetUpChange, Uncertain, predict, radiance_factors};
-use optics_model::fit::{MaterialFit, PhaseModel, SceneDifference, Z};
+use optics_fit::FitDictionary;
+use optics_layers::{Print, PrintedSlab, Uncertain, radiance_factors};
+use optics_model::Digest;
+use optics_model::fit::{PhaseModel, Z};
 use optics_model::phase::SecondLobe;
-use optics_model::scene::{Layer, Scene};
+use optics_model::scene::{Channel, Layer, Scene};
+use serde_json::Value;
 
 use super::coverage_of;
 use super::scenes::{LOBE_WEIGHT, SAMPLE_INDEX, lab};
-use super::session::{Nodes, SetUpSession, dictionary};
+use super::session::{Nodes, SetUpSession, dictionary, dictionary_of};
 
 const IOR: f64 = 1.53;
-const RHO: [f64; 2] = [0.03, 0.9];
-const PRINTS: usize = 20;
+/// Wavelengths that are enough for colours.
+const NM: [f64; 6] = [460.0, 500.0, 540.0, 580.0, 620.0, 640.0];
 
-/// A polished print in air, lit by the ring.
+/// A polished print in air, lit by a ring of 45° ± 5°.
 fn bare() -> Scene {
     let lab = lab();
     let layers = vec![Layer::sample("print", 0.0).unwrap(), Layer::clear("air", 1.0, 0.0, 0.0).unwrap()];
     Scene::new(layers, lab.channels().to_vec(), lab.light(), lab.sensor(), true).unwrap()
 }
 
-/// A difference of the samples' indices with its changes by source.
-struct IndexDifference {
-    value: f64,
-    changes: Vec<f64>,
+/// A session with its media file in a folder.
+struct MeasuredSession {
+    session: SetUpSession,
+    folder: tempfile::TempDir,
 }
 
-/// Media of a session, with the differences of the samples' indices from the scene's.
-struct SessionMedia {
-    measured: Vec<Uncertain>,
-    indices: Vec<IndexDifference>,
-    truth: Vec<Uncertain>,
-    true_indices: Vec<f64>,
-}
-
-impl SessionMedia {
-    fn of(number: u64) -> Self {
-        let session = SetUpSession::random(number, 6, true);
-        let found = session.fitted(dictionary(Nodes::Paper, true), PhaseModel::TwoLobes);
-        let measured = |(i, fit): (usize, &MaterialFit)| {
-            let r = fit.channels[0].refined.as_ref().unwrap();
-            Uncertain {
-                medium: r.best.medium,
-                second_lobe: r.second_lobe.unwrap_or_default(),
-                covariance: r.covariance,
-                shared: found.shared_errors.of_channel(i).to_vec(),
-            }
-        };
-        let index = |m: usize| {
-            let of = |d: &&SceneDifference| d.prior == SAMPLE_INDEX && d.material == Some(m);
-            let found = found.shared_errors.scene.iter().find(of).unwrap();
-            IndexDifference { value: found.difference, changes: found.changes.clone() }
-        };
-        let truth = |m: usize| {
-            let lobe = SecondLobe::new(0.05 + session.difference(m, LOBE_WEIGHT), -0.5).unwrap();
-            Uncertain::exact(session.medium(m), lobe)
-        };
-        Self {
-            measured: found.materials.iter().enumerate().map(measured).collect(),
-            indices: (0..6).map(index).collect(),
-            truth: (0..6).map(truth).collect(),
-            true_indices: (0..6).map(|m| session.difference(m, SAMPLE_INDEX)).collect(),
-        }
+impl MeasuredSession {
+    fn new(session: SetUpSession, dictionary: &FitDictionary) -> Self {
+        let found = session.fitted(dictionary, PhaseModel::TwoLobes);
+        let grid = dictionary.grid();
+        let mu = [found.common.mu, found.common.mu_std_error];
+        let with = MeasuredWith { dictionary: "lab", digest: Digest::of_grid(grid), scene: grid.scene(), mu };
+        let folder = tempfile::tempdir().unwrap();
+        let text = MediaFile::new(&found.materials, &found.shared_errors, &with).text().unwrap();
+        std::fs::write(folder.path().join(MEDIA_FILE), text).unwrap();
+        Self { session, folder }
     }
 
-    fn predicted(&self, scene: &Scene, slab: &PrintedSlab) -> Vec<Predicted> {
-        const STEP: f64 = 0.005;
-        let mean = |of: &dyn Fn(&IndexDifference) -> f64| -> f64 {
-            slab.shares.iter().map(|(m, share)| share * of(&self.indices[*m])).sum()
-        };
-        let ior = IOR + mean(&|index| index.value);
-        let [from, to] = [ior, ior + STEP].map(|ior| Print::new(scene, ior, 0.2));
-        let sources = self.indices[0].changes.len();
-        let shared: Vec<f64> = (0..sources).map(|k| mean(&|index| index.changes[k]) / STEP).collect();
-        let by_index = SetUpChange { from: &from, to: &to, to_rho: &RHO, shared: &shared };
-        predict(&from, &self.measured, &[by_index], std::slice::from_ref(slab), &RHO).unwrap()
+    /// The answer of `farmctl predict` for a slab.
+    fn predicted(&self, slab: &str, over: &str, args: &[&str]) -> Value {
+        let ran =
+            run(self.folder.path(), &[&["predict", ".", slab, "--over", over, "--json"], args].concat());
+        assert_eq!(ran.code, 0, "{}", ran.stderr);
+        json(&ran, "predict")
     }
 
-    fn exact(&self, scene: &Scene, slab: &PrintedSlab) -> Vec<f64> {
-        let mean: f64 = slab.shares.iter().map(|(m, share)| share * self.true_indices[*m]).sum();
-        let print = Print::new(scene, IOR + mean, 0.2);
-        radiance_factors(&print, &self.truth, std::slice::from_ref(slab), &RHO).unwrap()
+    /// True radiance factors of a slab in a channel, for shares of materials.
+    fn exact(
+        &self,
+        scene: &Scene,
+        shares: &[(usize, f64)],
+        thickness_mm: f64,
+        channel: usize,
+        rho: &[f64],
+    ) -> Vec<f64> {
+        let difference: f64 =
+            shares.iter().map(|(m, share)| share * self.session.difference(*m, SAMPLE_INDEX)).sum();
+        let print = Print::new(scene, IOR + difference, 0.2);
+        let media: Vec<Uncertain> = (0..self.session.materials())
+            .map(|m| {
+                let weight = 0.05 + self.session.difference(m, LOBE_WEIGHT);
+                Uncertain::exact(self.session.media(m)[channel], SecondLobe::new(weight, -0.5).unwrap())
+            })
+            .collect();
+        let slab = PrintedSlab { shares: shares.to_vec(), thickness_mm };
+        radiance_factors(&print, &media, &[slab], rho).unwrap()
     }
 }
 
-/// Predicts prints of one medium and of mixtures of two, 0.2 to 3 mm thick, over black and white.
+/// Whether intervals hold, by session; and relative errors and half-widths in per cent.
+#[derive(Default)]
+struct Outcomes {
+    held: Vec<Vec<bool>>,
+    errors: Vec<f64>,
+    widths: Vec<f64>,
+}
+
+impl Outcomes {
+    fn add(&mut self, found: f64, std_error: f64, exact: f64) {
+        let held = (found - exact).abs() <= Z * std_error;
+        self.held.last_mut().unwrap().push(held);
+        self.errors.push(100.0 * (found / exact - 1.0).abs());
+        self.widths.push(100.0 * Z * std_error / exact.abs());
+    }
+
+    fn check(&self, name: &str) {
+        let share = coverage_of(&self.held);
+        let [error, width] = [&self.errors, &self.widths].map(|all| quantile(all.clone(), 0.5));
+        println!("{name}: hold {share} %; median error {error:.2} %, half-width {width:.2} %");
+        let room = 3.0 * share.std_error;
+        assert!((0.93 - room..=0.97 + room).contains(&share.share), "{name}: {share}");
+    }
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+/// Inks with spectra, and mixtures of two of them, 0.2 to 3 mm thick, over black and white at 45:0.
 #[test]
 #[ignore = "long form"]
 fn predicted_prints_keep_their_coverage() {
-    let scene = bare();
-    let (mut held, mut errors, mut widths) = (Vec::new(), Vec::new(), Vec::new());
-    for number in 0..20 * effort() {
-        let media = SessionMedia::of(number);
-        let mut random = Normal::new(940_000 + number);
-        let mut of_session = Vec::new();
+    const PRINTS: usize = 20;
+    const RHO: [f64; 2] = [0.03, 0.9];
+    let lab = lab();
+    let side = &lab.channels()[0];
+    let channel = |nm: &f64| Channel::new(nm.to_string(), side.rho_light(), side.rho_dark()).unwrap();
+    let scene = lab.clone().with_channels(NM.iter().map(channel).collect()).unwrap();
+    let dictionary = dictionary_of(&scene, Nodes::Paper);
+    let viewing = Viewing { illuminant: Illuminant::D50, observer: StandardObserver::TwoDegrees };
+    let colorimetry = Colorimetry::new(&NM, viewing).unwrap();
+    let (mut factors, mut labs) = (Outcomes::default(), [(); 3].map(|()| Outcomes::default()));
+    let mut differences = Vec::new();
+    for number_of in 0..25 * effort() {
+        let session = MeasuredSession::new(SetUpSession::of_inks(number_of, 3, &NM), &dictionary);
+        let mut random = Normal::new(940_000 + number_of);
+        factors.held.push(Vec::new());
+        for lab in &mut labs {
+            lab.held.push(Vec::new());
+        }
         for _ in 0..PRINTS {
-            let (a, b) = ((6.0 * random.uniform()) as usize, (6.0 * random.uniform()) as usize);
-            let share = if a == b { 1.0 } else { random.uniform() };
-            let shares = if a == b { vec![(a, 1.0)] } else { vec![(a, share), (b, 1.0 - share)] };
-            let slab = PrintedSlab { shares, thickness_mm: 0.2 * 15_f64.powf(random.uniform()) };
-            let found = media.predicted(&scene, &slab);
-            for (found, exact) in found.iter().zip(media.exact(&scene, &slab)) {
-                let off = found.value - exact;
-                of_session.push(off.abs() <= Z * found.std_error());
-                errors.push(100.0 * (off / exact).abs());
-                widths.push(100.0 * Z * found.std_error() / exact);
+            let (a, b) = ((3.0 * random.uniform()) as usize, (3.0 * random.uniform()) as usize);
+            let share = (1e3 * random.uniform()).ceil() / 1e3;
+            let thickness_mm = (1e3 * 0.2 * 15_f64.powf(random.uniform())).round() / 1e3;
+            let is_one = a == b || share == 1.0;
+            let shares = if is_one { vec![(a, 1.0)] } else { vec![(a, share), (b, 1.0 - share)] };
+            let slab = if is_one {
+                format!("m{a}:{thickness_mm}")
+            } else {
+                format!("m{a}={share},m{b}={:.3}:{thickness_mm}", 1.0 - share)
+            };
+            let found = session.predicted(&slab, "black,white", &["--geometry", "45:0", "--roughness", "0"]);
+            let exact = |channel| session.exact(&bare(), &shares, thickness_mm, channel, &RHO);
+            let exact: Vec<Vec<f64>> = (0..NM.len()).map(exact).collect();
+            for (base, _) in RHO.iter().enumerate() {
+                for (channel, exact) in exact.iter().enumerate() {
+                    let value = &found["channels"][channel]["bases"][base];
+                    factors.add(number(&value["radiance_factor"]), number(&value["std_error"]), exact[base]);
+                }
+                let spectrum: Vec<f64> = exact.iter().map(|of| of[base]).collect();
+                let colour = &found["colours"]["bases"][base];
+                let lab: [f64; 3] = std::array::from_fn(|k| number(&colour["lab"][k]));
+                let truth = colorimetry.colour(&spectrum).lab;
+                for k in 0..3 {
+                    labs[k].add(lab[k], number(&colour["lab_std_errors"][k]), truth[k]);
+                }
+                differences.push(delta_e_2000(lab, truth));
             }
         }
-        held.push(of_session);
     }
-    let share = coverage_of(&held);
-    let [error, width] = [errors, widths].map(|all| quantile(all, 0.5));
-    println!(
-        "intervals of radiance factors hold {share} %; median error {error:.2} %, half-width {width:.2} %"
-    );
-    let room = 3.0 * share.std_error;
-    assert!((0.93 - room..=0.97 + room).contains(&share.share), "{share}");
+    let [median, worst] = [0.5, 1.0].map(|at| quantile(differences.clone(), at));
+    println!("CIEDE2000: median {median:.2}, greatest {worst:.2}");
+    factors.check("radiance factors");
+    ["L*", "a*", "b*"].iter().zip(&labs).for_each(|(name, lab)| lab.check(name));
+}
+
+/// Slabs of one medium in the measured set-up, over both sides of its board and a grey.
+#[test]
+#[ignore = "long form"]
+fn predicted_photographs_keep_their_coverage() {
+    let mut factors = Outcomes::default();
+    for number_of in 0..20 * effort() {
+        let session = SetUpSession::random(number_of, 6, true);
+        let session = MeasuredSession::new(session, dictionary(Nodes::Paper, true));
+        factors.held.push(Vec::new());
+        for (material, thickness_mm) in [0.3, 1.0, 2.0].into_iter().enumerate() {
+            let found = session.predicted(&format!("m{material}:{thickness_mm}"), "light,dark,0.5", &[]);
+            let scene = session.session.scene(material);
+            let board = &scene.channels()[0];
+            let rho = [board.rho_light(), board.rho_dark(), 0.5];
+            let exact = session.exact(&scene, &[(material, 1.0)], thickness_mm, 0, &rho);
+            for (base, exact) in exact.into_iter().enumerate() {
+                let value = &found["channels"][0]["bases"][base];
+                factors.add(number(&value["radiance_factor"]), number(&value["std_error"]), exact);
+            }
+        }
+    }
+    factors.check("radiance factors");
 }

@@ -40,22 +40,24 @@ pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionar
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
         let mut priors = lab().priors().to_vec();
         priors.retain(|prior| uncertain || prior.kind().is_of_phase());
-        let scene = lab().with_priors(priors).unwrap();
-        let grid = match nodes {
-            Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
-            Nodes::Paper => {
-                Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false)
-            }
-        };
-        let (grid, base) = (grid.unwrap(), SeenBase::of(&scene));
-        let responses = Responses::of(&scene, grid.axes(), |varied| base.through(varied)).unwrap();
-        let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
-        let mut builder = DictionaryBuilder::new(grid.clone());
-        for job in 0..grid.job_count() {
-            builder.add(&records(&JobSpec::of(&grid, job)));
-        }
-        builder.build()
+        dictionary_of(&lab().with_priors(priors).unwrap(), nodes)
     })
+}
+
+/// Dictionary of a scene with its responses.
+pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> FitDictionary {
+    let grid = match nodes {
+        Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
+        Nodes::Paper => Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false),
+    };
+    let (grid, base) = (grid.unwrap(), SeenBase::of(scene));
+    let responses = Responses::of(scene, grid.axes(), |varied| base.through(varied)).unwrap();
+    let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for job in 0..grid.job_count() {
+        builder.add(&records(&JobSpec::of(&grid, job)));
+    }
+    builder.build()
 }
 
 fn few_nodes() -> Axes {
@@ -81,7 +83,9 @@ pub(super) fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u6
 #[derive(Debug)]
 pub(super) struct SetUpSession {
     set_up: ChangedSetUp,
-    media: Vec<Medium>,
+    channels: Vec<String>,
+    /// By material and channel.
+    media: Vec<Vec<Medium>>,
     /// Whether thicknesses, edges, gains, zeros and slopes have random errors according to their priors.
     flawed: bool,
     seed: u64,
@@ -92,13 +96,18 @@ impl SetUpSession {
     pub(super) fn of_row(set_up: ChangedSetUp) -> Self {
         let media = [(6.0, 0.9991), (4.5, 0.7), (7.5, 0.98), (2.5, 0.98), (3.75, 0.995), (5.5, 0.35)];
         let media = media.map(|(s, a)| Medium::new(s, a, 0.4).unwrap()).to_vec();
-        Self { set_up, media, flawed: false, seed: 0 }
+        Self { flawed: false, ..Self::of_one_channel(set_up, media, 0) }
+    }
+
+    fn of_one_channel(set_up: ChangedSetUp, media: Vec<Medium>, seed: u64) -> Self {
+        let media = media.into_iter().map(|medium| vec![medium]).collect();
+        Self { set_up, channels: vec!["R".to_owned()], media, flawed: true, seed }
     }
 
     /// The six media of the table with a mean cosine of their own, without errors of the set-up.
     pub(super) fn of_row_at(set_up: ChangedSetUp, g: f64) -> Self {
         let of_row = Self::of_row(set_up);
-        let at = |m: &Medium| Medium::new(m.sigma_t_per_mm(), m.albedo(), g).unwrap();
+        let at = |m: &Vec<Medium>| vec![Medium::new(m[0].sigma_t_per_mm(), m[0].albedo(), g).unwrap()];
         Self { media: of_row.media.iter().map(at).collect(), ..of_row }
     }
 
@@ -123,15 +132,40 @@ impl SetUpSession {
         let media: Vec<Medium> = (0..6).map(|_| medium()).take(materials).collect();
         let drawn = ChangedSetUp::random(&mut random, materials);
         let set_up = if changed { drawn } else { ChangedSetUp::none(materials) };
-        Self { set_up, media, flawed: true, seed: 1 + number }
+        Self::of_one_channel(set_up, media, 1 + number)
+    }
+
+    /// Random inks with smooth spectra, in a random set-up: scattering falls with a power of the wavelength, and each
+    /// absorbs in one line.
+    pub(super) fn of_inks(number: u64, materials: usize, nm: &[f64]) -> Self {
+        let mut random = Normal::new(950_000 + number);
+        let g = 0.1 + 0.6 * random.uniform();
+        let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+        let mut ink = || {
+            let (scattering, power) = (log(1.5, 6.0, random.uniform()), 1.2 * random.uniform());
+            let (base, peak) = (log(0.003, 0.03, random.uniform()), log(0.05, 1.5, random.uniform()));
+            let (centre, width) = (430.0 + 240.0 * random.uniform(), 30.0 + 40.0 * random.uniform());
+            let at = |nm: &f64| {
+                let s = scattering * (550.0 / nm).powf(power);
+                let a = base + peak * (-0.5 * ((nm - centre) / width).powi(2)).exp();
+                Medium::new(s + a, s / (s + a), g).unwrap()
+            };
+            nm.iter().map(at).collect()
+        };
+        let media = (0..materials).map(|_| ink()).collect();
+        let set_up = ChangedSetUp::random(&mut random, materials);
+        let channels = nm.iter().map(ToString::to_string).collect();
+        Self { set_up, channels, media, flawed: true, seed: 10_001 + number }
     }
 
     fn measurement(&self, material: usize) -> Measurement {
-        let profiles = (0..2).map(|slab| self.profile(material, slab)).collect();
-        Measurement::new(format!("m{material}"), profiles).unwrap()
+        let of_slab =
+            |slab| (0..self.channels.len()).map(move |channel| self.profile(material, slab, channel));
+        Measurement::new(format!("m{material}"), (0..2).flat_map(of_slab).collect()).unwrap()
     }
 
-    fn profile(&self, material: usize, slab: usize) -> MeasuredProfile {
+    /// Flaws of a slab are the same in all channels, noise is not.
+    fn profile(&self, material: usize, slab: usize, channel: usize) -> MeasuredProfile {
         let number = (self.seed * 6 + material as u64) * 2 + slab as u64;
         let mut random = Normal::new(920_000 + number);
         let prior = FitSettings::default();
@@ -141,14 +175,20 @@ impl SetUpSession {
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let scene = self.set_up.scene(material, slab);
         let sensor = scene.sensor();
-        let values = traced(scene, &self.media[material], thickness_mm, WALKS, 930_000 + number);
+        let stream = 100_000 * channel as u64;
+        let medium = &self.media[material][channel];
+        let values = traced(scene, medium, thickness_mm, WALKS, 930_000 + number + stream);
+        if channel > 0 {
+            random = Normal::new(920_000 + number + stream);
+        }
         let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
         let exact: Vec<f64> =
             values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
         let std_errors: Vec<f64> = exact.iter().map(|v| NOISE * v.abs()).collect();
         let noisy = exact.iter().zip(&std_errors).map(|(v, e)| v + e * random.normal()).collect();
         let x = x.iter().map(|x| x + origin_mm).collect();
-        MeasuredProfile::new("R", SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
+        let name = &self.channels[channel];
+        MeasuredProfile::new(name, SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
     }
 
     /// Fits like `farmctl measure` without further options.
@@ -160,13 +200,22 @@ impl SetUpSession {
     pub(super) fn measured_as(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Vec<SetUpOutcome> {
         let found = self.fitted(dictionary, phase);
         let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
-        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m], truth);
+        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m][0], truth);
         found.materials.iter().enumerate().map(outcome).collect()
     }
 
-    /// The true medium of a material.
-    pub(super) fn medium(&self, material: usize) -> Medium {
-        self.media[material]
+    /// The true media of a material by channel.
+    pub(super) fn media(&self, material: usize) -> &[Medium] {
+        &self.media[material]
+    }
+
+    pub(super) fn materials(&self) -> usize {
+        self.media.len()
+    }
+
+    /// The true scene of a material's first slab.
+    pub(super) fn scene(&self, material: usize) -> Scene {
+        self.set_up.scene(material, 0)
     }
 
     /// The true difference of a quantity of a material from the scene's value.

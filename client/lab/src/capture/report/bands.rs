@@ -4,10 +4,11 @@ use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::EdgeProfile;
 
 use super::set_up::{exposure, with_error};
-use super::{escaped, warnings};
+use super::warnings;
 use crate::capture::band_optics::BandOptics;
 use crate::capture::captured::{Captured, CapturedPart};
 use crate::capture::channels::CapturedChannel;
+use crate::page::escaped;
 
 /// The sections of all bands; empty for red, green and blue.
 pub(super) fn section(captured: &Captured) -> String {

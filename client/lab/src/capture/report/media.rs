@@ -5,8 +5,9 @@ use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
 
 use super::samples::SlabSection;
-use super::{escaped, warning_list};
+use super::warning_list;
 use crate::capture::strip::simulated_uri;
+use crate::page::escaped;
 
 /// The parts of the page from `measure`.
 #[derive(Debug)]

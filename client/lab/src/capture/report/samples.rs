@@ -5,9 +5,10 @@ use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::{EdgeProfile, Source};
 use serde::{Deserialize, Serialize};
 
-use super::{escaped, shots, warnings};
+use super::{shots, warnings};
 use crate::capture::captured::{Captured, CapturedPart, CapturedSample};
 use crate::capture::channels::{CapturedChannel, ends, mean, profiles};
+use crate::page::escaped;
 
 /// Micrometres per millimetre.
 const MICROMETRES: f64 = 1000.0;

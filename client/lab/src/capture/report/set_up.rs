@@ -4,9 +4,10 @@ use farm_figures::numbers::significant;
 use optics_capture::{Calibration, Colour, Estimate};
 
 use super::samples::figure;
-use super::{escaped, shots, warnings};
+use super::{shots, warnings};
 use crate::capture::captured::{Captured, CapturedPart};
 use crate::capture::picture::data_uri;
+use crate::page::escaped;
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;

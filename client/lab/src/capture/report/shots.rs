@@ -2,8 +2,8 @@
 
 use optics_capture::{Board, ShotReport};
 
-use super::escaped;
 use crate::capture::captured::{Captured, CapturedPart};
+use crate::page::escaped;
 
 /// One shot of the board: edge, crop, corners, rejected samples.
 pub(super) fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> String {

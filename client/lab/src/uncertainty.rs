@@ -1,0 +1,246 @@
+//! Renders the statement of uncertainty of measured media, in the words of the GUM (JCGM 100:2008): measurands, input
+//! quantities, standard and expanded uncertainties, their budget and correlations, and traceability.
+
+mod evaluation;
+mod inputs;
+
+use farm_figures::numbers::{minus, significant, with_error};
+use optics_model::fit::{Common, MaterialFit, SharedErrors};
+
+use crate::page::{escaped, page, table};
+use crate::record::Record;
+use evaluation::{EvaluatedChannel, MEASURANDS, evaluated};
+use inputs::{InputQuantity, input_quantities};
+
+/// Name of the page in the folder of a session or of media.
+pub const UNCERTAINTY_FILE: &str = "uncertainty.html";
+
+/// What a statement of uncertainty contains.
+#[derive(Debug, Clone, Copy)]
+pub struct UncertaintyStatement<'a> {
+    pub fits: &'a [MaterialFit],
+    pub shared_errors: &'a SharedErrors,
+    pub common: &'a Common,
+    pub record: &'a Record,
+    pub dictionary: &'a str,
+    /// Digest of the dictionary's grid and physics.
+    pub digest: &'a str,
+}
+
+impl UncertaintyStatement<'_> {
+    pub fn page(&self) -> String {
+        let channels = evaluated(self.fits, self.shared_errors);
+        let body = [
+            self.head(),
+            measurands(),
+            self.traceability(),
+            results(&channels),
+            input_table(&input_quantities(self.fits)),
+            budgets(&channels),
+            correlations(&channels),
+            limits(),
+            self.software(),
+        ];
+        page("Uncertainty of measurement", &body.concat())
+    }
+
+    fn head(&self) -> String {
+        let names: Vec<&str> = self.fits.iter().map(|fit| fit.material.as_str()).collect();
+        let row = |(_, label, text): (_, &str, &str)| vec![label.to_owned(), text.to_owned()];
+        let mut rows = vec![vec!["Materials".to_owned(), names.join(", ")]];
+        rows.extend(self.record.entries().into_iter().filter(|(key, ..)| !is_certificate(key)).map(row));
+        format!(
+            "<h1>Uncertainty of measurement</h1>\n<p>Optical parameters of translucent materials, stated after JCGM \
+             100:2008 (GUM).</p>\n{}",
+            table("text", &[], &rows)
+        )
+    }
+
+    fn traceability(&self) -> String {
+        let certificates = self.record.entries();
+        let row = |(_, label, text): &(_, &str, &str)| vec![(*label).to_owned(), (*text).to_owned()];
+        let rows: Vec<Vec<String>> =
+            certificates.iter().filter(|(key, ..)| is_certificate(key)).map(row).collect();
+        let of = |key: &str| certificates.iter().any(|(known, ..)| *known == key);
+        let lacking: Vec<&str> = [
+            ("white_certificate", "the white reference"),
+            ("thickness_certificate", "the thickness of the slabs"),
+            ("scale_certificate", "the board's squares"),
+        ]
+        .into_iter()
+        .filter(|(key, _)| !of(key))
+        .map(|(_, name)| name)
+        .collect();
+        let statement = if lacking.is_empty() {
+            "Lengths and reflectances are traceable through these certificates.".to_owned()
+        } else {
+            format!(
+                "No certificate is stated for {}: traceability to the SI is not claimed for what depends on them.",
+                lacking.join(", ")
+            )
+        };
+        let rows = if rows.is_empty() { String::new() } else { table("text", &[], &rows) };
+        format!("<h2>Traceability</h2>\n{rows}<p>{statement}</p>\n")
+    }
+
+    fn software(&self) -> String {
+        let Common { mu, mu_std_error, .. } = self.common;
+        format!(
+            "<h2>Evaluation</h2>\n<p>farmctl {}, dictionary {} ({}). Scale factor of the measured values μ = {}.</p>\n\
+             <table class=\"text\"><tr><td>Measured by</td><td class=\"sign\"></td></tr>\
+             <tr><td>Approved by</td><td class=\"sign\"></td></tr></table>\n",
+            env!("CARGO_PKG_VERSION"),
+            escaped(self.dictionary),
+            self.digest,
+            with_error(*mu, *mu_std_error),
+        )
+    }
+}
+
+fn is_certificate(key: &str) -> bool {
+    key.ends_with("_certificate")
+}
+
+fn measurands() -> String {
+    "<h2>Measurands and model</h2>\n<p>Of each material in each channel, of the light that the channel passes: the \
+     extinction coefficient σ<sub>t</sub>, the reduced scattering coefficient σ<sub>s</sub>(1 − g) and the absorption \
+     coefficient σ<sub>a</sub>, per mm, of a homogeneous, isotropic material without fluorescence.</p>\n\
+     <p>The estimates maximise the likelihood of all photographs of the session together: the measured profiles across \
+     a black–white edge are those of a Monte Carlo simulation of the stack, transformed by the input quantities below. \
+     Input quantities of type B have normal priors with the stated standard uncertainties and are estimated with the \
+     measurands, so their correlations are included (GUM 5.2). Combined standard uncertainties u<sub>c</sub> follow from \
+     the inverse of the information at the maximum. The interval of 95 % is that of the profile likelihood, which need \
+     not be symmetric; k u<sub>c</sub> is stated for comparison.</p>\n"
+        .to_owned()
+}
+
+fn results(channels: &[EvaluatedChannel]) -> String {
+    let head =
+        ["material", "channel", "measurand", "value", "u_c", "k", "k u_c", "interval of 95 %", "ν_eff"];
+    let row = |channel: &EvaluatedChannel, i: usize| {
+        let m = &channel.measurands[i];
+        vec![
+            channel.material.clone(),
+            channel.channel.clone(),
+            MEASURANDS[i].to_owned(),
+            significant(m.value, 4),
+            significant(m.std_uncertainty, 2),
+            significant(m.coverage_factor, 3),
+            significant(m.coverage_factor * m.std_uncertainty, 2),
+            m.interval.clone(),
+            m.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |nu| format!("{nu:.0}")),
+        ]
+    };
+    let rows: Vec<Vec<String>> =
+        channels.iter().flat_map(|channel| (0..MEASURANDS.len()).map(|i| row(channel, i))).collect();
+    format!("<h2>Results</h2>\n<p>All values in 1/mm.</p>\n{}", table("", &head, &rows))
+}
+
+fn input_table(inputs: &[InputQuantity]) -> String {
+    let head = ["input quantity", "values", "standard uncertainty", "type", "distribution", "after the fit"];
+    let row = |input: &InputQuantity| {
+        vec![
+            input.name.clone(),
+            input.count.to_string(),
+            input.std_uncertainty.clone(),
+            input.kind.to_owned(),
+            input.distribution.to_owned(),
+            input.posterior.clone(),
+        ]
+    };
+    let rows: Vec<Vec<String>> = inputs.iter().map(row).collect();
+    format!("<h2>Input quantities</h2>\n{}", table("text", &head, &rows))
+}
+
+/// Contributions to u_c in per cent of the value: a table of each measurand, with a column for each source.
+fn budgets(channels: &[EvaluatedChannel]) -> String {
+    let of = |i: usize| {
+        let mut names: Vec<&str> = Vec::new();
+        for (name, part) in channels.iter().flat_map(|c| &c.measurands[i].contributions) {
+            if *part >= LEAST_SHOWN && !names.contains(&name.as_str()) {
+                names.push(name);
+            }
+        }
+        let head: Vec<&str> =
+            ["material", "channel", "u_c"].into_iter().chain(names.iter().copied()).collect();
+        let row = |channel: &EvaluatedChannel| {
+            let m = &channel.measurands[i];
+            let part = |name: &&str| {
+                let found = m.contributions.iter().find(|(of, _)| of == name).map_or(0.0, |(_, part)| *part);
+                significant(found, 2)
+            };
+            let first = [
+                channel.material.clone(),
+                channel.channel.clone(),
+                significant(100.0 * m.std_uncertainty / m.value.max(f64::MIN_POSITIVE), 2),
+            ];
+            first.into_iter().chain(names.iter().map(part)).collect()
+        };
+        let rows: Vec<Vec<String>> = channels.iter().map(row).collect();
+        format!("<h3>{}</h3>\n{}", MEASURANDS[i], table("", &head, &rows))
+    };
+    format!(
+        "<h2>Budget</h2>\n<p>Contributions |c<sub>i</sub>| u(x<sub>i</sub>) in per cent of the value, whose squares add up to \
+         u<sub>c</sub>². “g” is the growth of u<sub>c</sub> because the anisotropy is estimated, too; “other channels” are errors \
+         of other materials and channels through what they share.</p>\n{}",
+        (0..MEASURANDS.len()).map(of).collect::<String>()
+    )
+}
+
+/// Contributions below this share of the value in per cent get no column.
+const LEAST_SHOWN: f64 = 0.05;
+
+fn correlations(channels: &[EvaluatedChannel]) -> String {
+    /// Most channels of a matrix on a page.
+    const MOST: usize = 12;
+    let table_of = |i: usize| {
+        let labels: Vec<String> = channels.iter().map(EvaluatedChannel::label).collect();
+        let head: Vec<&str> = std::iter::once("").chain(labels.iter().map(String::as_str)).collect();
+        let cell = |a: &EvaluatedChannel, b: &EvaluatedChannel| minus(&format!("{:.2}", a.correlation(b, i)));
+        let row = |a: &EvaluatedChannel| {
+            std::iter::once(a.label()).chain(channels.iter().map(|b| cell(a, b))).collect()
+        };
+        let rows: Vec<Vec<String>> = channels.iter().map(row).collect();
+        format!("<h3>{}</h3>\n{}", MEASURANDS[i], table("", &head, &rows))
+    };
+    let tables = if channels.len() <= MOST {
+        (0..MEASURANDS.len()).map(table_of).collect::<String>()
+    } else {
+        format!(
+            "<p>{}</p>\n",
+            (0..MEASURANDS.len()).map(|i| spread(channels, i)).collect::<Vec<_>>().join("<br>")
+        )
+    };
+    format!(
+        "<h2>Correlations</h2>\n{tables}<p class=\"faint\">media.json has the covariances within and between all channels.</p>\n"
+    )
+}
+
+/// The range of correlations between channels of one material, and between those of two.
+fn spread(channels: &[EvaluatedChannel], measurand: usize) -> String {
+    let mut all: [Vec<f64>; 2] = Default::default();
+    for (i, a) in channels.iter().enumerate() {
+        for b in &channels[..i] {
+            all[usize::from(a.material != b.material)].push(a.correlation(b, measurand));
+        }
+    }
+    let text = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        let Some((first, last)) = values.first().zip(values.last()) else { return "–".to_owned() };
+        minus(&format!("{first:.2} to {last:.2}, median {:.2}", values[values.len() / 2]))
+    };
+    let [same, other] = all.map(text);
+    format!("{}: {same} within a material, {other} between materials", MEASURANDS[measurand])
+}
+
+fn limits() -> String {
+    "<h2>Not covered</h2>\n<ul>\n<li>Fluorescence: light that is absorbed and sent out at other wavelengths.</li>\n\
+     <li>Variation within a material, between batches, with age, curing or temperature: the values are those of these \
+     slabs.</li>\n<li>Polarisation, and materials whose scattering depends on the direction.</li>\n<li>Phase functions \
+     that two Henyey–Greenstein lobes do not describe.</li>\n<li>Errors of a set-up beyond its stated \
+     uncertainties.</li>\n</ul>\n"
+        .to_owned()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,131 @@
+//! The input quantities of a measurement: with type, distribution and standard uncertainty, before and after the fit.
+
+use farm_figures::numbers::significant;
+use optics_model::fit::{MaterialFit, Nuisance, Refined};
+use optics_model::scene::Scope;
+
+/// An input quantity.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct InputQuantity {
+    pub name: String,
+    /// How many independent values there are.
+    pub count: usize,
+    pub std_uncertainty: String,
+    /// Type A or B.
+    pub kind: &'static str,
+    pub distribution: &'static str,
+    /// Standard uncertainty after the fit; empty if it is not estimated.
+    pub posterior: String,
+}
+
+/// A quantity under construction, from all fits.
+#[derive(Debug, Clone)]
+struct Gathered {
+    name: String,
+    unit: String,
+    count: usize,
+    priors: Vec<f64>,
+    posteriors: Vec<f64>,
+}
+
+/// The input quantities of all channels, each once.
+pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
+    let refined: Vec<(usize, &Refined)> = fits
+        .iter()
+        .enumerate()
+        .flat_map(|(i, fit)| fit.channels.iter().filter_map(move |c| Some((i, c.refined.as_ref()?))))
+        .collect();
+    let noise: Vec<f64> = refined.iter().map(|(_, r)| r.measurement_noise).collect();
+    let mut all = vec![
+        InputQuantity {
+            name: "radiance factor of a pixel: noise".to_owned(),
+            count: noise.len(),
+            std_uncertainty: range(&noise, ""),
+            kind: "A",
+            distribution: "normal",
+            posterior: String::new(),
+        },
+        InputQuantity {
+            name: "simulated radiance factor: noise of the dictionary".to_owned(),
+            count: noise.len(),
+            std_uncertainty: "in each record".to_owned(),
+            kind: "A",
+            distribution: "normal",
+            posterior: String::new(),
+        },
+    ];
+    let mut gathered: Vec<Gathered> = Vec::new();
+    for (_, r) in &refined {
+        for nuisance in &r.likelihood.nuisances {
+            let (name, unit) = name_of(nuisance.nuisance);
+            let of = entry(&mut gathered, name, unit);
+            of.count += 1;
+            of.priors.push(nuisance.prior_std_error);
+            of.posteriors.push(nuisance.std_error);
+        }
+    }
+    let mut known: Vec<(String, Option<usize>, Option<String>)> = Vec::new();
+    for (material, r) in &refined {
+        for estimate in &r.likelihood.scene {
+            let of = entry(&mut gathered, &estimate.quantity, &estimate.unit);
+            of.priors.push(estimate.prior_std_error);
+            of.posteriors.push(estimate.std_error);
+            let own = (estimate.scope != Scope::Session).then_some(*material);
+            let key = (estimate.quantity.clone(), own, estimate.slab_mm.map(|mm| mm.to_string()));
+            if !known.contains(&key) {
+                known.push(key);
+                of.count += 1;
+            }
+        }
+    }
+    all.extend(gathered.iter().map(Gathered::quantity));
+    all
+}
+
+fn entry<'a>(all: &'a mut Vec<Gathered>, name: &str, unit: &str) -> &'a mut Gathered {
+    let at = all.iter().position(|of| of.name == name).unwrap_or_else(|| {
+        let (name, unit) = (name.to_owned(), unit.to_owned());
+        all.push(Gathered { name, unit, count: 0, priors: Vec::new(), posteriors: Vec::new() });
+        all.len() - 1
+    });
+    &mut all[at]
+}
+
+impl Gathered {
+    fn quantity(&self) -> InputQuantity {
+        let is_free = self.priors.iter().any(|prior| !prior.is_finite());
+        InputQuantity {
+            name: self.name.clone(),
+            count: self.count,
+            std_uncertainty: if is_free { "unknown".to_owned() } else { range(&self.priors, &self.unit) },
+            kind: if is_free { "A" } else { "B" },
+            distribution: "normal",
+            posterior: range(&self.posteriors, &self.unit),
+        }
+    }
+}
+
+fn name_of(nuisance: Nuisance) -> (&'static str, &'static str) {
+    match nuisance {
+        Nuisance::Scale => ("white reference: scale factor 1/μ", ""),
+        Nuisance::BlurVariance => ("blur of the camera: variance", "mm²"),
+        Nuisance::Thickness => ("thickness of a slab", "mm"),
+        Nuisance::Origin => ("place of the edge", "mm"),
+        Nuisance::Gain => ("gain of a profile", ""),
+        Nuisance::Zero => ("zero of a profile", ""),
+        Nuisance::Slope => ("slope of the light over 10 mm", ""),
+    }
+}
+
+/// One number, or the least and the greatest.
+fn range(values: &[f64], unit: &str) -> String {
+    let finite = || values.iter().copied().filter(|v| v.is_finite());
+    let (least, most) = (finite().fold(f64::INFINITY, f64::min), finite().fold(0.0, f64::max));
+    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+    let [least, most] = [least, most].map(|v| significant(v, 2));
+    match values {
+        [] => String::new(),
+        _ if least == most => format!("{least}{unit}"),
+        _ => format!("{least} to {most}{unit}"),
+    }
+}

@@ -1,0 +1,93 @@
+use farm_figures::testing;
+use optics_model::fit::{Interval, SharedErrors};
+
+use super::*;
+
+fn fits() -> Vec<MaterialFit> {
+    let mut channel = testing::channel("R", 6.0, 1.0);
+    let refined = channel.refined.as_mut().unwrap();
+    refined.covariance = [[2.5e-3, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 0.01]];
+    ["white", "<cyan>"]
+        .map(|name| MaterialFit { material: name.into(), channels: vec![channel.clone()] })
+        .to_vec()
+}
+
+fn common() -> Common {
+    let mu_interval = Interval { low: 0.99, high: 1.01, open_low: false, open_high: false };
+    Common {
+        mu: 1.0,
+        mu_std_error: 0.005,
+        mu_interval,
+        mu_chosen: false,
+        g: None,
+        g_change: None,
+        g_interval: None,
+        by_g: Vec::new(),
+    }
+}
+
+fn page_of(record: &Record, errors: &SharedErrors) -> String {
+    UncertaintyStatement {
+        fits: &fits(),
+        shared_errors: errors,
+        common: &common(),
+        record,
+        dictionary: "lab",
+        digest: "0123",
+    }
+    .page()
+}
+
+/// Values have their combined uncertainty, k, ν_eff and interval; names are escaped; contributions add up to u_c.
+#[test]
+fn statements_have_results_and_budget() {
+    let page = page_of(&Record::default(), &SharedErrors::default());
+    let channels = evaluated(&fits(), &SharedErrors::default());
+    let m = &channels[0].measurands[0];
+    let variance = fits()[0].channels[0].refined.as_ref().unwrap().covariance[0][0];
+    assert!((m.std_uncertainty - 6.0 * variance.sqrt()).abs() < 1e-9, "{m:?}");
+    let squares: f64 = m.contributions.iter().map(|(_, part)| part * part).sum();
+    let relative = 100.0 * m.std_uncertainty / m.value;
+    assert!((squares.sqrt() / relative - 1.0).abs() < 0.01, "{squares} {relative}");
+    for part in
+        ["<td>σ_t</td><td>6</td>", "<td>&lt;cyan&gt;</td>", "<h2>Budget</h2>", "<th>&lt;cyan&gt; R</th>"]
+    {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    assert!(page.contains(
+        "No certificate is stated for the white reference, the thickness of the slabs, the board's squares"
+    ));
+}
+
+/// Correlations of two channels follow from the errors that they share.
+#[test]
+fn correlations_follow_from_shared_errors() {
+    let sd = fits()[0].channels[0].refined.as_ref().unwrap().covariance[0][0].sqrt();
+    let media = vec![[0.8 * sd, 0.0, 0.0, 0.0, 0.0], [-0.5 * sd, 0.0, 0.0, 0.0, 0.0]];
+    let errors = SharedErrors { sources: 1, media, scene: Vec::new() };
+    let channels = evaluated(&fits(), &errors);
+    assert!((channels[0].correlation(&channels[1], 0) + 0.4).abs() < 1e-9);
+    assert_eq!(channels[0].correlation(&channels[0], 0), 1.0);
+    assert!(page_of(&Record::default(), &errors).contains("<td>−0.40</td>"));
+}
+
+/// Entries of the session are stated; with all three certificates traceability is.
+#[test]
+fn certificates_are_stated() {
+    let text = |text: &str| Some(text.to_owned());
+    let record = Record {
+        operator: text("A. B."),
+        white_certificate: text("W-1"),
+        thickness_certificate: text("T-1"),
+        scale_certificate: text("S-1"),
+        ..Record::default()
+    };
+    let page = page_of(&record, &SharedErrors::default());
+    for part in
+        ["<td>Operator</td><td>A. B.</td>", "<td>W-1</td>", "are traceable through these certificates"]
+    {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    let wrong = Record { conditions: text("a\nb"), ..record }.checked().unwrap_err().to_string();
+    assert!(wrong.starts_with("record.conditions = \"a\\nb\""), "{wrong}");
+}
