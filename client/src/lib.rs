@@ -13,6 +13,7 @@ mod exit;
 mod figure_files;
 mod interrupt;
 mod output;
+mod prints;
 mod progress;
 mod renderers;
 mod slurm;

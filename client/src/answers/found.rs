@@ -1,8 +1,13 @@
 //! Checks the answer to a measurement, and formats its media as files.
 
 use anyhow::{Context, Result};
+use farm_lab::media_file::{MeasuredWith, MediaFile};
+use farm_lab::record::Record;
+use farm_lab::uncertainty::UncertaintyStatement;
 use farm_proto::wire::MeasureResponse;
 use optics_model::fit::{Common, MaterialFit, ScaleCurve, SharedErrors, Unmixed};
+
+use optics_model::{Digest, Grid};
 
 use super::table::table_csv;
 use crate::renderers;
@@ -35,6 +40,30 @@ impl TryFrom<MeasureResponse> for MeasureAnswer {
             unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
             shared_errors: answer.shared_errors.unwrap_or_default().try_into()?,
         })
+    }
+}
+
+impl MeasureAnswer {
+    /// The media with their covariance.
+    pub(crate) fn media_file(&self, dictionary: &str, grid: &Grid) -> MediaFile {
+        let Common { mu, mu_std_error, .. } = self.common;
+        let digest = Digest::of_grid(grid);
+        let with = MeasuredWith { dictionary, digest, scene: grid.scene(), mu: [mu, mu_std_error] };
+        MediaFile::new(&self.materials, &self.shared_errors, &with)
+    }
+
+    /// The statement of uncertainty as a page.
+    pub(crate) fn uncertainty(&self, dictionary: &str, grid: &Grid, record: &Record) -> String {
+        let digest = Digest::of_grid(grid).to_string();
+        UncertaintyStatement {
+            fits: &self.materials,
+            shared_errors: &self.shared_errors,
+            common: &self.common,
+            record,
+            dictionary,
+            digest: &digest,
+        }
+        .page()
     }
 }
 

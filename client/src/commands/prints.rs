@@ -1,17 +1,11 @@
 //! Commands that predict how prints of measured media look.
 
-mod bases;
 pub(crate) mod compare;
-mod errors;
-mod geometry;
 pub(crate) mod predict;
-mod prepared;
 pub(crate) mod recipe;
-mod set_up;
-mod slabs;
 pub(crate) mod translucency;
 pub(crate) mod validate;
-mod view;
+mod view_args;
 
 use std::process::ExitCode;
 

@@ -1,6 +1,7 @@
 //! Answers the page's calls to `farmctl web` itself: reads and writes files like the other verbs.
 
 mod colours;
+mod prints;
 mod session;
 mod tables;
 
@@ -21,14 +22,18 @@ use super::api::figures_request::Of;
 use super::api::{
     AboutRequest, AboutResponse, ChannelSummary, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest,
     File, Files, ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, NumberWithInterval,
-    OpenCaptureRequest, OpenCaptureResponse, ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest,
-    ReadMeasurementsResponse, Remark, SummarizeRequest, SummarizeResponse,
+    OpenCaptureRequest, OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest,
+    ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, SummarizeRequest,
+    SummarizeResponse,
 };
 use super::captures::Captures;
 use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, media_files, objective};
 use farm_lab::grid_file::{grid_of, named_grid};
 use farm_lab::measurement_file::{self, MeasurementFile};
+use farm_lab::media_file::MEDIA_FILE;
+use farm_lab::record::Record;
 use farm_lab::set_up::SetUp;
+use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
 use crate::figure_files::file_name;
 use crate::output::sentence;
@@ -118,13 +123,18 @@ impl Desk for DeskService {
     async fn media(&self, request: Request<MediaRequest>) -> Result<Response<Files>, Status> {
         let request = request.into_inner();
         answer(move || {
-            let files = media_files(&found(request.found)?.materials)?.into_iter();
+            let (found, dictionary) = prints::measured(request)?;
+            let mut files: Vec<_> = media_files(&found.materials)?.into();
+            if let Some((name, grid)) = dictionary {
+                files.push((MEDIA_FILE, found.media_file(&name, &grid).text()?));
+                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &Record::default())));
+            }
             let file = |(name, text): (&str, String)| File {
                 name: name.to_owned(),
                 media_type: "text/plain".to_owned(),
                 content: text.into_bytes(),
             };
-            Ok(Files { files: files.map(file).collect() })
+            Ok(Files { files: files.into_iter().map(file).collect() })
         })
         .await
     }
@@ -143,6 +153,14 @@ impl Desk for DeskService {
     async fn colors(&self, request: Request<ColorsRequest>) -> Result<Response<ColorsResponse>, Status> {
         let media = request.into_inner().media;
         answer(move || Ok(ColorsResponse { radiance_factors: colours::radiance_factors(media)? })).await
+    }
+
+    async fn predict_print(
+        &self,
+        request: Request<PredictPrintRequest>,
+    ) -> Result<Response<PredictPrintResponse>, Status> {
+        let request = request.into_inner();
+        answer(move || prints::print(request)).await
     }
 
     async fn list_captures(

@@ -224,9 +224,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         Some(path) => figure_files::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
-    let media = files::media(&dictionary, &grid, &found)?;
+    let media = found.media_file(&dictionary, &grid).text()?;
     let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
-    let uncertainty = files::uncertainty(&dictionary, &grid, &found, &record);
+    let uncertainty = found.uncertainty(&dictionary, &grid, &record);
     if let Some(folder) = &inputs.output {
         files::write(folder, &found, &media, &uncertainty)
             .with_context(|| format!("writing {}", folder.display()))?;

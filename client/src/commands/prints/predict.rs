@@ -5,19 +5,14 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
-use farm_lab::colour::{Colorimetry, SeenColour, StandardObserver, Viewing};
+use farm_lab::colour::{StandardObserver, Viewing};
 use farm_lab::media_file::MediaFile;
-use optics_layers::Predicted;
-use optics_model::Invalid;
-use optics_model::fit::Z;
-use optics_model::measurement::wavelength_nm;
-use serde::Serialize;
 
-use super::bases::PrintBase;
-use super::errors::{lab_std_errors, std_error};
-use super::slabs::{NamedSlab, parsed};
-use super::view::{PrintView, ViewArgs, materials_of, unresolved};
+use super::view_args::ViewArgs;
 use crate::output::{Output, table, wrapped};
+use crate::prints::prediction::{
+    ColourJson, ColoursJson, PredictJson, PredictedChannelJson, decimals, predicted,
+};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -44,175 +39,8 @@ pub(crate) struct PredictArgs {
 }
 
 pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
-    let data = data(args)?;
+    let data = predicted(&MediaFile::read(&args.media)?, &args.slabs, &args.over, &args.view.options())?;
     output.print("predict", &data, || text(&data))
-}
-
-#[derive(Debug, Serialize)]
-pub(crate) struct PredictJson {
-    slabs: Vec<SlabJson>,
-    geometry: &'static str,
-    channels: Vec<PredictedChannelJson>,
-    /// Null unless the channels are wavelengths that cover the visible range.
-    colours: Option<ColoursJson>,
-    /// Why there are no colours.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    no_colours: Option<String>,
-    /// Materials that the measurement leaves undetermined, with their channels.
-    unresolved: Vec<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct SlabJson {
-    label: String,
-    thickness_mm: f64,
-    shares: Vec<ShareJson>,
-}
-
-#[derive(Debug, Serialize)]
-struct ShareJson {
-    material: String,
-    share: f64,
-}
-
-#[derive(Debug, Serialize)]
-struct PredictedChannelJson {
-    channel: String,
-    bases: Vec<ReflectanceJson>,
-}
-
-/// A radiance factor with its 95 % interval.
-#[derive(Debug, Serialize)]
-struct ReflectanceJson {
-    base: PrintBase,
-    radiance_factor: f64,
-    std_error: f64,
-    interval: [f64; 2],
-}
-
-#[derive(Debug, Serialize)]
-struct ColoursJson {
-    #[serde(flatten)]
-    viewing: Viewing,
-    bases: Vec<ColourJson>,
-    /// Least Y over all bases over the greatest, and its standard error; null with one base.
-    contrast_ratio: Option<[f64; 2]>,
-}
-
-#[derive(Debug, Serialize)]
-struct ColourJson {
-    base: PrintBase,
-    #[serde(flatten)]
-    colour: SeenColour,
-    lab_std_errors: [f64; 3],
-    /// Null for the 10° observer.
-    srgb: Option<[u8; 3]>,
-}
-
-fn data(args: &PredictArgs) -> Result<PredictJson> {
-    let file = MediaFile::read(&args.media)?;
-    let is_material = |name: &str| file.material(name).is_ok();
-    let slabs: Vec<NamedSlab> =
-        args.slabs.iter().map(|text| parsed(text, is_material)).collect::<Result<_>>()?;
-    let bases: Vec<PrintBase> =
-        args.over.iter().map(|text| PrintBase::parsed(text.trim())).collect::<Result<_, _>>()?;
-    let materials = materials_of(&slabs);
-    let view = PrintView::new(&file, &slabs, &bases, &args.view)?;
-    let channels = view.names();
-    let found = view.predicted(&slabs)?;
-    let unresolved = unresolved(&file, &materials, &channels)?;
-    let (colours, no_colours) = match colours(&channels, &found, &bases, args.view.viewing()) {
-        Ok(colours) => (Some(colours), None),
-        Err(reason) if wavelength_nm(channels[0]).is_none() => (None, Some(reason.allowed().to_owned())),
-        Err(reason) => (None, Some(format!("{}: {}", reason.given(), reason.allowed()))),
-    };
-    Ok(PredictJson {
-        slabs: slabs.iter().map(slab_json).collect(),
-        geometry: args.view.geometry.name(),
-        channels: channels
-            .iter()
-            .zip(&found)
-            .map(|(channel, found)| channel_json(channel, found, &bases))
-            .collect(),
-        colours,
-        no_colours,
-        unresolved,
-    })
-}
-
-fn slab_json(slab: &NamedSlab) -> SlabJson {
-    let share = |(material, share): &(String, f64)| ShareJson { material: material.clone(), share: *share };
-    SlabJson {
-        label: slab.label(),
-        thickness_mm: slab.thickness_mm,
-        shares: slab.shares.iter().map(share).collect(),
-    }
-}
-
-fn channel_json(channel: &str, found: &[Predicted], bases: &[PrintBase]) -> PredictedChannelJson {
-    let reflectance = |(found, base): (&Predicted, &PrintBase)| {
-        let (value, std_error) = (found.value, found.std_error());
-        let interval = [(value - Z * std_error).max(0.0), value + Z * std_error];
-        ReflectanceJson { base: base.clone(), radiance_factor: value, std_error, interval }
-    };
-    PredictedChannelJson {
-        channel: channel.to_owned(),
-        bases: found.iter().zip(bases).map(reflectance).collect(),
-    }
-}
-
-/// Colours over all bases.
-fn colours(
-    channels: &[&str],
-    found: &[Vec<Predicted>],
-    bases: &[PrintBase],
-    viewing: Viewing,
-) -> Result<ColoursJson, Invalid> {
-    let wavelengths: Option<Vec<f64>> = channels.iter().map(|channel| wavelength_nm(channel)).collect();
-    let mut sorted: Vec<(f64, usize)> =
-        wavelengths.unwrap_or_default().into_iter().enumerate().map(|(i, nm)| (nm, i)).collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (nm, order): (Vec<f64>, Vec<usize>) = sorted.into_iter().unzip();
-    let colorimetry = Colorimetry::new(&nm, viewing)?;
-    let colour = |(i, base): (usize, &PrintBase)| {
-        let values: Vec<f64> = order.iter().map(|channel| found[*channel][i].value).collect();
-        let colour = colorimetry.colour(&values);
-        ColourJson {
-            base: base.clone(),
-            colour,
-            lab_std_errors: lab_std_errors(&colorimetry, found, &order, i),
-            srgb: colorimetry.srgb(&colour),
-        }
-    };
-    let all: Vec<ColourJson> = bases.iter().enumerate().map(colour).collect();
-    let contrast_ratio = (all.len() > 1).then(|| contrast_ratio(&colorimetry, found, &order, &all));
-    Ok(ColoursJson { viewing, bases: all, contrast_ratio })
-}
-
-/// Least Y over the greatest, q = Y₁/Y₂, and its standard error, by dq = (dY₁ − q dY₂)/Y₂.
-fn contrast_ratio(
-    colorimetry: &Colorimetry,
-    found: &[Vec<Predicted>],
-    order: &[usize],
-    colours: &[ColourJson],
-) -> [f64; 2] {
-    let y = |base: &usize| colours[*base].colour.xyz[1];
-    let all = || 0..colours.len();
-    let least = all().min_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
-    let greatest = all().max_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
-    let ratio = y(&least) / y(&greatest);
-    // Y is linear in the spectrum.
-    let mut weights = vec![0.0; found.len()];
-    for (at, channel) in order.iter().enumerate() {
-        let unit: Vec<f64> = (0..order.len()).map(|i| if i == at { 1.0 } else { 0.0 }).collect();
-        weights[*channel] = colorimetry.xyz(&unit)[1] / y(&greatest);
-    }
-    let error = std_error(found, |channel, base| match base {
-        _ if base == least => weights[channel],
-        _ if base == greatest => -ratio * weights[channel],
-        _ => 0.0,
-    });
-    [ratio, if least == greatest { 0.0 } else { error }]
 }
 
 fn text(data: &PredictJson) -> String {
@@ -222,7 +50,7 @@ fn text(data: &PredictJson) -> String {
     let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();
     let row = |channel: &PredictedChannelJson| {
         let cells = channel.bases.iter().flat_map(|b| {
-            let digits = (-b.std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1;
+            let digits = decimals(b.std_error);
             [
                 format!("{:.digits$}", b.radiance_factor),
                 format!("{:.digits$}…{:.digits$}", b.interval[0], b.interval[1]),

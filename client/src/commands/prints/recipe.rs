@@ -12,11 +12,12 @@ use farm_lab::media_file::MediaFile;
 use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
-use super::bases::PrintBase;
-use super::errors::lab_std_errors;
-use super::slabs::NamedSlab;
-use super::view::{PrintView, ViewArgs};
+use super::view_args::ViewArgs;
 use crate::output::{Output, table, wrapped};
+use crate::prints::bases::PrintBase;
+use crate::prints::errors::lab_std_errors;
+use crate::prints::slabs::NamedSlab;
+use crate::prints::view::PrintView;
 use search::{ShareLimits, closest};
 
 #[derive(Debug, Args)]
@@ -134,13 +135,14 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
         shares: names.iter().map(|name| (name.clone(), share)).collect(),
         thickness_mm: args.thickness,
     };
-    let view = PrintView::new(&file, &[even], &bases, &args.view)?;
+    let view = PrintView::new(&file, &[even], &bases, &args.view.options())?;
     let mut order: Vec<(Option<f64>, usize)> =
         view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
     order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
     let nm: Vec<f64> = order.iter().filter_map(|(nm, _)| *nm).collect();
     let is_spectral = nm.len() == order.len();
-    let colorimetry = if is_spectral { Colorimetry::new(&nm, args.view.viewing()).ok() } else { None };
+    let colorimetry =
+        if is_spectral { Colorimetry::new(&nm, args.view.options().viewing).ok() } else { None };
     let order = order.into_iter().map(|(_, i)| i).collect();
     let inks = InkMixer { args, names, view, colorimetry, order };
     let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;

@@ -12,10 +12,10 @@ use optics_model::scene::{Layer, RingLight, Sensor};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::set_up::FoundSetUp;
-use super::slabs::NamedSlab;
-use super::view::{narrowest_peak, uncertain};
 use crate::output::{Output, table};
+use crate::prints::set_up::FoundSetUp;
+use crate::prints::slabs::NamedSlab;
+use crate::prints::view::{narrowest_peak, uncertain};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

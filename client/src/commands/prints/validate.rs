@@ -20,12 +20,13 @@ use optics_model::measurement::wavelength_nm;
 use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
-use super::bases::PrintBase;
-use super::errors::{ErrorKey, changes, sum_std_error};
-use super::slabs::NamedSlab;
-use super::view::{PrintView, ViewArgs, materials_of};
+use super::view_args::ViewArgs;
 use crate::figure_files;
 use crate::output::{Output, table, wrapped};
+use crate::prints::bases::PrintBase;
+use crate::prints::errors::{ErrorKey, changes, sum_std_error};
+use crate::prints::slabs::NamedSlab;
+use crate::prints::view::{PrintView, materials_of};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -162,7 +163,7 @@ fn validated(
     let patches: Vec<ChartPatch> = of_each.into_iter().flatten().collect();
     let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
     let materials = materials_of(&slabs);
-    let view = PrintView::new(media, &slabs, &[PrintBase::parsed(&args.over)?], &args.view)?;
+    let view = PrintView::new(media, &slabs, &[PrintBase::parsed(&args.over)?], &args.view.options())?;
     let (mut of_patches, mut colours) = (Vec::new(), Vec::new());
     for (number, patch) in patches.iter().enumerate() {
         let found = compared(args, &view, number, patch)?;
@@ -266,7 +267,7 @@ fn colour(args: &ValidateArgs, patch: &ChartPatch, found: &[PatchJson]) -> Optio
         .collect::<Option<_>>()?;
     spectrum.sort_by(|a, b| a.0.total_cmp(&b.0));
     let nm: Vec<f64> = spectrum.iter().map(|(nm, ..)| *nm).collect();
-    let colorimetry = Colorimetry::new(&nm, args.view.viewing()).ok()?;
+    let colorimetry = Colorimetry::new(&nm, args.view.options().viewing).ok()?;
     let lab = |of: fn(&(f64, f64, f64)) -> f64| {
         colorimetry.colour(&spectrum.iter().map(of).collect::<Vec<_>>()).lab
     };

@@ -45,7 +45,7 @@ async fn first_use_computes_measures_and_saves() {
     browser.press("Save media and table").await;
     // An archive contains the names of its files uncompressed.
     let media = std::fs::read(browser.saved("media.zip").await).unwrap();
-    for name in ["table.csv", "media.py", "media.xml", "media.pbrt"] {
+    for name in ["table.csv", "media.py", "media.xml", "media.pbrt", "media.json", "uncertainty.html"] {
         assert!(
             media.windows(name.len()).any(|bytes| bytes == name.as_bytes()),
             "{name} is not in media.zip"
@@ -55,6 +55,7 @@ async fn first_use_computes_measures_and_saves() {
     browser.press("Figures (PNG)").await;
     browser.saved("white.png").await;
     same_numbers_as_the_command(&browser, folder.path()).await;
+    same_print_as_the_command(&browser, folder.path()).await;
 
     go_to(&browser, "Dictionary").await;
     browser.shows("± ").await;
@@ -101,6 +102,34 @@ async fn same_numbers_as_the_command(browser: &Browser, folder: &Path) {
     let ran = run(folder, &["measure", white.to_str().unwrap(), "--json"]);
     assert_eq!(ran.code, 0, "{}", ran.stderr);
     same_numbers(browser, &serde_json::from_str(&ran.stdout).unwrap()).await;
+}
+
+/// A print has the radiance factors of `farmctl predict`, and a wrong slab its message.
+async fn same_print_as_the_command(browser: &Browser, folder: &Path) {
+    let white = farm_tests::reference::root().join("examples/white.csv");
+    let ran = run(folder, &["measure", white.to_str().unwrap(), "--output", "media"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let ran = run(folder, &["predict", "media", "white:1", "--geometry", "45:0", "--json"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let answer: Value = serde_json::from_str(&ran.stdout).unwrap();
+    browser.press("Predict").await;
+    browser.shows("Radiance factors of white:1").await;
+    let cells = "return [...document.querySelectorAll('section[aria-label=Prints] tbody td:not(.soft)')].map((c) => c.textContent)";
+    let shown = browser.script(cells, vec![]).await;
+    let channels = answer["data"]["channels"].as_array().unwrap();
+    let values = channels.iter().flat_map(|c| c["bases"].as_array().unwrap()).map(|b| &b["radiance_factor"]);
+    let values: Vec<f64> = values.map(|v| v.as_f64().unwrap()).collect();
+    let shown: Vec<f64> =
+        shown.as_array().unwrap().iter().map(|v| v.as_str().unwrap().parse().unwrap()).collect();
+    assert!(
+        shown.len() == 6 && shown.iter().zip(&values).all(|(s, v)| (s - v).abs() < 1e-3),
+        "{shown:?} {values:?}"
+    );
+    let slabs = browser.css("section[aria-label=Prints] input").await;
+    slabs.clear().await.unwrap();
+    slabs.send_keys("cyan:1").await.unwrap();
+    browser.press("Predict").await;
+    browser.shows("material \"cyan\" is not in the file: it has white").await;
 }
 
 async fn same_numbers(browser: &Browser, answer: &Value) {

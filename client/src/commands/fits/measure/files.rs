@@ -3,12 +3,10 @@
 use std::path::Path;
 
 use anyhow::{Context, Result};
-use farm_lab::media_file::{MEDIA_FILE, MeasuredWith, MediaFile};
+use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::record::Record;
 use farm_lab::research_object::ResearchObject;
-use farm_lab::uncertainty::{UNCERTAINTY_FILE, UncertaintyStatement};
-use optics_model::fit::Common;
-use optics_model::{Digest, Grid};
+use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
 use crate::answers::{MeasureAnswer, media_files};
 use crate::output::{now_unix_s, utc, write_whole};
@@ -20,32 +18,6 @@ pub(super) fn write(folder: &Path, found: &MeasureAnswer, media: &str, uncertain
     }
     write_media(folder, media)?;
     write_uncertainty(folder, uncertainty)
-}
-
-/// The text of the file with the media and their covariance.
-pub(super) fn media(dictionary: &str, grid: &Grid, found: &MeasureAnswer) -> Result<String> {
-    let Common { mu, mu_std_error, .. } = found.common;
-    let with = MeasuredWith {
-        dictionary,
-        digest: Digest::of_grid(grid),
-        scene: grid.scene(),
-        mu: [mu, mu_std_error],
-    };
-    MediaFile::new(&found.materials, &found.shared_errors, &with).text()
-}
-
-/// The statement of uncertainty of a measurement.
-pub(super) fn uncertainty(dictionary: &str, grid: &Grid, found: &MeasureAnswer, record: &Record) -> String {
-    let digest = Digest::of_grid(grid).to_string();
-    UncertaintyStatement {
-        fits: &found.materials,
-        shared_errors: &found.shared_errors,
-        common: &found.common,
-        record,
-        dictionary,
-        digest: &digest,
-    }
-    .page()
 }
 
 pub(super) fn write_uncertainty(folder: &Path, page: &str) -> Result<()> {

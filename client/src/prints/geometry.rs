@@ -19,7 +19,7 @@ pub(crate) enum Geometry {
 }
 
 impl Geometry {
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Session => "session",
             Self::FortyFiveZero => "45:0",
@@ -29,7 +29,7 @@ impl Geometry {
 
     /// The scene of a print, given that of the measurement in a channel. A bare print has the roughness of the scene's
     /// sample, unless another is given.
-    pub(super) fn scene(self, session: Scene, roughness: Option<f64>) -> Result<Scene> {
+    pub(crate) fn scene(self, session: Scene, roughness: Option<f64>) -> Result<Scene> {
         if self == Self::Session && roughness.is_some() {
             bail!("--roughness is that of a bare print: give --geometry 45:0 or d:8");
         }

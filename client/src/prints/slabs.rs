@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 
 /// A slab by the names of its materials.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct NamedSlab {
+pub(crate) struct NamedSlab {
     /// Materials and their shares by volume, which add up to 1.
     pub shares: Vec<(String, f64)>,
     pub thickness_mm: f64,
@@ -14,7 +14,7 @@ pub(super) struct NamedSlab {
 const ROUNDED: f64 = 2e-3;
 
 /// `MATERIAL:MM`, or `MATERIAL=SHARE,MATERIAL=SHARE:MM`; `is_material` finds names, which may contain any of the signs.
-pub(super) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<NamedSlab> {
+pub(crate) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<NamedSlab> {
     let form = || {
         format!("slab {text:?}: MATERIAL:MM or MATERIAL=SHARE,MATERIAL=SHARE:MM is needed, as in white:0.5")
     };
@@ -47,7 +47,7 @@ pub(super) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<N
 
 impl NamedSlab {
     /// For display: `white 0.5 mm`, `90 % white + 10 % cyan 0.5 mm`.
-    pub(super) fn label(&self) -> String {
+    pub(crate) fn label(&self) -> String {
         let part = |(name, share): &(String, f64)| {
             if *share == 1.0 { name.clone() } else { format!("{} % {name}", (1000.0 * share).round() / 10.0) }
         };

@@ -3,8 +3,7 @@
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
-use clap::{Args, ValueEnum};
-use farm_lab::colour::{Illuminant, StandardObserver, Viewing};
+use farm_lab::colour::Viewing;
 use farm_lab::media_file::{MediaChannel, MediaFile, MediaMaterial};
 use optics_layers::{Predicted, Print, SetUpChange, Uncertain, predict, radiance_factors};
 use optics_model::Scene;
@@ -16,37 +15,16 @@ use super::prepared::{Prints, looks_different};
 use super::set_up::{ChangedSetUp, FoundSetUp};
 use super::slabs::NamedSlab;
 
-#[derive(Debug, Clone, Args)]
-pub(crate) struct ViewArgs {
-    /// Lamps and sensor.
-    #[arg(long, value_enum, default_value = "session")]
-    pub(super) geometry: Geometry,
-    /// GGX roughness of a bare print's faces; 0 is polished [default: that of the measured samples].
-    #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
-    roughness: Option<f64>,
-    /// Illuminant of colours, for channels that are wavelengths.
-    #[arg(long, value_enum, default_value = "d50")]
-    illuminant: IlluminantArg,
-    /// Observer of colours: 2 or 10 degrees.
-    #[arg(long, value_enum, default_value = "2")]
-    observer: ObserverArg,
+/// How a print is seen.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ViewOptions {
+    pub geometry: Geometry,
+    /// Of the faces of a bare print; None for that of the measured samples.
+    pub roughness: Option<f64>,
+    pub viewing: Viewing,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum IlluminantArg {
-    D50,
-    D65,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum ObserverArg {
-    #[value(name = "2")]
-    Two,
-    #[value(name = "10")]
-    Ten,
-}
-
-impl ViewArgs {
+impl ViewOptions {
     /// The scene of a print, given that of the measurement.
     fn seen(&self, session: Scene) -> Result<Scene> {
         self.geometry.scene(session, self.roughness)
@@ -62,18 +40,6 @@ impl ViewArgs {
             }
         }
         Ok(all)
-    }
-
-    pub(super) fn viewing(&self) -> Viewing {
-        let illuminant = match self.illuminant {
-            IlluminantArg::D50 => Illuminant::D50,
-            IlluminantArg::D65 => Illuminant::D65,
-        };
-        let observer = match self.observer {
-            ObserverArg::Two => StandardObserver::TwoDegrees,
-            ObserverArg::Ten => StandardObserver::TenDegrees,
-        };
-        Viewing { illuminant, observer }
     }
 }
 
@@ -107,7 +73,7 @@ impl ViewedChange {
 
 /// The channels of some materials over bases.
 #[derive(Debug)]
-pub(super) struct PrintView<'a> {
+pub(crate) struct PrintView<'a> {
     file: &'a MediaFile,
     channels: Vec<ViewedChannel>,
     changes: Vec<ViewedChange>,
@@ -116,11 +82,11 @@ pub(super) struct PrintView<'a> {
 impl<'a> PrintView<'a> {
     /// The channels that all materials of these slabs have. What the set-up of each material has separately is averaged over
     /// the volume of the slabs.
-    pub(super) fn new(
+    pub(crate) fn new(
         file: &'a MediaFile,
         slabs: &[NamedSlab],
         bases: &[PrintBase],
-        args: &ViewArgs,
+        args: &ViewOptions,
     ) -> Result<Self> {
         let materials = materials_of(slabs);
         let all = materials.iter().map(|name| file.material(name)).collect::<Result<Vec<_>>>()?;
@@ -167,12 +133,12 @@ impl<'a> PrintView<'a> {
         Ok(Self { file, channels, changes })
     }
 
-    pub(super) fn names(&self) -> Vec<&str> {
+    pub(crate) fn names(&self) -> Vec<&str> {
         self.channels.iter().map(|c| c.name.as_str()).collect()
     }
 
     /// Radiance factors of a print, by channel and base.
-    pub(super) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
+    pub(crate) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
         self.each(|channel, media| {
             let changes = self.changes.iter().zip(&channel.changed_rho);
             let changes: Vec<SetUpChange> = changes.map(|(change, rho)| change.with(rho)).collect();
@@ -181,7 +147,7 @@ impl<'a> PrintView<'a> {
     }
 
     /// Radiance factors without their errors, which take most of the time.
-    pub(super) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
+    pub(crate) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
         self.each(|channel, media| {
             Ok(radiance_factors(&channel.print, media, &self.printed(slabs)?, &channel.rho)?)
         })
@@ -216,7 +182,7 @@ impl<'a> PrintView<'a> {
 }
 
 /// A medium with its errors.
-pub(super) fn uncertain(channel: &MediaChannel) -> Result<Uncertain> {
+pub(crate) fn uncertain(channel: &MediaChannel) -> Result<Uncertain> {
     Ok(Uncertain {
         medium: channel.medium()?,
         second_lobe: channel.second_lobe()?,
@@ -241,7 +207,7 @@ fn common_ior(materials: &[&MediaMaterial], channel: &str) -> Result<f64> {
 }
 
 /// Width of the narrowest peak of a phase function: 1 − |g| of a lobe. Narrower ones than directions resolve are refused.
-pub(super) fn narrowest_peak(material: &str, channel: &MediaChannel) -> Result<f64> {
+pub(crate) fn narrowest_peak(material: &str, channel: &MediaChannel) -> Result<f64> {
     let second = channel.second_lobe()?.limited_to(channel.g);
     let of_second = if second.weight() > 0.0 { second.g().abs() } else { 0.0 };
     let most = second.first(channel.g).abs().max(of_second);
@@ -253,7 +219,7 @@ pub(super) fn narrowest_peak(material: &str, channel: &MediaChannel) -> Result<f
 }
 
 /// The materials of slabs, each once.
-pub(super) fn materials_of(slabs: &[NamedSlab]) -> Vec<&str> {
+pub(crate) fn materials_of(slabs: &[NamedSlab]) -> Vec<&str> {
     let mut names: Vec<&str> = Vec::new();
     for (name, _) in slabs.iter().flat_map(|slab| &slab.shares) {
         if !names.contains(&name.as_str()) {
@@ -264,7 +230,7 @@ pub(super) fn materials_of(slabs: &[NamedSlab]) -> Vec<&str> {
 }
 
 /// Materials that the measurement does not determine, with their channels.
-pub(super) fn unresolved(file: &MediaFile, materials: &[&str], channels: &[&str]) -> Result<Vec<String>> {
+pub(crate) fn unresolved(file: &MediaFile, materials: &[&str], channels: &[&str]) -> Result<Vec<String>> {
     let mut all = Vec::new();
     for name in materials {
         let material = file.material(name)?;

@@ -12,8 +12,8 @@ const BASES: [(&str, f64); 2] = [("black", 0.03), ("white", 0.9)];
 /// A base under a print.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
-pub(super) struct PrintBase {
-    pub name: String,
+pub(crate) struct PrintBase {
+    pub(crate) name: String,
     #[serde(skip)]
     kind: BaseKind,
 }
@@ -27,7 +27,7 @@ enum BaseKind {
 }
 
 impl PrintBase {
-    pub(super) fn parsed(text: &str) -> Result<Self, Invalid> {
+    pub(crate) fn parsed(text: &str) -> Result<Self, Invalid> {
         let named = BASES.iter().find(|(name, _)| *name == text).map(|(_, rho)| BaseKind::Neutral(*rho));
         let number = || text.parse().ok().filter(|rho| (0.0..=1.0).contains(rho)).map(BaseKind::Neutral);
         let kind = match text {
@@ -43,7 +43,7 @@ impl PrintBase {
     }
 
     /// Reflectances in a channel, seen through a scene.
-    pub(super) fn all_rho(
+    pub(crate) fn all_rho(
         bases: &[Self],
         set_up: &FoundSetUp,
         channel: &str,

@@ -7,7 +7,7 @@ use optics_layers::{ChangeSource, Predicted};
 
 /// An independent source of errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) enum ErrorKey {
+pub(crate) enum ErrorKey {
     /// A source that media, channels and set-up share.
     Shared(usize),
     /// A direction in which a medium is uncertain in one channel.
@@ -19,7 +19,7 @@ pub(super) enum ErrorKey {
 }
 
 /// The changes of a prediction in a channel.
-pub(super) fn changes(channel: usize, predicted: &Predicted) -> impl Iterator<Item = (ErrorKey, f64)> {
+pub(crate) fn changes(channel: usize, predicted: &Predicted) -> impl Iterator<Item = (ErrorKey, f64)> {
     predicted.changes.iter().map(move |(source, change)| match *source {
         ChangeSource::Shared(k) => (ErrorKey::Shared(k), *change),
         ChangeSource::Own { medium, direction } => (ErrorKey::Own { channel, medium, direction }, *change),
@@ -27,14 +27,14 @@ pub(super) fn changes(channel: usize, predicted: &Predicted) -> impl Iterator<It
 }
 
 /// Standard error of Σ weight × change of terms.
-pub(super) fn sum_std_error(terms: impl Iterator<Item = (ErrorKey, f64)>) -> f64 {
+pub(crate) fn sum_std_error(terms: impl Iterator<Item = (ErrorKey, f64)>) -> f64 {
     let mut sums: BTreeMap<ErrorKey, f64> = BTreeMap::new();
     terms.for_each(|(key, change)| *sums.entry(key).or_default() += change);
     sums.values().map(|sum| sum * sum).sum::<f64>().sqrt()
 }
 
 /// Standard error of Σ weight × radiance factor over channels and bases.
-pub(super) fn std_error(found: &[Vec<Predicted>], weight: impl Fn(usize, usize) -> f64) -> f64 {
+pub(crate) fn std_error(found: &[Vec<Predicted>], weight: impl Fn(usize, usize) -> f64) -> f64 {
     let weight = &weight;
     let of_channel = |(channel, bases): (usize, &'_ Vec<Predicted>)| -> Vec<(ErrorKey, f64)> {
         let of_base = |(base, predicted)| {
@@ -47,7 +47,7 @@ pub(super) fn std_error(found: &[Vec<Predicted>], weight: impl Fn(usize, usize) 
 }
 
 /// Standard errors of L*, a* and b* over a base; `order` are the channels by rising wavelength.
-pub(super) fn lab_std_errors(
+pub(crate) fn lab_std_errors(
     colorimetry: &Colorimetry,
     found: &[Vec<Predicted>],
     order: &[usize],

@@ -6,18 +6,18 @@ use optics_layers::Print;
 use optics_model::Scene;
 
 /// Prepared prints, each once.
-pub(super) struct Prints {
+pub(crate) struct Prints {
     /// Width of the narrowest peak of a phase function.
     peak: f64,
     known: Vec<(Scene, f64, Arc<Print>)>,
 }
 
 impl Prints {
-    pub(super) fn new(peak: f64) -> Self {
+    pub(crate) fn new(peak: f64) -> Self {
         Self { peak, known: Vec::new() }
     }
 
-    pub(super) fn of(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
+    pub(crate) fn of(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
         let is_known = |(s, i, _): &&(Scene, f64, Arc<Print>)| !looks_different(s, scene) && *i == ior;
         if let Some((.., print)) = self.known.iter().find(is_known) {
             return print.clone();
@@ -29,7 +29,7 @@ impl Prints {
 }
 
 /// Whether prints look different in two scenes.
-pub(super) fn looks_different(a: &Scene, b: &Scene) -> bool {
+pub(crate) fn looks_different(a: &Scene, b: &Scene) -> bool {
     let of = |s: &Scene| (s.layers().to_vec(), s.light(), s.sensor().polar_deg(), s.sample_ior_offset());
     of(a) != of(b)
 }

@@ -13,7 +13,7 @@ use super::slabs::NamedSlab;
 
 /// The scene of the measurement with its quantities as found.
 #[derive(Debug)]
-pub(super) struct FoundSetUp {
+pub(crate) struct FoundSetUp {
     /// As the measurement assumed it.
     assumed: Scene,
     /// By prior of the scene: estimates for the print.
@@ -30,7 +30,7 @@ struct FoundQuantity {
 
 /// A quantity at a value one step away from its estimate.
 #[derive(Debug)]
-pub(super) struct ChangedSetUp<'a> {
+pub(crate) struct ChangedSetUp<'a> {
     set_up: &'a FoundSetUp,
     quantity: usize,
     /// Standard error, or its negative if larger values are impossible.
@@ -39,7 +39,7 @@ pub(super) struct ChangedSetUp<'a> {
 
 impl FoundSetUp {
     /// What materials have separately is averaged over the volume of these slabs.
-    pub(super) fn new(file: &MediaFile, slabs: &[NamedSlab]) -> Result<Self> {
+    pub(crate) fn new(file: &MediaFile, slabs: &[NamedSlab]) -> Result<Self> {
         let assumed = Scene::try_from(file.scene.clone()).context("the scene of the media file")?;
         let mut found = vec![FoundQuantity::default(); assumed.priors().len()];
         let total: f64 = slabs.iter().map(|slab| slab.thickness_mm).sum();
@@ -55,12 +55,12 @@ impl FoundSetUp {
     }
 
     /// The scene in a channel, as found; its ρ are not used.
-    pub(super) fn scene(&self, channel: &str) -> Result<Scene> {
+    pub(crate) fn scene(&self, channel: &str) -> Result<Scene> {
         self.scene_with(channel, &self.differences())
     }
 
     /// The changes of one standard error of each quantity.
-    pub(super) fn changed(&self) -> Vec<ChangedSetUp<'_>> {
+    pub(crate) fn changed(&self) -> Vec<ChangedSetUp<'_>> {
         let changed = |quantity: usize| {
             let error = self.found[quantity].std_error();
             let is_possible = |step: &f64| ChangedSetUp { set_up: self, quantity, step: *step }.is_possible();
@@ -72,7 +72,7 @@ impl FoundSetUp {
 
     /// The reflectances of the light and the dark side of the board in a channel: those with which it looks through a scene
     /// as it did in the photographs, for which `measure` assumed another one.
-    pub(super) fn board(&self, channel: &str, scene: &Scene) -> Result<[f64; 2]> {
+    pub(crate) fn board(&self, channel: &str, scene: &Scene) -> Result<[f64; 2]> {
         let found = self.assumed.channels().iter().find(|c| c.name() == channel);
         let side = found
             .with_context(|| format!("the scene of the media file has no board in channel {channel}"))?;
@@ -116,14 +116,14 @@ impl FoundQuantity {
 
 impl ChangedSetUp<'_> {
     /// The scene in a channel.
-    pub(super) fn scene(&self, channel: &str) -> Result<Scene> {
+    pub(crate) fn scene(&self, channel: &str) -> Result<Scene> {
         let mut differences = self.set_up.differences();
         differences[self.quantity] += self.step;
         self.set_up.scene_with(channel, &differences)
     }
 
     /// Changes of the quantity by source, in steps.
-    pub(super) fn shared(&self) -> Vec<f64> {
+    pub(crate) fn shared(&self) -> Vec<f64> {
         self.set_up.found[self.quantity].shared.iter().map(|change| change / self.step).collect()
     }
 

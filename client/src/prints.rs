@@ -1,0 +1,10 @@
+//! Predicts how prints of measured media look: for the verbs about prints, and for the page.
+
+pub(crate) mod bases;
+pub(crate) mod errors;
+pub(crate) mod geometry;
+pub(crate) mod prediction;
+mod prepared;
+pub(crate) mod set_up;
+pub(crate) mod slabs;
+pub(crate) mod view;
