@@ -76,7 +76,7 @@ impl UncertaintyStatement<'_> {
         } else {
             format!(
                 "No certificate is stated for {}: traceability to the SI is not claimed for what depends on them.",
-                lacking.join(", ")
+                lacking.join(" and ")
             )
         };
         let rows = if rows.is_empty() { String::new() } else { table("text", &[], &rows) };

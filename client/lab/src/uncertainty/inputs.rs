@@ -1,5 +1,7 @@
 //! The input quantities of a measurement: with type, distribution and standard uncertainty, before and after the fit.
 
+use std::collections::BTreeSet;
+
 use farm_figures::numbers::significant;
 use optics_model::fit::{MaterialFit, Nuisance, Refined};
 use optics_model::scene::Scope;
@@ -23,19 +25,22 @@ pub(super) struct InputQuantity {
 struct Gathered {
     name: String,
     unit: String,
-    count: usize,
+    /// What each value belongs to.
+    values: BTreeSet<String>,
     priors: Vec<f64>,
     posteriors: Vec<f64>,
 }
 
 /// The input quantities of all channels, each once.
 pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
-    let refined: Vec<(usize, &Refined)> = fits
+    let refined: Vec<(usize, &str, &Refined)> = fits
         .iter()
         .enumerate()
-        .flat_map(|(i, fit)| fit.channels.iter().filter_map(move |c| Some((i, c.refined.as_ref()?))))
+        .flat_map(|(i, fit)| {
+            fit.channels.iter().filter_map(move |c| Some((i, c.channel.as_str(), c.refined.as_ref()?)))
+        })
         .collect();
-    let noise: Vec<f64> = refined.iter().map(|(_, r)| r.measurement_noise).collect();
+    let noise: Vec<f64> = refined.iter().map(|(.., r)| r.measurement_noise).collect();
     let mut all = vec![
         InputQuantity {
             name: "radiance factor of a pixel: noise".to_owned(),
@@ -55,27 +60,26 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
         },
     ];
     let mut gathered: Vec<Gathered> = Vec::new();
-    for (_, r) in &refined {
-        for nuisance in &r.likelihood.nuisances {
-            let (name, unit) = name_of(nuisance.nuisance);
-            let of = entry(&mut gathered, name, unit);
-            of.count += 1;
-            of.priors.push(nuisance.prior_std_error);
-            of.posteriors.push(nuisance.std_error);
+    for (material, channel, r) in &refined {
+        for n in &r.likelihood.nuisances {
+            let (name, unit) = name_of(n.nuisance);
+            let of_slab = n.profile_mm.map(|mm| mm.to_string()).unwrap_or_default();
+            let value = match n.nuisance {
+                Nuisance::Scale => String::new(),
+                Nuisance::BlurVariance => (*channel).to_owned(),
+                Nuisance::Thickness => format!("{material} {of_slab}"),
+                _ => format!("{material} {channel} {of_slab}"),
+            };
+            entry(&mut gathered, name, unit).add(value, n.prior_std_error, n.std_error);
         }
-    }
-    let mut known: Vec<(String, Option<usize>, Option<String>)> = Vec::new();
-    for (material, r) in &refined {
-        for estimate in &r.likelihood.scene {
-            let of = entry(&mut gathered, &estimate.quantity, &estimate.unit);
-            of.priors.push(estimate.prior_std_error);
-            of.posteriors.push(estimate.std_error);
-            let own = (estimate.scope != Scope::Session).then_some(*material);
-            let key = (estimate.quantity.clone(), own, estimate.slab_mm.map(|mm| mm.to_string()));
-            if !known.contains(&key) {
-                known.push(key);
-                of.count += 1;
-            }
+        for e in &r.likelihood.scene {
+            let of_slab = e.slab_mm.map(|mm| mm.to_string()).unwrap_or_default();
+            let value = match e.scope {
+                Scope::Session => String::new(),
+                Scope::Channel => format!("{material} {channel}"),
+                Scope::Material | Scope::Slab => format!("{material} {of_slab}"),
+            };
+            entry(&mut gathered, &e.quantity, &e.unit).add(value, e.prior_std_error, e.std_error);
         }
     }
     all.extend(gathered.iter().map(Gathered::quantity));
@@ -85,18 +89,30 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
 fn entry<'a>(all: &'a mut Vec<Gathered>, name: &str, unit: &str) -> &'a mut Gathered {
     let at = all.iter().position(|of| of.name == name).unwrap_or_else(|| {
         let (name, unit) = (name.to_owned(), unit.to_owned());
-        all.push(Gathered { name, unit, count: 0, priors: Vec::new(), posteriors: Vec::new() });
+        all.push(Gathered {
+            name,
+            unit,
+            values: BTreeSet::new(),
+            priors: Vec::new(),
+            posteriors: Vec::new(),
+        });
         all.len() - 1
     });
     &mut all[at]
 }
 
 impl Gathered {
+    fn add(&mut self, value: String, prior: f64, posterior: f64) {
+        self.values.insert(value);
+        self.priors.push(prior);
+        self.posteriors.push(posterior);
+    }
+
     fn quantity(&self) -> InputQuantity {
         let is_free = self.priors.iter().any(|prior| !prior.is_finite());
         InputQuantity {
             name: self.name.clone(),
-            count: self.count,
+            count: self.values.len(),
             std_uncertainty: if is_free { "unknown".to_owned() } else { range(&self.priors, &self.unit) },
             kind: if is_free { "A" } else { "B" },
             distribution: "normal",

@@ -55,7 +55,7 @@ fn statements_have_results_and_budget() {
         assert!(page.contains(part), "{part}: {page}");
     }
     assert!(page.contains(
-        "No certificate is stated for the white reference, the thickness of the slabs, the board's squares"
+        "No certificate is stated for the white reference and the thickness of the slabs and the board's squares"
     ));
 }
 
@@ -90,4 +90,31 @@ fn certificates_are_stated() {
     }
     let wrong = Record { conditions: text("a\nb"), ..record }.checked().unwrap_err().to_string();
     assert!(wrong.starts_with("record.conditions = \"a\\nb\""), "{wrong}");
+}
+
+/// A slab has one thickness in all channels, the session one white reference.
+#[test]
+fn inputs_are_counted_once() {
+    use optics_model::fit::{Nuisance, NuisanceEstimate};
+    let mut fits = fits();
+    let estimate = |nuisance, profile_mm| NuisanceEstimate {
+        nuisance,
+        profile_mm,
+        value: 0.0,
+        std_error: 0.001,
+        prior: 0.0,
+        prior_std_error: 0.002,
+    };
+    let all = [(Nuisance::Scale, None), (Nuisance::Thickness, Some(0.5)), (Nuisance::Gain, Some(0.5))];
+    for fit in &mut fits {
+        let mut channel = fit.channels[0].clone();
+        let refined = channel.refined.as_mut().unwrap();
+        refined.likelihood.nuisances = all.map(|(nuisance, mm)| estimate(nuisance, mm)).to_vec();
+        fit.channels =
+            vec![channel.clone(), optics_model::fit::ChannelFit { channel: "G".into(), ..channel }];
+    }
+    let inputs = input_quantities(&fits);
+    let of = |name: &str| inputs.iter().find(|input| input.name.starts_with(name)).unwrap();
+    assert_eq!((of("white reference").count, of("thickness").count, of("gain").count), (1, 2, 4));
+    assert_eq!((of("thickness").std_uncertainty.as_str(), of("thickness").kind), ("0.002 mm", "B"));
 }

@@ -33,6 +33,8 @@ async fn nothing_is_cut_off_at_any_size() {
         browser.dark(dark).await;
         browser.size(width, 900).await;
         measure_the_example(&browser).await;
+        browser.press("Predict").await;
+        browser.shows("Radiance factors of white:1").await;
         look(&browser, "measure", dark, width).await;
         go_to(&browser, "Dictionary").await;
         browser.shows("± ").await;
