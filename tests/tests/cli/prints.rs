@@ -189,6 +189,23 @@ fn comparisons_count_differences() {
         assert_eq!(ran.code, 0, "{}", ran.stderr);
         json(&ran, "compare")["channels"].as_array().unwrap().clone()
     };
+    // A library is searched by content: the same media are nearest, whatever their names are.
+    std::fs::create_dir_all(folder.path().join("library/deep")).unwrap();
+    for (place, change) in [("library", 1.0), ("library/deep", 1.3)] {
+        let name = format!("{place}/{change}");
+        std::fs::create_dir_all(folder.path().join(&name)).unwrap();
+        write(folder.path(), &format!("{name}/media.json"), &media(change).to_string());
+    }
+    let ran = run(folder.path(), &["compare", "media.json", "library", "--json"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let matches = &json(&ran, "compare")["library"][0];
+    assert_eq!((&matches["material"], matches["nearest"].as_array().unwrap().len()), (&value!("white"), 4));
+    let [first, second] = [0, 1].map(|i| &matches["nearest"][i]);
+    assert_eq!((&first["folder"], &first["material"]), (&value!("1"), &value!("white")));
+    assert_eq!(number(&first["difference_percent"]), 0.0);
+    assert!(number(&second["difference_percent"]) > 10.0, "{second}");
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    fails(folder.path(), &["compare", "media.json", "empty"], &["empty: neither media.json nor a folder"]);
     let same = compared("media.json");
     assert_eq!(same.len(), 16);
     assert!(same.iter().all(|c| number(&c["probability"]) > 0.999));

@@ -1,5 +1,7 @@
 //! Implements `farmctl compare`: whether two measurements of resins agree, by their intervals and their covariance.
 
+mod library;
+
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
@@ -10,19 +12,21 @@ use optics_model::fit::Z;
 use serde::Serialize;
 
 use crate::output::{Output, table, wrapped};
+use library::LibraryMatches;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   farmctl compare monday/ tuesday/       materials of the same names
   farmctl compare lab-a/media.json lab-b/media.json
+  farmctl compare monday/ resins/        the materials of a library that are like those of monday
 
 E_n (ISO 13528) is the difference over the expanded uncertainties of both: 1 and more is a
 real difference. Errors that both share, such as those of one white reference, do not count in it.")]
 pub(crate) struct CompareArgs {
     /// Measured media: media.json, or the folder that contains it.
     a: PathBuf,
-    /// Other measured media.
+    /// Other measured media, or a library: a folder that contains folders of measured media.
     b: PathBuf,
 }
 
@@ -52,10 +56,19 @@ pub(crate) struct CompareJson {
     channels: Vec<ComparedChannel>,
     /// Materials of one file only.
     unmatched: Vec<String>,
+    /// Nearest materials of a library; missing if two measurements were compared.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    library: Vec<LibraryMatches>,
 }
 
 pub(crate) fn run(args: &CompareArgs, output: &Output) -> Result<()> {
-    let data = compared(&MediaFile::read(&args.a)?, &MediaFile::read(&args.b)?)?;
+    let a = MediaFile::read(&args.a)?;
+    if library::is_library(&args.b) {
+        let library = library::nearest(&a, &args.b)?;
+        let data = CompareJson { channels: Vec::new(), unmatched: Vec::new(), library };
+        return output.print("compare", &data, || library::text(&data.library));
+    }
+    let data = compared(&a, &MediaFile::read(&args.b)?)?;
     output.print("compare", &data, || text(&data))
 }
 
@@ -82,7 +95,7 @@ fn compared(a: &MediaFile, b: &MediaFile) -> Result<CompareJson> {
     let lacking = pairs.iter().filter(|(one, _)| !is_compared(&one.material));
     let unmatched =
         names.filter(|name| !is_matched(name)).chain(lacking.map(|(one, _)| one.material.clone())).collect();
-    Ok(CompareJson { channels, unmatched })
+    Ok(CompareJson { channels, unmatched, library: Vec::new() })
 }
 
 fn channel(material: &str, a: &MediaChannel, b: &MediaChannel) -> ComparedChannel {
@@ -137,6 +150,9 @@ fn exceedance(chi2: f64, degrees: usize) -> f64 {
     }
 }
 
+/// Probability that any of the media that agree is called different; each has its share of it (Bonferroni).
+const CHANCE: f64 = 0.05;
+
 fn text(data: &CompareJson) -> String {
     let head = ["material", "ch", "", "A", "B", "E_n", "pooled", "95 %"];
     let row = |c: &ComparedChannel, q: &ComparedQuantity| {
@@ -160,7 +176,7 @@ fn text(data: &CompareJson) -> String {
         data.channels.iter().filter_map(|c| Some((c, c.probability?))).collect();
     let differ: Vec<String> = known
         .iter()
-        .filter(|(_, p)| *p < 0.05)
+        .filter(|(_, p)| *p < CHANCE / known.len() as f64)
         .map(|(c, p)| format!("{} {} (p {})", c.material, c.channel, significant(*p, 2)))
         .collect();
     let line = match (known.len(), differ.len()) {
@@ -206,6 +222,23 @@ mod tests {
 
     /// 3 % apart with standard errors of 1 %: E_n = 3/(1.96 √2), p = erfc(3/2), and the mean has the error of their
     /// disagreement.
+    /// Of twenty media that agree, one has a probability below 5 %: that is no difference.
+    #[test]
+    fn chance_is_shared_by_all_channels() {
+        let with = |least: f64| {
+            let channel = |i: u32| ComparedChannel {
+                material: "white".to_owned(),
+                channel: i.to_string(),
+                quantities: Vec::new(),
+                probability: Some(if i == 0 { least } else { 0.5 }),
+            };
+            let channels = (0..20).map(channel).collect();
+            text(&CompareJson { channels, unmatched: Vec::new(), library: Vec::new() })
+        };
+        assert!(with(0.03).contains("no difference: all 20 media"), "{}", with(0.03));
+        assert!(with(0.002).contains("different media"), "{}", with(0.002));
+    }
+
     #[test]
     fn differences_are_counted_in_uncertainties() {
         let found = channel("white", &medium(6.0 * 0.03_f64.exp(), 0.9, 0.01), &medium(6.0, 0.9, 0.01));
