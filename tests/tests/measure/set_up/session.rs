@@ -164,23 +164,25 @@ impl SetUpSession {
         Measurement::new(format!("m{material}"), (0..2).flat_map(of_slab).collect()).unwrap()
     }
 
-    /// Flaws of a slab are the same in all channels, noise is not.
+    /// A slab has one thickness in all channels; the other flaws are those of each photograph.
     fn profile(&self, material: usize, slab: usize, channel: usize) -> MeasuredProfile {
         let number = (self.seed * 6 + material as u64) * 2 + slab as u64;
-        let mut random = Normal::new(920_000 + number);
+        let of_channel = number + 100_000 * channel as u64;
+        let [mut of_slab, mut random] = [number, of_channel].map(|n| Normal::new(920_000 + n));
         let prior = FitSettings::default();
-        let mut off = |std_error: f64| if self.flawed { std_error * random.normal() } else { 0.0 };
-        let thickness_mm = SLABS_MM[slab] + off(prior.thickness_std_error_mm);
+        let off = |random: &mut Normal, std_error: f64| {
+            if self.flawed { std_error * random.normal() } else { 0.0 }
+        };
+        let thickness_mm = SLABS_MM[slab] + off(&mut of_slab, prior.thickness_std_error_mm);
+        // The other flaws of the first channel follow in the same stream.
+        off(&mut random, prior.thickness_std_error_mm);
+        let mut off = |std_error: f64| off(&mut random, std_error);
         let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let scene = self.set_up.scene(material, slab);
         let sensor = scene.sensor();
-        let stream = 100_000 * channel as u64;
         let medium = &self.media[material][channel];
-        let values = traced(scene, medium, thickness_mm, WALKS, 930_000 + number + stream);
-        if channel > 0 {
-            random = Normal::new(920_000 + number + stream);
-        }
+        let values = traced(scene, medium, thickness_mm, WALKS, 930_000 + of_channel);
         let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
         let exact: Vec<f64> =
             values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
