@@ -33,37 +33,57 @@ pub(crate) fn sum_std_error(terms: impl Iterator<Item = (ErrorKey, f64)>) -> f64
     sums.values().map(|sum| sum * sum).sum::<f64>().sqrt()
 }
 
-/// Standard error of Σ weight × radiance factor over channels and bases.
-pub(crate) fn std_error(found: &[Vec<Predicted>], weight: impl Fn(usize, usize) -> f64) -> f64 {
-    let weight = &weight;
-    let of_channel = |(channel, bases): (usize, &'_ Vec<Predicted>)| -> Vec<(ErrorKey, f64)> {
-        let of_base = |(base, predicted)| {
-            let weight = weight(channel, base);
-            changes(channel, predicted).map(move |(key, change)| (key, weight * change))
-        };
-        bases.iter().enumerate().flat_map(of_base).collect()
+/// Standard error of a function of radiance factors by channel and base.
+pub(crate) fn std_error(found: &[Vec<Predicted>], f: impl Fn(&[Vec<f64>]) -> f64) -> f64 {
+    const STEP: f64 = 1e-4;
+    let values: Vec<Vec<f64>> = found.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
+    let moved = |channel: usize, base: usize, by: f64| {
+        let mut values = values.clone();
+        values[channel][base] += by;
+        f(&values)
     };
-    sum_std_error(found.iter().enumerate().flat_map(of_channel))
+    let mut terms: Vec<(ErrorKey, f64)> = Vec::new();
+    for (channel, bases) in found.iter().enumerate() {
+        for (base, predicted) in bases.iter().enumerate() {
+            let slope = (moved(channel, base, STEP) - moved(channel, base, -STEP)) / (2.0 * STEP);
+            terms.extend(changes(channel, predicted).map(|(key, change)| (key, slope * change)));
+        }
+    }
+    sum_std_error(terms.into_iter())
 }
 
-/// Standard errors of L*, a* and b* over a base; `order` are the channels by rising wavelength.
+/// The spectrum over a base; `order` are the channels by rising wavelength.
+pub(crate) fn spectrum(values: &[Vec<f64>], order: &[usize], base: usize) -> Vec<f64> {
+    order.iter().map(|channel| values[*channel][base]).collect()
+}
+
+/// Standard errors of L*, a* and b* over a base.
 pub(crate) fn lab_std_errors(
     colorimetry: &Colorimetry,
     found: &[Vec<Predicted>],
     order: &[usize],
     base: usize,
 ) -> [f64; 3] {
-    const STEP: f64 = 1e-4;
-    let values: Vec<f64> = order.iter().map(|channel| found[*channel][base].value).collect();
-    let lab = |at: usize, by: f64| {
-        let mut values = values.clone();
-        values[at] += by;
-        colorimetry.colour(&values).lab
-    };
-    let mut slopes = vec![[0.0; 3]; found.len()];
-    for (at, channel) in order.iter().enumerate() {
-        let (up, down) = (lab(at, STEP), lab(at, -STEP));
-        slopes[*channel] = std::array::from_fn(|k| (up[k] - down[k]) / (2.0 * STEP));
+    let lab = |values: &[Vec<f64>]| colorimetry.colour(&spectrum(values, order, base)).lab;
+    std::array::from_fn(|k| std_error(found, |values| lab(values)[k]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Errors that two channels share add up, those of their own add up as squares.
+    #[test]
+    fn shared_errors_add_up() {
+        let predicted = |source| vec![Predicted { value: 0.5, changes: vec![(source, 0.01)] }];
+        let own = ChangeSource::Own { medium: 0, direction: 0 };
+        for (source, expected) in [(ChangeSource::Shared(0), 0.03), (own, 5_f64.sqrt() * 0.01)] {
+            let found = [predicted(source), predicted(source)];
+            let error = std_error(&found, |v| v[0][0] + 2.0 * v[1][0]);
+            assert!((error - expected).abs() < 1e-9, "{source:?} {error}");
+            let difference = std_error(&found, |v| v[0][0] - v[1][0]);
+            let expected = if source == own { 2_f64.sqrt() * 0.01 } else { 0.0 };
+            assert!((difference - expected).abs() < 1e-9, "{source:?} {difference}");
+        }
     }
-    std::array::from_fn(|k| std_error(found, |channel, of| if of == base { slopes[channel][k] } else { 0.0 }))
 }

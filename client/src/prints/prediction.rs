@@ -1,7 +1,7 @@
 //! The answer of `farmctl predict`: radiance factors and colours of a print over bases, with their errors.
 
 use anyhow::Result;
-use farm_lab::colour::{Colorimetry, SeenColour, Viewing};
+use farm_lab::colour::{Colorimetry, SeenColour, Viewing, delta_e_2000};
 use farm_lab::media_file::MediaFile;
 use optics_layers::Predicted;
 use optics_model::Invalid;
@@ -10,7 +10,7 @@ use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
 use super::bases::PrintBase;
-use super::errors::{lab_std_errors, std_error};
+use super::errors::{lab_std_errors, spectrum, std_error};
 use super::slabs::{NamedSlab, parsed};
 use super::view::{PrintView, ViewOptions, materials_of, unresolved};
 
@@ -61,8 +61,10 @@ pub(crate) struct ColoursJson {
     #[serde(flatten)]
     pub(crate) viewing: Viewing,
     pub(crate) bases: Vec<ColourJson>,
-    /// Least Y over all bases over the greatest, and its standard error; null with one base.
+    /// Least Y over all bases over the greatest, and its standard error; null unless bases differ.
     pub(crate) contrast_ratio: Option<[f64; 2]>,
+    /// CIEDE2000 between these bases, and its standard error.
+    pub(crate) delta_e_2000: Option<[f64; 2]>,
 }
 
 #[derive(Debug, Serialize)]
@@ -144,45 +146,31 @@ fn colours(
     sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (nm, order): (Vec<f64>, Vec<usize>) = sorted.into_iter().unzip();
     let colorimetry = Colorimetry::new(&nm, viewing)?;
-    let colour = |(i, base): (usize, &PrintBase)| {
-        let values: Vec<f64> = order.iter().map(|channel| found[*channel][i].value).collect();
-        let colour = colorimetry.colour(&values);
+    let colour = |values: &[Vec<f64>], base: usize| colorimetry.colour(&spectrum(values, &order, base));
+    let values: Vec<Vec<f64>> = found.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
+    let of_base = |(i, base): (usize, &PrintBase)| {
+        let colour = colour(&values, i);
         ColourJson {
             base: base.clone(),
-            colour,
             lab_std_errors: lab_std_errors(&colorimetry, found, &order, i),
             srgb: colorimetry.srgb(&colour),
+            colour,
         }
     };
-    let all: Vec<ColourJson> = bases.iter().enumerate().map(colour).collect();
-    let contrast_ratio = (all.len() > 1).then(|| contrast_ratio(&colorimetry, found, &order, &all));
-    Ok(ColoursJson { viewing, bases: all, contrast_ratio })
-}
-
-/// Least Y over the greatest, q = Y₁/Y₂, and its standard error, by dq = (dY₁ − q dY₂)/Y₂.
-fn contrast_ratio(
-    colorimetry: &Colorimetry,
-    found: &[Vec<Predicted>],
-    order: &[usize],
-    colours: &[ColourJson],
-) -> [f64; 2] {
-    let y = |base: &usize| colours[*base].colour.xyz[1];
-    let all = || 0..colours.len();
-    let least = all().min_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
-    let greatest = all().max_by(|a, b| y(a).total_cmp(&y(b))).unwrap_or(0);
-    let ratio = y(&least) / y(&greatest);
-    // Y is linear in the spectrum.
-    let mut weights = vec![0.0; found.len()];
-    for (at, channel) in order.iter().enumerate() {
-        let unit: Vec<f64> = (0..order.len()).map(|i| if i == at { 1.0 } else { 0.0 }).collect();
-        weights[*channel] = colorimetry.xyz(&unit)[1] / y(&greatest);
-    }
-    let error = std_error(found, |channel, base| match base {
-        _ if base == least => weights[channel],
-        _ if base == greatest => -ratio * weights[channel],
-        _ => 0.0,
-    });
-    [ratio, if least == greatest { 0.0 } else { error }]
+    let all: Vec<ColourJson> = bases.iter().enumerate().map(of_base).collect();
+    let y = |base: &usize| all[*base].colour.xyz[1];
+    let least = (0..all.len()).min_by(|a, b| y(a).total_cmp(&y(b)));
+    let greatest = (0..all.len()).max_by(|a, b| y(a).total_cmp(&y(b)));
+    let ends = least.zip(greatest).filter(|(least, greatest)| least != greatest);
+    let of_ends = |f: fn(&SeenColour, &SeenColour) -> f64| {
+        ends.map(|(least, greatest)| {
+            let of = |values: &[Vec<f64>]| f(&colour(values, least), &colour(values, greatest));
+            [of(&values), std_error(found, of)]
+        })
+    };
+    let contrast_ratio = of_ends(|a, b| a.xyz[1] / b.xyz[1]);
+    let delta_e_2000 = of_ends(|a, b| delta_e_2000(a.lab, b.lab));
+    Ok(ColoursJson { viewing, bases: all, contrast_ratio, delta_e_2000 })
 }
 
 /// Decimals of a radiance factor: its error has two digits.

@@ -99,5 +99,8 @@ fn colours_text(colours: &ColoursJson) -> String {
     if let Some([ratio, std_error]) = colours.contrast_ratio {
         text += &format!("\ncontrast ratio Y/Y {}", minus(&with_error(ratio, std_error)));
     }
+    if let Some([difference, std_error]) = colours.delta_e_2000 {
+        text += &format!(", CIEDE2000 between the bases {}", with_error(difference, std_error));
+    }
     text
 }
