@@ -54,6 +54,9 @@ pub struct MediaSetUp {
     /// None for one value in the whole session.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub material: Option<String>,
+    /// None for one value in all channels.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub channel: Option<String>,
     /// Difference from the scene's value.
     pub difference: f64,
     /// Its changes by one standard deviation of each source of errors that it shares with media.
@@ -130,10 +133,14 @@ impl MediaFile {
         };
         let material =
             |fit: &MaterialFit| MediaMaterial { material: fit.material.clone(), channels: channels(fit) };
+        let names = quantity_names(with.scene);
         let set_up = |d: &SceneDifference| {
+            let of_material = |i: usize| fits.get(i).map(|fit| fit.material.clone());
+            let of_channel = |i: usize| with.scene.channels().get(i).map(|c| c.name().to_owned());
             Some(MediaSetUp {
-                quantity: with.scene.name_of(with.scene.priors().get(d.prior)?),
-                material: d.material.map(|i| fits.get(i).map(|fit| fit.material.clone())).unwrap_or_default(),
+                quantity: names.get(d.prior)?.clone(),
+                material: d.material.map(|i| of_material(i).ok_or(())).transpose().ok()?,
+                channel: d.channel.map(|i| of_channel(i).ok_or(())).transpose().ok()?,
                 difference: d.difference,
                 shared: d.changes.iter().copied().map(rounded).collect(),
             })
@@ -271,6 +278,17 @@ impl MediaChannel {
     }
 }
 
+/// Names of the uncertain quantities of a scene; the second of one name gets a number.
+pub fn quantity_names(scene: &Scene) -> Vec<String> {
+    let mut names: Vec<String> = Vec::new();
+    let plain: Vec<String> = scene.priors().iter().map(|prior| scene.name_of(prior)).collect();
+    for (i, name) in plain.iter().enumerate() {
+        let before = plain[..i].iter().filter(|other| *other == name).count();
+        names.push(if before == 0 { name.clone() } else { format!("{name} ({})", before + 1) });
+    }
+    names
+}
+
 /// Five digits, which keep the file small.
 fn rounded(change: f64) -> f64 {
     format!("{change:.4e}").parse().unwrap_or(change)
@@ -310,6 +328,7 @@ mod tests {
         let difference = |prior, material| SceneDifference {
             prior,
             material,
+            channel: None,
             difference: 0.01,
             changes: vec![0.0, 0.005],
         };

@@ -83,7 +83,7 @@ impl SessionFolder {
         let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
         match session["record"].take() {
             serde_json::Value::Null => Ok(Record::default()),
-            record => serde_json::from_value(record).with_context(place),
+            record => Ok(serde_json::from_value::<Record>(record).with_context(place)?.checked()?),
         }
     }
 

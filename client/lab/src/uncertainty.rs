@@ -107,9 +107,10 @@ fn measurands() -> String {
      coefficient σ<sub>a</sub>, per mm, of a homogeneous, isotropic material without fluorescence.</p>\n\
      <p>The estimates maximise the likelihood of all photographs of the session together: the measured profiles across \
      a black–white edge are those of a Monte Carlo simulation of the stack, transformed by the input quantities below. \
-     Input quantities of type B have normal priors with the stated standard uncertainties and are estimated with the \
-     measurands, so their correlations are included (GUM 5.2). Combined standard uncertainties u<sub>c</sub> follow from \
-     the inverse of the information at the maximum. The interval of 95 % is that of the profile likelihood, which need \
+     Input quantities of type B have normal priors with the stated standard uncertainties (those of the scene have wider \
+     tails beyond two of them) and are estimated with the measurands, so their correlations are included (GUM 5.2). \
+     Combined standard uncertainties u<sub>c</sub> follow from the inverse of the information at the maximum, times the \
+     factor by which residuals exceed their noise where that is unlikely to be chance. The interval of 95 % is that of the profile likelihood, which need \
      not be symmetric; k u<sub>c</sub> is stated for comparison.</p>\n"
         .to_owned()
 }
@@ -119,21 +120,53 @@ fn results(channels: &[EvaluatedChannel]) -> String {
         ["material", "channel", "measurand", "value", "u_c", "k", "k u_c", "interval of 95 %", "ν_eff"];
     let row = |channel: &EvaluatedChannel, i: usize| {
         let m = &channel.measurands[i];
+        let number =
+            |factor: f64| m.std_uncertainty.map_or_else(|| "–".to_owned(), |u| significant(factor * u, 2));
         vec![
             channel.material.clone(),
             channel.channel.clone(),
             MEASURANDS[i].to_owned(),
             significant(m.value, 4),
-            significant(m.std_uncertainty, 2),
+            number(1.0),
             significant(m.coverage_factor, 3),
-            significant(m.coverage_factor * m.std_uncertainty, 2),
+            number(m.coverage_factor),
             m.interval.clone(),
             m.degrees_of_freedom.map_or_else(|| "∞".to_owned(), |nu| format!("{nu:.0}")),
         ]
     };
     let rows: Vec<Vec<String>> =
         channels.iter().flat_map(|channel| (0..MEASURANDS.len()).map(|i| row(channel, i))).collect();
-    format!("<h2>Results</h2>\n<p>All values in 1/mm.</p>\n{}", table("", &head, &rows))
+    format!("<h2>Results</h2>\n<p>All values in 1/mm.</p>\n{}{}", doubts(channels), table("", &head, &rows))
+}
+
+/// Probability of χ² below which the model and its priors do not explain the data.
+const UNLIKELY: f64 = 0.01;
+
+/// What a reader must know before the values.
+fn doubts(channels: &[EvaluatedChannel]) -> String {
+    let of = |is: &dyn Fn(&EvaluatedChannel) -> bool| {
+        channels.iter().filter(|c| is(c)).map(EvaluatedChannel::label).collect::<Vec<_>>().join(", ")
+    };
+    let worst = channels.iter().map(|c| c.misfit).fold(0.0, f64::max);
+    let all = [
+        (of(&|c| !c.is_resolved), "The data do not determine σ_t and the albedo separately".to_owned()),
+        (
+            of(&|c| c.probability < UNLIKELY),
+            format!(
+                "Residuals exceed what noise and the input quantities explain (up to {} times); u_c contains this factor, \
+                 but its cause may have shifted the values",
+                significant(worst, 2)
+            ),
+        ),
+        (
+            of(&|c| c.is_from_mixtures),
+            "Values follow from mixtures: budget and correlations are not stated".to_owned(),
+        ),
+    ];
+    let items = all.iter().filter(|(names, _)| !names.is_empty());
+    let items: String =
+        items.map(|(names, text)| format!("<li>{}: {}.</li>", escaped(text), escaped(names))).collect();
+    if items.is_empty() { items } else { format!("<ul class=\"warnings\">{items}</ul>\n") }
 }
 
 fn input_table(inputs: &[InputQuantity]) -> String {
@@ -172,7 +205,10 @@ fn budgets(channels: &[EvaluatedChannel]) -> String {
             let first = [
                 channel.material.clone(),
                 channel.channel.clone(),
-                significant(100.0 * m.std_uncertainty / m.value.max(f64::MIN_POSITIVE), 2),
+                m.std_uncertainty.map_or_else(
+                    || "–".to_owned(),
+                    |u| significant(100.0 * u / m.value.max(f64::MIN_POSITIVE), 2),
+                ),
             ];
             first.into_iter().chain(names.iter().map(part)).collect()
         };

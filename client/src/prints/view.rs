@@ -7,6 +7,7 @@ use farm_lab::colour::Viewing;
 use farm_lab::media_file::{MediaChannel, MediaFile, MediaMaterial};
 use optics_layers::{Predicted, Print, SetUpChange, Uncertain, predict, radiance_factors};
 use optics_model::Scene;
+use optics_model::phase::SecondLobe;
 use rayon::prelude::*;
 
 use super::bases::PrintBase;
@@ -29,18 +30,6 @@ impl ViewOptions {
     fn seen(&self, session: Scene) -> Result<Scene> {
         self.geometry.scene(session, self.roughness)
     }
-
-    /// The errors of the set-up that change how a print looks.
-    fn changes_of<'a>(&self, set_up: &'a FoundSetUp, channel: &str) -> Result<Vec<ChangedSetUp<'a>>> {
-        let found = self.seen(set_up.scene(channel)?)?;
-        let mut all = Vec::new();
-        for changed in set_up.changed() {
-            if looks_different(&self.seen(changed.scene(channel)?)?, &found) {
-                all.push(changed);
-            }
-        }
-        Ok(all)
-    }
 }
 
 /// One channel, ready for predictions.
@@ -61,20 +50,14 @@ struct ViewedChannel {
 struct ViewedChange {
     from: Arc<Print>,
     to: Arc<Print>,
-    /// Changes by source, in steps.
-    shared: Vec<f64>,
-}
-
-impl ViewedChange {
-    fn with<'a>(&'a self, to_rho: &'a [f64]) -> SetUpChange<'a> {
-        SetUpChange { from: &self.from, to: &self.to, to_rho, shared: &self.shared }
-    }
+    changed: ChangedSetUp,
 }
 
 /// The channels of some materials over bases.
 #[derive(Debug)]
 pub(crate) struct PrintView<'a> {
     file: &'a MediaFile,
+    set_up: FoundSetUp,
     channels: Vec<ViewedChannel>,
     changes: Vec<ViewedChange>,
 }
@@ -101,36 +84,39 @@ impl<'a> PrintView<'a> {
             peak = narrowest_peak(material, channel)?.min(peak);
         }
         let set_up = FoundSetUp::new(file, slabs)?;
-        let changed = args.changes_of(&set_up, middle)?;
         let mut prints = Prints::new(peak);
-        let mut change = |changed: &ChangedSetUp| -> Result<ViewedChange> {
-            let ior = common_ior(&all, middle)?;
-            Ok(ViewedChange {
-                from: prints.of(&args.seen(set_up.scene(middle)?)?, ior),
-                to: prints.of(&args.seen(changed.scene(middle)?)?, ior),
-                shared: changed.shared(),
-            })
-        };
-        let changes = changed.iter().map(&mut change).collect::<Result<_>>()?;
+        let ior = common_ior(&all, middle)?;
+        let found = args.seen(set_up.scene(middle)?)?;
+        let board = |scene: &Scene| PrintBase::all_rho(bases, &set_up, middle, scene);
+        let found_rho = board(&set_up.scene(middle)?)?;
+        let (mut changes, mut moved) = (Vec::new(), Vec::new());
+        for changed in set_up.changed(middle) {
+            let scene = set_up.changed_scene(&changed, middle)?;
+            let rho = board(&scene)?;
+            let to = args.seen(scene)?;
+            // A change of the coat also changes how bright the board must be.
+            if looks_different(&to, &found) || rho != found_rho {
+                changes.push(ViewedChange { from: prints.of(&found, ior), to: prints.of(&to, ior), changed });
+                moved.push(rho.iter().zip(&found_rho).map(|(to, from)| to - from).collect::<Vec<f64>>());
+            }
+        }
         let mut channel = |name: &&str| -> Result<ViewedChannel> {
             let scene = set_up.scene(name)?;
-            let medium = |m: &MediaMaterial| m.channel(name).map(uncertain).transpose();
-            let rho = |scene: &Scene| PrintBase::all_rho(bases, &set_up, name, scene);
-            let changed_rho = |c: &ChangedSetUp| -> Result<Vec<f64>> {
-                let at_middle = [rho(&set_up.scene(middle)?)?, rho(&c.scene(middle)?)?];
-                let moved = at_middle[1].iter().zip(&at_middle[0]).map(|(to, from)| to - from);
-                Ok(rho(&scene)?.iter().zip(moved).map(|(rho, by)| (rho + by).clamp(0.0, 1.0)).collect())
-            };
+            let medium =
+                |m: &MediaMaterial| m.channel(name).map(|c| uncertain(c, set_up.assumed())).transpose();
+            let rho = PrintBase::all_rho(bases, &set_up, name, &scene)?;
+            let rho: Vec<f64> = rho.into_iter().map(|rho| rho.clamp(0.0, 1.0)).collect();
+            let changed = |moved: &Vec<f64>| rho.iter().zip(moved).map(|(rho, by)| rho + by).collect();
             Ok(ViewedChannel {
-                rho: rho(&scene)?,
-                changed_rho: changed.iter().map(changed_rho).collect::<Result<_>>()?,
+                changed_rho: moved.iter().map(changed).collect(),
                 print: prints.of(&args.seen(scene)?, common_ior(&all, name)?),
                 media: file.materials.iter().map(medium).collect::<Result<_>>()?,
                 name: (*name).to_owned(),
+                rho,
             })
         };
         let channels = names.iter().map(&mut channel).collect::<Result<_>>()?;
-        Ok(Self { file, channels, changes })
+        Ok(Self { file, set_up, channels, changes })
     }
 
     pub(crate) fn names(&self) -> Vec<&str> {
@@ -140,13 +126,23 @@ impl<'a> PrintView<'a> {
     /// Radiance factors of a print, by channel and base.
     pub(crate) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
         self.each(|channel, media| {
-            let changes = self.changes.iter().zip(&channel.changed_rho);
-            let changes: Vec<SetUpChange> = changes.map(|(change, rho)| change.with(rho)).collect();
+            let steps: Vec<(f64, Vec<f64>)> =
+                self.changes.iter().map(|c| self.set_up.steps(&c.changed, &channel.name, slabs)).collect();
+            let all = self.changes.iter().zip(&channel.changed_rho).zip(&steps);
+            let changes: Vec<SetUpChange> = all
+                .map(|((c, to_rho), (offset, shared))| SetUpChange {
+                    from: &c.from,
+                    to: &c.to,
+                    to_rho,
+                    offset: *offset,
+                    shared,
+                })
+                .collect();
             Ok(predict(&channel.print, media, &changes, &self.printed(slabs)?, &channel.rho)?)
         })
     }
 
-    /// Radiance factors without their errors, which take most of the time.
+    /// Radiance factors without their errors, which take most of the time, in the set-up of the view's own slabs.
     pub(crate) fn values(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<f64>>> {
         self.each(|channel, media| {
             Ok(radiance_factors(&channel.print, media, &self.printed(slabs)?, &channel.rho)?)
@@ -181,11 +177,13 @@ impl<'a> PrintView<'a> {
     }
 }
 
-/// A medium with its errors.
-pub(crate) fn uncertain(channel: &MediaChannel) -> Result<Uncertain> {
+/// A medium with its errors. A second lobe without weight has the anisotropy of the scene's.
+pub(crate) fn uncertain(channel: &MediaChannel, assumed: &Scene) -> Result<Uncertain> {
+    let of_scene = assumed.phase().second_lobe().map_or(0.0, SecondLobe::g);
+    let none = SecondLobe::new(0.0, of_scene)?;
     Ok(Uncertain {
         medium: channel.medium()?,
-        second_lobe: channel.second_lobe()?,
+        second_lobe: if channel.second_lobe.is_some() { channel.second_lobe()? } else { none },
         covariance: channel.covariance,
         shared: channel.shared.clone(),
     })

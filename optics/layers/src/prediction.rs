@@ -23,6 +23,8 @@ pub struct SetUpChange<'a> {
     pub to: &'a Print,
     /// Reflectances of the bases there.
     pub to_rho: &'a [f64],
+    /// Difference of the quantity from that of `from`, in steps.
+    pub offset: f64,
     /// Changes of the quantity in steps, by one standard deviation of each shared source.
     pub shared: &'a [f64],
 }
@@ -107,10 +109,12 @@ pub fn predict(
             let own: Vec<f64> = own.map(|(_, ends)| ends[i]).collect();
             sum.add_medium(*medium, &media[*medium], *value, &own);
         }
+        let mut by_offset = 0.0;
         for (change, step) in set_up.iter().zip(&steps) {
             sum.add_shared(change.shared.iter().map(|shared| shared * step[i]));
+            by_offset += change.offset * step[i];
         }
-        Predicted { value: *value, changes: sum.changes() }
+        Predicted { value: value + by_offset, changes: sum.changes() }
     };
     Ok(values.iter().enumerate().map(predicted).collect())
 }
@@ -247,9 +251,11 @@ mod tests {
         let by_index = with(&other, 0.05) - with(&print, 0.05);
         let shared = vec![[0.0, 0.0, 0.0, 0.01, 0.0], [0.0; 5]];
         let media = [Uncertain { shared, ..medium(6.0, 0.9, [0.0; 3]) }];
-        let set_up = [SetUpChange { from: &print, to: &other, to_rho: &[0.5], shared: &[0.0, 0.5] }];
+        let set_up =
+            [SetUpChange { from: &print, to: &other, to_rho: &[0.5], offset: 0.5, shared: &[0.0, 0.5] }];
         let found = predict(&print, &media, &set_up, &slab, &[0.5]).unwrap();
         let change = |k: usize| found[0].changes[k].1;
+        assert!((found[0].value - with(&print, 0.05) - 0.5 * by_index).abs() < 1e-9, "{found:?}");
         assert!((change(0) / by_lobe - 1.0).abs() < 0.02, "{found:?} {by_lobe}");
         assert!((change(1) / (0.5 * by_index) - 1.0).abs() < 1e-9, "{found:?} {by_index}");
     }

@@ -36,8 +36,8 @@ impl TryFrom<wire::SharedErrors> for SharedErrors {
 
 impl From<SceneDifference> for wire::SceneDifference {
     fn from(d: SceneDifference) -> Self {
-        let material = d.material.map(|i| i as u32);
-        Self { prior: d.prior as u32, material, difference: d.difference, changes: d.changes }
+        let [material, channel] = [d.material, d.channel].map(|of| of.map(|i| i as u32));
+        Self { prior: d.prior as u32, material, channel, difference: d.difference, changes: d.changes }
     }
 }
 
@@ -45,8 +45,8 @@ impl TryFrom<wire::SceneDifference> for SceneDifference {
     type Error = Invalid;
 
     fn try_from(d: wire::SceneDifference) -> Result<Self> {
-        let material = d.material.map(|i| i as usize);
-        Ok(Self { prior: d.prior as usize, material, difference: d.difference, changes: d.changes })
+        let [material, channel] = [d.material, d.channel].map(|of| of.map(|i| i as usize));
+        Ok(Self { prior: d.prior as usize, material, channel, difference: d.difference, changes: d.changes })
     }
 }
 
@@ -56,8 +56,20 @@ mod tests {
 
     fn errors() -> SharedErrors {
         let scene = vec![
-            SceneDifference { prior: 0, material: Some(1), difference: 0.02, changes: vec![0.01, 0.0] },
-            SceneDifference { prior: 3, material: None, difference: -0.5, changes: vec![0.1, 0.2] },
+            SceneDifference {
+                prior: 0,
+                material: Some(1),
+                channel: Some(2),
+                difference: 0.02,
+                changes: vec![0.01, 0.0],
+            },
+            SceneDifference {
+                prior: 3,
+                material: None,
+                channel: None,
+                difference: -0.5,
+                changes: vec![0.1, 0.2],
+            },
         ];
         SharedErrors { sources: 2, media: vec![[1.0, 2.0, 3.0, 4.0, 5.0]; 6], scene }
     }

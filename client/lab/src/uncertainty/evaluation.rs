@@ -12,14 +12,21 @@ pub(super) struct EvaluatedChannel {
     pub material: String,
     pub channel: String,
     pub measurands: [EvaluatedMeasurand; 3],
+    /// Root mean square of the residuals over their noise, and the probability of χ².
+    pub misfit: f64,
+    pub probability: f64,
+    /// Whether the data determine σ_t and the albedo.
+    pub is_resolved: bool,
+    /// The values come from mixtures: budget and correlations are not known.
+    pub is_from_mixtures: bool,
 }
 
 /// A measurand with its uncertainty, in 1/mm.
 #[derive(Debug, Clone)]
 pub(super) struct EvaluatedMeasurand {
     pub value: f64,
-    /// u_c.
-    pub std_uncertainty: f64,
+    /// u_c; None where the data leave an end of the interval open.
+    pub std_uncertainty: Option<f64>,
     pub interval: String,
     /// ν_eff by Welch and Satterthwaite; None if no contribution has finite degrees of freedom.
     pub degrees_of_freedom: Option<f64>,
@@ -27,6 +34,8 @@ pub(super) struct EvaluatedMeasurand {
     pub coverage_factor: f64,
     /// Contributions of sources to u_c in per cent of the value.
     pub contributions: Vec<(String, f64)>,
+    /// Standard deviation, also where the interval is open.
+    deviation: f64,
     /// Changes by one standard deviation of each source of errors that channels share.
     shared: Vec<f64>,
 }
@@ -40,6 +49,10 @@ pub(super) fn evaluated(fits: &[MaterialFit], errors: &SharedErrors) -> Vec<Eval
             material: material.clone(),
             channel: channel.channel.clone(),
             measurands: measurands(refined, errors.of_channel(number)),
+            misfit: refined.misfit,
+            probability: refined.likelihood.probability,
+            is_resolved: refined.resolved,
+            is_from_mixtures: refined.from_mixtures,
         })
     };
     channels.enumerate().filter_map(of).collect()
@@ -57,7 +70,7 @@ impl EvaluatedChannel {
         }
         let (a, b) = (&self.measurands[measurand], &other.measurands[measurand]);
         let covariance: f64 = a.shared.iter().zip(&b.shared).map(|(a, b)| a * b).sum();
-        let product = a.std_uncertainty * b.std_uncertainty;
+        let product = a.deviation * b.deviation;
         if product > 0.0 { (covariance / product).clamp(-1.0, 1.0) } else { 0.0 }
     }
 }
@@ -84,15 +97,18 @@ fn measurands(refined: &Refined, shared: &[[f64; SharedErrors::OF_MEDIUM]]) -> [
         let of = |c: &[f64]| (0..3).map(|k| slopes[i][k] * c[k]).sum::<f64>();
         let rows = refined.covariance.map(|row| of(&row));
         let u = if refined.from_mixtures { half_width(intervals[i]) } else { of(&rows).max(0.0).sqrt() };
-        let contributions = contributions(refined, shares[i], u, values[i]);
-        let degrees_of_freedom = degrees_of_freedom(refined, shares[i]);
+        // Budget and shared errors are those of the fit without mixtures.
+        let (budget, shared) =
+            if refined.from_mixtures { (&[][..], &[][..]) } else { (&refined.likelihood.budget[..], shared) };
+        let degrees_of_freedom = degrees_of_freedom(budget, refined.likelihood.degrees_of_freedom, shares[i]);
         EvaluatedMeasurand {
             value: values[i],
-            std_uncertainty: u,
+            std_uncertainty: (!intervals[i].open_low && !intervals[i].open_high).then_some(u),
+            deviation: u,
             interval: interval(intervals[i], |v| significant(v, 3)),
             coverage_factor: coverage_factor(degrees_of_freedom),
             degrees_of_freedom,
-            contributions,
+            contributions: contributions(budget, shares[i], u, values[i]),
             shared: shared.iter().map(|changes| of(changes)).collect(),
         }
     })
@@ -104,7 +120,7 @@ fn half_width(i: &Interval) -> f64 {
 }
 
 fn contributions(
-    refined: &Refined,
+    budget: &[SourceShare],
     share: fn(&SourceShare) -> f64,
     u: f64,
     value: f64,
@@ -112,14 +128,14 @@ fn contributions(
     let relative = 100.0 * u / value.max(f64::MIN_POSITIVE);
     let of =
         |source: &SourceShare| (source_name(source).to_owned(), share(source).max(0.0).sqrt() * relative);
-    refined.likelihood.budget.iter().map(of).collect()
+    budget.iter().map(of).collect()
 }
 
 /// Welch and Satterthwaite: u⁴ / Σ uᵢ⁴/νᵢ. The noise of the pixels has the degrees of freedom of the fit, other inputs are
 /// of type B or have very many.
-fn degrees_of_freedom(refined: &Refined, share: fn(&SourceShare) -> f64) -> Option<f64> {
-    let noise = refined.likelihood.budget.iter().find(|s| s.source == ErrorSource::Noise).map(share)?;
-    let nu = refined.likelihood.degrees_of_freedom / (noise * noise);
+fn degrees_of_freedom(budget: &[SourceShare], of_fit: f64, share: fn(&SourceShare) -> f64) -> Option<f64> {
+    let noise = budget.iter().find(|s| s.source == ErrorSource::Noise).map(share)?;
+    let nu = of_fit / (noise * noise);
     (nu.is_finite() && nu < 1e4).then_some(nu)
 }
 

@@ -45,9 +45,10 @@ fn statements_have_results_and_budget() {
     let channels = evaluated(&fits(), &SharedErrors::default());
     let m = &channels[0].measurands[0];
     let variance = fits()[0].channels[0].refined.as_ref().unwrap().covariance[0][0];
-    assert!((m.std_uncertainty - 6.0 * variance.sqrt()).abs() < 1e-9, "{m:?}");
+    let u = m.std_uncertainty.unwrap();
+    assert!((u - 6.0 * variance.sqrt()).abs() < 1e-9, "{m:?}");
     let squares: f64 = m.contributions.iter().map(|(_, part)| part * part).sum();
-    let relative = 100.0 * m.std_uncertainty / m.value;
+    let relative = 100.0 * u / m.value;
     assert!((squares.sqrt() / relative - 1.0).abs() < 0.01, "{squares} {relative}");
     for part in
         ["<td>σ_t</td><td>6</td>", "<td>&lt;cyan&gt;</td>", "<h2>Budget</h2>", "<th>&lt;cyan&gt; R</th>"]
@@ -117,4 +118,25 @@ fn inputs_are_counted_once() {
     let of = |name: &str| inputs.iter().find(|input| input.name.starts_with(name)).unwrap();
     assert_eq!((of("white reference").count, of("thickness").count, of("gain").count), (1, 2, 4));
     assert_eq!((of("thickness").std_uncertainty.as_str(), of("thickness").kind), ("0.002 mm", "B"));
+}
+
+/// Undetermined media, open ends, residuals beyond noise and values from mixtures are stated before the values.
+#[test]
+fn doubtful_results_are_marked() {
+    let mut fits = fits();
+    let refined = fits[1].channels[0].refined.as_mut().unwrap();
+    (refined.resolved, refined.sigma_t_per_mm.open_high) = (false, true);
+    (refined.likelihood.probability, refined.misfit, refined.from_mixtures) = (1e-9, 4.7, true);
+    let channels = evaluated(&fits, &SharedErrors::default());
+    assert_eq!(channels[1].measurands[0].std_uncertainty, None);
+    assert!(channels[1].measurands[1].contributions.is_empty());
+    let page = results(&channels);
+    for part in [
+        "do not determine σ_t and the albedo separately: &lt;cyan&gt; R",
+        "(up to 4.7 times)",
+        "from mixtures",
+    ] {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+    assert!(!page.contains("white R."), "{page}");
 }

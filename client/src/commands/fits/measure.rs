@@ -213,6 +213,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         Some(folder) if inputs.dictionary.is_some() => folder.scene()?,
         _ => None,
     };
+    let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
     let Answer { dictionary, grid, found, note } = ask(global, inputs.own, &asked).await?;
     output.notes(note.as_slice(), &inputs.measurements);
@@ -225,7 +226,6 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         None => Vec::new(),
     };
     let media = found.media_file(&dictionary, &grid).text()?;
-    let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
     let uncertainty = found.uncertainty(&dictionary, &grid, &record);
     if let Some(folder) = &inputs.output {
         files::write(folder, &found, &media, &uncertainty)

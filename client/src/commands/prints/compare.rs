@@ -59,14 +59,17 @@ pub(crate) struct CompareJson {
     /// Nearest materials of a library; missing if two measurements were compared.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     library: Vec<LibraryMatches>,
+    /// Files of the library that cannot be read, with the reason.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    left_out: Vec<String>,
 }
 
 pub(crate) fn run(args: &CompareArgs, output: &Output) -> Result<()> {
     let a = MediaFile::read(&args.a)?;
     if library::is_library(&args.b) {
-        let library = library::nearest(&a, &args.b)?;
-        let data = CompareJson { channels: Vec::new(), unmatched: Vec::new(), library };
-        return output.print("compare", &data, || library::text(&data.library));
+        let (library, left_out) = library::nearest(&a, &args.b)?;
+        let data = CompareJson { channels: Vec::new(), unmatched: Vec::new(), library, left_out };
+        return output.print("compare", &data, || library::text(&data.library, &data.left_out));
     }
     let data = compared(&a, &MediaFile::read(&args.b)?)?;
     output.print("compare", &data, || text(&data))
@@ -95,7 +98,7 @@ fn compared(a: &MediaFile, b: &MediaFile) -> Result<CompareJson> {
     let lacking = pairs.iter().filter(|(one, _)| !is_compared(&one.material));
     let unmatched =
         names.filter(|name| !is_matched(name)).chain(lacking.map(|(one, _)| one.material.clone())).collect();
-    Ok(CompareJson { channels, unmatched, library: Vec::new() })
+    Ok(CompareJson { channels, unmatched, library: Vec::new(), left_out: Vec::new() })
 }
 
 fn channel(material: &str, a: &MediaChannel, b: &MediaChannel) -> ComparedChannel {
@@ -220,8 +223,6 @@ mod tests {
         }
     }
 
-    /// 3 % apart with standard errors of 1 %: E_n = 3/(1.96 √2), p = erfc(3/2), and the mean has the error of their
-    /// disagreement.
     /// Of twenty media that agree, one has a probability below 5 %: that is no difference.
     #[test]
     fn chance_is_shared_by_all_channels() {
@@ -233,12 +234,14 @@ mod tests {
                 probability: Some(if i == 0 { least } else { 0.5 }),
             };
             let channels = (0..20).map(channel).collect();
-            text(&CompareJson { channels, unmatched: Vec::new(), library: Vec::new() })
+            text(&CompareJson { channels, unmatched: Vec::new(), library: Vec::new(), left_out: Vec::new() })
         };
         assert!(with(0.03).contains("no difference: all 20 media"), "{}", with(0.03));
         assert!(with(0.002).contains("different media"), "{}", with(0.002));
     }
 
+    /// 3 % apart with standard errors of 1 %: E_n = 3/(1.96 √2), p = erfc(3/2), and the mean has the error of their
+    /// disagreement.
     #[test]
     fn differences_are_counted_in_uncertainties() {
         let found = channel("white", &medium(6.0 * 0.03_f64.exp(), 0.9, 0.01), &medium(6.0, 0.9, 0.01));

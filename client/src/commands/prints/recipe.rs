@@ -130,11 +130,7 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     }
     let most = most(&args.most, &names)?;
     let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
-    let share = 1.0 / names.len() as f64;
-    let even = NamedSlab {
-        shares: names.iter().map(|name| (name.clone(), share)).collect(),
-        thickness_mm: args.thickness,
-    };
+    let even = mixture(&names, &vec![1.0; names.len()], args.thickness);
     let view = PrintView::new(&file, &[even], &bases, &args.view.options())?;
     let mut order: Vec<(Option<f64>, usize)> =
         view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
@@ -144,8 +140,17 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let colorimetry =
         if is_spectral { Colorimetry::new(&nm, args.view.options().viewing).ok() } else { None };
     let order = order.into_iter().map(|(_, i)| i).collect();
-    let inks = InkMixer { args, names, view, colorimetry, order };
-    let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
+    let mut inks = InkMixer { args, names, view, colorimetry, order };
+    let mut recipes = Vec::new();
+    for target in &args.target {
+        let target = (target.as_str(), ColourTarget::parsed(target)?);
+        let first = inks.closest(&target, &most)?;
+        // Index and roughness are those of the mixture that was found.
+        let found = mixture(&inks.names, &first, args.thickness);
+        inks.view = PrintView::new(&file, &[found], &bases, &args.view.options())?;
+        let shares = inks.closest(&target, &most)?;
+        recipes.push(inks.answer(&target, &shares, &most)?);
+    }
     Ok(RecipeJson { thickness_mm: args.thickness, opacity: args.opacity, recipes })
 }
 
@@ -164,6 +169,13 @@ fn most(given: &[String], names: &[String]) -> Result<Vec<f64>> {
         bail!("--most leaves {} of the volume at most: it must allow all of it", most.iter().sum::<f64>());
     }
     Ok(most)
+}
+
+/// A slab of inks whose shares are in these proportions.
+fn mixture(names: &[String], shares: &[f64], thickness_mm: f64) -> NamedSlab {
+    let sum: f64 = shares.iter().sum();
+    let parts = names.iter().cloned().zip(shares.iter().map(|share| share / sum));
+    NamedSlab { shares: parts.filter(|(_, share)| *share > 0.0).collect(), thickness_mm }
 }
 
 impl ColourTarget {
@@ -185,8 +197,7 @@ impl ColourTarget {
 }
 
 impl InkMixer<'_> {
-    fn recipe(&self, text: &str, most: &[f64]) -> Result<FoundRecipe> {
-        let target = ColourTarget::parsed(text)?;
+    fn closest(&self, (text, target): &(&str, ColourTarget), most: &[f64]) -> Result<Vec<f64>> {
         if matches!(target, ColourTarget::Lab(_)) && self.colorimetry.is_none() {
             bail!(
                 "target {text}: L*,a*,b* need channels that are wavelengths of the visible range; give a file of channel,value"
@@ -194,24 +205,24 @@ impl InkMixer<'_> {
         }
         let cost = |shares: &[f64]| -> Result<f64> {
             let found = self.view.values(&[self.slab(shares)])?;
-            let difference = self.difference(&target, &found)?;
+            let difference = self.difference(target, &found)?;
             let opacity =
                 self.args.opacity.map_or(0.0, |ratio| 100.0 * (ratio - self.contrast_ratio(&found)).max(0.0));
             Ok(difference.hypot(opacity))
         };
-        let shares = closest(&ShareLimits { most }, cost)?;
-        self.answer(text, &target, &shares, most)
+        closest(&ShareLimits { most }, cost)
     }
 
     fn slab(&self, shares: &[f64]) -> NamedSlab {
-        let parts = self.names.iter().cloned().zip(shares.iter().copied());
-        let sum: f64 = shares.iter().sum();
-        let shares =
-            parts.filter(|(_, share)| *share > 0.0).map(|(name, share)| (name, share / sum)).collect();
-        NamedSlab { shares, thickness_mm: self.args.thickness }
+        mixture(&self.names, shares, self.args.thickness)
     }
 
-    fn answer(&self, text: &str, target: &ColourTarget, shares: &[f64], most: &[f64]) -> Result<FoundRecipe> {
+    fn answer(
+        &self,
+        (text, target): &(&str, ColourTarget),
+        shares: &[f64],
+        most: &[f64],
+    ) -> Result<FoundRecipe> {
         const SMALLEST: f64 = 1e-3;
         let slab = self.slab(shares);
         let predicted = self.view.predicted(std::slice::from_ref(&slab))?;
@@ -225,7 +236,7 @@ impl InkMixer<'_> {
         let limited = |i: &usize| most[*i] < 1.0 && shares[*i] > most[*i] - SMALLEST;
         let kept = slab.shares.iter().filter(|(_, share)| *share >= SMALLEST);
         Ok(FoundRecipe {
-            target: text.to_owned(),
+            target: (*text).to_owned(),
             shares: kept.map(|(ink, share)| RecipeShare { ink: ink.clone(), share: *share }).collect(),
             difference: self.difference(target, &found)?,
             is_delta_e: lab.is_some(),

@@ -94,7 +94,7 @@ fn of_channel(
     set_up: &FoundSetUp,
     thickness_mm: f64,
 ) -> Result<TranslucencyRow> {
-    let uncertain = uncertain(channel)?;
+    let uncertain = uncertain(channel, set_up.assumed())?;
     let medium = uncertain.medium;
     let sample_ior = channel.sample_ior + set_up.scene(&channel.channel)?.sample_ior_offset();
     let peak = narrowest_peak(material, channel)?;
@@ -104,7 +104,9 @@ fn of_channel(
         [value, std_error]
     };
     let transport = |u: &Uncertain| u.medium.reduced_scattering_per_mm() + u.medium.absorption_per_mm();
-    let depth = |u: &Uncertain| 1.0 / (3.0 * u.medium.absorption_per_mm() * transport(u)).sqrt();
+    // The depth of a medium whose absorption may be 0 is not linear in it, but its inverse square is.
+    let fading = |u: &Uncertain| 3.0 * u.medium.absorption_per_mm() * transport(u);
+    let depth = |[x, error]: [f64; 2]| [1.0 / x.sqrt(), 0.5 * error / x.powf(1.5)];
     let coefficient = |i: usize| known(value(&|u| kubelka_munk(&without, u, thickness_mm)[i]));
     let passed = value(&|u| distance(&polished, u));
     let within = DISTANCES_MM.0 * 1.001..DISTANCES_MM.1 / 1.001;
@@ -112,7 +114,7 @@ fn of_channel(
         material: material.to_owned(),
         channel: channel.channel.clone(),
         mean_free_path_mm: value(&|u| 1.0 / transport(u)),
-        depth_mm: (medium.absorption_per_mm() > 0.0).then(|| value(&depth)),
+        depth_mm: (medium.absorption_per_mm() > 0.0).then(|| depth(value(&fading))),
         kubelka_munk_k_per_mm: coefficient(0),
         kubelka_munk_s_per_mm: coefficient(1),
         transmission_distance_mm: known(passed).filter(|[distance, _]| within.contains(distance)),

@@ -233,13 +233,14 @@ fn compared(
 ) -> Result<Vec<PatchJson>> {
     let slab = &patch.slab;
     let thicker = NamedSlab { thickness_mm: slab.thickness_mm + args.thickness_std_error, ..slab.clone() };
-    let (found, moved) =
-        (view.predicted(std::slice::from_ref(slab))?, view.values(std::slice::from_ref(&thicker))?);
+    let found = view.predicted(std::slice::from_ref(slab))?;
+    let [thin, thick] = [slab, &thicker].map(|slab| view.values(std::slice::from_ref(slab)));
+    let (thin, thick) = (thin?, thick?);
     let of = |(channel, value, error): &(&str, f64, f64)| {
         let at = view.names().iter().position(|name| name == channel)?;
         let predicted = &found[at][0];
         let gain = (ErrorKey::Gain(number), args.gain_std_error * value);
-        let thickness = (ErrorKey::Thickness(number), moved[at][0] - predicted.value);
+        let thickness = (ErrorKey::Thickness(number), thick[at][0] - thin[at][0]);
         let parts = DifferenceParts {
             own: *error,
             shared: [gain, thickness].into_iter().chain(changes(at, predicted)).collect(),

@@ -20,6 +20,8 @@ pub struct SceneDifference {
     pub prior: usize,
     /// Index of the material; None for one value in the whole session.
     pub material: Option<usize>,
+    /// Index into the scene's channels; None for one value in all of them.
+    pub channel: Option<usize>,
     /// Difference from the scene's value, in the unit of the quantity.
     pub difference: f64,
     /// Its changes by source.

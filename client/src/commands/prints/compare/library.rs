@@ -7,7 +7,7 @@ use farm_figures::numbers::{short, significant};
 use farm_lab::media_file::{MEDIA_FILE, MediaChannel, MediaFile, MediaInterval, MediaMaterial};
 use serde::Serialize;
 
-use crate::output::table;
+use crate::output::{table, wrapped};
 
 /// How deep folders are searched.
 const DEPTH: usize = 4;
@@ -60,14 +60,19 @@ pub(super) fn is_library(path: &Path) -> bool {
     path.is_dir() && !path.join(MEDIA_FILE).exists()
 }
 
-/// The nearest materials of a library for each material of a measurement.
-pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<Vec<LibraryMatches>> {
+/// The nearest materials of a library for each material of a measurement, and why files were left out.
+pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<(Vec<LibraryMatches>, Vec<String>)> {
     let paths = files(library, DEPTH)?;
     if paths.is_empty() {
         bail!("{}: neither media.json nor a folder with media.json is in it", library.display());
     }
-    let all: Vec<(PathBuf, MediaFile)> =
-        paths.into_iter().map(|path| Ok((path.clone(), MediaFile::read(&path)?))).collect::<Result<_>>()?;
+    let (mut all, mut left_out) = (Vec::new(), Vec::new());
+    for path in paths {
+        match MediaFile::read(&path) {
+            Ok(file) => all.push((path, file)),
+            Err(e) => left_out.push(format!("left out: {e:#}")),
+        }
+    }
     let of_material = |one: &MediaMaterial| {
         let others = all.iter().flat_map(|(path, file)| file.materials.iter().map(move |m| (path, m)));
         let mut nearest: Vec<LibraryMatch> =
@@ -76,7 +81,7 @@ pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<Vec<Librar
         nearest.truncate(LISTED);
         LibraryMatches { material: one.material.clone(), nearest }
     };
-    Ok(measured.materials.iter().map(of_material).collect())
+    Ok((measured.materials.iter().map(of_material).collect(), left_out))
 }
 
 fn compared(one: &MediaMaterial, other: &MediaMaterial, path: &Path, library: &Path) -> Option<LibraryMatch> {
@@ -122,7 +127,7 @@ fn e_n(a: &MediaChannel, b: &MediaChannel) -> Vec<f64> {
     (0..2).filter_map(of).collect()
 }
 
-pub(super) fn text(all: &[LibraryMatches]) -> String {
+pub(super) fn text(all: &[LibraryMatches], left_out: &[String]) -> String {
     let head = ["material", "like", "of", "channels", "differs by", "|E_n| ≤"];
     let row = |of: &LibraryMatches, m: &LibraryMatch| {
         vec![
@@ -135,5 +140,5 @@ pub(super) fn text(all: &[LibraryMatches]) -> String {
         ]
     };
     let rows = all.iter().flat_map(|of| of.nearest.iter().map(move |m| row(of, m)));
-    table(&head, &[3, 4, 5], rows)
+    left_out.iter().fold(table(&head, &[3, 4, 5], rows), |text, line| format!("{text}\n{}", wrapped(line)))
 }

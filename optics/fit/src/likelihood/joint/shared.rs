@@ -14,31 +14,18 @@ use crate::likelihood::system::unknowns::{SceneUnknown, submatrix};
 
 /// Share of each variance that left-out components may cause.
 const LEFT_OUT: f64 = 0.01;
-/// Most components that are kept.
-const MOST: usize = 96;
 /// Added to correlations, which may be singular by rounding.
 const JITTER: f64 = 1e-10;
 
 /// The errors that channels share; `refined` are their answers, whose covariances these errors are part of.
 pub(super) fn shared_errors(joint: &Joint, priors: &[Prior], refined: &[&Refined]) -> SharedErrors {
+    let system = &joint.assembly.system;
+    let of_scene: Vec<&SceneUnknown> = system.of_scene.iter().filter(|u| is_of_print(u, priors)).collect();
     let roots = joint.covariance.as_ref().and_then(|covariance| Roots::new(joint, covariance));
-    let Some(roots) = roots else { return SharedErrors::default() };
-    let of_phase = |kind: PriorKind| priors.iter().position(|prior| prior.kind() == kind);
-    let lobe = [PriorKind::SecondLobeWeight, PriorKind::SecondLobeG].map(of_phase);
-    let mut rows: Vec<RowDVector<f64>> = Vec::new();
-    for (i, refined) in refined.iter().enumerate() {
-        let slots = &joint.assembly.system.slots[joint.assembly.terms[i].start];
-        rows.extend(roots.of_medium(&[slots[0], slots[1], slots[2]], &refined.covariance));
-        rows.extend(lobe.map(|prior| {
-            let own = |u: &&SceneUnknown| Some(u.prior) == prior && slots.contains(&u.slot);
-            let unknown = joint.assembly.system.of_scene.iter().find(own);
-            unknown.map_or_else(|| roots.none(), |u| roots.of(u.slot) * priors[u.prior].std_error())
-        }));
-    }
-    let of_scene: Vec<&SceneUnknown> =
-        joint.assembly.system.of_scene.iter().filter(|u| is_of_print(u, priors)).collect();
-    rows.extend(of_scene.iter().map(|u| roots.of(u.slot) * priors[u.prior].std_error()));
-    let kept = principal(&rows);
+    let kept = roots.map_or_else(
+        || DMatrix::zeros(SharedErrors::OF_MEDIUM * refined.len() + of_scene.len(), 0),
+        |roots| principal(&rows(joint, priors, refined, &of_scene, &roots), roots.shared.len()),
+    );
     let sources = kept.ncols();
     let media = |channel: usize| {
         let kept = &kept;
@@ -48,10 +35,49 @@ pub(super) fn shared_errors(joint: &Joint, priors: &[Prior], refined: &[&Refined
     let scene = of_scene.iter().enumerate().map(|(i, u)| SceneDifference {
         prior: u.prior,
         material: u.material,
+        channel: u.channel,
         difference: priors[u.prior].std_error() * joint.state.x[u.slot],
         changes: kept.row(first + i).iter().copied().collect(),
     });
     SharedErrors { sources, media: (0..refined.len()).flat_map(media).collect(), scene: scene.collect() }
+}
+
+/// Changes by the roots: five rows of each channel, then one of each quantity of the scene.
+fn rows(
+    joint: &Joint,
+    priors: &[Prior],
+    refined: &[&Refined],
+    of_scene: &[&SceneUnknown],
+    roots: &Roots,
+) -> Vec<RowDVector<f64>> {
+    let system = &joint.assembly.system;
+    let of_phase = |kind: PriorKind| priors.iter().position(|prior| prior.kind() == kind);
+    let lobe = [PriorKind::SecondLobeWeight, PriorKind::SecondLobeG].map(of_phase);
+    let (mut rows, mut growth) = (Vec::new(), Vec::new());
+    let mut of_lobes = Vec::new();
+    for (i, refined) in refined.iter().enumerate() {
+        let slots = &system.slots[joint.assembly.terms[i].start];
+        let own = [slots[0], slots[1], slots[2]];
+        growth.extend(roots.growth(own[0], refined.covariance[0][0]));
+        rows.extend(roots.of_medium(&own, &refined.covariance));
+        for prior in lobe {
+            let own = |u: &&SceneUnknown| Some(u.prior) == prior && slots.contains(&u.slot);
+            let unknown = system.of_scene.iter().find(own);
+            of_lobes.push(rows.len());
+            rows.push(
+                unknown
+                    .map_or_else(|| roots.none(), |u| roots.regression(u.slot) * priors[u.prior].std_error()),
+            );
+        }
+    }
+    let first = rows.len();
+    rows.extend(of_scene.iter().map(|u| roots.regression(u.slot) * priors[u.prior].std_error()));
+    // The covariances of media contain what residuals exceed noise by. Set-up and lobes are inflated alike, so that errors
+    // which cancel still do.
+    growth.sort_by(f64::total_cmp);
+    let factor = growth.get(growth.len() / 2).copied().unwrap_or(1.0).max(joint.disagreement).sqrt();
+    of_lobes.into_iter().chain(first..rows.len()).for_each(|i| rows[i] *= factor);
+    rows
 }
 
 /// Quantities that each slab has separately are not those of other prints, and the phase function is the medium's.
@@ -62,8 +88,6 @@ fn is_of_print(unknown: &SceneUnknown, priors: &[Prior]) -> bool {
 /// Regressions of unknowns on a root of the covariance of those that several channels have.
 struct Roots<'a> {
     covariance: &'a DMatrix<f64>,
-    /// Variances of all channels' pulls over those of noise.
-    inflation: f64,
     shared: Vec<usize>,
     /// Standard deviations of the shared unknowns.
     deviations: Vec<f64>,
@@ -91,14 +115,14 @@ impl<'a> Roots<'a> {
             correlations[(i, i)] += JITTER;
         }
         let root = Cholesky::new(correlations)?.l();
-        Some(Self { covariance, inflation: joint.disagreement, shared, deviations, root })
+        Some(Self { covariance, shared, deviations, root })
     }
 
     fn none(&self) -> RowDVector<f64> {
         RowDVector::zeros(self.shared.len())
     }
 
-    /// Changes of an unknown by the sources, without the disagreement of channels.
+    /// Changes of an unknown by the sources.
     fn regression(&self, slot: usize) -> RowDVector<f64> {
         let with = |(shared, sd): (&usize, &f64)| self.covariance[(slot, *shared)] / sd;
         let mut column = nalgebra::DVector::from_iterator(
@@ -109,9 +133,10 @@ impl<'a> Roots<'a> {
         column.transpose()
     }
 
-    /// Changes of a quantity of the set-up.
-    fn of(&self, slot: usize) -> RowDVector<f64> {
-        self.regression(slot) * self.inflation.sqrt()
+    /// Ratio of the variance in an answer to that of the joint fit; None for exact numbers.
+    fn growth(&self, slot: usize, answered: f64) -> Option<f64> {
+        let joint = self.covariance[(slot, slot)];
+        (joint > 0.0 && answered > 0.0).then(|| answered / joint)
     }
 
     /// Changes of a medium whose covariance in the answer is `answered`: that of the joint fit, transformed into it.
@@ -145,7 +170,11 @@ fn transformation(from: &Matrix3<f64>, to: &Matrix3<f64>) -> Option<Matrix3<f64>
 }
 
 /// The rows in their principal components: the fewest that leave out little of the variance of each.
-fn principal(rows: &[RowDVector<f64>]) -> DMatrix<f64> {
+fn principal(rows: &[RowDVector<f64>], columns: usize) -> DMatrix<f64> {
+    // Channels may share nothing.
+    if columns == 0 || rows.is_empty() {
+        return DMatrix::zeros(rows.len(), 0);
+    }
     let all = DMatrix::from_rows(rows);
     let norms: Vec<f64> = rows.iter().map(RowDVector::norm).collect();
     let mut scaled = all.clone();
@@ -155,7 +184,6 @@ fn principal(rows: &[RowDVector<f64>]) -> DMatrix<f64> {
     let eigen = SymmetricEigen::new(scaled.transpose() * &scaled);
     let mut order: Vec<usize> = (0..eigen.eigenvalues.len()).collect();
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    order.truncate(MOST);
     let turned = &all * eigen.eigenvectors.select_columns(&order);
     let is_enough = |kept: &usize| {
         let caused = |i: usize| turned.row(i).columns(0, *kept).norm_squared();
@@ -224,7 +252,18 @@ mod tests {
         }
     }
 
-    /// Channels that share nothing but exact numbers have no shared errors.
+    /// One channel with a slab of exact thickness shares nothing, and differences of the scene need no sources.
+    #[test]
+    fn single_channels_share_nothing() {
+        assert_eq!(principal(&[RowDVector::zeros(0), RowDVector::zeros(0)], 0).shape(), (2, 0));
+        let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
+        let one = Measurement::new("m", measured().profiles()[..1].to_vec()).unwrap();
+        let set = Set::new(&dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
+        let plan = MeasurePlan::default();
+        let (cells, joint) = set.search(&plan);
+        assert_eq!(set.answer(&joint, &plan, &cells).shared_errors, SharedErrors::default());
+    }
+
     #[test]
     fn transformations_keep_exact_numbers() {
         let from = Matrix3::new(1.0, 0.5, 0.0, 0.5, 2.0, 0.0, 0.0, 0.0, 0.0);
