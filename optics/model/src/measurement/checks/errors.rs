@@ -15,8 +15,9 @@ const COARSE: f64 = 0.04;
 pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
     let (values, stated) = (profile.values(), median(profile.std_errors()?.to_vec()));
     let (coarse, fine) = (scatter(values, 2), scatter(values, 4));
-    // Higher differences of smooth values are smaller: they show no noise then. Rounding is not noise either.
-    if stated == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
+    // Higher differences of smooth values are smaller: they show no noise then. Rounding is not noise either, and the
+    // pixels of a patch have one value.
+    if stated == 0.0 || fine == 0.0 || fine < 0.5 * coarse || fine < 3.0 * last_digit(values) {
         return None;
     }
     let ratio = stated / fine;
@@ -98,6 +99,9 @@ mod tests {
         let errors = smooth.std_errors().map(<[f64]>::to_vec);
         let rounded = MeasuredProfile::new("R", 0.5, smooth.x_mm().to_vec(), rounded, errors).unwrap();
         assert_eq!(far_from_scatter(&rounded), None);
+        let (x, n) = (smooth.x_mm().to_vec(), smooth.values().len());
+        let patch = MeasuredProfile::new("R", 0.5, x, vec![0.08; n], Some(vec![0.02; n])).unwrap();
+        assert_eq!(far_from_scatter(&patch), None);
         let exact = ProfileSetup {
             thickness_std_error_mm: Some(0.0),
             origin_std_error_mm: Some(0.0),
