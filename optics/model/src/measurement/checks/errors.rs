@@ -99,9 +99,7 @@ mod tests {
         let errors = smooth.std_errors().map(<[f64]>::to_vec);
         let rounded = MeasuredProfile::new("R", 0.5, smooth.x_mm().to_vec(), rounded, errors).unwrap();
         assert_eq!(far_from_scatter(&rounded), None);
-        let (x, n) = (smooth.x_mm().to_vec(), smooth.values().len());
-        let patch = MeasuredProfile::new("R", 0.5, x, vec![0.08; n], Some(vec![0.02; n])).unwrap();
-        assert_eq!(far_from_scatter(&patch), None);
+        assert_eq!(far_from_scatter(&MeasuredProfile::patch("R", 0.5, 0.08, 0.01).unwrap()), None);
         let exact = ProfileSetup {
             thickness_std_error_mm: Some(0.0),
             origin_std_error_mm: Some(0.0),
