@@ -62,7 +62,8 @@ mod tests {
             after.cpu_s > before.cpu_s && after.resident_kib > 100 && after.files > 2,
             "{after:?} {busy}"
         );
-        assert!(after.peak_kib >= before.resident_kib, "{before:?} {after:?}");
+        // Counts of two readings may differ by what threads keep for themselves.
+        assert!(after.peak_kib >= after.resident_kib, "{before:?} {after:?}");
         assert_eq!(Usage::of(u32::MAX), None);
     }
 

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined, SceneDifference, SharedErrors, Z};
+use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined, SetUpDifference, SharedErrors, Z};
 use optics_model::medium::check_ior;
 use optics_model::phase::SecondLobe;
 use optics_model::scene::Scene;
@@ -33,7 +33,7 @@ pub struct MediaFile {
     pub mu_std_error: f64,
     /// The set-up, with its uncertain numbers.
     pub scene: SceneFile,
-    /// What the measurement found of these numbers.
+    /// Estimates of these numbers.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub set_up: Vec<MediaSetUp>,
     pub materials: Vec<MediaMaterial>,
@@ -134,7 +134,7 @@ impl MediaFile {
         let material =
             |fit: &MaterialFit| MediaMaterial { material: fit.material.clone(), channels: channels(fit) };
         let names = quantity_names(with.scene);
-        let set_up = |d: &SceneDifference| {
+        let set_up = |d: &SetUpDifference| {
             let of_material = |i: usize| fits.get(i).map(|fit| fit.material.clone());
             let of_channel = |i: usize| with.scene.channels().get(i).map(|c| c.name().to_owned());
             Some(MediaSetUp {
@@ -325,7 +325,7 @@ mod tests {
         let digest = Digest::of_bytes(b"grid");
         let variances = [0, 1, 2].map(|i| fits[0].channels[0].refined.as_ref().unwrap().covariance[i][i]);
         let of_medium = [0.5 * variances[0].sqrt(), 0.0, 0.0, 0.01, 0.0];
-        let difference = |prior, material| SceneDifference {
+        let difference = |prior, material| SetUpDifference {
             prior,
             material,
             channel: None,

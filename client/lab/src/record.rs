@@ -1,5 +1,4 @@
-//! What a laboratory records about a session besides its photographs: who measured, with what, and which certificates
-//! the known values have.
+//! Names the people, instruments and certificates of a session, as a laboratory records them besides its photographs.
 
 use optics_model::Invalid;
 use serde::{Deserialize, Serialize};
@@ -7,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// The table `[record]` of a session file, which `session.json` keeps. All entries are free text.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Record {
+pub struct SessionRecord {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub laboratory: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -35,7 +34,7 @@ pub struct Record {
     pub scale_certificate: Option<String>,
 }
 
-impl Record {
+impl SessionRecord {
     /// Most characters of an entry.
     const LONGEST: usize = 300;
 

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 
 use crate::media_file::MEDIA_FILE;
-use crate::record::Record;
+use crate::record::SessionRecord;
 use crate::uncertainty::UNCERTAINTY_FILE;
 use crate::whole_file::write_whole;
 
@@ -26,11 +26,11 @@ const FILES: [(&str, &str, &str); 8] = [
     (UNCERTAINTY_FILE, "Statement of uncertainty", "text/html"),
 ];
 
-/// What a research object states.
+/// The contents of a research object.
 #[derive(Debug, Clone, Copy)]
 pub struct ResearchObject<'a> {
     pub materials: &'a [&'a str],
-    pub record: &'a Record,
+    pub record: &'a SessionRecord,
     /// The date as `2026-11-25`.
     pub date: &'a str,
 }
@@ -112,11 +112,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("report.html"), "x").unwrap();
         let text = |text: &str| Some(text.to_owned());
-        let record = Record {
+        let record = SessionRecord {
             operator: text("A. B."),
             laboratory: text("L"),
             instrument: text("C"),
-            ..Record::default()
+            ..SessionRecord::default()
         };
         let object = ResearchObject { materials: &["white"], record: &record, date: "2026-11-25" };
         object.write(folder.path()).unwrap();

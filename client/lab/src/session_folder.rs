@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use crate::capture::{CaptureReport, Media, Simulated};
 use crate::grid_file::read_grid;
-use crate::record::Record;
+use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
 
 /// A folder that `capture` wrote.
@@ -75,15 +75,15 @@ impl SessionFolder {
         Ok(session["bands"].as_array().into_iter().flatten().filter_map(width).collect())
     }
 
-    /// What the laboratory recorded about the session.
-    pub fn record(&self) -> Result<Record> {
-        let Some(path) = self.session() else { return Ok(Record::default()) };
+    /// Names of people, instruments and certificates.
+    pub fn record(&self) -> Result<SessionRecord> {
+        let Some(path) = self.session() else { return Ok(SessionRecord::default()) };
         let place = || format!("session file {}", path.display());
         let text = std::fs::read_to_string(&path).with_context(place)?;
         let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
         match session["record"].take() {
-            serde_json::Value::Null => Ok(Record::default()),
-            record => Ok(serde_json::from_value::<Record>(record).with_context(place)?.checked()?),
+            serde_json::Value::Null => Ok(SessionRecord::default()),
+            record => Ok(serde_json::from_value::<SessionRecord>(record).with_context(place)?.checked()?),
         }
     }
 

@@ -8,20 +8,20 @@ use farm_figures::numbers::{minus, significant, with_error};
 use optics_model::fit::{Common, MaterialFit, SharedErrors};
 
 use crate::page::{escaped, page, table};
-use crate::record::Record;
+use crate::record::SessionRecord;
 use evaluation::{EvaluatedChannel, MEASURANDS, evaluated};
 use inputs::{InputQuantity, input_quantities};
 
 /// Name of the page in the folder of a session or of media.
 pub const UNCERTAINTY_FILE: &str = "uncertainty.html";
 
-/// What a statement of uncertainty contains.
+/// The contents of a statement of uncertainty.
 #[derive(Debug, Clone, Copy)]
 pub struct UncertaintyStatement<'a> {
     pub fits: &'a [MaterialFit],
     pub shared_errors: &'a SharedErrors,
     pub common: &'a Common,
-    pub record: &'a Record,
+    pub record: &'a SessionRecord,
     pub dictionary: &'a str,
     /// Digest of the dictionary's grid and physics.
     pub digest: &'a str,
@@ -142,7 +142,7 @@ fn results(channels: &[EvaluatedChannel]) -> String {
 /// Probability of χ² below which the model and its priors do not explain the data.
 const UNLIKELY: f64 = 0.01;
 
-/// What a reader must know before the values.
+/// Warnings that precede the values.
 fn doubts(channels: &[EvaluatedChannel]) -> String {
     let of = |is: &dyn Fn(&EvaluatedChannel) -> bool| {
         channels.iter().filter(|c| is(c)).map(EvaluatedChannel::label).collect::<Vec<_>>().join(", ")

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result};
 use farm_lab::media_file::{MeasuredWith, MediaFile};
-use farm_lab::record::Record;
+use farm_lab::record::SessionRecord;
 use farm_lab::uncertainty::UncertaintyStatement;
 use farm_proto::wire::MeasureResponse;
 use optics_model::fit::{Common, MaterialFit, ScaleCurve, SharedErrors, Unmixed};
@@ -53,7 +53,7 @@ impl MeasureAnswer {
     }
 
     /// The statement of uncertainty as a page.
-    pub(crate) fn uncertainty(&self, dictionary: &str, grid: &Grid, record: &Record) -> String {
+    pub(crate) fn uncertainty(&self, dictionary: &str, grid: &Grid, record: &SessionRecord) -> String {
         let digest = Digest::of_grid(grid).to_string();
         UncertaintyStatement {
             fits: &self.materials,

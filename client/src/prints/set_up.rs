@@ -18,7 +18,7 @@ pub(crate) struct FoundSetUp {
     assumed: Scene,
     /// Estimates, each with the index of its prior.
     estimates: Vec<(usize, MediaSetUp)>,
-    /// What materials have separately is averaged over the volume of these.
+    /// Quantities of each material are averaged over the volume of these.
     slabs: Vec<NamedSlab>,
     boards: Mutex<Vec<(Scene, BareBoard)>>,
 }

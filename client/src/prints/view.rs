@@ -20,7 +20,7 @@ use super::slabs::NamedSlab;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ViewOptions {
     pub geometry: Geometry,
-    /// Of the faces of a bare print; None for that of the measured samples.
+    /// Roughness of the faces of a bare print; None for that of the measured samples.
     pub roughness: Option<f64>,
     pub viewing: Viewing,
 }

@@ -31,7 +31,7 @@ use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, m
 use farm_lab::grid_file::{grid_of, named_grid};
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::media_file::MEDIA_FILE;
-use farm_lab::record::Record;
+use farm_lab::record::SessionRecord;
 use farm_lab::set_up::SetUp;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
@@ -127,7 +127,7 @@ impl Desk for DeskService {
             let mut files: Vec<_> = media_files(&found.materials)?.into();
             if let Some((name, grid)) = dictionary {
                 files.push((MEDIA_FILE, found.media_file(&name, &grid).text()?));
-                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &Record::default())));
+                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &SessionRecord::default())));
             }
             let file = |(name, text): (&str, String)| File {
                 name: name.to_owned(),

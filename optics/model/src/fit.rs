@@ -22,4 +22,4 @@ pub use measured::{MeasurePlan, Measured, Z};
 pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, PhaseModel, Wavelet};
 pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};
-pub use shared_errors::{SceneDifference, SharedErrors};
+pub use shared_errors::{SetUpDifference, SharedErrors};

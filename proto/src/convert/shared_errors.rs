@@ -2,7 +2,7 @@
 
 use super::mirror::list;
 use crate::wire;
-use optics_model::fit::{SceneDifference, SharedErrors};
+use optics_model::fit::{SetUpDifference, SharedErrors};
 use optics_model::invalid::{Invalid, Result};
 
 impl From<SharedErrors> for wire::SharedErrors {
@@ -25,7 +25,7 @@ impl TryFrom<wire::SharedErrors> for SharedErrors {
             let allowed = format!("{} numbers are needed for each channel and source", Self::OF_MEDIUM);
             return Err(Invalid::new("media", format!("{} numbers", errors.media.len()), allowed));
         }
-        let scene: Vec<SceneDifference> = list::from_wire("scene", errors.scene)?;
+        let scene: Vec<SetUpDifference> = list::from_wire("scene", errors.scene)?;
         if let Some(other) = scene.iter().find(|d| d.changes.len() != sources) {
             let allowed = format!("a number is needed for each of {sources} sources");
             return Err(Invalid::new("scene.changes", format!("{} numbers", other.changes.len()), allowed));
@@ -34,17 +34,17 @@ impl TryFrom<wire::SharedErrors> for SharedErrors {
     }
 }
 
-impl From<SceneDifference> for wire::SceneDifference {
-    fn from(d: SceneDifference) -> Self {
+impl From<SetUpDifference> for wire::SetUpDifference {
+    fn from(d: SetUpDifference) -> Self {
         let [material, channel] = [d.material, d.channel].map(|of| of.map(|i| i as u32));
         Self { prior: d.prior as u32, material, channel, difference: d.difference, changes: d.changes }
     }
 }
 
-impl TryFrom<wire::SceneDifference> for SceneDifference {
+impl TryFrom<wire::SetUpDifference> for SetUpDifference {
     type Error = Invalid;
 
-    fn try_from(d: wire::SceneDifference) -> Result<Self> {
+    fn try_from(d: wire::SetUpDifference) -> Result<Self> {
         let [material, channel] = [d.material, d.channel].map(|of| of.map(|i| i as usize));
         Ok(Self { prior: d.prior as usize, material, channel, difference: d.difference, changes: d.changes })
     }
@@ -56,14 +56,14 @@ mod tests {
 
     fn errors() -> SharedErrors {
         let scene = vec![
-            SceneDifference {
+            SetUpDifference {
                 prior: 0,
                 material: Some(1),
                 channel: Some(2),
                 difference: 0.02,
                 changes: vec![0.01, 0.0],
             },
-            SceneDifference {
+            SetUpDifference {
                 prior: 3,
                 material: None,
                 channel: None,

@@ -16,7 +16,7 @@ use super::channels::{CapturedChannel, profiles};
 use super::report::{self, CaptureReport};
 use super::stage::{board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
-use crate::record::Record;
+use crate::record::SessionRecord;
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
@@ -204,7 +204,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         blur_std_error_mm: Value,
         #[serde(flatten)]
         parts: Map<String, Value>,
-        record: Record,
+        record: SessionRecord,
         inputs: Vec<Value>,
         digest: String,
     }

@@ -16,7 +16,7 @@ use super::globs::files_of;
 use super::spectrum::Spectrum;
 use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
-use crate::record::Record;
+use crate::record::SessionRecord;
 use neutral::NeutralTable;
 
 const WHAT: &str = "session file";
@@ -34,7 +34,7 @@ pub struct CaptureSession {
     pub scene: optics_model::Scene,
     /// Values that are valid but implausible.
     pub doubts: Vec<String>,
-    pub record: Record,
+    pub record: SessionRecord,
     /// The text of the file.
     pub text: String,
 }
@@ -108,7 +108,7 @@ struct SessionFile {
     #[serde(default)]
     light: LampTable,
     #[serde(default)]
-    record: Record,
+    record: SessionRecord,
     #[serde(default, rename = "band")]
     bands: Vec<BandTable>,
     #[serde(rename = "sample")]

@@ -22,10 +22,10 @@ pub(super) struct InputQuantity {
 
 /// A quantity under construction, from all fits.
 #[derive(Debug, Clone)]
-struct Gathered {
+struct GatheredInput {
     name: String,
     unit: String,
-    /// What each value belongs to.
+    /// Places of the values: channel, slab or material.
     values: BTreeSet<String>,
     priors: Vec<f64>,
     posteriors: Vec<f64>,
@@ -59,7 +59,7 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
             posterior: String::new(),
         },
     ];
-    let mut gathered: Vec<Gathered> = Vec::new();
+    let mut gathered: Vec<GatheredInput> = Vec::new();
     for (material, channel, r) in &refined {
         for n in &r.likelihood.nuisances {
             let (name, unit) = name_of(n.nuisance);
@@ -82,14 +82,14 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
             entry(&mut gathered, &e.quantity, &e.unit).add(value, e.prior_std_error, e.std_error);
         }
     }
-    all.extend(gathered.iter().map(Gathered::quantity));
+    all.extend(gathered.iter().map(GatheredInput::quantity));
     all
 }
 
-fn entry<'a>(all: &'a mut Vec<Gathered>, name: &str, unit: &str) -> &'a mut Gathered {
+fn entry<'a>(all: &'a mut Vec<GatheredInput>, name: &str, unit: &str) -> &'a mut GatheredInput {
     let at = all.iter().position(|of| of.name == name).unwrap_or_else(|| {
         let (name, unit) = (name.to_owned(), unit.to_owned());
-        all.push(Gathered {
+        all.push(GatheredInput {
             name,
             unit,
             values: BTreeSet::new(),
@@ -101,7 +101,7 @@ fn entry<'a>(all: &'a mut Vec<Gathered>, name: &str, unit: &str) -> &'a mut Gath
     &mut all[at]
 }
 
-impl Gathered {
+impl GatheredInput {
     fn add(&mut self, value: String, prior: f64, posterior: f64) {
         self.values.insert(value);
         self.priors.push(prior);

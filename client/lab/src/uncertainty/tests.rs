@@ -26,7 +26,7 @@ fn common() -> Common {
     }
 }
 
-fn page_of(record: &Record, errors: &SharedErrors) -> String {
+fn page_of(record: &SessionRecord, errors: &SharedErrors) -> String {
     UncertaintyStatement {
         fits: &fits(),
         shared_errors: errors,
@@ -41,7 +41,7 @@ fn page_of(record: &Record, errors: &SharedErrors) -> String {
 /// Values have their combined uncertainty, k, ν_eff and interval; names are escaped; contributions add up to u_c.
 #[test]
 fn statements_have_results_and_budget() {
-    let page = page_of(&Record::default(), &SharedErrors::default());
+    let page = page_of(&SessionRecord::default(), &SharedErrors::default());
     let channels = evaluated(&fits(), &SharedErrors::default());
     let m = &channels[0].measurands[0];
     let variance = fits()[0].channels[0].refined.as_ref().unwrap().covariance[0][0];
@@ -69,19 +69,19 @@ fn correlations_follow_from_shared_errors() {
     let channels = evaluated(&fits(), &errors);
     assert!((channels[0].correlation(&channels[1], 0) + 0.4).abs() < 1e-9);
     assert_eq!(channels[0].correlation(&channels[0], 0), 1.0);
-    assert!(page_of(&Record::default(), &errors).contains("<td>−0.40</td>"));
+    assert!(page_of(&SessionRecord::default(), &errors).contains("<td>−0.40</td>"));
 }
 
 /// Entries of the session are stated; with all three certificates traceability is.
 #[test]
 fn certificates_are_stated() {
     let text = |text: &str| Some(text.to_owned());
-    let record = Record {
+    let record = SessionRecord {
         operator: text("A. B."),
         white_certificate: text("W-1"),
         thickness_certificate: text("T-1"),
         scale_certificate: text("S-1"),
-        ..Record::default()
+        ..SessionRecord::default()
     };
     let page = page_of(&record, &SharedErrors::default());
     for part in
@@ -89,7 +89,7 @@ fn certificates_are_stated() {
     {
         assert!(page.contains(part), "{part}: {page}");
     }
-    let wrong = Record { conditions: text("a\nb"), ..record }.checked().unwrap_err().to_string();
+    let wrong = SessionRecord { conditions: text("a\nb"), ..record }.checked().unwrap_err().to_string();
     assert!(wrong.starts_with("record.conditions = \"a\\nb\""), "{wrong}");
 }
 

@@ -223,7 +223,7 @@ mod tests {
         }
     }
 
-    /// Of twenty media that agree, one has a probability below 5 %: that is no difference.
+    /// One of twenty media that agree has a probability below 5 %: that is no difference.
     #[test]
     fn chance_is_shared_by_all_channels() {
         let with = |least: f64| {

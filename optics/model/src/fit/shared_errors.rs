@@ -10,12 +10,12 @@ pub struct SharedErrors {
     /// g₂ of the second lobe. What remains of a channel's own covariance is independent of all others.
     pub media: Vec<[f64; Self::OF_MEDIUM]>,
     /// Quantities of the scene, in its order.
-    pub scene: Vec<SceneDifference>,
+    pub scene: Vec<SetUpDifference>,
 }
 
 /// The estimate of a quantity of the scene that a session or a material has.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SceneDifference {
+pub struct SetUpDifference {
     /// Index into the scene's priors.
     pub prior: usize,
     /// Index of the material; None for one value in the whole session.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result};
 use farm_lab::media_file::MEDIA_FILE;
-use farm_lab::record::Record;
+use farm_lab::record::SessionRecord;
 use farm_lab::research_object::ResearchObject;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
@@ -25,7 +25,7 @@ pub(super) fn write_uncertainty(folder: &Path, page: &str) -> Result<()> {
 }
 
 /// Describes the folder of a session for archives.
-pub(super) fn describe(folder: &Path, found: &MeasureAnswer, record: &Record) -> Result<()> {
+pub(super) fn describe(folder: &Path, found: &MeasureAnswer, record: &SessionRecord) -> Result<()> {
     let materials: Vec<&str> = found.materials.iter().map(|fit| fit.material.as_str()).collect();
     let now = utc(now_unix_s().unsigned_abs() * 1000);
     let date = now.split('T').next().unwrap_or_default();

@@ -6,7 +6,7 @@
 //! unknowns. Of F the principal components are kept that cause nearly all of its variance.
 
 use nalgebra::{Cholesky, DMatrix, Matrix3, RowDVector, SymmetricEigen};
-use optics_model::fit::{Refined, SceneDifference, SharedErrors};
+use optics_model::fit::{Refined, SetUpDifference, SharedErrors};
 use optics_model::scene::{Prior, PriorKind};
 
 use super::minimum::Joint;
@@ -32,7 +32,7 @@ pub(super) fn shared_errors(joint: &Joint, priors: &[Prior], refined: &[&Refined
         (0..sources).map(move |k| std::array::from_fn(|j| kept[(SharedErrors::OF_MEDIUM * channel + j, k)]))
     };
     let first = SharedErrors::OF_MEDIUM * refined.len();
-    let scene = of_scene.iter().enumerate().map(|(i, u)| SceneDifference {
+    let scene = of_scene.iter().enumerate().map(|(i, u)| SetUpDifference {
         prior: u.prior,
         material: u.material,
         channel: u.channel,
@@ -218,7 +218,7 @@ mod tests {
 
     /// Changes of two channels have their covariance in the joint fit, and those of one channel at most its own.
     #[test]
-    fn shared_errors_have_the_covariance_of_the_fit() {
+    fn shared_errors_have_the_joint_covariance() {
         let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
         let settings = FitSettings { thickness_std_error_mm: 0.01, ..FitSettings::default() };
         let materials = [measured()];
