@@ -135,12 +135,16 @@ impl MediaFile {
             |fit: &MaterialFit| MediaMaterial { material: fit.material.clone(), channels: channels(fit) };
         let names = quantity_names(with.scene);
         let set_up = |d: &SetUpDifference| {
-            let of_material = |i: usize| fits.get(i).map(|fit| fit.material.clone());
-            let of_channel = |i: usize| with.scene.channels().get(i).map(|c| c.name().to_owned());
+            let material = d.material.map(|i| fits.get(i).map(|fit| fit.material.clone()));
+            let channel = d.channel.map(|i| with.scene.channels().get(i).map(|c| c.name().to_owned()));
+            // An estimate of an unknown material is not one of the session.
+            if material == Some(None) || channel == Some(None) {
+                return None;
+            }
             Some(MediaSetUp {
                 quantity: names.get(d.prior)?.clone(),
-                material: d.material.map(|i| of_material(i).ok_or(())).transpose().ok()?,
-                channel: d.channel.map(|i| of_channel(i).ok_or(())).transpose().ok()?,
+                material: material.flatten(),
+                channel: channel.flatten(),
                 difference: d.difference,
                 shared: d.changes.iter().copied().map(rounded).collect(),
             })

@@ -76,7 +76,7 @@ impl UncertaintyStatement<'_> {
         } else {
             format!(
                 "No certificate is stated for {}: traceability to the SI is not claimed for what depends on them.",
-                lacking.join(" and ")
+                listed(&lacking)
             )
         };
         let rows = if rows.is_empty() { String::new() } else { table("text", &[], &rows) };
@@ -97,6 +97,14 @@ impl UncertaintyStatement<'_> {
     }
 }
 
+/// `a, b and c`.
+fn listed(names: &[&str]) -> String {
+    match names {
+        [first @ .., last] if !first.is_empty() => format!("{} and {last}", first.join(", ")),
+        _ => names.concat(),
+    }
+}
+
 fn is_certificate(key: &str) -> bool {
     key.ends_with("_certificate")
 }
@@ -110,8 +118,8 @@ fn measurands() -> String {
      Input quantities of type B have normal priors with the stated standard uncertainties (those of the scene have wider \
      tails beyond two of them) and are estimated with the measurands, so their correlations are included (GUM 5.2). \
      Combined standard uncertainties u<sub>c</sub> follow from the inverse of the information at the maximum, times the \
-     factor by which residuals exceed their noise where that is unlikely to be chance. The interval of 95 % is that of the profile likelihood, which need \
-     not be symmetric; k u<sub>c</sub> is stated for comparison.</p>\n"
+     factor by which residuals exceed their noise where that is unlikely to be chance. The interval of 95 % is that of the \
+     profile likelihood, which need not be symmetric; k u<sub>c</sub> is stated for comparison.</p>\n"
         .to_owned()
 }
 
@@ -139,19 +147,16 @@ fn results(channels: &[EvaluatedChannel]) -> String {
     format!("<h2>Results</h2>\n<p>All values in 1/mm.</p>\n{}{}", doubts(channels), table("", &head, &rows))
 }
 
-/// Probability of χ² below which the model and its priors do not explain the data.
-const UNLIKELY: f64 = 0.01;
-
 /// Warnings that precede the values.
 fn doubts(channels: &[EvaluatedChannel]) -> String {
     let of = |is: &dyn Fn(&EvaluatedChannel) -> bool| {
         channels.iter().filter(|c| is(c)).map(EvaluatedChannel::label).collect::<Vec<_>>().join(", ")
     };
-    let worst = channels.iter().map(|c| c.misfit).fold(0.0, f64::max);
+    let worst = channels.iter().filter(|c| c.is_enlarged).map(|c| c.misfit).fold(0.0, f64::max);
     let all = [
         (of(&|c| !c.is_resolved), "The data do not determine σ_t and the albedo separately".to_owned()),
         (
-            of(&|c| c.probability < UNLIKELY),
+            of(&|c| c.is_enlarged),
             format!(
                 "Residuals exceed what noise and the input quantities explain (up to {} times); u_c contains this factor, \
                  but its cause may have shifted the values",

@@ -173,7 +173,28 @@ fn colours(
     Ok(ColoursJson { viewing, bases: all, contrast_ratio, delta_e_2000 })
 }
 
-/// Decimals of a radiance factor: its error has two digits.
-pub(crate) fn decimals(std_error: f64) -> usize {
-    (-std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1
+impl PredictJson {
+    /// Why there are no colours, and what is not determined.
+    pub(crate) fn remarks(&self) -> Vec<String> {
+        let no_colours = self.no_colours.iter().map(|reason| format!("no colours: {reason}"));
+        let open = (!self.unresolved.is_empty())
+            .then(|| format!("not determined by the measurement: {}", self.unresolved.join(", ")));
+        no_colours.chain(open).collect()
+    }
+}
+
+impl ReflectanceJson {
+    /// Value and interval, with two digits of the error.
+    pub(crate) fn texts(&self) -> [String; 2] {
+        let digits = (-self.std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1;
+        let [low, high] = self.interval;
+        [format!("{:.digits$}", self.radiance_factor), format!("{low:.digits$}…{high:.digits$}")]
+    }
+}
+
+impl ColourJson {
+    /// sRGB as `#rrggbb`.
+    pub(crate) fn hex(&self) -> Option<String> {
+        self.srgb.map(|[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}"))
+    }
 }

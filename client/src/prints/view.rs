@@ -30,6 +30,31 @@ impl ViewOptions {
     fn seen(&self, session: Scene) -> Result<Scene> {
         self.geometry.scene(session, self.roughness)
     }
+
+    /// The errors of the set-up that change how a print looks, or its base.
+    fn changes(
+        &self,
+        set_up: &FoundSetUp,
+        bases: &[PrintBase],
+        channel: &str,
+        ior: f64,
+        prints: &mut Prints,
+    ) -> Result<Vec<ViewedChange>> {
+        let rho = |scene: &Scene| PrintBase::all_rho(bases, set_up, channel, scene);
+        let found = set_up.scene(channel)?;
+        let (found_rho, found) = (rho(&found)?, self.seen(found)?);
+        let mut changes = Vec::new();
+        for changed in set_up.changed(channel) {
+            let scene = set_up.changed_scene(&changed, channel)?;
+            let (to_rho, to) = (rho(&scene)?, self.seen(scene)?);
+            let rho_by: Vec<f64> = to_rho.iter().zip(&found_rho).map(|(to, from)| to - from).collect();
+            if looks_different(&to, &found) || rho_by.iter().any(|by| *by != 0.0) {
+                let (from, to) = (prints.of(&found, ior), prints.of(&to, ior));
+                changes.push(ViewedChange { from, to, rho_by, changed });
+            }
+        }
+        Ok(changes)
+    }
 }
 
 /// One channel, ready for predictions.
@@ -41,8 +66,6 @@ struct ViewedChannel {
     rho: Vec<f64>,
     /// By material of the file; None if it has no medium in this channel.
     media: Vec<Option<Uncertain>>,
-    /// Reflectances of the bases in each changed set-up.
-    changed_rho: Vec<Vec<f64>>,
 }
 
 /// Prints before and after a change of the set-up, for all channels: errors of an index hardly depend on the index.
@@ -50,6 +73,8 @@ struct ViewedChannel {
 struct ViewedChange {
     from: Arc<Print>,
     to: Arc<Print>,
+    /// Changes of the bases' reflectances: the board looks as photographed through another coat.
+    rho_by: Vec<f64>,
     changed: ChangedSetUp,
 }
 
@@ -85,30 +110,14 @@ impl<'a> PrintView<'a> {
         }
         let set_up = FoundSetUp::new(file, slabs)?;
         let mut prints = Prints::new(peak);
-        let ior = common_ior(&all, middle)?;
-        let found = args.seen(set_up.scene(middle)?)?;
-        let board = |scene: &Scene| PrintBase::all_rho(bases, &set_up, middle, scene);
-        let found_rho = board(&set_up.scene(middle)?)?;
-        let (mut changes, mut moved) = (Vec::new(), Vec::new());
-        for changed in set_up.changed(middle) {
-            let scene = set_up.changed_scene(&changed, middle)?;
-            let rho = board(&scene)?;
-            let to = args.seen(scene)?;
-            // A change of the coat also changes how bright the board must be.
-            if looks_different(&to, &found) || rho != found_rho {
-                changes.push(ViewedChange { from: prints.of(&found, ior), to: prints.of(&to, ior), changed });
-                moved.push(rho.iter().zip(&found_rho).map(|(to, from)| to - from).collect::<Vec<f64>>());
-            }
-        }
+        let changes = args.changes(&set_up, bases, middle, common_ior(&all, middle)?, &mut prints)?;
         let mut channel = |name: &&str| -> Result<ViewedChannel> {
             let scene = set_up.scene(name)?;
             let medium =
                 |m: &MediaMaterial| m.channel(name).map(|c| uncertain(c, set_up.assumed())).transpose();
             let rho = PrintBase::all_rho(bases, &set_up, name, &scene)?;
             let rho: Vec<f64> = rho.into_iter().map(|rho| rho.clamp(0.0, 1.0)).collect();
-            let changed = |moved: &Vec<f64>| rho.iter().zip(moved).map(|(rho, by)| rho + by).collect();
             Ok(ViewedChannel {
-                changed_rho: moved.iter().map(changed).collect(),
                 print: prints.of(&args.seen(scene)?, common_ior(&all, name)?),
                 media: file.materials.iter().map(medium).collect::<Result<_>>()?,
                 name: (*name).to_owned(),
@@ -126,11 +135,14 @@ impl<'a> PrintView<'a> {
     /// Radiance factors of a print, by channel and base.
     pub(crate) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
         self.each(|channel, media| {
-            let steps: Vec<(f64, Vec<f64>)> =
-                self.changes.iter().map(|c| self.set_up.steps(&c.changed, &channel.name, slabs)).collect();
-            let all = self.changes.iter().zip(&channel.changed_rho).zip(&steps);
+            let steps = |c: &ViewedChange| {
+                let to_rho: Vec<f64> = channel.rho.iter().zip(&c.rho_by).map(|(rho, by)| rho + by).collect();
+                (to_rho, self.set_up.steps(&c.changed, &channel.name, slabs))
+            };
+            let steps: Vec<_> = self.changes.iter().map(steps).collect();
+            let all = self.changes.iter().zip(&steps);
             let changes: Vec<SetUpChange> = all
-                .map(|((c, to_rho), (offset, shared))| SetUpChange {
+                .map(|(c, (to_rho, (offset, shared)))| SetUpChange {
                     from: &c.from,
                     to: &c.to,
                     to_rho,

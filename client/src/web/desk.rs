@@ -31,7 +31,7 @@ use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, m
 use farm_lab::grid_file::{grid_of, named_grid};
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::media_file::MEDIA_FILE;
-use farm_lab::record::SessionRecord;
+use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
@@ -122,12 +122,14 @@ impl Desk for DeskService {
 
     async fn media(&self, request: Request<MediaRequest>) -> Result<Response<Files>, Status> {
         let request = request.into_inner();
+        let folder = request.capture.as_deref().map(|folder| self.captures.folder(folder)).transpose()?;
         answer(move || {
+            let record = folder.map(|f| SessionFolder::open(&f)?.record()).transpose()?.unwrap_or_default();
             let (found, dictionary) = prints::measured(request)?;
             let mut files: Vec<_> = media_files(&found.materials)?.into();
             if let Some((name, grid)) = dictionary {
                 files.push((MEDIA_FILE, found.media_file(&name, &grid).text()?));
-                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &SessionRecord::default())));
+                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &record)));
             }
             let file = |(name, text): (&str, String)| File {
                 name: name.to_owned(),

@@ -35,7 +35,7 @@ pub(crate) struct Slopes {
 
 /// Half of the difference of both ends; where one end is at a limit of the medium, such as an albedo of 1, the other
 /// counts.
-pub(crate) fn change(up: f64, down: f64, value: f64) -> f64 {
+fn change(up: f64, down: f64, value: f64) -> f64 {
     match () {
         () if down == value => up - value,
         () if up == value => value - down,

@@ -1,5 +1,6 @@
 //! Combined standard uncertainties of the measurands of each channel, with their contributions and correlations.
 
+use farm_figures::misfit::is_unlikely;
 use farm_figures::numbers::{interval, significant};
 use farm_figures::source_name;
 use optics_model::fit::{ErrorSource, Interval, MaterialFit, Refined, SharedErrors, SourceShare, Z};
@@ -12,9 +13,10 @@ pub(super) struct EvaluatedChannel {
     pub material: String,
     pub channel: String,
     pub measurands: [EvaluatedMeasurand; 3],
-    /// Root mean square of the residuals over their noise, and the probability of χ².
+    /// Root mean square of the residuals over their noise.
     pub misfit: f64,
-    pub probability: f64,
+    /// Whether the residuals exceed what the input quantities explain, so that u_c was enlarged.
+    pub is_enlarged: bool,
     /// Whether the data determine σ_t and the albedo.
     pub is_resolved: bool,
     /// The values come from mixtures: budget and correlations are not known.
@@ -50,7 +52,7 @@ pub(super) fn evaluated(fits: &[MaterialFit], errors: &SharedErrors) -> Vec<Eval
             channel: channel.channel.clone(),
             measurands: measurands(refined, errors.of_channel(number)),
             misfit: refined.misfit,
-            probability: refined.likelihood.probability,
+            is_enlarged: is_unlikely(&refined.likelihood),
             is_resolved: refined.resolved,
             is_from_mixtures: refined.from_mixtures,
         })

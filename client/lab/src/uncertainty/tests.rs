@@ -56,7 +56,7 @@ fn statements_have_results_and_budget() {
         assert!(page.contains(part), "{part}: {page}");
     }
     assert!(page.contains(
-        "No certificate is stated for the white reference and the thickness of the slabs and the board's squares"
+        "No certificate is stated for the white reference, the thickness of the slabs and the board's squares"
     ));
 }
 

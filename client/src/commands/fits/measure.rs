@@ -225,15 +225,13 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         Some(path) => figure_files::write_fits(&found.materials, path)?,
         None => Vec::new(),
     };
-    let media = found.media_file(&dictionary, &grid).text()?;
-    let uncertainty = found.uncertainty(&dictionary, &grid, &record);
     if let Some(folder) = &inputs.output {
-        files::write(folder, &found, &media, &uncertainty)
+        files::write_renderers(folder, &found)
+            .and_then(|()| files::write_media(folder, &found, (&dictionary, &grid), &record))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
-        files::write_media(folder.path(), &media)?;
-        files::write_uncertainty(folder.path(), &uncertainty)?;
+        files::write_media(folder.path(), &found, (&dictionary, &grid), &record)?;
         let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
         let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
         output.notes(&of_filters, &inputs.measurements);

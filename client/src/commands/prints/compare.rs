@@ -101,20 +101,27 @@ fn compared(a: &MediaFile, b: &MediaFile) -> Result<CompareJson> {
     Ok(CompareJson { channels, unmatched, library: Vec::new(), left_out: Vec::new() })
 }
 
-fn channel(material: &str, a: &MediaChannel, b: &MediaChannel) -> ComparedChannel {
+/// The quantities that similar media share: σ_s(1 − g) and σ_a.
+fn invariants(a: &MediaChannel, b: &MediaChannel) -> [ComparedQuantity; 2] {
     let scattering = |c: &MediaChannel| c.sigma_t_per_mm * c.albedo * (1.0 - c.g);
     let absorption = |c: &MediaChannel| c.sigma_t_per_mm * (1.0 - c.albedo);
-    let quantities = vec![
+    [
         quantity(
             "σ_s(1−g)",
             [scattering(a), scattering(b)],
             [a.reduced_scattering_interval, b.reduced_scattering_interval],
         ),
         quantity("σ_a", [absorption(a), absorption(b)], [a.absorption_interval, b.absorption_interval]),
+    ]
+}
+
+fn channel(material: &str, a: &MediaChannel, b: &MediaChannel) -> ComparedChannel {
+    let mut quantities: Vec<ComparedQuantity> = invariants(a, b).into();
+    quantities.extend([
         quantity("σ_t", [a.sigma_t_per_mm, b.sigma_t_per_mm], [a.sigma_t_interval, b.sigma_t_interval]),
         quantity("α", [a.albedo, b.albedo], [a.albedo_interval, b.albedo_interval]),
         quantity("g", [a.g, b.g], [a.g_interval, b.g_interval]),
-    ];
+    ]);
     let (material, channel) = (material.to_owned(), a.channel.clone());
     ComparedChannel { material, channel, quantities, probability: probability(a, b) }
 }

@@ -11,7 +11,7 @@ use farm_lab::media_file::MediaFile;
 use super::view_args::ViewArgs;
 use crate::output::{Output, table, wrapped};
 use crate::prints::prediction::{
-    ColourJson, ColoursJson, PredictJson, PredictedChannelJson, decimals, predicted,
+    ColourJson, ColoursJson, PredictJson, PredictedChannelJson, ReflectanceJson, predicted,
 };
 
 #[derive(Debug, Args)]
@@ -49,13 +49,7 @@ fn text(data: &PredictJson) -> String {
         bases.iter().flat_map(|base| [format!("over {base}"), "95 %".to_owned()]).collect();
     let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();
     let row = |channel: &PredictedChannelJson| {
-        let cells = channel.bases.iter().flat_map(|b| {
-            let digits = decimals(b.std_error);
-            [
-                format!("{:.digits$}", b.radiance_factor),
-                format!("{:.digits$}…{:.digits$}", b.interval[0], b.interval[1]),
-            ]
-        });
+        let cells = channel.bases.iter().flat_map(ReflectanceJson::texts);
         std::iter::once(channel.channel.clone()).chain(cells).collect()
     };
     let right: Vec<usize> = (0..bases.len()).map(|i| 2 * i + 1).collect();
@@ -69,14 +63,11 @@ fn text(data: &PredictJson) -> String {
         },
         table(&head, &right, data.channels.iter().map(row))
     );
-    match (&data.colours, &data.no_colours) {
-        (Some(colours), _) => text += &format!("\n\n{}", colours_text(colours)),
-        (None, Some(reason)) => text += &format!("\n{}", wrapped(&format!("no colours: {reason}"))),
-        _ => {}
+    if let Some(colours) = &data.colours {
+        text += &format!("\n\n{}", colours_text(colours));
     }
-    if !data.unresolved.is_empty() {
-        let list = data.unresolved.join(", ");
-        text += &format!("\n{}", wrapped(&format!("not determined by the measurement: {list}")));
+    for remark in data.remarks() {
+        text += &format!("\n{}", wrapped(&remark));
     }
     text
 }
@@ -87,7 +78,7 @@ fn colours_text(colours: &ColoursJson) -> String {
         let mut cells = vec![format!("over {}", c.base.name)];
         cells.extend((0..3).map(|k| with_error(c.colour.lab[k], c.lab_std_errors[k])));
         cells.push(significant(c.colour.xyz[1], 3));
-        cells.push(c.srgb.map_or_else(|| "–".to_owned(), |[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}")));
+        cells.push(c.hex().unwrap_or_else(|| "–".to_owned()));
         cells
     };
     let Viewing { illuminant, observer } = colours.viewing;

@@ -108,9 +108,12 @@ pub(crate) fn run(args: &RecipeArgs, output: &Output) -> Result<()> {
 /// The inks of a request, and how their mixtures look.
 struct InkMixer<'a> {
     args: &'a RecipeArgs,
+    file: &'a MediaFile,
     names: Vec<String>,
-    /// Over the base, over black, and over white.
-    view: PrintView<'a>,
+    /// The base, black, and white.
+    bases: [PrintBase; 3],
+    /// The even mixture of all inks.
+    even: PrintView<'a>,
     /// None unless the channels are wavelengths that cover the visible range.
     colorimetry: Option<Colorimetry>,
     /// Places of the channels by rising wavelength.
@@ -131,26 +134,17 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let most = most(&args.most, &names)?;
     let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
     let even = mixture(&names, &vec![1.0; names.len()], args.thickness);
-    let view = PrintView::new(&file, &[even], &bases, &args.view.options())?;
+    let even = PrintView::new(&file, &[even], &bases, &args.view.options())?;
     let mut order: Vec<(Option<f64>, usize)> =
-        view.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
+        even.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
     order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
     let nm: Vec<f64> = order.iter().filter_map(|(nm, _)| *nm).collect();
     let is_spectral = nm.len() == order.len();
     let colorimetry =
         if is_spectral { Colorimetry::new(&nm, args.view.options().viewing).ok() } else { None };
     let order = order.into_iter().map(|(_, i)| i).collect();
-    let mut inks = InkMixer { args, names, view, colorimetry, order };
-    let mut recipes = Vec::new();
-    for target in &args.target {
-        let target = (target.as_str(), ColourTarget::parsed(target)?);
-        let first = inks.closest(&target, &most)?;
-        // Index and roughness are those of the mixture that was found.
-        let found = mixture(&inks.names, &first, args.thickness);
-        inks.view = PrintView::new(&file, &[found], &bases, &args.view.options())?;
-        let shares = inks.closest(&target, &most)?;
-        recipes.push(inks.answer(&target, &shares, &most)?);
-    }
+    let inks = InkMixer { args, file: &file, names, bases, even, colorimetry, order };
+    let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
     Ok(RecipeJson { thickness_mm: args.thickness, opacity: args.opacity, recipes })
 }
 
@@ -197,14 +191,23 @@ impl ColourTarget {
 }
 
 impl InkMixer<'_> {
-    fn closest(&self, (text, target): &(&str, ColourTarget), most: &[f64]) -> Result<Vec<f64>> {
+    fn recipe(&self, text: &str, most: &[f64]) -> Result<FoundRecipe> {
+        let target = ColourTarget::parsed(text)?;
         if matches!(target, ColourTarget::Lab(_)) && self.colorimetry.is_none() {
             bail!(
                 "target {text}: L*,a*,b* need channels that are wavelengths of the visible range; give a file of channel,value"
             );
         }
+        // Index and roughness are those of the mixture that is found.
+        let near = self.slab(&self.closest(&self.even, &target, most)?);
+        let view = PrintView::new(self.file, &[near], &self.bases, &self.args.view.options())?;
+        let shares = self.closest(&view, &target, most)?;
+        self.answer(&view, text, &target, &shares, most)
+    }
+
+    fn closest(&self, view: &PrintView, target: &ColourTarget, most: &[f64]) -> Result<Vec<f64>> {
         let cost = |shares: &[f64]| -> Result<f64> {
-            let found = self.view.values(&[self.slab(shares)])?;
+            let found = view.values(&[self.slab(shares)])?;
             let difference = self.difference(target, &found)?;
             let opacity =
                 self.args.opacity.map_or(0.0, |ratio| 100.0 * (ratio - self.contrast_ratio(&found)).max(0.0));
@@ -219,13 +222,15 @@ impl InkMixer<'_> {
 
     fn answer(
         &self,
-        (text, target): &(&str, ColourTarget),
+        view: &PrintView,
+        text: &str,
+        target: &ColourTarget,
         shares: &[f64],
         most: &[f64],
     ) -> Result<FoundRecipe> {
         const SMALLEST: f64 = 1e-3;
         let slab = self.slab(shares);
-        let predicted = self.view.predicted(std::slice::from_ref(&slab))?;
+        let predicted = view.predicted(std::slice::from_ref(&slab))?;
         let found: Vec<Vec<f64>> = predicted.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
         let lab = self.lab(&found);
         let value = |(name, of): (&&str, &Vec<optics_layers::Predicted>)| RecipeValue {
@@ -236,14 +241,14 @@ impl InkMixer<'_> {
         let limited = |i: &usize| most[*i] < 1.0 && shares[*i] > most[*i] - SMALLEST;
         let kept = slab.shares.iter().filter(|(_, share)| *share >= SMALLEST);
         Ok(FoundRecipe {
-            target: (*text).to_owned(),
+            target: text.to_owned(),
             shares: kept.map(|(ink, share)| RecipeShare { ink: ink.clone(), share: *share }).collect(),
             difference: self.difference(target, &found)?,
             is_delta_e: lab.is_some(),
             lab,
             lab_std_errors: self.colorimetry.as_ref().map(|c| lab_std_errors(c, &predicted, &self.order, 0)),
             contrast_ratio: self.contrast_ratio(&found),
-            radiance_factors: self.view.names().iter().zip(&predicted).map(value).collect(),
+            radiance_factors: self.even.names().iter().zip(&predicted).map(value).collect(),
             limited_by: (0..shares.len()).filter(limited).map(|i| self.names[i].clone()).collect(),
         })
     }
@@ -267,7 +272,7 @@ impl InkMixer<'_> {
                 .filter(|v| *v > 0.0)
                 .with_context(|| format!("the target has no value above 0 for channel {name}"))
         };
-        let wanted: Vec<f64> = self.view.names().iter().map(of).collect::<Result<_>>()?;
+        let wanted: Vec<f64> = self.even.names().iter().map(of).collect::<Result<_>>()?;
         if let Some(colorimetry) = &self.colorimetry {
             let ordered: Vec<f64> = self.order.iter().map(|i| wanted[*i]).collect();
             let lab = colorimetry.colour(&ordered).lab;

@@ -13,9 +13,7 @@ use super::api::{
 use super::found;
 use crate::answers::MeasureAnswer;
 use crate::prints::geometry::Geometry;
-use crate::prints::prediction::{
-    ColourJson, PredictJson, PredictedChannelJson, ReflectanceJson, decimals, predicted,
-};
+use crate::prints::prediction::{ColourJson, PredictJson, PredictedChannelJson, ReflectanceJson, predicted};
 use crate::prints::view::ViewOptions;
 
 /// The answer of a measurement, with name and grid of its dictionary if they are given.
@@ -46,27 +44,22 @@ pub(super) fn print(request: PredictPrintRequest) -> Result<PredictPrintResponse
 }
 
 fn response(found: &PredictJson) -> PredictPrintResponse {
-    let unresolved = (!found.unresolved.is_empty())
-        .then(|| format!("not determined by the measurement: {}", found.unresolved.join(", ")));
-    let no_colours = found.no_colours.iter().map(|reason| format!("no colours: {reason}"));
     let colours = found.colours.as_ref();
-    let ratio = colours.and_then(|colours| colours.contrast_ratio);
+    let text = |of: Option<[f64; 2]>| of.map(|[v, error]| minus(&with_error(v, error))).unwrap_or_default();
     PredictPrintResponse {
         bases: found.channels.iter().take(1).flat_map(|c| &c.bases).map(|b| b.base.name.clone()).collect(),
         channels: found.channels.iter().map(channel).collect(),
         colours: colours.map(|c| c.bases.iter().map(colour).collect()).unwrap_or_default(),
-        contrast_ratio: ratio.map(|[ratio, error]| minus(&with_error(ratio, error))).unwrap_or_default(),
-        remarks: no_colours.chain(unresolved).collect(),
+        contrast_ratio: text(colours.and_then(|c| c.contrast_ratio)),
+        delta_e_2000: text(colours.and_then(|c| c.delta_e_2000)),
+        remarks: found.remarks(),
     }
 }
 
 fn channel(channel: &PredictedChannelJson) -> PrintChannel {
     let number = |b: &ReflectanceJson| {
-        let digits = decimals(b.std_error);
-        NumberWithInterval {
-            value: format!("{:.digits$}", b.radiance_factor),
-            interval: format!("{:.digits$}…{:.digits$}", b.interval[0], b.interval[1]),
-        }
+        let [value, interval] = b.texts();
+        NumberWithInterval { value, interval }
     };
     PrintChannel {
         channel: channel.channel.clone(),
@@ -78,6 +71,6 @@ fn channel(channel: &PredictedChannelJson) -> PrintChannel {
 fn colour(colour: &ColourJson) -> PrintColour {
     PrintColour {
         lab: (0..3).map(|k| minus(&with_error(colour.colour.lab[k], colour.lab_std_errors[k]))).collect(),
-        srgb: colour.srgb.map(|[r, g, b]| format!("#{r:02x}{g:02x}{b:02x}")).unwrap_or_default(),
+        srgb: colour.hex().unwrap_or_default(),
     }
 }

@@ -7,20 +7,30 @@ use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::record::SessionRecord;
 use farm_lab::research_object::ResearchObject;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
+use optics_model::Grid;
 
 use crate::answers::{MeasureAnswer, media_files};
 use crate::output::{now_unix_s, utc, write_whole};
 
-pub(super) fn write(folder: &Path, found: &MeasureAnswer, media: &str, uncertainty: &str) -> Result<()> {
+/// Writes table and media for renderers.
+pub(super) fn write_renderers(folder: &Path, found: &MeasureAnswer) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     for (name, text) in media_files(&found.materials)? {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
     }
-    write_media(folder, media)?;
-    write_uncertainty(folder, uncertainty)
+    Ok(())
 }
 
-pub(super) fn write_uncertainty(folder: &Path, page: &str) -> Result<()> {
+/// Writes the media with their covariance, and the statement of uncertainty.
+pub(super) fn write_media(
+    folder: &Path,
+    found: &MeasureAnswer,
+    (dictionary, grid): (&str, &Grid),
+    record: &SessionRecord,
+) -> Result<()> {
+    let media = found.media_file(dictionary, grid).text()?;
+    write_whole(&folder.join(MEDIA_FILE), media.as_bytes()).context(MEDIA_FILE)?;
+    let page = found.uncertainty(dictionary, grid, record);
     write_whole(&folder.join(UNCERTAINTY_FILE), page.as_bytes()).context(UNCERTAINTY_FILE)
 }
 
@@ -30,8 +40,4 @@ pub(super) fn describe(folder: &Path, found: &MeasureAnswer, record: &SessionRec
     let now = utc(now_unix_s().unsigned_abs() * 1000);
     let date = now.split('T').next().unwrap_or_default();
     ResearchObject { materials: &materials, record, date }.write(folder)
-}
-
-pub(super) fn write_media(folder: &Path, text: &str) -> Result<()> {
-    write_whole(&folder.join(MEDIA_FILE), text.as_bytes()).context(MEDIA_FILE)
 }

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_figures::numbers::{short, significant};
-use farm_lab::media_file::{MEDIA_FILE, MediaChannel, MediaFile, MediaInterval, MediaMaterial};
+use farm_lab::media_file::{MEDIA_FILE, MediaFile, MediaMaterial};
 use serde::Serialize;
 
+use super::{ComparedQuantity, invariants};
 use crate::output::{table, wrapped};
 
 /// How deep folders are searched.
@@ -85,14 +86,11 @@ pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<(Vec<Libra
 }
 
 fn compared(one: &MediaMaterial, other: &MediaMaterial, path: &Path, library: &Path) -> Option<LibraryMatch> {
-    let pairs: Vec<(&MediaChannel, &MediaChannel)> =
-        one.channels.iter().filter_map(|c| Some((c, other.channel(&c.channel)?))).collect();
+    let pairs: Vec<[ComparedQuantity; 2]> =
+        one.channels.iter().filter_map(|c| Some(invariants(c, other.channel(&c.channel)?))).collect();
     let folder = path.parent().unwrap_or(path);
-    let squares: f64 = pairs.iter().map(|(a, b)| difference(a, b)).sum();
-    let e_n = pairs
-        .iter()
-        .flat_map(|(a, b)| e_n(a, b))
-        .fold(None, |most: Option<f64>, e| Some(most.map_or(e, |most| most.max(e))));
+    let squares: f64 = pairs.iter().map(difference).sum();
+    let e_n = pairs.iter().flatten().filter_map(|q| Some(q.e_n?.abs())).max_by(f64::total_cmp);
     (!pairs.is_empty()).then(|| LibraryMatch {
         folder: folder.strip_prefix(library).unwrap_or(folder).to_owned(),
         material: other.material.clone(),
@@ -102,29 +100,12 @@ fn compared(one: &MediaMaterial, other: &MediaMaterial, path: &Path, library: &P
     })
 }
 
-fn invariants(c: &MediaChannel) -> [f64; 2] {
-    [c.sigma_t_per_mm * c.albedo * (1.0 - c.g), c.sigma_t_per_mm * (1.0 - c.albedo)]
-}
-
 /// Sum of the squares of relative differences. The reflectance of a thick slab changes with √σ_a, and a clear medium has
 /// hardly any, so that it is compared with that of both.
-fn difference(a: &MediaChannel, b: &MediaChannel) -> f64 {
+fn difference(invariants: &[ComparedQuantity; 2]) -> f64 {
     let relative = |a: f64, b: f64| if a + b > 0.0 { 2.0 * (a - b) / (a + b) } else { 0.0 };
-    let ([s, absorbed], [t, other]) = (invariants(a), invariants(b));
-    relative(s, t).powi(2) + relative(absorbed.sqrt(), other.sqrt()).powi(2)
-}
-
-fn e_n(a: &MediaChannel, b: &MediaChannel) -> Vec<f64> {
-    let intervals = [
-        (a.reduced_scattering_interval, b.reduced_scattering_interval),
-        (a.absorption_interval, b.absorption_interval),
-    ];
-    let half = |i: MediaInterval| Some(0.5 * (i.high? - i.low?)).filter(|half| *half > 0.0);
-    let of = |i: usize| {
-        let (u, v) = half(intervals[i].0).zip(half(intervals[i].1))?;
-        Some((invariants(a)[i] - invariants(b)[i]).abs() / u.hypot(v))
-    };
-    (0..2).filter_map(of).collect()
+    let [scattering, absorption] = invariants;
+    relative(scattering.a, scattering.b).powi(2) + relative(absorption.a.sqrt(), absorption.b.sqrt()).powi(2)
 }
 
 pub(super) fn text(all: &[LibraryMatches], left_out: &[String]) -> String {
