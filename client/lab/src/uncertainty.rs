@@ -116,7 +116,8 @@ fn measurands() -> String {
      <p>The estimates maximise the likelihood of all photographs of the session together: the measured profiles across \
      a black–white edge are those of a Monte Carlo simulation of the stack, transformed by the input quantities below. \
      Input quantities of type B have normal priors with the stated standard uncertainties (those of the scene have wider \
-     tails beyond two of them) and are estimated with the measurands, so their correlations are included (GUM 5.2). \
+     tails beyond two of them) and are estimated with the measurands, so their correlations are included (GUM 5.2). Gain, \
+     zero and slope of a slab have a correlation of ½ between channels. \
      Combined standard uncertainties u<sub>c</sub> follow from the inverse of the information at the maximum, times the \
      factor by which residuals exceed their noise where that is unlikely to be chance. The interval of 95 % is that of the \
      profile likelihood, which need not be symmetric; k u<sub>c</sub> is stated for comparison.</p>\n"

@@ -106,6 +106,8 @@ impl DesignPlan<'_> {
         let set_up = &known.set_up;
         let scale = if known.mu_free { UNKNOWN } else { set_up.ln_mu_std_error() };
         let scale = unknowns.known((0.0, scale), ANYWHERE);
+        // Slabs share nothing with other channels.
+        let flaws = unknowns.known((0.0, 0.0), ANYWHERE);
         let blur = unknowns.known(blur::prior(set_up), ANYWHERE);
         let grid = self.surrogate.grid();
         let priors = if grid.responses().is_some() { grid.scene().priors() } else { &[] };
@@ -125,7 +127,7 @@ impl DesignPlan<'_> {
                 _ => *slot,
             };
             let scene = shared.iter().zip(priors).zip(&known.scene).map(own).collect();
-            let slots = [vec![s, a, g, scale, blur, thickness], scene].concat();
+            let slots = [vec![s, a, g, scale, flaws, flaws, flaws, blur, thickness], scene].concat();
             (self.term(*slab, set_up), self.surrogate, slots)
         };
         let profiles = slabs_mm.iter().map(profile).collect();

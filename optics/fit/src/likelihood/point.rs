@@ -9,12 +9,15 @@ pub(crate) const ROOT_CO_ALBEDO: usize = 1;
 pub(crate) const LN_ONE_MINUS_G: usize = 2;
 /// Logarithm of a factor on μ.
 pub(crate) const LN_SCALE: usize = 3;
+/// The parts of a profile's gain, zero and slope that all channels of its slab have, in units of their prior's standard
+/// deviation.
+pub(crate) const SLAB_FLAWS: [usize; 3] = [4, 5, 6];
 /// The camera's blur (`blur`).
-pub(crate) const BLUR: usize = 4;
-pub(crate) const LN_THICKNESS: usize = 5;
+pub(crate) const BLUR: usize = 7;
+pub(crate) const LN_THICKNESS: usize = 8;
 /// The uncertain quantities of the scene follow, in its order, each by its difference from the scene's value in units of
 /// its prior's standard deviation.
-pub(crate) const SHARED: usize = 6;
+pub(crate) const SHARED: usize = 9;
 
 /// Values of the shared unknowns of one profile.
 #[derive(Debug, Clone)]
@@ -31,6 +34,11 @@ impl Point {
 
     pub(crate) fn scale(&self) -> f64 {
         (-self.0[LN_SCALE]).exp()
+    }
+
+    /// Gain, zero and slope of the slab.
+    pub(crate) fn slab_flaws(&self) -> [f64; 3] {
+        SLAB_FLAWS.map(|i| self.0[i])
     }
 
     /// Coordinate of the blur.

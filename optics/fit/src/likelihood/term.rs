@@ -7,9 +7,9 @@
 //! F is the simulated profile at this slab's thickness, blurred by the camera; m is the logarithm of a factor on μ, x₀
 //! the position of the edge; γ, z and s are gain, zero and slope of the profile, and φ_k modes of the noise of the
 //! dictionary's records. Where the base's ρ was measured with the same white reference, whose error is μ, F includes
-//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, γ, z, s and c_k belong to this
-//! profile. They have normal priors and are counted here in units of the priors' standard deviations, so that each adds
-//! its square to −2 ln L. Eliminating them (a Schur complement) leaves a gradient and an information matrix of the
+//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, c_k and parts of γ, z
+//! and s belong to this profile, the other parts to all channels of its slab. Those of the profile have normal priors and
+//! are counted here in units of the priors' standard deviations, so that each adds its square to −2 ln L. Eliminating them (a Schur complement) leaves a gradient and an information matrix of the
 //! unknowns that the profile shares with others.
 
 pub(crate) mod blend;
@@ -26,7 +26,8 @@ use optics_model::fit::FitSettings;
 
 use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
-use crate::likelihood::point::{Line, Point, SHARED};
+use crate::likelihood::point::{Line, Point, SHARED, SLAB_FLAWS};
+use crate::likelihood::system::unknowns::OF_MEAN;
 use crate::surrogate::responses::LocalResponses;
 use crate::surrogate::thickness::NearThickness;
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate, add_scaled};
@@ -45,11 +46,23 @@ pub(crate) enum Own {
     Slope,
 }
 
+/// The kinds of which all channels of a slab share a part, in the order of [`SLAB_FLAWS`].
+pub(crate) const OF_SLABS: [Own; 3] = [Own::Gain, Own::Zero, Own::Slope];
+
+impl Own {
+    /// Index of the slab's part among the shared unknowns.
+    pub(crate) fn of_slab(self) -> Option<usize> {
+        OF_SLABS.iter().position(|own| *own == self).map(|i| SLAB_FLAWS[i])
+    }
+}
+
 /// The prior of one of a profile's own unknowns.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct OwnPrior {
     pub own: Own,
     pub std_error: f64,
+    /// Standard deviation of the part that all channels of the slab have; 0 if there is one channel.
+    pub slab_std_error: f64,
 }
 
 #[derive(Debug, Clone)]
@@ -121,7 +134,7 @@ fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
         (Own::Zero, set_up.offset_std_error * set_up.mu),
         (Own::Slope, set_up.slope_std_error),
     ];
-    let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error });
+    let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error, slab_std_error: 0.0 });
     priors.into_iter().filter(|p| p.std_error > 0.0).collect()
 }
 
@@ -159,6 +172,15 @@ impl Term {
         }
     }
 
+    /// Divides the variances of gain, zero and slope between the profile and its slab: lamps, mounting and stray light
+    /// change photographs of different colours together, but not wholly.
+    pub(crate) fn share_flaws(&mut self) {
+        for prior in self.priors.iter_mut().filter(|prior| prior.own.of_slab().is_some()) {
+            prior.std_error *= OF_MEAN;
+            prior.slab_std_error = prior.std_error;
+        }
+    }
+
     /// Counts the records' noise as that of `alike` profiles, and scales the coefficients of the modes so that the model
     /// is unchanged.
     pub(crate) fn count_alike(&mut self, own: &mut Line, alike: f64) {
@@ -178,13 +200,22 @@ impl Term {
         self.priors.len() + self.modes.len()
     }
 
-    fn own_value(&self, own: &[f64], which: Own) -> f64 {
-        let found = self.priors.iter().position(|p| p.own == which);
-        found.map_or(0.0, |i| own[i] * self.priors[i].std_error)
+    fn prior(&self, which: Own) -> Option<(usize, &OwnPrior)> {
+        self.priors.iter().enumerate().find(|(_, prior)| prior.own == which)
     }
 
     pub(crate) fn origin_mm(&self, own: &[f64]) -> f64 {
-        self.origin_mm + self.own_value(own, Own::Origin)
+        self.origin_mm + self.prior(Own::Origin).map_or(0.0, |(i, prior)| own[i] * prior.std_error)
+    }
+
+    /// Gain, zero and slope: the profile's own and the slab's.
+    fn flaws(&self, shared: &Point, own: &[f64]) -> [f64; 3] {
+        let slab = shared.slab_flaws();
+        std::array::from_fn(|k| {
+            let value =
+                |(i, prior): (usize, &OwnPrior)| own[i] * prior.std_error + slab[k] * prior.slab_std_error;
+            self.prior(OF_SLABS[k]).map_or(0.0, value)
+        })
     }
 
     /// Standard error of a pixel: that of the measurement, and the records' noise that the modes leave.
@@ -222,8 +253,7 @@ impl Term {
         let mut seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
         let by_white = self.white.as_ref().and_then(|_| seen.slopes.pop());
         let scale = shared.scale();
-        let (gain, slope) = (self.own_value(own, Own::Gain), self.own_value(own, Own::Slope));
-        let zero = self.own_value(own, Own::Zero);
+        let [gain, zero, slope] = self.flaws(shared, own);
         let factor = |x: f64| scale + gain + slope * x / 10.0;
         let n = self.values.len();
         let factors: Line = self.x_mm.iter().map(|x| factor(*x)).collect();
@@ -243,18 +273,19 @@ impl Term {
         }
         let through_rho = |i: usize| by_white.as_ref().map_or(0.0, |by| by[i] * factors[i]);
         columns.push(over_noise(&|i| through_rho(i) - scale * seen.values[i]));
+        let by_own = |own: Own, sd: f64| match own {
+            Own::Origin => over_noise(&|i| sd * seen.by_origin[i] * factors[i]),
+            Own::Gain => over_noise(&|i| sd * seen.values[i]),
+            Own::Zero => over_noise(&|_| sd),
+            Own::Slope => over_noise(&|i| sd * seen.values[i] * self.x_mm[i] / 10.0),
+        };
+        columns
+            .extend(OF_SLABS.map(|own| by_own(own, self.prior(own).map_or(0.0, |(_, p)| p.slab_std_error))));
         let by_blur = blur::slope(shared.blur());
         columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
         columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
         columns.extend(by_scene.iter().map(|by| over_noise(&|i| by[i] * factors[i])));
-        for OwnPrior { own, std_error: sd } in &self.priors {
-            columns.push(match own {
-                Own::Origin => over_noise(&|i| sd * seen.by_origin[i] * factors[i]),
-                Own::Gain => over_noise(&|i| sd * seen.values[i]),
-                Own::Zero => over_noise(&|_| *sd),
-                Own::Slope => over_noise(&|i| sd * seen.values[i] * self.x_mm[i] / 10.0),
-            });
-        }
+        columns.extend(self.priors.iter().map(|prior| by_own(prior.own, prior.std_error)));
         columns.extend(self.modes.iter().map(|mode| over_noise(&|i| mode[i])));
         let residuals: Line = (0..n).map(|i| (self.values[i] - model[i]) * inverse[i]).collect();
         let kept = residuals.iter().zip(&self.left_out).filter(|(_, out)| !**out);

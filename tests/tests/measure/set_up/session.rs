@@ -88,6 +88,8 @@ pub(super) struct SetUpSession {
     media: Vec<Vec<Medium>>,
     /// Whether thicknesses, edges, gains, zeros and slopes have random errors according to their priors.
     flawed: bool,
+    /// Whether gain, zero and slope of a slab are the same in all channels.
+    common: bool,
     seed: u64,
 }
 
@@ -101,7 +103,7 @@ impl SetUpSession {
 
     fn of_one_channel(set_up: ChangedSetUp, media: Vec<Medium>, seed: u64) -> Self {
         let media = media.into_iter().map(|medium| vec![medium]).collect();
-        Self { set_up, channels: vec!["R".to_owned()], media, flawed: true, seed }
+        Self { set_up, channels: vec!["R".to_owned()], media, flawed: true, common: false, seed }
     }
 
     /// The six media of the table with a mean cosine of their own, without errors of the set-up.
@@ -136,8 +138,8 @@ impl SetUpSession {
     }
 
     /// Random inks with smooth spectra, in a random set-up: scattering falls with a power of the wavelength, and each
-    /// absorbs in one line.
-    pub(super) fn of_inks(number: u64, materials: usize, nm: &[f64]) -> Self {
+    /// absorbs in one line. Flaws are those of photographs, or common to the channels of a slab.
+    pub(super) fn of_inks(number: u64, materials: usize, nm: &[f64], common: bool) -> Self {
         let mut random = Normal::new(950_000 + number);
         let g = 0.1 + 0.6 * random.uniform();
         let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
@@ -155,7 +157,7 @@ impl SetUpSession {
         let media = (0..materials).map(|_| ink()).collect();
         let set_up = ChangedSetUp::random(&mut random, materials);
         let channels = nm.iter().map(ToString::to_string).collect();
-        Self { set_up, channels, media, flawed: true, seed: 10_001 + number }
+        Self { set_up, channels, media, flawed: true, common, seed: 10_001 + number }
     }
 
     fn measurement(&self, material: usize) -> Measurement {
@@ -164,7 +166,7 @@ impl SetUpSession {
         Measurement::new(format!("m{material}"), (0..2).flat_map(of_slab).collect()).unwrap()
     }
 
-    /// A slab has one thickness in all channels; the other flaws are those of each photograph.
+    /// A slab has one thickness in all channels; the other flaws are those of each photograph, if they are not common.
     fn profile(&self, material: usize, slab: usize, channel: usize) -> MeasuredProfile {
         let number = (self.seed * 6 + material as u64) * 2 + slab as u64;
         let of_channel = number + 100_000 * channel as u64;
@@ -176,7 +178,8 @@ impl SetUpSession {
         let thickness_mm = SLABS_MM[slab] + off(&mut of_slab, prior.thickness_std_error_mm);
         // The other flaws of the first channel follow in the same stream.
         off(&mut random, prior.thickness_std_error_mm);
-        let mut off = |std_error: f64| off(&mut random, std_error);
+        let flaws = if self.common { &mut of_slab } else { &mut random };
+        let mut off = |std_error: f64| off(flaws, std_error);
         let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let scene = self.set_up.scene(material, slab);

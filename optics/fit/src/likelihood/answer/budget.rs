@@ -10,7 +10,7 @@ use optics_model::fit::{ErrorSource, SourceShare};
 
 use crate::dictionary::sum::dot;
 use crate::likelihood::answer::Found;
-use crate::likelihood::point::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS};
+use crate::likelihood::point::{BLUR, LN_ONE_MINUS_G, LN_SCALE, LN_THICKNESS, SLAB_FLAWS};
 use crate::likelihood::system::Normal;
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::inverse_over;
@@ -117,6 +117,8 @@ impl Found<'_, '_> {
         let is = |which: usize| self.system.slots.iter().any(|slots| slots[which] == unknown);
         if is(LN_SCALE) {
             ErrorSource::Scale
+        } else if let Some(flaw) = SLAB_FLAWS.into_iter().position(is) {
+            [ErrorSource::Gain, ErrorSource::Zero, ErrorSource::Slope][flaw]
         } else if is(BLUR) {
             ErrorSource::Blur
         } else if is(LN_THICKNESS) {

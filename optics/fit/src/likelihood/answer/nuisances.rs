@@ -114,7 +114,7 @@ impl Found<'_, '_> {
         })
     }
 
-    /// Origin, gain, zero and slope of a profile.
+    /// Origin, gain, zero and slope of a profile, each the sum of its own part and the slab's.
     fn own_estimates(
         &self,
         profile: usize,
@@ -122,7 +122,14 @@ impl Found<'_, '_> {
         reduced: &Reduced,
     ) -> Vec<NuisanceEstimate> {
         let term = &self.system.terms[profile];
-        let own = reduced.own_covariance(&submatrix(covariance, &self.system.slots[profile]));
+        let slots = &self.system.slots[profile];
+        let shared = submatrix(covariance, slots);
+        let own = reduced.own_covariance(&shared);
+        // Value of the slab's part, its variance, and its covariance with the own part.
+        let slab_part = |k: usize, slab: usize| {
+            let with_own = reduced.own_response(&shared.column(slab).into_owned())[k];
+            [self.state.x[slots[slab]], shared[(slab, slab)], with_own]
+        };
         let estimate = |(k, of): (usize, &OwnPrior)| {
             let (nuisance, prior) = match of.own {
                 Own::Origin => (Nuisance::Origin, term.origin_mm),
@@ -130,13 +137,17 @@ impl Found<'_, '_> {
                 Own::Zero => (Nuisance::Zero, 0.0),
                 Own::Slope => (Nuisance::Slope, 0.0),
             };
+            let [slab, slab_variance, with_own] =
+                of.own.of_slab().map_or([0.0; 3], |slab| slab_part(k, slab));
+            let (sd, slab_sd) = (of.std_error, of.slab_std_error);
+            let variance = sd * sd * own[(k, k)] + slab_sd * (slab_sd * slab_variance + 2.0 * sd * with_own);
             NuisanceEstimate {
                 nuisance,
                 profile_mm: Some(term.thickness_mm),
-                value: prior + of.std_error * self.state.own[profile][k],
-                std_error: std_error(&own, k) * of.std_error,
+                value: prior + sd * self.state.own[profile][k] + slab_sd * slab,
+                std_error: variance.max(0.0).sqrt(),
                 prior,
-                prior_std_error: of.std_error,
+                prior_std_error: sd.hypot(slab_sd),
             }
         };
         term.priors.iter().enumerate().map(estimate).collect()

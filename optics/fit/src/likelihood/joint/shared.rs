@@ -195,7 +195,7 @@ fn principal(rows: &[RowDVector<f64>], columns: usize) -> DMatrix<f64> {
 
 #[cfg(test)]
 mod tests {
-    use optics_model::fit::{FitOptions, FitSettings, MeasurePlan, SharedErrors};
+    use optics_model::fit::{Bounds, FitOptions, FitSettings, MeasurePlan, SharedErrors};
     use optics_model::{MeasuredProfile, Measurement};
 
     use super::super::Set;
@@ -249,6 +249,24 @@ mod tests {
                 let caused: f64 = changes(channel, i).map(|c| c * c).sum();
                 assert!(caused <= variance * (1.0 + 1e-6), "{channel} {i}: {caused} {variance}");
             }
+        }
+    }
+
+    /// Gains dominate: errors of different channels have the correlation of the gains of a slab.
+    #[test]
+    fn gains_of_a_slab_are_correlated() {
+        let dictionary = noisy_dictionary(dense_axes(), 120, 0.0);
+        let exact = Bounds::fixed(0.3);
+        let settings =
+            FitSettings { gain_std_error: 0.03, g: exact, blur_std_error_mm: 0.0, ..FitSettings::default() };
+        let materials = [measured()];
+        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let (_, joint) = set.search(&MeasurePlan::default());
+        let covariance = joint.covariance.as_ref().unwrap();
+        for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+            let [i, j] = [a, b].map(|channel| joint.assembly.system.slots[channel][1]);
+            let found = covariance[(i, j)] / (covariance[(i, i)] * covariance[(j, j)]).sqrt();
+            assert!((0.35..0.53).contains(&found), "{a} {b}: {found}");
         }
     }
 

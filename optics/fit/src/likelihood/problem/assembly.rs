@@ -10,11 +10,13 @@ use crate::likelihood::problem::anisotropies::Anisotropies;
 use crate::likelihood::problem::{ChannelData, ProfileData};
 use crate::likelihood::system::unknowns::{OF_MEAN, SceneUnknown, Unknown, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
-use crate::likelihood::term::blur;
+use crate::likelihood::term::{OF_SLABS, Own, blur};
 use crate::surrogate::Surrogate;
 
 /// Greatest change of the logarithm of a slab's thickness by a fit.
 const NEAR: f64 = 0.1;
+
+const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
 /// The unknowns that several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]
@@ -41,6 +43,8 @@ enum SetUpKey<'a> {
     Blur(&'a str, (f64, f64)),
     /// A material has one slab of each thickness, whatever the channel.
     Thickness(usize, f64),
+    /// Gain, zero or slope of a slab, whatever the channel: lamps and mounting change its photographs together.
+    Flaw(Own, usize, f64),
 }
 
 /// The unknowns of a system under construction, with the quantities that they are.
@@ -64,6 +68,13 @@ impl<'a> Builder<'a> {
         let nominal = data.profile.thickness_mm();
         let prior = thickness_prior(nominal, &data.set_up);
         self.of_set_up(SetUpKey::Thickness(material, nominal), prior, (prior.0 - NEAR, prior.0 + NEAR))
+    }
+
+    /// Gain, zero and slope of a slab. They are held where a channel is alone.
+    fn flaws(&mut self, material: usize, data: &ProfileData, is_shared: bool) -> Vec<usize> {
+        let prior = (0.0, if is_shared { 1.0 } else { 0.0 });
+        let key = |own| SetUpKey::Flaw(own, material, data.profile.thickness_mm());
+        OF_SLABS.iter().map(|own| self.of_set_up(key(*own), prior, ANYWHERE)).collect()
     }
 
     fn of_set_up(&mut self, key: SetUpKey<'a>, prior: (f64, f64), limits: (f64, f64)) -> usize {
@@ -120,6 +131,13 @@ fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> 
     grid.scene().priors().iter().enumerate().map(slot).collect()
 }
 
+/// Whether other channels have a profile of this slab.
+fn others_have(channels: &[ChannelData], data: &ChannelData, profile: &ProfileData) -> bool {
+    let is_same = |other: &ProfileData| other.profile.thickness_mm() == profile.profile.thickness_mm();
+    let others = channels.iter().filter(|other| other.material == data.material && other.name != data.name);
+    others.flat_map(|other| &other.profiles).any(is_same)
+}
+
 /// All channels as one system, starting at these media.
 pub(crate) fn assemble<'a>(
     channels: &[ChannelData],
@@ -146,11 +164,17 @@ pub(crate) fn assemble<'a>(
         let g = anisotropies.slot(data.name, &mut builder.unknowns, own_g, medium[2]);
         let first = profiles.len();
         for profile in &data.profiles {
+            let mut term = profile.term(surrogate, *medium);
+            let is_shared = others_have(channels, data, profile);
+            if is_shared {
+                term.share_flaws();
+            }
+            let flaws = builder.flaws(data.material, profile, is_shared);
             let blur = builder.blur(data.name, profile);
             let thickness = builder.thickness(data.material, profile);
             let scene = scene_slots(&mut builder, data, profile.profile.thickness_mm());
-            let slots = [vec![s, a, g, scale_slot, blur, thickness], scene].concat();
-            profiles.push((profile.term(surrogate, *medium), *surrogate, slots));
+            let slots = [vec![s, a, g, scale_slot], flaws, vec![blur, thickness], scene].concat();
+            profiles.push((term, *surrogate, slots));
         }
         terms.push(first..profiles.len());
     }

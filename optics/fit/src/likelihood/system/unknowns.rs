@@ -49,6 +49,7 @@ impl Unknowns {
 
 /// Standard deviation of the mean over all slabs of a session, and of a slab's difference from it, over that of the prior
 /// of a quantity that each slab has separately. Slabs are mounted in the same way: their values have a correlation of ½.
+/// Likewise for the mean over the channels of a slab.
 pub(crate) const OF_MEAN: f64 = FRAC_1_SQRT_2;
 
 /// Mean and standard deviation of the logarithm of a slab's thickness.

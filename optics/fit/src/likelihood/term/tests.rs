@@ -42,7 +42,7 @@ fn term() -> Term {
         values: vec![1.0; 2],
         std_errors: vec![3.0; 2],
         origin_mm: 0.0,
-        priors: vec![OwnPrior { own: Own::Gain, std_error: 0.1 }],
+        priors: vec![OwnPrior { own: Own::Gain, std_error: 0.1, slab_std_error: 0.0 }],
         modes: Vec::new(),
         rest_variances: Vec::new(),
         alike: 1.0,
