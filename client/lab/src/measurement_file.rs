@@ -1,7 +1,8 @@
 //! Reads and writes measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for a
-//! profile's set-up; lines beginning with # are comments. Common variants of the format are read with a note of each
+//! profile's set-up; lines beginning with # are comments. Charts of spectrophotometers are read as CGATS. Common variants of the format are read with a note of each
 //! assumption; ambiguous files are refused.
 
+mod cgats;
 mod columns;
 mod names;
 mod note;
@@ -22,6 +23,7 @@ pub use columns::names as column_names;
 pub use names::normal;
 pub use note::Note;
 use number::Decimal;
+use rows::ProfileDraft;
 pub use suspicions::beyond_limits;
 use table::Table;
 pub use text::plain;
@@ -51,19 +53,25 @@ pub fn read(bytes: &[u8]) -> Result<MeasurementFile> {
     let mut notes = Vec::new();
     let bytes = text::unpacked(bytes, &mut notes)?;
     let text = text::decode(&bytes, &mut notes)?;
-    let table = Table::open(&text, &mut notes)?;
-    let decimal = Decimal::of(&table, &mut notes)?;
-    let mut drafts = rows::drafts(&table, decimal, &mut notes)?;
-    let blank = table.blank_rows();
-    if blank > 0 {
-        notes.push(Note::new("BLANK_ROWS", format!("rows without any entry are left out ({blank})")));
-    }
+    let mut drafts =
+        if cgats::is(&text) { cgats::drafts(&text, &mut notes)? } else { of_table(&text, &mut notes)? };
     rows::name_colours(&mut drafts, &mut notes)?;
     rows::look_alike(&drafts, &mut notes);
     rows::sort(&mut drafts, &mut notes)?;
     let profiles = rows::profiles(drafts, &mut notes)?;
     suspicions::examine(&profiles, &mut notes)?;
     Ok(MeasurementFile { materials: profiles.materials, notes })
+}
+
+fn of_table(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDraft>> {
+    let table = Table::open(text, notes)?;
+    let decimal = Decimal::of(&table, notes)?;
+    let drafts = rows::drafts(&table, decimal, notes)?;
+    let blank = table.blank_rows();
+    if blank > 0 {
+        notes.push(Note::new("BLANK_ROWS", format!("rows without any entry are left out ({blank})")));
+    }
+    Ok(drafts)
 }
 
 #[cfg(test)]

@@ -219,6 +219,12 @@ pub(super) fn profiles(drafts: Vec<ProfileDraft>, notes: &mut Vec<Note>) -> Resu
 }
 
 impl ProfileDraft {
+    /// A patch, with the default set-up.
+    pub(super) fn patch_of(material: &str, channel: &str, thickness_mm: f64, patch: FileRow) -> Self {
+        let (material, channel) = (material.to_owned(), channel.to_owned());
+        Self { material, channel, thickness_mm, setup: ProfileSetup::default(), rows: vec![patch] }
+    }
+
     fn place(&self, line: u64) -> String {
         place_of(line, &self.material, &self.channel, self.thickness_mm)
     }

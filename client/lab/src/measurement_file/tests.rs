@@ -1,3 +1,4 @@
+mod cgats;
 mod forms;
 mod pixels;
 mod spellings;

@@ -35,11 +35,12 @@ Examples:
   farmctl validate media slabs.csv --over white --geometry 45:0
 
 The chart has the columns of a measurement, a row for a patch and channel, with an empty x_mm:
-material, channel, thickness_mm, x_mm, value, std_error. Its materials are those of the media, or mixtures of them.")]
+material, channel, thickness_mm, x_mm, value, std_error. Tables of spectrophotometers in CGATS.17 are read as well;
+they need a line such as THICKNESS_MM 2. Its materials are those of the media, or mixtures of them.")]
 pub(crate) struct ValidateArgs {
     /// Measured media: media.json, or the folder that contains it.
     media: PathBuf,
-    /// Measured patches, as a measurement without x.
+    /// Measured patches, as a measurement without x or a CGATS table.
     chart: PathBuf,
     /// TOML file with the mixtures of the chart and their volume fractions.
     #[arg(long, value_name = "FILE")]
