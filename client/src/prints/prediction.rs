@@ -174,6 +174,14 @@ fn colours(
 }
 
 impl PredictJson {
+    /// Lamps and sensor, in words.
+    pub(crate) fn seen(&self) -> String {
+        match self.geometry {
+            "session" => "in the measured set-up".to_owned(),
+            other => format!("a bare print at {other}"),
+        }
+    }
+
     /// Why there are no colours, and what is not determined.
     pub(crate) fn remarks(&self) -> Vec<String> {
         let no_colours = self.no_colours.iter().map(|reason| format!("no colours: {reason}"));

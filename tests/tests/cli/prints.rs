@@ -216,6 +216,22 @@ fn comparisons_count_differences() {
     assert!(other.iter().all(|c| number(&c["probability"]) < 1e-6 && of(c, "σ_t") < -2.0), "{:?}", other[0]);
 }
 
+/// The tag has the colour of the answer, over the last base.
+#[test]
+fn tags_have_the_predicted_colour() {
+    let folder = prepared();
+    let args = ["magenta:2", "--over", "black,white", "--tag", "magenta.yaml"];
+    let data = predicted(folder.path(), &[&args[..], &POLISHED].concat());
+    let srgb = data["colours"]["bases"][1]["srgb"].as_array().unwrap();
+    let hex: String = srgb.iter().map(|v| format!("{:02x}", v.as_u64().unwrap())).collect();
+    let text = std::fs::read_to_string(folder.path().join("magenta.yaml")).unwrap();
+    let expected = format!(
+        "# \"magenta 2 mm\" over white, a bare print at 45:0: predicted from measured media\ndata:\n  main:\n    \
+         material_class: SLA\n    material_name: \"magenta\"\n    primary_color: \"#{hex}\"\n"
+    );
+    assert_eq!(text, expected);
+}
+
 #[test]
 fn wrong_prints_are_refused() {
     let folder = prepared();

@@ -2,17 +2,21 @@
 
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
 use farm_lab::colour::{StandardObserver, Viewing};
 use farm_lab::media_file::MediaFile;
+use farm_lab::whole_file::write_whole;
 
 use super::view_args::ViewArgs;
 use crate::output::{Output, table, wrapped};
 use crate::prints::prediction::{
     ColourJson, ColoursJson, PredictJson, PredictedChannelJson, ReflectanceJson, predicted,
 };
+
+/// Most characters of a material's name in an OpenPrintTag.
+const TAG_NAME: usize = 31;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -34,13 +38,43 @@ pub(crate) struct PredictArgs {
     /// measured board.
     #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "black,white")]
     over: Vec<String>,
+    /// Write name and colour of the print, over the last base, as data of an OpenPrintTag (YAML).
+    #[arg(long, value_name = "FILE")]
+    tag: Option<PathBuf>,
     #[command(flatten)]
     view: ViewArgs,
 }
 
 pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
     let data = predicted(&MediaFile::read(&args.media)?, &args.slabs, &args.over, &args.view.options())?;
+    if let Some(path) = &args.tag {
+        let text = tag(&data)?;
+        write_whole(path, text.as_bytes()).with_context(|| format!("tag {}", path.display()))?;
+    }
     output.print("predict", &data, || text(&data))
+}
+
+/// Input of OpenPrintTag's `rec_update.py`. A transmission distance is left out: its unit, HueForge TD, has no public
+/// definition.
+fn tag(data: &PredictJson) -> Result<String> {
+    let reason = || data.no_colours.clone().unwrap_or_default();
+    let colours = data.colours.as_ref().with_context(|| format!("tag: no colour: {}", reason()))?;
+    let colour = colours.bases.last().context("tag: no base")?;
+    let hex = colour.hex().context("tag: no sRGB colour: give --observer 2")?;
+    let labels: Vec<&str> = data.slabs.iter().map(|slab| slab.label.as_str()).collect();
+    let one =
+        data.slabs[0].shares.first().filter(|_| data.slabs.len() == 1 && data.slabs[0].shares.len() == 1);
+    let name = one.map_or_else(|| labels.join(" on "), |share| share.material.clone());
+    let name: String = name.chars().filter(|c| !c.is_control()).take(TAG_NAME).collect();
+    Ok(format!(
+        "# {:?} over {}, {}: predicted from measured media\ndata:\n  main:\n    material_class: SLA\n    \
+         material_name: {}\n    primary_color: {hex:?}\n",
+        labels.join(" on "),
+        colour.base.name,
+        data.seen(),
+        // A string of JSON is one of YAML.
+        serde_json::to_string(&name)?
+    ))
 }
 
 fn text(data: &PredictJson) -> String {
@@ -57,10 +91,7 @@ fn text(data: &PredictJson) -> String {
     let mut text = format!(
         "radiance factor of {}, {}\n{}",
         slabs.join(" on "),
-        match data.geometry {
-            "session" => "in the measured set-up".to_owned(),
-            other => format!("a bare print at {other}"),
-        },
+        data.seen(),
         table(&head, &right, data.channels.iter().map(row))
     );
     if let Some(colours) = &data.colours {
