@@ -46,6 +46,7 @@ cycles = bpy.context.scene.cycles
 cycles.blur_glossy = 0.0
 cycles.sample_clamp_indirect = 0.0
 cycles.max_bounces = cycles.transmission_bounces = cycles.volume_bounces = 1024
+cycles.glossy_bounces = cycles.diffuse_bounces = 1024  # total reflection in the resin, and the base below it
 ";
 
 pub(crate) fn blender(fits: &[MaterialFit]) -> String {
