@@ -55,7 +55,14 @@ fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> SheetCell<'a> {
     let lines: Vec<_> = std::iter::once((REFERENCE, &panel.reference)).chain(changed).collect();
     let keys = lines.iter().map(|(stroke, line)| Key::line(*stroke, line.label.as_str())).collect();
     let curves = lines.iter().map(|(stroke, line)| (*stroke, &line.curve)).collect();
-    SheetCell { column: &panel.parameter, thickness_mm: panel.thickness_mm, keys, x_mm, curves }
+    SheetCell {
+        column: &panel.parameter,
+        thickness_mm: panel.thickness_mm,
+        keys,
+        x_mm,
+        curves,
+        residuals: None,
+    }
 }
 
 #[cfg(test)]

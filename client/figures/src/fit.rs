@@ -7,45 +7,62 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
-use crate::drawing::sheet::{Sheet, SheetCell};
+use crate::drawing::sheet::{Residuals, Sheet, SheetCell};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 
 const MEASURED: Stroke = Stroke::dots(Rgb::GREY, 2.0);
 const NEIGHBOUR: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.6);
 const GRID: Stroke = Stroke::solid(Rgb::BLUE, 1.3);
-const REFINED: Stroke = Stroke::dashed(Rgb::VERMILLION, 1.3, "5 3");
+const REFINED: Stroke = Stroke::solid(Rgb::BLUE, 1.0);
+const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
 
-/// Draws the fits of one material: channels in columns, thicknesses in rows.
+/// Draws the fits of one material: channels in columns, thicknesses in rows. Below each profile are the residuals of the
+/// likelihood, or the gradients that the paper's distance compares.
 pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
     let curves = || fit.channels.iter().flat_map(|channel| &channel.curves);
-    let mut legend = vec![Key::line(MEASURED, "measured"), Key::line(GRID, "best record of the dictionary")];
-    if curves().any(|curves| curves.refined.is_some()) {
-        legend.push(Key::line(REFINED, "refined between records"));
+    let mut legend = vec![Key::line(MEASURED, "measured")];
+    if curves().any(has_residuals) {
+        legend.push(Key::line(REFINED, "fit"));
+        if curves().any(|curves| !curves.left_out.is_empty()) {
+            legend.push(Key::line(LEFT_OUT, "left out"));
+        }
+        legend.push(Key::note("σ: standard error of a pixel; dashed: ± 2 σ"));
     }
-    if curves().any(|curves| curves.candidates.len() > 1) {
-        legend.push(Key::line(NEIGHBOUR, "adjacent records"));
+    if curves().any(|curves| !has_residuals(curves)) {
+        legend.push(Key::line(GRID, "nearest record of the dictionary"));
+        if curves().any(|curves| curves.candidates.len() > 1) {
+            legend.push(Key::line(NEIGHBOUR, "next records"));
+        }
+        legend.push(Key::note("|∇| per pixel of 10 mm / 360"));
     }
-    legend.push(Key::note("|∇| per pixel of 10 mm / 360"));
     let cells =
         fit.channels.iter().flat_map(|channel| channel.curves.iter().filter_map(|c| cell(channel, c)));
     Sheet { title: &fit.material, legend, cells: cells.collect(), alike: false }.draw()
 }
 
+fn has_residuals(curves: &FitCurves) -> bool {
+    curves.refined.is_some() && !curves.residuals.is_empty()
+}
+
 /// The panel of one measured profile; `None` without a record to compare with.
 fn cell<'a>(channel: &'a ChannelFit, compared: &'a FitCurves) -> Option<SheetCell<'a>> {
-    let (best, neighbours) = compared.candidates.split_first()?;
-    let mut keys = vec![Key::line(GRID, label(&channel.candidates.first()?.medium))];
+    let (column, thickness_mm, x_mm) = (&channel.channel, compared.thickness_mm, &compared.x_mm);
     let mut curves = vec![(MEASURED, &compared.measured)];
+    let note = channel.refined.as_ref().and_then(misfit_short).map(Key::note);
+    if let (Some(curve), Some(refined), true) = (&compared.refined, &channel.refined, has_residuals(compared))
+    {
+        curves.push((REFINED, curve));
+        let keys = std::iter::once(Key::line(REFINED, label(&refined.best.medium))).chain(note).collect();
+        let residuals = Some(Residuals { values: &compared.residuals, left_out: &compared.left_out });
+        return Some(SheetCell { column, thickness_mm, keys, x_mm, curves, residuals });
+    }
+    let (best, neighbours) = compared.candidates.split_first()?;
     curves.extend(neighbours.iter().map(|curve| (NEIGHBOUR, curve)));
     curves.push((GRID, best));
-    if let (Some(curve), Some(refined)) = (&compared.refined, &channel.refined) {
-        keys.push(Key::line(REFINED, label(&refined.best.medium)));
-        curves.push((REFINED, curve));
-    }
-    keys.extend(channel.refined.as_ref().and_then(misfit_short).map(Key::note));
-    let (column, thickness_mm) = (&channel.channel, compared.thickness_mm);
-    Some(SheetCell { column, thickness_mm, keys, x_mm: &compared.x_mm, curves })
+    let best = Key::line(GRID, label(&channel.candidates.first()?.medium));
+    let keys = std::iter::once(best).chain(note).collect();
+    Some(SheetCell { column, thickness_mm, keys, x_mm, curves, residuals: None })
 }
 
 fn label(m: &Medium) -> String {
@@ -68,6 +85,8 @@ mod tests {
             measured: edge(0.1, 0.8, 0.5),
             candidates: vec![edge(0.12, 0.79, 0.5), edge(0.14, 0.78, 0.6), edge(0.1, 0.8, 0.4)],
             refined: Some(edge(0.11, 0.8, 0.5)),
+            residuals: x_mm().iter().map(|x| 2.5 * (3.0 * x).sin()).collect(),
+            left_out: vec![10, 11],
         }
     }
 
@@ -89,9 +108,15 @@ mod tests {
             assert_well_laid_out(&picture);
             let texts = texts(&picture);
             assert_eq!(texts.iter().filter(|text| text.ends_with(" nm")).count(), channels);
-            for label in
-                ["Vero White", "x [mm]", "radiance factor", "|∇| per pixel", "t = 0.5 mm", "measured"]
-            {
+            for label in [
+                "Vero White",
+                "x [mm]",
+                "radiance factor",
+                "residual [σ]",
+                "t = 0.5 mm",
+                "measured",
+                "left out",
+            ] {
                 assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
             }
             let warnings = texts.iter().filter(|text| text.ends_with("mm off?"));
@@ -105,7 +130,7 @@ mod tests {
         let mut shared = figure(1, &[0.5, 1.0]);
         let count = |figure: &MaterialFit| {
             let texts = texts(&fit_figure(figure).unwrap());
-            texts.iter().filter(|text| text.starts_with("σt 7, α ")).count()
+            texts.iter().filter(|text| text.starts_with("σt ")).count()
         };
         assert_eq!(count(&shared), 1);
         shared.channels[0].curves[1].refined = None;
@@ -130,6 +155,8 @@ mod tests {
             measured: flat(f64::NAN),
             candidates: vec![flat(0.5)],
             refined: None,
+            residuals: Vec::new(),
+            left_out: Vec::new(),
         };
         assert_well_laid_out(&fit_figure(&figure).unwrap());
 

@@ -29,10 +29,13 @@ pub fn with_error(value: f64, std_error: f64) -> String {
         return format!("{} ± {}", minus(&significant(value, 4)), significant(std_error, 1));
     }
     let decimals = (-std_error.log10().floor()).clamp(0.0, 12.0) as usize;
+    format!("{} ± {std_error:.decimals$}", fixed(value, decimals))
+}
+
+/// A number with these decimals and the typographic minus sign, which zero does not have.
+pub fn fixed(value: f64, decimals: usize) -> String {
     let value = format!("{value:.decimals$}");
-    // Zero has no minus sign.
-    let value = if value.contains(|c| ('1'..='9').contains(&c)) { value } else { value.replace('-', "") };
-    format!("{} ± {std_error:.decimals$}", minus(&value))
+    if value.contains(|c| ('1'..='9').contains(&c)) { minus(&value) } else { value.replace('-', "") }
 }
 
 /// A number with the typographic minus sign.
@@ -111,6 +114,7 @@ mod tests {
         assert_eq!(message(123.4, 20.0), "123 ± 20");
         assert_eq!(message(-0.0001, 0.004), "0.000 ± 0.004");
         assert_eq!(message(0.5, 0.0), "0.5 ± 0");
+        assert_eq!([-0.004, -0.006, 1.25].map(|v| fixed(v, 2)), ["0.00", "−0.01", "1.25"]);
     }
 
     /// Intervals are marked where the data set no bound.

@@ -43,6 +43,7 @@ pub fn profile_figure(profiles: &PredictedProfiles) -> anyhow::Result<Picture> {
         curves: std::iter::once((PROFILE, &curves[i]))
             .chain(bands.get(i).into_iter().flatten().map(|curve| (BAND, curve)))
             .collect(),
+        residuals: None,
     });
     Sheet { title: &title, legend, cells: cells.collect(), alike: true }.draw()
 }

@@ -236,6 +236,8 @@ fn materials() -> Vec<MaterialFit> {
         measured: curve([0.1, 0.5, f64::NAN]),
         candidates: vec![curve([0.1, 0.4, 0.8]), curve([0.2, 0.5, 1e-12])],
         refined,
+        residuals: vec![-0.5, 1.25, 0.0],
+        left_out: vec![2],
     };
     let with_curves = ChannelFit {
         curves: vec![curves(Some(curve([0.125, 0.25, 0.5]))), curves(None)],

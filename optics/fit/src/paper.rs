@@ -53,6 +53,8 @@ fn curves(question: &Question, candidates: &[Candidate]) -> Vec<FitCurves> {
             })
             .collect(),
         refined: None,
+        residuals: Vec::new(),
+        left_out: Vec::new(),
     };
     question.terms.iter().enumerate().map(curves).collect()
 }

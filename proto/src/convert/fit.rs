@@ -169,7 +169,15 @@ mirror_enum!(Cause {
     EdgeOffset, Gain, Zero, Slope, Blur, GammaCoded, Exponent, ThicknessesSwapped,
 } or Unknown);
 mirror!(Curve { values, gradient });
-mirror!(FitCurves { thickness_mm, x_mm, measured: required, candidates: list, refined: optional });
+mirror!(FitCurves {
+    thickness_mm,
+    x_mm,
+    measured: required,
+    candidates: list,
+    refined: optional,
+    residuals,
+    left_out
+});
 
 #[cfg(test)]
 mod tests {

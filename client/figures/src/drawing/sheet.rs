@@ -1,4 +1,4 @@
-//! Draws columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7.
+//! Draws columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7, or with residuals.
 
 use anyhow::ensure;
 use optics_model::fit::Curve;
@@ -9,13 +9,14 @@ use super::frame::{AxesFrame, Labels, TICKS_BELOW, tick_width};
 use super::head::{Head, MARGIN};
 use super::legend::{Key, LegendColumn};
 use super::picture::Picture;
+use super::rgb::Rgb;
 use super::text::{Anchor, HEADING, LABEL, Text};
 
 /// Columns side by side before a new band begins.
 const MOST_COLUMNS: usize = 8;
 
 const PROFILE_HEIGHT: f64 = 132.0;
-const GRADIENT_HEIGHT: f64 = 78.0;
+const LOWER_HEIGHT: f64 = 78.0;
 const BETWEEN_PARTS: f64 = 10.0;
 const BETWEEN_ROWS: f64 = 16.0;
 const BETWEEN_COLUMNS: f64 = 14.0;
@@ -43,7 +44,23 @@ pub(crate) struct SheetCell<'a> {
     pub(crate) x_mm: &'a [f64],
     /// The first is drawn lowest.
     pub(crate) curves: Vec<(Stroke, &'a Curve)>,
+    /// For the panel below; None for the gradients of the curves.
+    pub(crate) residuals: Option<Residuals<'a>>,
 }
+
+/// Residuals of the first curve in standard errors.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Residuals<'a> {
+    pub(crate) values: &'a [f64],
+    /// Indices of pixels that are marked.
+    pub(crate) left_out: &'a [u32],
+}
+
+/// Standard errors within which 95 % of the residuals lie.
+const BAND: f64 = 2.0;
+const RESIDUAL: Stroke = Stroke::dots(Rgb::GREY, 1.6);
+const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
+const LEVEL: Stroke = Stroke::dashed(Rgb::INK, 0.7, "4 3");
 
 impl Sheet<'_> {
     pub(crate) fn draw(&self) -> anyhow::Result<Picture> {
@@ -65,7 +82,7 @@ struct Placed<'a> {
     cell: &'a SheetCell<'a>,
     place: (usize, usize),
     profile: Axis,
-    gradient: Axis,
+    lower: Axis,
 }
 
 /// Positions and sizes of the panels.
@@ -105,15 +122,15 @@ impl<'a> SheetLayout<'a> {
                 cell.column,
                 cell.thickness_mm
             );
-            let (profile, gradient) = axes(&[cell]);
-            placed.push(Placed { cell, place, profile, gradient });
+            let (profile, lower) = axes(&[cell]);
+            placed.push(Placed { cell, place, profile, lower });
         }
         if sheet.alike {
             for row in 0..rows.len() {
                 let cells: Vec<_> = placed.iter().filter(|p| p.place.1 == row).map(|p| p.cell).collect();
-                let (profile, gradient) = axes(&cells);
+                let (profile, lower) = axes(&cells);
                 for p in placed.iter_mut().filter(|p| p.place.1 == row) {
-                    (p.profile, p.gradient) = (profile, gradient);
+                    (p.profile, p.lower) = (profile, lower);
                 }
             }
         }
@@ -175,14 +192,14 @@ impl<'a> SheetLayout<'a> {
         panels.map(|p| LegendColumn::new(self.keys(p), self.panel_width).height()).fold(0.0, f64::max)
     }
 
-    /// The frames of profile and gradient with the profile's top at `top`.
+    /// The frames of the profile and the panel below with the profile's top at `top`.
     fn frames(&self, p: &Placed, top: f64) -> [AxesFrame; 2] {
         let left = self.left(p.place.0 % self.across);
         let area = |top, height| PlotArea { left, top, width: self.panel_width, height };
         let below = top + PROFILE_HEIGHT + BETWEEN_PARTS;
         [
             AxesFrame { area: area(top, PROFILE_HEIGHT), x: self.x, y: p.profile },
-            AxesFrame { area: area(below, GRADIENT_HEIGHT), x: self.x, y: p.gradient },
+            AxesFrame { area: area(below, LOWER_HEIGHT), x: self.x, y: p.lower },
         ]
     }
 
@@ -209,10 +226,10 @@ impl<'a> SheetLayout<'a> {
     fn draw_names(&self, canvas: &mut Canvas, row: usize, top: f64) {
         let thickness = Text::new(format!("t = {} mm", self.rows[row]), LABEL).bold().anchor(Anchor::Middle);
         canvas.text_upwards(at(MARGIN + LABEL, top + parts_height() / 2.0), &thickness);
-        let gradient_middle = top + PROFILE_HEIGHT + BETWEEN_PARTS + GRADIENT_HEIGHT / 2.0;
-        for (name, middle) in
-            [("radiance factor", top + PROFILE_HEIGHT / 2.0), ("|∇| per pixel", gradient_middle)]
-        {
+        let lower_middle = top + PROFILE_HEIGHT + BETWEEN_PARTS + LOWER_HEIGHT / 2.0;
+        let has_residuals = self.placed.iter().any(|p| p.cell.residuals.is_some());
+        let lower = if has_residuals { "residual [σ]" } else { "|∇| per pixel" };
+        for (name, middle) in [("radiance factor", top + PROFILE_HEIGHT / 2.0), (lower, lower_middle)] {
             let text = Text::new(name, LABEL).anchor(Anchor::Middle);
             canvas.text_upwards(at(MARGIN + NAMES - 6.0, middle), &text);
         }
@@ -221,27 +238,51 @@ impl<'a> SheetLayout<'a> {
     fn draw_panel(&self, canvas: &mut Canvas, p: &Placed, frames: &[AxesFrame; 2]) {
         let (column, row) = p.place;
         let lowest = !self.placed.iter().any(|other| other.place.0 == column && other.place.1 > row);
-        let [profile, gradient] = frames;
+        let [profile, lower] = frames;
         for frame in frames {
             frame.rules(canvas);
         }
         for (stroke, curve) in &p.cell.curves {
             profile.curve(canvas, p.cell.x_mm, &curve.values, *stroke);
-            gradient.curve(canvas, p.cell.x_mm, &curve.gradient, *stroke);
+            if p.cell.residuals.is_none() {
+                lower.curve(canvas, p.cell.x_mm, &curve.gradient, *stroke);
+            }
+        }
+        if let Some(residuals) = &p.cell.residuals {
+            draw_residuals(canvas, p.cell, residuals, frames);
         }
         let y = !self.alike || column.is_multiple_of(self.across);
         profile.axes(canvas, Labels { x: false, y });
-        gradient.axes(canvas, Labels { x: lowest, y });
+        lower.axes(canvas, Labels { x: lowest, y });
         if lowest {
             let label = Text::new("x [mm]", LABEL).anchor(Anchor::Middle);
-            let place = at(gradient.area.center().x, gradient.area.bottom() + TICKS_BELOW + 0.8 * X_LABEL);
+            let place = at(lower.area.center().x, lower.area.bottom() + TICKS_BELOW + 0.8 * X_LABEL);
             canvas.text(place, &label);
         }
     }
 }
 
+/// Residuals with the band of 95 %, and pixels that are left out in both panels.
+fn draw_residuals(canvas: &mut Canvas, cell: &SheetCell, residuals: &Residuals, frames: &[AxesFrame; 2]) {
+    let [profile, lower] = frames;
+    let ends = [0.0, 1.0].map(|end| lower.x.value(end));
+    for level in [-BAND, BAND] {
+        lower.curve(canvas, &ends, &[level; 2], LEVEL);
+    }
+    let inside = |v: &f64| v.clamp(lower.y.value(0.0), lower.y.value(1.0));
+    let values: Vec<f64> = residuals.values.iter().map(inside).collect();
+    lower.curve(canvas, cell.x_mm, &values, RESIDUAL);
+    let measured = cell.curves.first().map(|(_, curve)| &curve.values[..]).unwrap_or_default();
+    for (frame, y) in [(profile, measured), (lower, &values[..])] {
+        let picked = |of: &[f64]| -> Vec<f64> {
+            residuals.left_out.iter().filter_map(|i| of.get(*i as usize).copied()).collect()
+        };
+        frame.curve(canvas, &picked(cell.x_mm), &picked(y), LEFT_OUT);
+    }
+}
+
 fn parts_height() -> f64 {
-    PROFILE_HEIGHT + BETWEEN_PARTS + GRADIENT_HEIGHT
+    PROFILE_HEIGHT + BETWEEN_PARTS + LOWER_HEIGHT
 }
 
 /// Index of a value, which is added if it is new.
@@ -252,7 +293,10 @@ fn place_of<T: PartialEq>(seen: &mut Vec<T>, value: T) -> usize {
     })
 }
 
-/// Axes for profiles and gradients. Zero is shown unless all profiles are far from it.
+/// Greatest residual that is drawn at its place; larger ones lie on the frame.
+const FURTHEST: f64 = 6.0;
+
+/// Axes for profiles, and for gradients or residuals. Zero is shown unless all profiles are far from it.
 fn axes(cells: &[&SheetCell]) -> (Axis, Axis) {
     let curves = || cells.iter().flat_map(|cell| &cell.curves);
     let values = extent(curves().flat_map(|(_, curve)| curve.values.iter().copied()));
@@ -261,5 +305,9 @@ fn axes(cells: &[&SheetCell]) -> (Axis, Axis) {
         Some((low, high)) if low >= 0.0 && low < 0.4 * high => Axis::from_zero(values),
         _ => Axis::around(values, 0.04),
     };
-    (profile, Axis::from_zero(gradient))
+    let residuals = cells.iter().filter_map(|cell| cell.residuals).flat_map(|of| of.values);
+    let most = residuals.map(|v| v.abs()).fold(0.0, f64::max).clamp(1.5 * BAND, FURTHEST);
+    let has_residuals = cells.iter().any(|cell| cell.residuals.is_some());
+    let lower = if has_residuals { Axis::exact(Some((-most, most))) } else { Axis::from_zero(gradient) };
+    (profile, lower)
 }

@@ -342,6 +342,12 @@ impl Found<'_, '_> {
                 measured: curve(&term.values),
                 candidates: others.iter().map(|linear| curve(&linear[i].model)).collect(),
                 refined: refined.then(|| curve(&best[i].model)),
+                residuals: if refined { best[i].residuals.clone() } else { Vec::new() },
+                left_out: (0..)
+                    .zip(&term.left_out)
+                    .filter(|(_, out)| **out)
+                    .map(|(pixel, _)| pixel)
+                    .collect(),
             }
         };
         self.system.terms.iter().enumerate().map(curves).collect()

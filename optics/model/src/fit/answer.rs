@@ -301,6 +301,10 @@ pub struct FitCurves {
     /// The candidates' profiles, in their order.
     pub candidates: Vec<Curve>,
     pub refined: Option<Curve>,
+    /// Measured less refined values over their standard errors, those of the records included; empty without likelihood.
+    pub residuals: Vec<f64>,
+    /// Indices of pixels that the likelihood leaves out, such as dust.
+    pub left_out: Vec<u32>,
 }
 
 /// The answer for one channel.
