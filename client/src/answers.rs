@@ -14,6 +14,7 @@ mod scale;
 mod scene;
 mod summary;
 mod table;
+mod verdict;
 
 pub(crate) use budget::budget_text;
 pub(crate) use design::design_text;
@@ -24,3 +25,4 @@ pub(crate) use options::{MeasurementAnswer, SetUpJson, UsedOptions};
 pub(crate) use scale::{common_text, scale_text};
 pub(crate) use scene::low_scale;
 pub(crate) use summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
+pub(crate) use verdict::{medium_rows, verdict, verdict_text};

@@ -10,6 +10,7 @@ use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
 use farm_lab::measurement_file::{MeasurementFile, Note, read_measurements};
 use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
+use optics_model::Invalid;
 use serde::Serialize;
 
 pub(crate) use farm_lab::whole_file::write_whole;
@@ -72,7 +73,13 @@ impl Output {
     pub(crate) fn error(&self, error: &anyhow::Error) {
         let message = sentence(error);
         if self.json {
-            let data = serde_json::json!({ "message": message });
+            let invalid = error.chain().find_map(|cause| cause.downcast_ref::<Invalid>());
+            let data = match invalid {
+                Some(invalid) => {
+                    serde_json::json!({ "message": message, "field": invalid.field(), "allowed": invalid.allowed() })
+                }
+                None => serde_json::json!({ "message": message }),
+            };
             let line = envelope("error", &data).unwrap_or_default();
             if print_line(&line).is_ok() {
                 return;

@@ -9,7 +9,7 @@ use crate::numbers::{interval, significant};
 const LEAST: f64 = 0.02;
 
 /// Error budgets of the channels whose medium the data determine, at least with g held.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ErrorBudget {
     pub channels: Vec<ChannelBudget>,
     /// The source with the largest share, and the remedy.
@@ -17,7 +17,7 @@ pub struct ErrorBudget {
 }
 
 /// The error budget of one channel's σ_t.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct ChannelBudget {
     /// Material and channel, as `white R`.
     pub about: String,
@@ -25,6 +25,8 @@ pub struct ChannelBudget {
     pub sigma_t: String,
     /// `g 80 %, thickness 12 %, rest 8 %`.
     pub shares: String,
+    /// The sources with large shares of the variance, the largest first.
+    pub parts: Vec<(String, f64)>,
 }
 
 /// The error budget of all fits; `None` if no channel has one.
@@ -43,22 +45,33 @@ pub fn error_budget(fits: &[MaterialFit]) -> Option<ErrorBudget> {
         about,
         sigma_t: format!("{} / mm", interval(&refined.sigma_t_per_mm, |v| significant(v, 3))),
         shares: shares(&refined.likelihood.budget),
+        parts: large(&refined.likelihood.budget)
+            .into_iter()
+            .map(|s| (source_name(s).to_owned(), s.sigma_t))
+            .collect(),
     };
     Some(ErrorBudget {
         first: format!(
-            "{}, {:.0} % of the variance on average: {}",
+            "{}, {:.0} % of the variance of σ_t on average, without which its interval would be {} times as wide at most: {}",
             source_name(first),
             100.0 * share,
+            significant((1.0 - share).max(0.0).sqrt(), 2),
             remedy(first.source)
         ),
         channels: with_budget.into_iter().map(channel).collect(),
     })
 }
 
-/// `g 80 %, thickness 12 %, rest 8 %`.
-fn shares(budget: &[SourceShare]) -> String {
+/// Sources with large shares, the largest first.
+fn large(budget: &[SourceShare]) -> Vec<&SourceShare> {
     let mut large: Vec<&SourceShare> = budget.iter().filter(|s| s.sigma_t >= LEAST).collect();
     large.sort_by(|a, b| b.sigma_t.total_cmp(&a.sigma_t));
+    large
+}
+
+/// `g 80 %, thickness 12 %, rest 8 %`.
+fn shares(budget: &[SourceShare]) -> String {
+    let large = large(budget);
     // Rounded to neighbouring whole numbers that add up to 100: the largest remainders are rounded up.
     let rest = 1.0 - large.iter().map(|s| s.sigma_t).sum::<f64>();
     let named = large.iter().map(|s| (source_name(s), s.sigma_t)).chain([("rest", rest.max(0.0))]);
@@ -162,9 +175,11 @@ mod tests {
         let quantity = Some("gel thickness".to_owned());
         budget.push(SourceShare { quantity, ..share(ErrorSource::Scene, 0.05) });
         let found = error_budget(&[MaterialFit { material: "white".into(), channels }]).unwrap();
-        let ChannelBudget { about, sigma_t, shares } = &found.channels[0];
+        let ChannelBudget { about, sigma_t, shares, .. } = &found.channels[0];
         assert_eq!((about.as_str(), sigma_t.as_str()), ("white G", "5.4…6.6 / mm"));
         assert_eq!(shares, "g 75 %, thickness 12 %, noise 8 %, gel thickness 5 %");
-        assert!(found.first.starts_with("g, 75 % of the variance on average: give g"), "{}", found.first);
+        assert!(found.first.starts_with(
+            "g, 75 % of the variance of σ_t on average, without which its interval would be 0.5 times as wide at most: give g"
+        ), "{}", found.first);
     }
 }

@@ -23,6 +23,22 @@ pub(crate) fn table(class: &str, head: &[&str], rows: &[Vec<String>]) -> String 
     format!("<div class=\"wide\"><table class=\"{class}\">{head}{rows}</table></div>\n")
 }
 
+/// A table whose rows become cards on narrow screens: each cell with its column's name.
+pub(crate) fn cards(head: &[&str], rows: &[Vec<String>]) -> String {
+    let names: String = head.iter().map(|name| format!("<th>{}</th>", escaped(name))).collect();
+    let row = |row: &Vec<String>| {
+        let cells = head.iter().zip(row).map(|(name, cell)| named_cell(name, cell));
+        format!("<tr>{}</tr>\n", cells.collect::<String>())
+    };
+    let rows: String = rows.iter().map(row).collect();
+    format!("<div class=\"wide\"><table class=\"text cards\"><tr>{names}</tr>\n{rows}</table></div>\n")
+}
+
+/// A cell of a table whose rows become cards.
+pub(crate) fn named_cell(name: &str, cell: &str) -> String {
+    format!("<td data-name=\"{}\">{}</td>", escaped(name), escaped(cell))
+}
+
 /// Text escaped for HTML.
 pub(crate) fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

@@ -9,7 +9,7 @@ use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, S
 use optics_model::{Grid, Scene};
 use serde::Serialize;
 
-use crate::capture::{CaptureReport, Media, Simulated};
+use crate::capture::{CaptureReport, Media, Simulated, Verdict};
 use crate::grid_file::read_grid;
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
@@ -89,7 +89,7 @@ impl SessionFolder {
 
     /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path;
     /// `None` if the folder has no data of a report.
-    pub fn complete(&self, fits: &[MaterialFit], mu: f64, text: String) -> Result<Option<PathBuf>> {
+    pub fn complete(&self, fits: &[MaterialFit], mu: f64, answer: ReportedAnswer) -> Result<Option<PathBuf>> {
         if let Some(session) = self.session() {
             add_to_session(&session, fits)?;
         }
@@ -102,11 +102,29 @@ impl SessionFolder {
         let spectra = spectra_figure(fits).map(|figure| figure.svg().to_owned());
         let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
         let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
-        let page = report.page(Some(&Media { text, estimates, budget, spectra, figures, simulated }));
+        let page = report.page(Some(&Media {
+            verdict: answer.verdict,
+            rows: answer.rows,
+            text: answer.text,
+            estimates,
+            budget,
+            spectra,
+            figures,
+            simulated,
+        }));
         let path = self.path.join("report.html");
         write_whole(&path, page.as_bytes()).with_context(|| format!("writing {}", path.display()))?;
         Ok(Some(path))
     }
+}
+
+/// The answer of a fit as it is printed.
+#[derive(Debug, Default)]
+pub struct ReportedAnswer {
+    pub verdict: Verdict,
+    /// One row for each channel, with the cells of [`Media::COLUMNS`].
+    pub rows: Vec<Vec<String>>,
+    pub text: String,
 }
 
 /// A channel's 95 % intervals with their error budget, and its estimates of the scene.

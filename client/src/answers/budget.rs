@@ -29,6 +29,6 @@ mod tests {
         let channels = vec![channel("G", 6.0, 1.0)];
         let text = budget_text(&[MaterialFit { material: "white".into(), channels }]).unwrap();
         assert!(text.contains("\nwhite G: 5.4…6.6 / mm: g 80 %, thickness 12 %, noise 8 %\n"), "{text}");
-        assert!(text.contains("\nto improve first: g, 80 % of the variance on average: give g"), "{text}");
+        assert!(text.contains("\nto improve first: g, 80 % of the variance of σ_t on average"), "{text}");
     }
 }

@@ -7,11 +7,13 @@ mod media;
 mod samples;
 mod set_up;
 mod shots;
+mod verdict;
 
 use optics_capture::Warning;
 use serde::{Deserialize, Serialize};
 
 pub use media::{Media, Simulated};
+pub use verdict::{PrecisionRow, Verdict};
 
 use super::captured::{Captured, CapturedPart};
 use crate::page::{escaped, page};
@@ -53,15 +55,16 @@ impl CaptureReport {
         let title = escaped(&self.title);
         let slabs: String = self.slabs.iter().map(SlabSection::section).collect();
         let slabs = if slabs.is_empty() { slabs } else { format!("<h2>Samples</h2>\n{slabs}\n") };
-        let media = media.map_or_else(
-            || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>".to_owned(),
-            |media| media.section(&self.slabs),
+        let verdict = media.map_or_else(
+            || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>\n".to_owned(),
+            |media| media.verdict.section(),
         );
+        let media = media.map_or_else(String::new, |media| {
+            format!("<h2>Media</h2>\n{}{}", media.section(&self.slabs), media::FILES)
+        });
         page(
             &self.title,
-            &format!(
-                "<h1>{title}</h1>\n{summary}\n<h2>Media</h2>\n{media}\n{slabs}{set_up}{bands}\n{inputs}\n"
-            ),
+            &format!("<h1>{title}</h1>\n{verdict}{summary}\n{media}\n{slabs}{set_up}{bands}\n{inputs}\n"),
         )
     }
 }

@@ -11,7 +11,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
-use farm_lab::session_folder::SessionFolder;
+use farm_lab::session_folder::{ReportedAnswer, SessionFolder};
 use farm_lab::set_up::SetUp;
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
@@ -27,6 +27,7 @@ use super::chosen_dictionary::{self, Chosen, WantedDictionary};
 use super::{filters, other_scene};
 use crate::answers::{
     FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
+    medium_rows, verdict, verdict_text,
 };
 use crate::cli::set_up::SET_UP;
 use crate::cli::{Global, MuArgs, OptionArgs};
@@ -231,6 +232,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
+        files::write_renderers(folder.path(), &found)?;
         files::write_media(folder.path(), &found, (&dictionary, &grid), &record)?;
         let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
         let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
@@ -247,7 +249,12 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let report = match &inputs.folder {
         Some(folder) => {
             let plain = anstream::adapter::strip_str(&answer(false)).to_string();
-            let completed = folder.complete(&found.materials, found.common.mu, plain)?;
+            let answer = ReportedAnswer {
+                verdict: verdict(&found.materials),
+                rows: medium_rows(&found.materials),
+                text: plain,
+            };
+            let completed = folder.complete(&found.materials, found.common.mu, answer)?;
             files::describe(folder.path(), &found, &record)?;
             completed
         }
@@ -258,17 +265,20 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         let completed = inputs.folder.as_ref().map_or_else(String::new, |folder| {
             let report = report.map_or("", |_| "report.html with the media, ");
             let text = format!(
-                "written to {}: {report}uncertainty.html (statement of uncertainty), media.json (for `farmctl \
-                 predict`), ro-crate-metadata.json (for archives)",
+                "written to {}: {report}{WRITTEN}, ro-crate-metadata.json (for archives)",
                 folder.path().display()
             );
-            format!("\n{}", wrapped(&text))
+            format!("\n\n{}\n{}", verdict_text(&verdict(&found.materials)), wrapped(&text))
         });
         let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
         answer(true) + &budget + &completed
     })
 }
+
+/// Files of media, with their purpose.
+const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
+                       and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda";
 
 struct Question<'a> {
     /// The named dictionary.
@@ -366,11 +376,7 @@ fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictu
     }
     text += &figure_files::drawn(pictures);
     if let Some(folder) = folder {
-        text += &format!(
-            "\nwritten to {}: table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of \
-             uncertainty), and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda",
-            folder.display()
-        );
+        text += &format!("\n{}", wrapped(&format!("written to {}: {WRITTEN}", folder.display())));
     }
     text
 }

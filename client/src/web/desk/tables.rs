@@ -19,7 +19,7 @@ impl From<ErrorBudget> for api::ErrorBudget {
 }
 
 impl From<ChannelBudget> for api::ChannelBudget {
-    fn from(ChannelBudget { about, sigma_t, shares }: ChannelBudget) -> Self {
+    fn from(ChannelBudget { about, sigma_t, shares, .. }: ChannelBudget) -> Self {
         Self { about, sigma_t, shares }
     }
 }

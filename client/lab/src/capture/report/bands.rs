@@ -1,5 +1,6 @@
 //! Renders the bands of a session: where they show the board, how sharp, and their profiles.
 
+use farm_figures::numbers::fixed;
 use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::EdgeProfile;
 
@@ -36,7 +37,7 @@ fn row(optics: &BandOptics, part: &CapturedPart) -> String {
         optics.wavelength_nm.to_string(),
         part.about.exposure_s.map_or_else(String::new, exposure),
         format!("{:.1} ± {:.2}", 1000.0 * blur.value, 1000.0 * blur.std_error),
-        optics.shift_px.map(|px| format!("{px:.2}")).join(", "),
+        optics.shift_px.map(|px| fixed(px, 2)).join(", "),
         format!("{:+.3} %", 100.0 * optics.magnification),
         format!("{:.2}", optics.left_px),
         with_error(rho.light),

@@ -5,13 +5,31 @@ use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
 
 use super::samples::SlabSection;
+use super::verdict::Verdict;
 use super::warning_list;
 use crate::capture::strip::simulated_uri;
-use crate::page::escaped;
+use crate::page::{cards, escaped, named_cell};
+
+/// Files that `measure` writes beside the report, and what to do with them.
+pub(super) const FILES: &str = "\
+<h2>Files, and what comes next</h2>
+<table class=\"text wrapped\">
+<tr><td><a href=\"uncertainty.html\">uncertainty.html</a></td><td>statement of uncertainty, to be signed</td></tr>
+<tr><td><a href=\"table.csv\">table.csv</a></td><td>all media with their intervals</td></tr>
+<tr><td><a href=\"media.json\">media.json</a></td><td>media with their covariance: <code>farmctl predict</code> computes how prints \
+look, <code>farmctl validate</code> compares a printed chart, <code>farmctl recipe</code> finds mixtures</td></tr>
+<tr><td>media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda</td><td>media for Mitsuba 3, pbrt-v4, \
+Blender, MaterialX and USD</td></tr>
+<tr><td><a href=\"measurements.csv\">measurements.csv</a></td><td>the measured profiles</td></tr>
+</table>
+";
 
 /// The parts of the page from `measure`.
 #[derive(Debug)]
 pub struct Media {
+    pub verdict: Verdict,
+    /// One row for each channel, with the cells of [`Self::COLUMNS`].
+    pub rows: Vec<Vec<String>>,
     /// The answer as it is printed, without estimates of the scene and budget.
     pub text: String,
     /// Empty if the scene was taken as exact.
@@ -34,6 +52,9 @@ pub struct Simulated {
 }
 
 impl Media {
+    pub const COLUMNS: [&'static str; 7] =
+        ["medium", "σ_s(1−g) [1/mm]", "σ_a [1/mm]", "σ_t [1/mm]", "α", "g", "residuals / noise"];
+
     pub(super) fn section(&self, slabs: &[SlabSection]) -> String {
         let strips = self.simulated.iter().filter_map(|simulated| {
             let slab = slabs.iter().find(|slab| slab.label == simulated.label)?;
@@ -43,15 +64,17 @@ impl Media {
         let figures: String =
             self.figures.iter().map(|svg| format!("<figure class=\"wide\">{svg}</figure>\n")).collect();
         let text = format!("<div class=\"wide\"><pre>{}</pre></div>\n", escaped(&self.text));
+        let text = folded("The answer as text", &text);
+        let numbers = if self.rows.is_empty() { String::new() } else { cards(&Self::COLUMNS, &self.rows) };
         let (scene, budget) = (scene(&self.estimates), self.budget.as_ref().map(budget).unwrap_or_default());
         let Some(spectra) = &self.spectra else {
-            return format!("{text}{scene}{budget}{strips}{figures}");
+            return format!("{numbers}{strips}{figures}{scene}{budget}{text}");
         };
         format!(
-            "<figure class=\"wide\">{spectra}</figure>\n{}{scene}{}{}",
-            folded("All numbers", &text),
+            "<figure class=\"wide\">{spectra}</figure>\n{}{}{scene}{}{text}",
+            folded("All numbers", &numbers),
+            folded("Profiles with their fits", &figures),
             folded("Error budgets of all bands", &budget),
-            folded("Profiles with their fits", &figures)
         )
     }
 }
@@ -63,22 +86,26 @@ fn folded(summary: &str, content: &str) -> String {
     format!("<details><summary>{summary}</summary>\n{content}</details>\n")
 }
 
+/// Columns of the estimates.
+const SET_UP: [&str; 4] = ["quantity", "of", "estimate", "prior"];
+
 /// Estimates of the scene next to their priors; empty if the scene was taken as exact.
 fn scene(rows: &[EstimateRow]) -> String {
     if rows.is_empty() {
         return String::new();
     }
     let row = |row: &EstimateRow| {
-        let cells = [&row.quantity, &row.of, &row.estimate, &row.prior];
-        let cells = cells.map(|cell| format!("<td>{}</td>", escaped(cell))).concat();
+        let cells = SET_UP.iter().zip([&row.quantity, &row.of, &row.estimate, &row.prior]);
+        let cells: String = cells.map(|(name, cell)| named_cell(name, cell)).collect();
         let doubtful = if row.warning.is_some() { " class=\"doubtful\"" } else { "" };
         format!("<tr{doubtful}>{cells}</tr>\n")
     };
     let warnings: Vec<&str> = rows.iter().filter_map(|row| row.warning.as_deref()).collect();
     format!(
-        "<h3>Estimates of the set-up</h3>\n{}<div class=\"wide\"><table class=\"text\"><tr><th>quantity</th><th>of</th>\
-         <th>estimate</th><th>prior</th></tr>\n{}</table></div>\n<p class=\"faint\">Note: {}.</p>\n",
+        "<h3>Estimates of the set-up</h3>\n{}<div class=\"wide\"><table class=\"text cards\"><tr>{}</tr>\n{}</table></div>\n\
+         <p class=\"faint\">Note: {}.</p>\n",
         warning_list(&warnings),
+        SET_UP.map(|name| format!("<th>{name}</th>")).concat(),
         rows.iter().map(row).collect::<String>(),
         escaped(estimates::NOTE),
     )
@@ -88,13 +115,20 @@ fn scene(rows: &[EstimateRow]) -> String {
 fn budget(budget: &ErrorBudget) -> String {
     let row = |channel: &ChannelBudget| {
         let cells = [&channel.about, &channel.sigma_t].map(|cell| format!("<td>{}</td>", escaped(cell)));
-        format!("<tr>{}<td class=\"words\">{}</td></tr>\n", cells.concat(), escaped(&channel.shares))
+        let part = |(name, share): &(String, f64)| {
+            format!("<span style=\"width:{:.1}%\" title=\"{}\"></span>", 100.0 * share, escaped(name))
+        };
+        let bar: String = channel.parts.iter().map(part).collect();
+        format!(
+            "<tr>{}<td><div class=\"bar\">{bar}</div></td><td class=\"words\">{}</td></tr>\n",
+            cells.concat(),
+            escaped(&channel.shares)
+        )
     };
     format!(
         "<h3>Error budget of σ_t</h3>\n<div class=\"wide\"><table class=\"text\"><tr><th>channel</th><th>95 %</th>\
-         <th>shares of the variance</th></tr>\n{}</table></div>\n<p>To improve first: {}.</p>\n",
+         <th></th><th>shares of the variance</th></tr>\n{}</table></div>\n",
         budget.channels.iter().map(row).collect::<String>(),
-        escaped(&budget.first),
     )
 }
 
@@ -125,8 +159,24 @@ mod tests {
 
     fn media(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> Media {
         let (figures, simulated) = (Vec::new(), Vec::new());
-        Media { text: "σ_t".to_owned(), estimates, budget, spectra: None, figures, simulated }
+        Media {
+            verdict: Verdict::default(),
+            rows: rows(),
+            text: "σ_t".to_owned(),
+            estimates,
+            budget,
+            spectra: None,
+            figures,
+            simulated,
+        }
     }
+
+    fn rows() -> Vec<Vec<String>> {
+        vec![["white R", "3.5", "0.01", "6", "0.99", "0.4", "1"].map(str::to_owned).to_vec()]
+    }
+
+    const TEXT: &str = "<details><summary>The answer as text</summary>\n<div class=\"wide\"><pre>σ_t</pre></div>\n\
+        </details>\n";
 
     /// With bands the figure of the media comes first, and the numbers are folded.
     #[test]
@@ -134,8 +184,10 @@ mod tests {
         let page = Media { spectra: Some("<svg/>".to_owned()), ..media(Vec::new(), None) }.section(&[]);
         assert_eq!(
             page,
-            "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n<div class=\"wide\">\
-             <pre>σ_t</pre></div>\n</details>\n"
+            format!(
+                "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n{}</details>\n{TEXT}",
+                cards(&Media::COLUMNS, &rows())
+            )
         );
     }
 
@@ -146,24 +198,24 @@ mod tests {
         channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
         let fits = [MaterialFit { material: "<white>".into(), channels }];
         let page = page(estimate_rows(&fits), error_budget(&fits));
-        let doubtful = "<tr class=\"doubtful\"><td>gel thickness</td><td>&lt;white&gt; 0.5 mm</td>\
-                        <td>0.097 ± 0.003 mm</td><td>0.02 ± 0.02 mm</td></tr>";
+        let doubtful = "<tr class=\"doubtful\"><td data-name=\"quantity\">gel thickness</td><td data-name=\"of\">&lt;white&gt; 0.5 \
+                        mm</td><td data-name=\"estimate\">0.097 ± 0.003 mm</td><td data-name=\"prior\">0.02 ± 0.02 mm</td></tr>";
         assert!(page.contains(doubtful), "{page}");
-        assert!(
-            page.contains("<tr><td>ring angle</td><td>all</td><td>45.2 ± 0.9 °</td><td>45 ± 1 °</td></tr>")
-        );
+        assert!(page.contains(
+            "<td data-name=\"estimate\">45.2 ± 0.9 °</td><td data-name=\"prior\">45 ± 1 °</td></tr>"
+        ));
         for warning in
             ["is 3.9 standard deviations from its prior", "lies where the dictionary's responses end"]
         {
             assert!(page.contains(warning), "{warning}: {page}");
         }
         assert!(page.contains("<td>&lt;white&gt; R</td><td>5.4…6.6 / mm</td>"), "{page}");
-        assert!(page.contains("<p>To improve first: g, 80 % of the variance on average"), "{page}");
+        assert!(page.contains("<span style=\"width:80.0%\" title=\"g\"></span>"), "{page}");
     }
 
     /// A scene that was taken as exact has no table.
     #[test]
     fn exact_scene_has_no_table() {
-        assert_eq!(page(Vec::new(), None), "<div class=\"wide\"><pre>σ_t</pre></div>\n");
+        assert_eq!(page(Vec::new(), None), cards(&Media::COLUMNS, &rows()) + TEXT);
     }
 }

@@ -1,0 +1,143 @@
+//! Sums up a measurement in words: which media are determined, how well, what makes them doubtful, and what would improve
+//! them most.
+
+use farm_figures::error_budget;
+use farm_figures::numbers::significant;
+use farm_lab::capture::{PrecisionRow, Verdict};
+use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined};
+
+use super::summary::{ChannelSummary, NumberWithInterval, all_remarks};
+use crate::output::{table, warning, wrapped};
+
+/// Ratio of the greatest half-width to the median from which on it is shown.
+const UNLIKE: f64 = 1.2;
+
+/// The verdict on all fits.
+pub(crate) fn verdict(fits: &[MaterialFit]) -> Verdict {
+    let channels = || fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
+    let is_known = |r: Option<&Refined>| r.is_some_and(|r| r.resolved_at_g);
+    let unknown: Vec<String> = channels()
+        .filter(|(_, channel)| !is_known(channel.refined.as_ref()))
+        .map(|(fit, channel)| format!("{} {}", fit.material, channel.channel))
+        .collect();
+    let all = channels().count();
+    let determined = match (all, unknown.len()) {
+        (1, 0) => "The medium is determined.".to_owned(),
+        (all, 0) => format!("All {all} media are determined."),
+        (all, none) if none == all => "No medium is determined.".to_owned(),
+        (all, some) => {
+            format!("{} of {all} media are determined, but not those of {}.", all - some, unknown.join(", "))
+        }
+    };
+    let is_valley = channels().any(|(_, c)| c.refined.as_ref().is_some_and(|r| r.valley));
+    let trade_off = is_valley.then(|| {
+        "σ_t and g trade off: σ_s(1 − g) and σ_a are the numbers to compare, and a renderer needs σ_t, α and g of one row \
+         together."
+            .to_owned()
+    });
+    let warnings = all_remarks(fits).into_iter().filter(|remark| remark.warning);
+    Verdict {
+        sentences: std::iter::once(determined).chain(trade_off).collect(),
+        precision: fits.iter().filter_map(precision).collect(),
+        warnings: warnings.map(|w| format!("{}: {}", w.about.join(", "), w.text)).collect(),
+        improve_first: error_budget(fits).map(|budget| budget.first),
+    }
+}
+
+/// The verdict as lines of text.
+pub(crate) fn verdict_text(verdict: &Verdict) -> String {
+    let mut text = verdict.sentences.iter().map(|s| wrapped(s)).collect::<Vec<_>>().join("\n");
+    if !verdict.precision.is_empty() {
+        let rows = verdict.precision.iter().map(PrecisionRow::cells);
+        text += &format!(
+            "\nhalf-widths of the 95 % intervals, median over channels (greatest)\n{}",
+            table(&Verdict::COLUMNS, &[], rows)
+        );
+    }
+    for warned in &verdict.warnings {
+        text += &format!("\n{}", warning(&wrapped(warned)));
+    }
+    text
+}
+
+/// A row of the report's table for each refined channel: medium, and numbers with intervals.
+pub(crate) fn medium_rows(fits: &[MaterialFit]) -> Vec<Vec<String>> {
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
+    let row = |(fit, channel): (&MaterialFit, &ChannelFit)| {
+        let summary = ChannelSummary::of(channel.refined.as_ref()?);
+        let number = |n: NumberWithInterval| format!("{} ({})", n.value, n.interval);
+        Some(vec![
+            format!("{} {}", fit.material, channel.channel),
+            number(summary.reduced_scattering_per_mm),
+            number(summary.absorption_per_mm),
+            number(summary.sigma_t_per_mm),
+            number(summary.albedo),
+            number(summary.g),
+            summary.misfit,
+        ])
+    };
+    channels.filter_map(row).collect()
+}
+
+/// How well the determined channels of a material are known; None without one.
+fn precision(fit: &MaterialFit) -> Option<PrecisionRow> {
+    let known: Vec<&Refined> =
+        fit.channels.iter().filter_map(|c| c.refined.as_ref()).filter(|r| r.resolved_at_g).collect();
+    let cell = |half_width: &dyn Fn(&Refined) -> f64, unit: &str| {
+        let mut all: Vec<f64> = known.iter().map(|r| half_width(r)).collect();
+        all.sort_by(f64::total_cmp);
+        let shown =
+            |v: f64| if v.is_finite() { format!("{}{unit}", significant(v, 2)) } else { "open".to_owned() };
+        let (median, greatest) = (all[all.len() / 2], all[all.len() - 1]);
+        let widest =
+            if greatest > UNLIKE * median { format!(" ({})", shown(greatest)) } else { String::new() };
+        format!("± {}{widest}", shown(median))
+    };
+    let percent = |interval: &dyn Fn(&Refined) -> Interval, value: &dyn Fn(&Refined) -> f64| {
+        cell(&|r| 100.0 * half(&interval(r)) / value(r).abs(), " %")
+    };
+    (!known.is_empty()).then(|| PrecisionRow {
+        material: fit.material.clone(),
+        half_widths: [
+            percent(&|r| r.reduced_scattering_per_mm, &|r| r.best.medium.reduced_scattering_per_mm()),
+            percent(&|r| r.absorption_per_mm, &|r| r.best.medium.absorption_per_mm()),
+            percent(&|r| r.sigma_t_per_mm, &|r| r.best.medium.sigma_t_per_mm()),
+            cell(&|r| half(&r.g), ""),
+        ],
+    })
+}
+
+/// Infinite for an open interval.
+fn half(interval: &Interval) -> f64 {
+    if interval.open_low || interval.open_high { f64::INFINITY } else { 0.5 * (interval.high - interval.low) }
+}
+
+#[cfg(test)]
+mod tests {
+    use farm_figures::testing::channel;
+
+    use super::*;
+
+    /// Median and greatest half-widths of what is determined, and the channel that is not by its name.
+    #[test]
+    fn verdicts_name_what_is_not_determined() {
+        let mut channels: Vec<_> = ["R", "G", "B"].map(|name| channel(name, 6.0, 1.0)).to_vec();
+        channels[0].refined.as_mut().unwrap().resolved_at_g = false;
+        let sigma_t = &mut channels[1].refined.as_mut().unwrap().sigma_t_per_mm;
+        (sigma_t.low, sigma_t.high) = (5.88, 6.12);
+        let found = verdict(&[MaterialFit { material: "white".into(), channels }]);
+        assert_eq!(found.sentences[0], "2 of 3 media are determined, but not those of white R.");
+        assert!(found.sentences[1].starts_with("σ_t and g trade off"), "{found:?}");
+        assert_eq!(found.precision[0].half_widths[2], "± 10 %");
+        assert!(found.warnings[0].starts_with("white R: unresolved"), "{found:?}");
+        assert!(found.improve_first.unwrap().contains("% of the variance"));
+    }
+
+    #[test]
+    fn precise_measurements_need_no_names() {
+        let channels = ["R", "G"].map(|name| channel(name, 6.0, 1.0)).to_vec();
+        let found = verdict(&[MaterialFit { material: "white".into(), channels }]);
+        assert_eq!(found.sentences[0], "All 2 media are determined.");
+        assert!(verdict(&[]).precision.is_empty());
+    }
+}
