@@ -289,8 +289,9 @@ def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
     ran = subprocess.run([_programs.program("farmctl"), *command], check=True, capture_output=True, encoding="utf-8")
     expected = pd.read_csv(io.StringIO(ran.stdout))
     np.testing.assert_array_equal(frame["value"].astype(np.float32), expected["value"].astype(np.float32))
-    with pytest.raises(resin_farm.FarmError, match=r"albedo = 1\.5 is not valid"):
+    with pytest.raises(resin_farm.InvalidArgument, match=r"albedo = 1\.5 is not valid") as wrong:
         resin_farm.simulate(sigma_t=1, albedo=1.5, g=0, thickness_mm=1)
+    assert list(wrong.value.fields) == ["albedo"]
 
 
 def test_similar_media(farm: resin_farm.Farm) -> None:

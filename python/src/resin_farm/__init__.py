@@ -10,6 +10,8 @@ Lengths are in mm, coefficients in 1/mm. Profiles are radiance factors: ratios t
 air under the same light.
 """
 
+from importlib import metadata
+
 from resin_farm.capture import Capture
 from resin_farm.channel_fit import (
     Candidate,
@@ -33,6 +35,8 @@ from resin_farm.options import FitOptions
 from resin_farm.prints import Prediction, PrintColour, Reflectance, predict
 from resin_farm.profile import Profile, simulate
 from resin_farm.results import MaterialFit, Measured, ScaleCurve
+
+__version__ = metadata.version("resin-farm")
 
 __all__ = [
     "Candidate",

@@ -71,7 +71,10 @@ def _candidate(wire: fits_pb2.Candidate) -> Candidate:
 def _curves(wire: fits_pb2.FitCurves) -> Curves:
     refined = np.array(wire.refined.values) if wire.HasField("refined") else None
     best = np.array(wire.candidates[0].values)
-    return Curves(wire.thickness_mm, np.array(wire.x_mm), np.array(wire.measured.values), best, refined)
+    residuals = np.array(wire.residuals) if wire.residuals else None
+    left_out = np.array(wire.left_out, dtype=int)
+    measured = np.array(wire.measured.values)
+    return Curves(wire.thickness_mm, np.array(wire.x_mm), measured, best, refined, residuals, left_out)
 
 
 def _refined(wire: fits_pb2.Refined) -> Refined:
@@ -194,8 +197,10 @@ def _curves_of_json(found: Mapping[str, Any]) -> Curves:
         return np.array(curve["values"])
 
     refined = values(found["refined"]) if found.get("refined") else None
-    best = values(found["candidates"][0])
-    return Curves(found["thickness_mm"], np.array(found["x_mm"]), values(found["measured"]), best, refined)
+    best, measured = values(found["candidates"][0]), values(found["measured"])
+    residuals = np.array(found["residuals"]) if found.get("residuals") else None
+    left_out = np.array(found.get("left_out", []), dtype=int)
+    return Curves(found["thickness_mm"], np.array(found["x_mm"]), measured, best, refined, residuals, left_out)
 
 
 def _refined_of_json(found: Mapping[str, Any]) -> Refined:

@@ -13,7 +13,9 @@ from resin_farm.medium import Array, Medium
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_COLOURS = {"R": "#c0392b", "G": "#27803b", "B": "#2b5fb4"}
+# Okabe and Ito's colours, which are told apart with all common kinds of colour vision; line styles differ as well.
+_COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2"}
+_STYLES = ("-", "--", ":", "-.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,34 +28,64 @@ class Line:
     values: Array
     label: str
     points: Array | None = None
+    residuals: Array | None = None
+    """Points less line, in standard errors of a pixel."""
+    left_out: Array | None = None
+    """Indices of pixels that the fit leaves out."""
 
 
 def _colour(channel: str, place: int) -> str:
     return _COLOURS.get(channel, f"C{place}")
 
 
-def _panels(titles: list[str]) -> tuple[Figure, Any]:
+def _style(place: int) -> str:
+    return _STYLES[place % len(_STYLES)]
+
+
+def _shown_once(figure: Figure) -> None:
+    """Notebooks show what a cell returns, and would show an open figure a second time. In scripts `plt.show()` shows the
+    open ones."""
+    import matplotlib
     import matplotlib.pyplot as plt
 
+    if "inline" in matplotlib.get_backend():
+        plt.close(figure)
+
+
+def _panels(titles: list[str], lower: str | None = None) -> tuple[Figure, Any]:
+    """A row of panels, and with the name of a lower axis a row of lower ones below it."""
+    import matplotlib.pyplot as plt
+
+    rows = 1 if lower is None else 2
     figure, axes = plt.subplots(
-        1, len(titles), figsize=(max(5.0, 4.0 * len(titles)), 3.4), sharey=True, squeeze=False, layout="constrained"
+        rows,
+        len(titles),
+        figsize=(max(5.0, 4.0 * len(titles)), 3.4 if lower is None else 4.6),
+        sharex=True,
+        sharey="row",
+        squeeze=False,
+        height_ratios=[2, 1][:rows],
+        layout="constrained",
     )
     for axis, title in zip(axes[0], titles, strict=True):
         axis.set_title(title, fontsize=10)
-        axis.set_xlabel("x / mm")
+    for axis in axes.flat:
         axis.grid(alpha=0.25)
+    for axis in axes[-1]:
+        axis.set_xlabel("x [mm]")
     axes[0][0].set_ylabel("radiance factor")
-    # Notebooks show what a cell returns, and would show an open figure a second time.
-    plt.close(figure)
-    return figure, axes[0]
+    if lower is not None:
+        axes[1][0].set_ylabel(lower)
+    _shown_once(figure)
+    return figure, axes
 
 
 def profile(title: str, x_mm: Array, channels: Mapping[str, Array], std_errors: Mapping[str, Array]) -> Figure:
     """The channels of one profile, with bands of two standard errors."""
-    figure, (axis,) = _panels([title])
+    figure, ((axis,),) = _panels([title])
     for place, (channel, values) in enumerate(channels.items()):
         colour = _colour(channel, place)
-        axis.plot(x_mm, values, color=colour, label=channel, linewidth=1.2)
+        axis.plot(x_mm, values, _style(place), color=colour, label=channel, linewidth=1.2)
         if channel in std_errors:
             error = 2 * std_errors[channel]
             axis.fill_between(x_mm, values - error, values + error, color=colour, alpha=0.2, linewidth=0)
@@ -62,25 +94,38 @@ def profile(title: str, x_mm: Array, channels: Mapping[str, Array], std_errors: 
 
 
 def slabs(material: str, lines: Sequence[Line]) -> Figure:
-    """The profiles of a material, one panel for each thickness."""
+    """The profiles of a material, one panel for each thickness; residuals of fits below."""
     thicknesses = sorted({line.thickness_mm for line in lines})
     channels = list(dict.fromkeys(line.channel for line in lines))
-    figure, axes = _panels([f"{material}, {t:g} mm" for t in thicknesses])
+    has_residuals = any(line.residuals is not None for line in lines)
+    figure, axes = _panels([f"{material}, {t:g} mm" for t in thicknesses], "residual [σ]" if has_residuals else None)
     for line in lines:
-        axis = axes[thicknesses.index(line.thickness_mm)]
-        colour = _colour(line.channel, channels.index(line.channel))
+        column, place = thicknesses.index(line.thickness_mm), channels.index(line.channel)
+        axis, colour = axes[0][column], _colour(line.channel, place)
         if line.points is not None:
             axis.plot(line.x_mm, line.points, ".", color=colour, markersize=2.5, alpha=0.5)
-        axis.plot(line.x_mm, line.values, color=colour, label=line.label, linewidth=1.2)
-    axes[-1].legend(frameon=False)
+        axis.plot(line.x_mm, line.values, _style(place), color=colour, label=line.label, linewidth=1.2)
+        if line.residuals is not None:
+            _residuals(axes[1][column], line, colour)
+    axes[0][-1].legend(frameon=False)
     return figure
+
+
+def _residuals(axis: Any, line: Line, colour: str) -> None:
+    axis.plot(line.x_mm, line.residuals, ".", color=colour, markersize=2.5)
+    if line.left_out is not None and line.residuals is not None and line.left_out.size:
+        x_mm, residuals = line.x_mm[line.left_out], np.clip(line.residuals[line.left_out], -6, 6)
+        axis.plot(x_mm, residuals, "x", color="black", markersize=4)
+    for level in (-2, 2):
+        axis.axhline(level, color="black", linewidth=0.6, linestyle="--")
+    axis.set_ylim(-6, 6)
 
 
 def scale(mu: Array, error: Array, best_mu: float) -> Figure:
     """The aggregate error over the scale factor."""
-    figure, (axis,) = _panels(["aggregate error by the scale factor (Eq. 3)"])
+    figure, ((axis,),) = _panels(["aggregate error by the scale factor (Eq. 3)"])
     axis.plot(mu, error, color="black", linewidth=1.2)
-    axis.axvline(best_mu, color="#c0392b", linewidth=0.8, label=f"μ = {best_mu:.3f}")
+    axis.axvline(best_mu, color="#d55e00", linewidth=0.8, label=f"μ = {best_mu:.3f}")
     axis.set_xlabel("μ")
     axis.set_ylabel("error")
     axis.legend(frameon=False)
@@ -107,7 +152,7 @@ def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) 
     figure, axes = plt.subplots(
         rows, columns, figsize=(3 * columns, 2.6 * rows), sharex=True, sharey=True, squeeze=False, layout="constrained"
     )
-    plt.close(figure)
+    _shown_once(figure)
     least = min(layer.errors.min() for layer in layers)
     norm = LogNorm(least, min(max(layer.errors.max() for layer in layers), 100 * least))
     for axis in axes.flat[len(layers) :]:
@@ -116,7 +161,7 @@ def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) 
     missing = np.maximum(1 - albedo, 1e-6)
     for axis, layer in zip(axes.flat, layers, strict=False):
         mesh = axis.pcolormesh(missing, sigma_t_per_mm, layer.errors, norm=norm, cmap="viridis_r", shading="nearest")
-        axis.plot(max(1 - layer.best.albedo, 1e-6), layer.best.sigma_t_per_mm, "x", color="#c0392b")
+        axis.plot(max(1 - layer.best.albedo, 1e-6), layer.best.sigma_t_per_mm, "x", color="#d55e00")
         if layer.similar is not None:
             similar = layer.similar
             axis.plot(max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm, "o", mfc="none", color="white")
@@ -125,6 +170,6 @@ def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) 
     for axis in axes[-1]:
         axis.set_xlabel("1 − α")
     for axis in axes[:, 0]:
-        axis.set_ylabel("σ_t / (1/mm)")
+        axis.set_ylabel("σ_t [1/mm]")
     figure.colorbar(mesh, ax=axes, label="distance", shrink=0.8)
     return figure

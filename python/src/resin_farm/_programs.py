@@ -12,7 +12,7 @@ import sysconfig
 from collections.abc import Sequence
 from typing import Any
 
-from resin_farm.errors import FarmError
+from resin_farm.errors import FarmError, InvalidArgument
 
 
 def program(name: str) -> str:
@@ -29,7 +29,8 @@ def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[s
     """Runs farmctl and returns the data of its answer.
 
     Raises:
-        FarmError: with the message of farmctl, if it fails.
+        InvalidArgument: if a value is out of its range.
+        FarmError: with the message of farmctl, if it fails otherwise.
     """
     command = [program("farmctl"), "--json", "--quiet", *arguments]
     # Only the arguments select the farm.
@@ -53,6 +54,9 @@ def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[s
     except ValueError:
         raise FarmError(ran.stderr.strip() or f"{' '.join(command)} ended with code {ran.returncode}") from None
     if answer["kind"] == "error":
-        raise FarmError(answer["data"]["message"])
+        error = answer["data"]
+        if "field" in error:
+            raise InvalidArgument(error["message"], {error["field"]: error["allowed"]})
+        raise FarmError(error["message"])
     data: dict[str, Any] = answer["data"]
     return data

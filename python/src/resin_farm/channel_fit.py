@@ -127,6 +127,10 @@ class Curves:
     """Measured values times μ, on the dictionary's pixels."""
     best_record: Array
     refined: Array | None
+    residuals: Array | None = None
+    """Measured less refined values over their standard errors; None without likelihood."""
+    left_out: Array | None = None
+    """Indices of pixels that the likelihood leaves out, such as dust."""
 
 
 @dataclass(frozen=True)

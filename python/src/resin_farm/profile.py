@@ -76,7 +76,7 @@ def simulate(
         seed: seed of the random numbers.
 
     Raises:
-        FarmError: if an argument is not valid; its message names it.
+        InvalidArgument: if an argument is not valid; it names it.
     """
     options: dict[str, Any] = {
         "--sigma-t": sigma_t,

@@ -36,7 +36,7 @@ class ScaleCurve:
         return _plots.scale(self.mu, self.error, self.best_mu)
 
 
-_HEAD = ("material", "ch", "σ_t /mm", "95 %", "α", "95 %", "g", "95 %", "σ_s(1−g)", "95 %", "σ_a", "95 %", "misfit")
+_HEAD = ("material", "ch", "σ_s(1−g)", "95 %", "σ_a", "95 %", "σ_t /mm", "95 %", "α", "95 %", "g", "95 %", "misfit")
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class MaterialFit:
         }
 
     def plot(self) -> Figure:
-        """Measured profiles with their fits; needs curves, which `curves=True` requests."""
+        """Measured profiles with their fits, and residuals below; needs curves, which `curves=True` requests."""
         lines = [
             _plots.Line(
                 curves.thickness_mm,
@@ -117,6 +117,8 @@ class MaterialFit:
                 curves.refined if curves.refined is not None else curves.best_record,
                 f"{fit.channel} fit",
                 curves.measured,
+                curves.residuals,
+                curves.left_out,
             )
             for fit in self.channels
             for curves in fit.curves
@@ -212,13 +214,13 @@ def _wavelength_nm(channel: str) -> float:
 def _row(material: str, fit: ChannelFit) -> list[str]:
     m, n = fit.medium, _display.number
     if fit.refined is None:
-        values = [n(m.sigma_t_per_mm), _display.albedo(m.albedo), n(m.g), n(m.reduced_scattering_per_mm)]
-        cells = [cell for value in [*values, n(m.absorption_per_mm)] for cell in (value, "")]
+        values = [n(m.reduced_scattering_per_mm), n(m.absorption_per_mm), n(m.sigma_t_per_mm)]
+        cells = [cell for value in [*values, _display.albedo(m.albedo), n(m.g)] for cell in (value, "")]
         return [material, fit.channel, *cells, ""]
     r = fit.refined
-    cells = [n(m.sigma_t_per_mm), str(r.sigma_t_per_mm), _display.albedo(m.albedo), str(r.albedo)]
-    cells += [n(m.g), str(r.g), n(m.reduced_scattering_per_mm), str(r.reduced_scattering_per_mm)]
-    cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), f"{r.misfit:.1f}"]
+    cells = [n(m.reduced_scattering_per_mm), str(r.reduced_scattering_per_mm)]
+    cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), n(m.sigma_t_per_mm), str(r.sigma_t_per_mm)]
+    cells += [_display.albedo(m.albedo), str(r.albedo), n(m.g), str(r.g), f"{r.misfit:.1f}"]
     return [material, fit.channel, *cells]
 
 
