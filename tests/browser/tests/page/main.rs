@@ -10,6 +10,7 @@ mod crowd;
 mod entrance;
 mod first_use;
 mod looks;
+mod new_dictionary;
 mod recovery;
 
 use std::path::Path;
