@@ -22,6 +22,8 @@ struct MapLabels {
     /// Labels of the marks of the best node over all maps, and of the best in each map.
     mark_of_all: &'static str,
     mark: &'static str,
+    /// Whether small values are bright.
+    is_low_bright: bool,
 }
 
 pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> {
@@ -30,6 +32,7 @@ pub fn map_figure(material: &str, map: &DistanceMap) -> anyhow::Result<Picture> 
         value: "distance",
         mark_of_all: "best fit",
         mark: "best fit for this g",
+        is_low_bright: true,
     };
     figure(&words, map)
 }
@@ -42,6 +45,7 @@ pub fn noise_figure(dictionary: &str, map: &DistanceMap) -> anyhow::Result<Pictu
         value: "relative standard error",
         mark_of_all: "noisiest",
         mark: "noisiest for this g",
+        is_low_bright: false,
     };
     figure(&words, map)
 }
@@ -52,7 +56,7 @@ fn figure(words: &MapLabels, map: &DistanceMap) -> anyhow::Result<Picture> {
         let n: usize = layer.errors.iter().map(Vec::len).sum();
         ensure!(n == cells, "map for g = {}: {n} distances for {cells} cells", layer.g);
     }
-    let plan = MapPlan::new(map)?;
+    let plan = MapPlan::new(map, words.is_low_bright)?;
     let keys = keys(words, map, &plan.frame(0, 0.0));
     let head = Head::new(&words.title, &keys, plan.width - 2.0 * MARGIN);
     let top = head.height().ceil();
@@ -174,8 +178,8 @@ mod tests {
             let pixel = pixels.pixel(x, y).unwrap();
             Rgb(pixel.red(), pixel.green(), pixel.blue())
         };
-        assert_eq!(colour(4.0, 0.01), Rgb::viridis(0.0), "the smallest distance");
-        assert_eq!(colour(30.0, 0.95), Rgb::viridis(1.0), "the largest distance");
+        assert_eq!(colour(4.0, 0.01), Rgb::viridis(1.0), "the smallest distance");
+        assert_eq!(colour(30.0, 0.95), Rgb::viridis(0.0), "the largest distance");
         // The edges next to the node are at √(2 · 4) and √(4 · 10), at √(0.001 · 0.01) and √(0.01 · 0.1).
         for (sigma_t, co_albedo) in [(2.86, 0.01), (6.29, 0.01), (4.0, 0.0032), (4.0, 0.0314)] {
             assert_eq!(colour(sigma_t, co_albedo), colour(4.0, 0.01));

@@ -143,7 +143,8 @@ class Layer:
 
 
 def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) -> Figure:
-    """One panel for each anisotropy: the best medium as a cross, the similar one as a ring."""
+    """One panel for each anisotropy: the best medium as a ring, that of all panels as a cross, the similar one as a
+    diamond; bright is near."""
     import matplotlib.pyplot as plt
     from matplotlib.colors import LogNorm
 
@@ -161,10 +162,13 @@ def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) 
     missing = np.maximum(1 - albedo, 1e-6)
     for axis, layer in zip(axes.flat, layers, strict=False):
         mesh = axis.pcolormesh(missing, sigma_t_per_mm, layer.errors, norm=norm, cmap="viridis_r", shading="nearest")
-        axis.plot(max(1 - layer.best.albedo, 1e-6), layer.best.sigma_t_per_mm, "x", color="#d55e00")
+        place = max(1 - layer.best.albedo, 1e-6), layer.best.sigma_t_per_mm
+        axis.plot(*place, "o", mfc="none", color="black")
+        if layer.errors.min() == least:
+            axis.plot(*place, "x", color="black")
         if layer.similar is not None:
             similar = layer.similar
-            axis.plot(max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm, "o", mfc="none", color="white")
+            axis.plot(max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm, "D", mfc="none", color="black")
         axis.set(xscale="log", yscale="log", title=layer.title)
         axis.set_ylim(sigma_t_per_mm[0], sigma_t_per_mm[-1])
     for axis in axes[-1]:

@@ -33,7 +33,7 @@ class DistanceMap:
     """The medium that is similar to the best of all, at each g."""
 
     def plot(self) -> Figure:
-        """One panel for each g: the best medium as a cross, the similar one as a ring."""
+        """One panel for each g: its best medium as a ring, that of all as a cross, the similar one as a diamond."""
         layers = [
             _plots.Layer(f"{self.channel}, g = {g:g}", errors, best, similar)
             for g, errors, best, similar in zip(self.g, self.errors, self.best, self.similar, strict=True)

@@ -1,6 +1,7 @@
 // Numbers for axes, sliders and tooltips. Those of answers come as text from the server, with their significant digits.
 export function significant(value: number, digits = 3): string {
-  if (!Number.isFinite(value) || value === 0) return String(value);
+  if (!Number.isFinite(value)) return '–';
+  if (value === 0) return '0';
   const decimals = Math.min(12, Math.max(0, digits - 1 - Math.floor(Math.log10(Math.abs(value)))));
   const text = value.toFixed(decimals);
   return (text.includes('.') ? text.replace(/\.?0+$/, '') : text).replace('-', '−');

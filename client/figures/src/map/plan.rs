@@ -36,13 +36,14 @@ pub(super) struct MapPlan {
     co_albedo: Nodes,
     sigma_t: Nodes,
     colour: Axis,
+    is_low_bright: bool,
     /// Width of the tick labels next to the first column.
     tick_width: f64,
     pub(super) width: f64,
 }
 
 impl MapPlan {
-    pub(super) fn new(map: &DistanceMap) -> anyhow::Result<Self> {
+    pub(super) fn new(map: &DistanceMap, is_low_bright: bool) -> anyhow::Result<Self> {
         let panels = map.layers.len();
         ensure!(panels > 0, "no maps to draw");
         let across = panels.min(MOST_COLUMNS);
@@ -50,7 +51,17 @@ impl MapPlan {
         let co_albedo = Nodes::new(map.albedo.iter().map(|albedo| 1.0 - albedo)).context("albedos")?;
         let sigma_t = Nodes::new(map.sigma_t_per_mm.iter().copied()).context("extinctions")?;
         let colour = colour_axis(map)?;
-        let mut plan = Self { panels, across, size, co_albedo, sigma_t, colour, tick_width: 0.0, width: 0.0 };
+        let mut plan = Self {
+            panels,
+            across,
+            size,
+            co_albedo,
+            sigma_t,
+            colour,
+            is_low_bright,
+            tick_width: 0.0,
+            width: 0.0,
+        };
         plan.tick_width = tick_width(&plan.frame(0, 0.0).y_ticks()).ceil();
         let bar = plan.bar(0.0);
         plan.width = bar.area.right() + tick_width(&bar.y_ticks()) + NAME + MARGIN;
@@ -119,8 +130,14 @@ impl MapPlan {
         pixmap(width, height, |x, y| self.colour_of(layer.errors[rows[y as usize]][columns[x as usize]]))
     }
 
-    fn colour_of(&self, distance: f64) -> Rgb {
-        if distance.is_finite() { Rgb::viridis(self.colour.fraction(distance)) } else { Rgb::NO_DATA }
+    /// What a map looks for is bright: small distances, or noise.
+    fn colour_of(&self, value: f64) -> Rgb {
+        let fraction = self.colour.fraction(value);
+        match value.is_finite() {
+            true if self.is_low_bright => Rgb::viridis(1.0 - fraction),
+            true => Rgb::viridis(fraction),
+            false => Rgb::NO_DATA,
+        }
     }
 
     /// The frame of the colour bar; its vertical axis is the distance.
