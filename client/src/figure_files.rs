@@ -54,13 +54,13 @@ pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<Vec<PathBu
     Ok(paths)
 }
 
-/// One picture per map and material: `FILE.svg`, or `FILE-MATERIAL-CHANNEL.svg` if there are several.
-pub(crate) fn write_maps(maps: &[(&str, &DistanceMap)], path: &Path) -> Result<()> {
+/// One picture per map and material: `FILE.svg`, or `FILE-MATERIAL-CHANNEL.svg` if there are several. Returns the files.
+pub(crate) fn write_maps(maps: &[(&str, &DistanceMap)], path: &Path) -> Result<Vec<PathBuf>> {
     let paths = paths(path, maps.iter().map(|(material, map)| format!("{material}-{}", map.channel)));
-    for ((material, map), path) in maps.iter().zip(paths) {
-        write(&map_figure(material, map)?, &path)?;
+    for ((material, map), path) in maps.iter().zip(&paths) {
+        write(&map_figure(material, map)?, path)?;
     }
-    Ok(())
+    Ok(paths)
 }
 
 /// A line for each picture.

@@ -61,7 +61,11 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         Ok((status, Some(noise)))
     })
     .await?;
-    let described = || text(&status) + &noise.as_ref().map_or_else(String::new, Noise::text);
+    let described = || {
+        text(&status)
+            + &noise.as_ref().map_or_else(String::new, Noise::text)
+            + &figure_files::drawn(&args.plot)
+    };
     output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, described)
 }
 

@@ -57,13 +57,18 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
         map_all(connection, &dictionary, &materials, &options).await
     })
     .await?;
-    if let Some(path) = &args.plot {
-        let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
-        figure_files::write_maps(&maps, path)?;
-    }
+    let pictures = match &args.plot {
+        Some(path) => {
+            let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
+            figure_files::write_maps(&maps, path)?
+        }
+        None => Vec::new(),
+    };
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = MeasurementAnswer { options: used, answer: MapJson { maps: &maps }, notes: &notes };
-    output.print("map", &data, || maps.iter().map(text).collect::<Vec<_>>().join("\n\n"))
+    output.print("map", &data, || {
+        maps.iter().map(text).collect::<Vec<_>>().join("\n\n") + &figure_files::drawn(&pictures)
+    })
 }
 
 /// The requested materials and channels.

@@ -51,7 +51,8 @@ pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
         let text = tag(&data)?;
         write_whole(path, text.as_bytes()).with_context(|| format!("tag {}", path.display()))?;
     }
-    output.print("predict", &data, || text(&data))
+    let written = args.tag.as_ref().map(|path| format!("\nwritten: {} (OpenPrintTag)", path.display()));
+    output.print("predict", &data, || text(&data) + &written.unwrap_or_default())
 }
 
 /// Input of OpenPrintTag's `rec_update.py`. A transmission distance is left out: its unit, HueForge TD, has no public

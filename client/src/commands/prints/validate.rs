@@ -136,7 +136,7 @@ pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
     if let (Some(path), Some(picture)) = (&args.plot, chart_figure(&points)) {
         figure_files::write(&picture, path)?;
     }
-    output.print("validate", &data, || text(&data))
+    output.print("validate", &data, || text(&data) + &figure_files::drawn(&args.plot))
 }
 
 /// A patch with all of its channels.
