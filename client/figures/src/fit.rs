@@ -163,7 +163,7 @@ mod tests {
         figure.channels[0].curves.push(compared(0.5));
         assert!(fit_figure(&figure).unwrap_err().to_string().starts_with("two panels for a channel"));
         figure.channels[0].curves.truncate(1);
-        figure.channels[0].curves[0].candidates[0].gradient.pop();
+        figure.channels[0].curves[0].measured.gradient.pop();
         assert!(fit_figure(&figure).unwrap_err().to_string().contains("360 values and 359 gradients"));
         figure.channels.clear();
         assert_eq!(fit_figure(&figure).unwrap_err().to_string(), "no panels to draw");

@@ -27,7 +27,6 @@ use optics_model::fit::FitSettings;
 use crate::dictionary::sum::dot;
 use crate::dictionary::wide::wide;
 use crate::likelihood::point::{Line, Point, SHARED, SLAB_FLAWS};
-use crate::likelihood::system::unknowns::OF_MEAN;
 use crate::surrogate::responses::LocalResponses;
 use crate::surrogate::thickness::NearThickness;
 use crate::surrogate::{Coordinates, SIGMA_T, Surrogate, add_scaled};
@@ -173,10 +172,11 @@ impl Term {
     }
 
     /// Divides the variances of gain, zero and slope between the profile and its slab: lamps, mounting and stray light
-    /// change photographs of different colours together, but not wholly.
-    pub(crate) fn share_flaws(&mut self) {
+    /// change photographs of different colours together, but not wholly. `part` is the standard deviation of either over
+    /// that of both.
+    pub(crate) fn share_flaws(&mut self, part: f64) {
         for prior in self.priors.iter_mut().filter(|prior| prior.own.of_slab().is_some()) {
-            prior.std_error *= OF_MEAN;
+            prior.std_error *= part;
             prior.slab_std_error = prior.std_error;
         }
     }

@@ -329,7 +329,7 @@ fn derivatives_match_the_model() {
     let medium = [MEDIUM.0.ln(), (1.0 - MEDIUM.1).sqrt(), (1.0 - MEDIUM.2).ln()];
     let (one, media) = (std::slice::from_ref(&data), [medium]);
     let (mut assembly, state) = assemble(one, &[&surrogates[0]], &media, 0.01, Sharing::default());
-    assembly.system.terms[0].share_flaws();
+    assembly.system.terms[0].share_flaws(0.7);
     let term = &assembly.system.terms[0];
     let at = |moved: usize, by: f64| {
         let (mut point, mut own) = (assembly.system.point(0, &state.x), vec![0.3; term.own_count()]);

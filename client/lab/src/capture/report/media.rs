@@ -120,14 +120,14 @@ fn budget(budget: &ErrorBudget) -> String {
         };
         let bar: String = channel.parts.iter().map(part).collect();
         format!(
-            "<tr>{}<td><div class=\"bar\">{bar}</div></td><td class=\"words\">{}</td></tr>\n",
+            "<tr>{}<td class=\"words\">{}<div class=\"bar\">{bar}</div></td></tr>\n",
             cells.concat(),
             escaped(&channel.shares)
         )
     };
     format!(
         "<h3>Error budget of σ_t</h3>\n<div class=\"wide\"><table class=\"text\"><tr><th>channel</th><th>95 %</th>\
-         <th></th><th>shares of the variance</th></tr>\n{}</table></div>\n",
+         <th>shares of the variance</th></tr>\n{}</table></div>\n",
         budget.channels.iter().map(row).collect::<String>(),
     )
 }

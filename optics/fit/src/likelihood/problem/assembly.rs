@@ -167,7 +167,7 @@ pub(crate) fn assemble<'a>(
             let mut term = profile.term(surrogate, *medium);
             let is_shared = others_have(channels, data, profile);
             if is_shared {
-                term.share_flaws();
+                term.share_flaws(OF_MEAN);
             }
             let flaws = builder.flaws(data.material, profile, is_shared);
             let blur = builder.blur(data.name, profile);
