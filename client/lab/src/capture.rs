@@ -20,7 +20,7 @@ pub use board_sheet::board_sheet;
 pub use budget::SessionErrors;
 pub use captured::{Captured, CapturedPart, CapturedSample};
 pub use channels::{CapturedChannel, ends, mean, profiles};
-pub use report::{CaptureReport, Media, PrecisionRow, Simulated, Verdict};
+pub use report::{CaptureReport, MeasureVerdict, Media, PrecisionRow, Simulated};
 pub use results::{FILES, write_folder};
 pub use session_file::CaptureSession;
 pub use session_file::pattern;

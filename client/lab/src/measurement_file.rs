@@ -1,6 +1,6 @@
 //! Reads and writes measurements as tidy CSV: `material,channel,thickness_mm,x_mm,value[,std_error]`, and columns for a
-//! profile's set-up; lines beginning with # are comments. Charts of spectrophotometers are read as CGATS. Common variants of the format are read with a note of each
-//! assumption; ambiguous files are refused.
+//! profile's set-up; lines beginning with # are comments. Charts of spectrophotometers are read as CGATS. Common
+//! variants of the format are read with a note of each assumption; ambiguous files are refused.
 
 mod cgats;
 mod columns;

@@ -9,7 +9,7 @@ use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, S
 use optics_model::{Grid, Scene};
 use serde::Serialize;
 
-use crate::capture::{CaptureReport, Media, Simulated, Verdict};
+use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
 use crate::grid_file::read_grid;
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
@@ -121,7 +121,7 @@ impl SessionFolder {
 /// The answer of a fit as it is printed.
 #[derive(Debug, Default)]
 pub struct ReportedAnswer {
-    pub verdict: Verdict,
+    pub verdict: MeasureVerdict,
     /// One row for each channel, with the cells of [`Media::COLUMNS`].
     pub rows: Vec<Vec<String>>,
     pub text: String,

@@ -3,7 +3,7 @@
 
 use farm_figures::error_budget;
 use farm_figures::numbers::significant;
-use farm_lab::capture::{PrecisionRow, Verdict};
+use farm_lab::capture::{MeasureVerdict, PrecisionRow};
 use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined};
 
 use super::summary::{ChannelSummary, NumberWithInterval, all_remarks};
@@ -13,7 +13,7 @@ use crate::output::{table, warning, wrapped};
 const UNLIKE: f64 = 1.2;
 
 /// The verdict on all fits.
-pub(crate) fn verdict(fits: &[MaterialFit]) -> Verdict {
+pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     let channels = || fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
     let is_known = |r: Option<&Refined>| r.is_some_and(|r| r.resolved_at_g);
     let unknown: Vec<String> = channels()
@@ -36,7 +36,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> Verdict {
             .to_owned()
     });
     let warnings = all_remarks(fits).into_iter().filter(|remark| remark.warning);
-    Verdict {
+    MeasureVerdict {
         sentences: std::iter::once(determined).chain(trade_off).collect(),
         precision: fits.iter().filter_map(precision).collect(),
         warnings: warnings.map(|w| format!("{}: {}", w.about.join(", "), w.text)).collect(),
@@ -45,13 +45,13 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> Verdict {
 }
 
 /// The verdict as lines of text.
-pub(crate) fn verdict_text(verdict: &Verdict) -> String {
+pub(crate) fn verdict_text(verdict: &MeasureVerdict) -> String {
     let mut text = verdict.sentences.iter().map(|s| wrapped(s)).collect::<Vec<_>>().join("\n");
     if !verdict.precision.is_empty() {
         let rows = verdict.precision.iter().map(PrecisionRow::cells);
         text += &format!(
             "\nhalf-widths of the 95 % intervals, median over channels (greatest)\n{}",
-            table(&Verdict::COLUMNS, &[], rows)
+            table(&MeasureVerdict::COLUMNS, &[], rows)
         );
     }
     for warned in &verdict.warnings {

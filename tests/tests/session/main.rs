@@ -111,7 +111,7 @@ fn captured_folder_is_measured_and_reported() {
     assert!(report.contains("photograph above, simulation below") && report.contains("σ_t"));
     assert!(!report.contains("Nothing is fitted yet"));
     // The scene `lab` has priors, which the report shows once, as tables.
-    assert!(report.contains("<td>gel thickness</td><td>white 0.512 mm</td>"));
+    assert!(report.contains("gel thickness</td><td data-name=\"of\">white 0.512 mm</td>"));
     assert_eq!(report.matches("to improve first").count() + report.matches("To improve first").count(), 1);
     let session = std::fs::read_to_string(folder.path().join("white/session.json")).unwrap();
     let session: serde_json::Value = serde_json::from_str(&session).unwrap();

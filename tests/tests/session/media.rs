@@ -53,7 +53,7 @@ struct Trial {
 impl Trial {
     fn normal() -> Self {
         let axes = "g = [0.3, 0.4, 0.5]\nwalks = 100000\n".to_owned();
-        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 1_000_000 }
+        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 4_000_000 }
     }
 
     fn long() -> Self {

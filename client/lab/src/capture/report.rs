@@ -13,7 +13,7 @@ use optics_capture::Warning;
 use serde::{Deserialize, Serialize};
 
 pub use media::{Media, Simulated};
-pub use verdict::{PrecisionRow, Verdict};
+pub use verdict::{MeasureVerdict, PrecisionRow};
 
 use super::captured::{Captured, CapturedPart};
 use crate::page::{escaped, page};

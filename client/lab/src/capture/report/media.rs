@@ -5,12 +5,12 @@ use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
 
 use super::samples::SlabSection;
-use super::verdict::Verdict;
+use super::verdict::MeasureVerdict;
 use super::warning_list;
 use crate::capture::strip::simulated_uri;
 use crate::page::{cards, escaped, named_cell};
 
-/// Files that `measure` writes beside the report, and what to do with them.
+/// Files that `measure` writes next to the report, and what to do with them.
 pub(super) const FILES: &str = "\
 <h2>Files, and what comes next</h2>
 <table class=\"text wrapped\">
@@ -27,7 +27,7 @@ Blender, MaterialX and USD</td></tr>
 /// The parts of the page from `measure`.
 #[derive(Debug)]
 pub struct Media {
-    pub verdict: Verdict,
+    pub verdict: MeasureVerdict,
     /// One row for each channel, with the cells of [`Self::COLUMNS`].
     pub rows: Vec<Vec<String>>,
     /// The answer as it is printed, without estimates of the scene and budget.
@@ -160,7 +160,7 @@ mod tests {
     fn media(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> Media {
         let (figures, simulated) = (Vec::new(), Vec::new());
         Media {
-            verdict: Verdict::default(),
+            verdict: MeasureVerdict::default(),
             rows: rows(),
             text: "σ_t".to_owned(),
             estimates,

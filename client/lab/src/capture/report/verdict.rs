@@ -5,7 +5,7 @@ use crate::page::{cards, escaped};
 
 /// A measurement in words.
 #[derive(Debug, Default)]
-pub struct Verdict {
+pub struct MeasureVerdict {
     pub sentences: Vec<String>,
     pub precision: Vec<PrecisionRow>,
     /// Reasons why numbers may be wrong, each with the channels concerned.
@@ -22,7 +22,7 @@ pub struct PrecisionRow {
     pub half_widths: [String; 4],
 }
 
-impl Verdict {
+impl MeasureVerdict {
     /// Names of the columns of [`PrecisionRow`].
     pub const COLUMNS: [&'static str; 5] = ["material", "σ_s(1−g)", "σ_a", "σ_t", "g"];
 
