@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn map_cells_end_at_geometric_midpoints() {
         let figure = figure(1);
-        let plan = MapPlan::new(&figure).unwrap();
+        let plan = MapPlan::new(&figure, true).unwrap();
         let frame = plan.frame(0, 0.0);
         let pixels = images(&draw(&figure).unwrap()).remove(0);
         let colour = |sigma_t: f64, co_albedo: f64| {
