@@ -13,7 +13,7 @@ from resin_farm.medium import Array, Medium
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which are told apart with all common kinds of colour vision; line styles differ as well.
+# Okabe and Ito's colours, distinct in all common kinds of colour vision; line styles differ as well.
 _COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2"}
 _STYLES = ("-", "--", ":", "-.")
 

@@ -130,7 +130,7 @@ impl MapPlan {
         pixmap(width, height, |x, y| self.colour_of(layer.errors[rows[y as usize]][columns[x as usize]]))
     }
 
-    /// What a map looks for is bright: small distances, or noise.
+    /// Small distances are bright, and so is noise.
     fn colour_of(&self, value: f64) -> Rgb {
         let fraction = self.colour.fraction(value);
         match value.is_finite() {
