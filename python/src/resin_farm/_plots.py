@@ -43,8 +43,7 @@ def _style(place: int) -> str:
 
 
 def _shown_once(figure: Figure) -> None:
-    """Notebooks show what a cell returns, and would show an open figure a second time. In scripts `plt.show()` shows the
-    open ones."""
+    """Notebooks would show an open figure twice; in scripts `plt.show()` shows the open ones."""
     import matplotlib
     import matplotlib.pyplot as plt
 
