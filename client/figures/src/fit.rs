@@ -7,7 +7,7 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
-use crate::drawing::sheet::{Residuals, Sheet, SheetCell};
+use crate::drawing::sheet::{LEFT_OUT, Residuals, Sheet, SheetCell};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 
@@ -15,7 +15,6 @@ const MEASURED: Stroke = Stroke::dots(Rgb::GREY, 2.0);
 const NEIGHBOUR: Stroke = Stroke::solid(Rgb::SKY_BLUE, 0.6);
 const GRID: Stroke = Stroke::solid(Rgb::BLUE, 1.3);
 const REFINED: Stroke = Stroke::solid(Rgb::BLUE, 1.0);
-const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
 
 /// Draws the fits of one material: channels in columns, thicknesses in rows. Below each profile are the residuals of the
 /// likelihood, or the gradients that the paper's distance compares.

@@ -59,7 +59,7 @@ pub(crate) struct Residuals<'a> {
 /// Standard errors within which 95 % of the residuals lie.
 const BAND: f64 = 2.0;
 const RESIDUAL: Stroke = Stroke::dots(Rgb::GREY, 1.6);
-const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
+pub(crate) const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
 const LEVEL: Stroke = Stroke::dashed(Rgb::INK, 0.7, "4 3");
 
 impl Sheet<'_> {

@@ -66,11 +66,10 @@ pub(super) fn drafts(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDra
 }
 
 fn described(table: &CgatsTable, bands: &[(usize, f64)], white: f64, has_errors: bool) -> String {
-    let unit = if white == 1.0 { String::new() } else { format!(", of {white} for white") };
     let errors = if has_errors { "" } else { ", standard errors assumed as 0.001" };
     let (first, last) = (bands[0].1, bands[bands.len() - 1].1);
     format!(
-        "{} of a CGATS table are patches, with reflectances at {} wavelengths from {first} to {last} nm{unit}{errors}",
+        "a CGATS table of {} patches, with reflectances at {} wavelengths from {first} to {last} nm, of {white} for white{errors}",
         table.rows.len(),
         bands.len()
     )

@@ -246,14 +246,12 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound, scene };
         text(&found, &report, inputs.output.as_deref(), &pictures)
     };
+    let summed = verdict(&found.materials);
     let report = match &inputs.folder {
         Some(folder) => {
             let plain = anstream::adapter::strip_str(&answer(false)).to_string();
-            let answer = ReportedAnswer {
-                verdict: verdict(&found.materials),
-                rows: medium_rows(&found.materials),
-                text: plain,
-            };
+            let answer =
+                ReportedAnswer { verdict: summed.clone(), rows: medium_rows(&found.materials), text: plain };
             let completed = folder.complete(&found.materials, found.common.mu, answer)?;
             files::describe(folder.path(), &found, &record)?;
             completed
@@ -268,7 +266,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
                 "written to {}: {report}{WRITTEN}, ro-crate-metadata.json (for archives)",
                 folder.path().display()
             );
-            format!("\n\n{}\n{}", verdict_text(&verdict(&found.materials)), wrapped(&text))
+            format!("\n\n{}\n{}", verdict_text(&summed), wrapped(&text))
         });
         let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
         let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));

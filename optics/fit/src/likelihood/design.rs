@@ -8,7 +8,7 @@ use optics_model::scene::{Prior, Scope};
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
 use crate::likelihood::point::{Line, SHARED};
 use crate::likelihood::system::quantity::Quantity;
-use crate::likelihood::system::unknowns::{OF_MEAN, Unknowns, thickness_prior};
+use crate::likelihood::system::unknowns::{ANYWHERE, OF_MEAN, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::blur;
 use crate::likelihood::term::{Exposed, Term};
@@ -20,8 +20,6 @@ const UNKNOWN: f64 = 10.0;
 /// Standard deviation of a coordinate from which on it counts as undetermined: a factor of e on σ_t, the whole range of
 /// √(1 − α).
 const UNDETERMINED: f64 = 1.0;
-/// The limits of unknowns: none.
-const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
 /// Standard errors of all but the medium.
 #[derive(Debug, Clone)]

@@ -4,7 +4,7 @@ use super::warning_list;
 use crate::page::{cards, escaped};
 
 /// A measurement in words.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct MeasureVerdict {
     pub sentences: Vec<String>,
     pub precision: Vec<PrecisionRow>,
@@ -15,7 +15,7 @@ pub struct MeasureVerdict {
 }
 
 /// How well a material is known.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct PrecisionRow {
     pub material: String,
     /// Half-widths of the 95 % intervals of σ_s(1 − g), σ_a, σ_t and g: the median over channels, and the greatest.

@@ -8,15 +8,15 @@ use optics_model::scene::{Prior, PriorKind, Scope};
 use crate::dictionary::axes::held;
 use crate::likelihood::problem::anisotropies::Anisotropies;
 use crate::likelihood::problem::{ChannelData, ProfileData};
-use crate::likelihood::system::unknowns::{OF_MEAN, SceneUnknown, Unknown, Unknowns, thickness_prior};
+use crate::likelihood::system::unknowns::{
+    ANYWHERE, OF_MEAN, SceneUnknown, Unknown, Unknowns, thickness_prior,
+};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::{OF_SLABS, Own, blur};
 use crate::surrogate::Surrogate;
 
 /// Greatest change of the logarithm of a slab's thickness by a fit.
 const NEAR: f64 = 0.1;
-
-const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 
 /// The unknowns that several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]

@@ -8,6 +8,9 @@ use optics_model::fit::FitSettings;
 /// Ridge, added to the information of every unknown when a step is taken: undetermined unknowns must not make it singular.
 const RIDGE: f64 = 1e-6;
 
+/// The limits of an unknown without limits.
+pub(crate) const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
+
 /// A quantity that profiles share.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Unknown {
