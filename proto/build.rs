@@ -1,10 +1,11 @@
 //! Compiles `proto/farm/v1/*.proto` with protox, so that no `protoc` is needed on the machine.
 
-const FILES: [&str; 6] = [
+const FILES: [&str; 7] = [
     "farm/v1/model.proto",
     "farm/v1/dictionaries.proto",
     "farm/v1/leases.proto",
     "farm/v1/fits.proto",
+    "farm/v1/measurements.proto",
     "farm/v1/farm.proto",
     "farm/v1/admin.proto",
 ];

@@ -16,6 +16,7 @@ use farm_proto::wire::admin_client::AdminClient;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::farm_client::FarmClient;
 use farm_proto::wire::fits_client::FitsClient;
+use farm_proto::wire::measurements_client::MeasurementsClient;
 use farm_proto::{RequestLimits, check_pixels, to_status, wire};
 use optics_model::limits::FitLimits;
 use tokio::task::JoinHandle;
@@ -295,6 +296,11 @@ impl Connection {
     /// limit.
     fn question_pixels(&self) -> usize {
         if self.is_server() { FitLimits::QUESTION_PIXELS } else { usize::MAX }
+    }
+
+    /// A client for kept measurements, whose answers may be as large as those of a measurement.
+    pub(crate) fn measurements(&self) -> MeasurementsClient<Link> {
+        MeasurementsClient::new(self.link.clone()).max_decoding_message_size(usize::MAX)
     }
 
     pub(crate) fn admin(&self) -> AdminClient<Link> {

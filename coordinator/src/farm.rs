@@ -10,6 +10,7 @@ mod fit_cache;
 mod inspection;
 mod leasing;
 mod manage;
+mod measurements;
 mod records;
 mod result_budget;
 mod result_stream;
@@ -43,6 +44,7 @@ pub(crate) use export::Export;
 use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use leasing::{Versions, WorkerEnd};
+pub(crate) use measurements::NewMeasurement;
 use result_budget::ResultBudget;
 pub(crate) use result_stream::{Header, Piece, Refusal};
 use scheduled_backup::LastBackup;
@@ -88,6 +90,12 @@ pub enum FarmError {
     TooMany { whose: &'static str, entries: usize, most: usize },
     #[error("this token has {most} dictionaries already: delete some")]
     ManyDictionaries { most: usize },
+    #[error("this token keeps {most} measurements already: delete some")]
+    ManyMeasurements { most: usize },
+    #[error("measurement {id} does not exist: it may have been deleted")]
+    NoMeasurement { id: String },
+    #[error("measurement {id} belongs to {}: only its owner and admins may change it", owner_of(owner))]
+    OthersMeasurement { id: String, owner: String },
     #[error("reading the backup: {0}")]
     Backup(std::io::Error),
     #[error("the coordinator is stopping")]

@@ -6,6 +6,7 @@ mod farm_status;
 mod fits;
 mod leases;
 mod limits;
+mod measurements;
 mod outgoing;
 mod page;
 mod status;
@@ -20,6 +21,7 @@ use farm_proto::wire::dictionaries_server::DictionariesServer;
 use farm_proto::wire::farm_server::FarmServer;
 use farm_proto::wire::fits_server::FitsServer;
 use farm_proto::wire::leases_server::LeasesServer;
+use farm_proto::wire::measurements_server::MeasurementsServer;
 use farm_proto::{RequestLimits, wire};
 use tokio_util::sync::CancellationToken;
 use tonic::Status;
@@ -143,6 +145,7 @@ async fn services(context: Context, question_limit: usize) -> Routes {
     health.set_serving::<LeasesServer<Context>>().await;
     health.set_serving::<FitsServer<Context>>().await;
     health.set_serving::<FarmServer<Context>>().await;
+    health.set_serving::<MeasurementsServer<Context>>().await;
     health.set_serving::<AdminServer<Context>>().await;
     let descriptors = || {
         tonic_reflection::server::Builder::configure()
@@ -159,6 +162,7 @@ async fn services(context: Context, question_limit: usize) -> Routes {
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FitsServer::new(context.clone()).max_decoding_message_size(question_limit))
+        .add_service(MeasurementsServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(AdminServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(FarmServer::new(context).max_decoding_message_size(limit))
 }

@@ -1,4 +1,4 @@
-//! Stores dictionaries, ended jobs, points and their records, workers and events in an SQLite database.
+//! Stores dictionaries, ended jobs, points and their records, workers, kept measurements and events in an SQLite database.
 //!
 //! One connection writes, a read-only pool reads. A job's records and its end are committed together, with
 //! `synchronous=FULL`, before it is acknowledged.
@@ -17,6 +17,7 @@ mod events;
 pub mod filesystem;
 mod jobs;
 mod ledger;
+mod measurements;
 mod migration;
 mod place;
 mod points;
@@ -40,6 +41,7 @@ use tokio::sync::{RwLock, mpsc};
 pub use data_dir::{ADDRESS_FILE, DataDir};
 pub use events::StoredEvent;
 pub use ledger::{Exclusive, Ledger, LedgerGuard, Shared};
+pub use measurements::StoredMeasurement;
 use place::Place;
 pub use records::{Damaged, Found, JobRecords};
 pub use writer::Commit;

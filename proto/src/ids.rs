@@ -81,6 +81,8 @@ impl RequestLimits {
     pub const PRIORITY: std::ops::RangeInclusive<i32> = -1000..=1000;
     /// Longest label, reason or other text for people that is kept, in bytes.
     pub const TEXT_BYTES: usize = 1000;
+    /// Longest note about a kept measurement, in bytes.
+    pub const NOTE_BYTES: usize = 10_000;
     /// Longest wait for work.
     pub const WAIT_MS: u64 = 30_000;
 }

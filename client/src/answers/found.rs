@@ -27,6 +27,8 @@ pub(crate) struct MeasureAnswer {
     pub(crate) unmixed: Option<Unmixed>,
     /// None of an older coordinator.
     pub(crate) shared_errors: SharedErrors,
+    /// The id under which it is kept; `None` if it is not.
+    pub(crate) kept: Option<String>,
 }
 
 impl TryFrom<MeasureResponse> for MeasureAnswer {
@@ -39,6 +41,7 @@ impl TryFrom<MeasureResponse> for MeasureAnswer {
             materials: answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?,
             unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
             shared_errors: answer.shared_errors.unwrap_or_default().try_into()?,
+            kept: Some(answer.kept_id).filter(|id| !id.is_empty()),
         })
     }
 }

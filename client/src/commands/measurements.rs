@@ -1,7 +1,8 @@
-//! Commands that make, simulate and check measurements.
+//! Commands that make, simulate, check and list measurements.
 
 pub(crate) mod capture;
 pub(crate) mod check;
+pub(crate) mod kept;
 pub(crate) mod simulate;
 
 use std::process::ExitCode;
@@ -18,6 +19,9 @@ pub(crate) enum MeasurementCommand {
     Capture(capture::CaptureArgs),
     /// Check a measurement file: print what is read, and refuse or note what may be wrong.
     Check(check::CheckArgs),
+    /// List, show, annotate or delete the measurements that are kept with the farm.
+    #[command(name = "measurements")]
+    Kept(kept::KeptArgs),
     /// Simulate edge profiles, without a farm.
     Simulate(Box<simulate::SimulateArgs>),
 }
@@ -27,6 +31,7 @@ impl MeasurementCommand {
         match self {
             Self::Capture(args) => return capture::run(global, args, output).await,
             Self::Check(args) => check::run(&args, output)?,
+            Self::Kept(args) => kept::run(global, args, output).await?,
             Self::Simulate(args) => simulate::run(*args, output).await?,
         }
         Ok(ExitCode::SUCCESS)

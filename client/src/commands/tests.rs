@@ -61,6 +61,7 @@ fn answers() -> Vec<String> {
         materials: fits.clone(),
         unmixed: None,
         shared_errors: SharedErrors::default(),
+        kept: None,
     };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
@@ -126,6 +127,7 @@ fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
         materials,
         unmixed: Some(farm_figures::testing::unmixed()),
         shared_errors: SharedErrors::default(),
+        kept: None,
     }
 }
 

@@ -31,7 +31,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
                       frame-ancestors 'self'";
 
 /// Services of the farm that the page may call.
-const FORWARDED: [&str; 4] = ["Dictionaries", "Fits", "Farm", "Admin"];
+const FORWARDED: [&str; 5] = ["Dictionaries", "Fits", "Measurements", "Farm", "Admin"];
 
 #[derive(Debug)]
 pub(super) struct Server {

@@ -16,7 +16,7 @@ pub(crate) struct Inspection {
     /// Jobs whose records are not those that were stored, at two readings.
     pub damaged: Vec<(DictionaryName, u32, String)>,
     pub unreadable: Vec<Unreadable>,
-    /// The faults of the file that SQLite reports.
+    /// The faults of the file that SQLite reports, and damaged measurements.
     pub faults: Vec<String>,
     /// The reason why SQLite could not check the file.
     pub unchecked: Option<String>,
@@ -55,6 +55,10 @@ impl Farm {
         let mut inspection = Inspection::default();
         match self.store.faults().await {
             Ok(faults) => inspection.faults = faults,
+            Err(error) => inspection.unchecked = Some(error.to_string()),
+        }
+        match self.store.damaged_measurements().await {
+            Ok(damaged) => inspection.faults.extend(damaged.iter().map(ToString::to_string)),
             Err(error) => inspection.unchecked = Some(error.to_string()),
         }
         for (name, id, grid) in all {

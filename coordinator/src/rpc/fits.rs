@@ -98,7 +98,9 @@ impl Fits for Context {
 
     async fn measure(&self, request: Request<MeasureRequest>) -> Result<Response<MeasureResponse>, Status> {
         let by = actor(request.extensions());
-        let request = request.into_inner();
+        let mut request = request.into_inner();
+        let keep = request.keep.take();
+        let question = keep.is_some().then(|| request.clone());
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
@@ -109,7 +111,7 @@ impl Fits for Context {
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
         let channels = channels(&materials);
         let most = self.answer_bytes;
-        let question = move |d: &fit::FitDictionary| {
+        let measure = move |d: &fit::FitDictionary| {
             check_answer(d.grid(), &materials, &options, most)?;
             let mut measured = fit::measure(d, &materials, &options, &plan)?;
             let unmixed =
@@ -117,10 +119,10 @@ impl Fits for Context {
             if let Some(unmixed) = &unmixed {
                 unmixed.replace(&mut measured.materials);
             }
-            Ok((measured, unmixed))
+            Ok((measured, unmixed, d.grid().clone()))
         };
-        let (answer, unmixed) = self.ask(&by, &name, &channels, question).await?;
-        Ok(Response::new(MeasureResponse {
+        let (answer, unmixed, grid) = self.ask(&by, &name, &channels, measure).await?;
+        let mut answer = MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.common.mu,
             mu_std_error: answer.common.mu_std_error,
@@ -129,7 +131,12 @@ impl Fits for Context {
             common: Some(answer.common.into()),
             unmixed: unmixed.map(Into::into),
             shared_errors: Some(answer.shared_errors.into()),
-        }))
+            kept_id: String::new(),
+        };
+        if let (Some(keep), Some(question)) = (keep, question) {
+            answer.kept_id = self.keep(&by, keep, question, &answer, &grid).await?;
+        }
+        Ok(Response::new(answer))
     }
 
     async fn design(&self, request: Request<DesignRequest>) -> Result<Response<DesignResponse>, Status> {

@@ -13,14 +13,15 @@ impl From<FarmError> for Status {
             FarmError::Invalid(invalid) => return to_status(invalid),
             FarmError::NotFound { .. }
             | FarmError::Deleted { .. }
+            | FarmError::NoMeasurement { .. }
             | FarmError::Worker { .. }
             | FarmError::Dispatch(DispatchError::UnknownJob(_)) => Code::NotFound,
             FarmError::NameTaken { .. } => Code::AlreadyExists,
             // Not UNAUTHENTICATED, which is about tokens: the remedy is to register again.
             FarmError::Dispatch(DispatchError::UnknownWorker(_)) => Code::Aborted,
-            FarmError::NotYours { .. } | FarmError::Dispatch(DispatchError::Fenced(_)) => {
-                Code::PermissionDenied
-            }
+            FarmError::NotYours { .. }
+            | FarmError::OthersMeasurement { .. }
+            | FarmError::Dispatch(DispatchError::Fenced(_)) => Code::PermissionDenied,
             FarmError::Dispatch(DispatchError::LeaseLost { .. })
             | FarmError::NotComplete { .. }
             | FarmError::WrongState { .. }
@@ -30,6 +31,7 @@ impl From<FarmError> for Status {
             FarmError::TooLarge { .. }
             | FarmError::TooMany { .. }
             | FarmError::ManyDictionaries { .. }
+            | FarmError::ManyMeasurements { .. }
             | FarmError::Dispatch(DispatchError::ManyWorkers { .. }) => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {

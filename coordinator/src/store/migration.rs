@@ -19,13 +19,14 @@ macro_rules! migration {
 }
 
 /// All files of `migrations`, in order: `NUMBER_DESCRIPTION` and its SQL.
-const MIGRATIONS: [(&str, &str); 6] = [
+const MIGRATIONS: [(&str, &str); 7] = [
     migration!("0001_dictionaries_jobs_records"),
     migration!("0002_points_workers_events"),
     migration!("0003_digests_of_sums"),
     migration!("0004_machines_votes_and_what_is_set_aside"),
     migration!("0005_owners_and_who_did_what"),
     migration!("0006_errors_in_bytes"),
+    migration!("0007_measurements"),
 ];
 
 const WHAT: &str = "moving records to the present schema";

@@ -3,6 +3,7 @@ mod blocks;
 mod checks;
 mod damage;
 mod damaged_backup;
+mod measurements;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;

@@ -8,7 +8,7 @@ const NAME_BYTES: usize = 256;
 /// coordinator keeps one line.
 const NOTE_BYTES: usize = 64 << 10;
 /// Fields with texts for people.
-const NOTES: [&str; 5] = ["kernel", "label", "log", "reason", "version"];
+const NOTES: [&str; 8] = ["command", "kernel", "label", "log", "note", "reason", "source", "version"];
 
 /// Whether a character is displayed as it is: it is neither a control character nor hidden, and does not change the
 /// direction of the text after it.

@@ -1,7 +1,7 @@
 //! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
 //! folder of a session.
 
-mod files;
+pub(crate) mod files;
 #[cfg(test)]
 mod tests;
 
@@ -16,7 +16,7 @@ use farm_lab::set_up::SetUp;
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{GetRequest, MeasureRequest};
+use farm_proto::wire::{GetRequest, Keep, MeasureRequest};
 use optics_model::fit::{
     Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
@@ -36,6 +36,7 @@ use crate::connection::{Purpose, patient, with_farm};
 use crate::figure_files;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, warning, wrapped};
+use crate::slurm::shell_quoted;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -89,6 +90,9 @@ pub(crate) struct MeasureArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long)]
     bound: bool,
+    /// Keep question and answer with the farm, for `farmctl measurements` and the page.
+    #[arg(long, value_name = "TITLE", num_args = 0..=1, require_equals = true, default_missing_value = "")]
+    keep: Option<String>,
     /// Write a folder with table.csv, media.json for `farmctl predict`, uncertainty.html, and media for Mitsuba 3, pbrt-v4,
     /// Blender, MaterialX and USD.
     #[arg(long, short, value_name = "DIR")]
@@ -112,6 +116,7 @@ impl MeasureArgs {
             free_g: false,
             g_change: None,
             bound: false,
+            keep: None,
             output: None,
             plot: None,
         }
@@ -135,6 +140,7 @@ pub(crate) struct Inputs {
     own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
+    keep: Option<Keep>,
     output: Option<PathBuf>,
     plot: Option<PathBuf>,
 }
@@ -158,6 +164,7 @@ impl Inputs {
         check_objective(options.objective(), &args, folder.is_some())?;
         chosen_dictionary::check(args.options.dictionary.as_ref())?;
         args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+        let keep = args.keep.map(|title| kept_as(title, &args.measurements));
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
                 let (name, grid) = folder.dictionary()?;
@@ -177,10 +184,18 @@ impl Inputs {
             own,
             mixtures: args.mixtures,
             bound: args.bound,
+            keep,
             output: args.output,
             plot: args.plot,
         })
     }
+}
+
+/// Texts of a measurement that is kept: its file, and this command line.
+fn kept_as(title: String, measurements: &Path) -> Keep {
+    let arguments = std::env::args().skip(1).map(|argument| shell_quoted(&argument));
+    let command = std::iter::once("farmctl".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ");
+    Keep { title, note: String::new(), source: measurements.display().to_string(), command }
 }
 
 /// Refuses the paper's objective where media or intervals are required: it gives the best records only.
@@ -201,6 +216,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let MeasurementFile { materials, mut notes } = output.read_measurements(&inputs.measurements)?;
     let assumed = inputs.set_up.assumed(&materials);
     let materials = inputs.set_up.apply_to(materials)?;
+    let is_kept = inputs.keep.is_some();
     let request = MeasureRequest {
         dictionary: String::new(),
         materials: materials.iter().map(Into::into).collect(),
@@ -208,6 +224,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         search_mu: inputs.search_mu.map(Into::into),
         common_g: inputs.common_g,
         g_change: inputs.g_change,
+        keep: inputs.keep,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
     };
     let session = match &inputs.folder {
@@ -221,6 +238,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     notes.extend(note);
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!("the coordinator is too old to fit mixtures: upgrade it");
+    }
+    if is_kept && found.kept.is_none() {
+        bail!("the coordinator is too old to keep measurements: upgrade it, or leave --keep out");
     }
     let pictures = match &inputs.plot {
         Some(path) => figure_files::write_fits(&found.materials, path)?,
@@ -364,7 +384,12 @@ fn announce(global: &Global, wanted: &WantedDictionary) {
     }
 }
 
-fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictures: &[PathBuf]) -> String {
+pub(crate) fn text(
+    found: &MeasureAnswer,
+    report: &FitsReport,
+    folder: Option<&Path>,
+    pictures: &[PathBuf],
+) -> String {
     let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
     if let Some(unmixed) = &found.unmixed {
         text += &format!("\n\n{}", inks_text(unmixed));
@@ -373,6 +398,9 @@ fn text(found: &MeasureAnswer, report: &FitsReport, folder: Option<&Path>, pictu
         text += &format!("\n{}", warning(&wrapped(&line)));
     }
     text += &figure_files::drawn(pictures);
+    if let Some(id) = &found.kept {
+        text += &format!("\nkept: `farmctl measurements show {id}`");
+    }
     if let Some(folder) = folder {
         text += &format!("\n{}", wrapped(&format!("written to {}: {WRITTEN}", folder.display())));
     }
@@ -398,6 +426,9 @@ pub(crate) fn data<'a>(
         notes: &'a [Note],
         #[serde(skip_serializing_if = "Option::is_none")]
         unmixed: Option<&'a Unmixed>,
+        /// Id of the kept measurement.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        kept: Option<&'a str>,
     }
     MeasureJson {
         options,
@@ -407,5 +438,6 @@ pub(crate) fn data<'a>(
         materials: &found.materials,
         notes,
         unmixed: found.unmixed.as_ref(),
+        kept: found.kept.as_deref(),
     }
 }

@@ -13,7 +13,7 @@ use crate::answers::{MeasureAnswer, media_files};
 use crate::output::{now_unix_s, utc, write_whole};
 
 /// Writes table and media for renderers.
-pub(super) fn write_renderers(folder: &Path, found: &MeasureAnswer) -> Result<()> {
+pub(crate) fn write_renderers(folder: &Path, found: &MeasureAnswer) -> Result<()> {
     std::fs::create_dir_all(folder)?;
     for (name, text) in media_files(&found.materials)? {
         write_whole(&folder.join(name), text.as_bytes()).context(name)?;
@@ -22,7 +22,7 @@ pub(super) fn write_renderers(folder: &Path, found: &MeasureAnswer) -> Result<()
 }
 
 /// Writes the media with their covariance, and the statement of uncertainty.
-pub(super) fn write_media(
+pub(crate) fn write_media(
     folder: &Path,
     found: &MeasureAnswer,
     (dictionary, grid): (&str, &Grid),

@@ -1,0 +1,230 @@
+//! Implements `farmctl measurements`: lists, shows, annotates and deletes the measurements that are kept with the farm.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use clap::{Args, Subcommand};
+use farm_lab::record::SessionRecord;
+use farm_lab::set_up::SetUp;
+use farm_proto::wire::{
+    AnnotateMeasurementRequest, DeleteMeasurementRequest, GetMeasurementRequest, KeptMeasurement,
+    ListMeasurementsRequest, MeasureRequest, MeasurementSummary,
+};
+use optics_model::fit::FitOptions;
+use optics_model::{Grid, Measurement};
+use serde::Serialize;
+use serde_json::json;
+
+use crate::answers::{FitsReport, MeasureAnswer, UsedOptions};
+use crate::cli::Global;
+use crate::commands::fits::measure::{self, files};
+use crate::connection::{Connection, Purpose, with_farm};
+use crate::output::{Output, table, utc};
+
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  farmctl measure white.csv --keep='white, second print'
+  farmctl measurements                                    the newest first
+  farmctl measurements show 3f2a9c0d11e08b47
+  farmctl measurements show 3f2a9c0d11e08b47 -o media     with the files that `measure -o` writes
+  farmctl measurements annotate 3f2a9c0d11e08b47 --note 'slab 2 had a scratch'")]
+pub(crate) struct KeptArgs {
+    #[command(subcommand)]
+    command: Option<KeptCommand>,
+}
+
+#[derive(Debug, Subcommand)]
+enum KeptCommand {
+    /// List them, the newest first.
+    List(KeptListArgs),
+    /// Print one as `farmctl measure` did.
+    Show(KeptShowArgs),
+    /// Change title or note.
+    Annotate(KeptNoteArgs),
+    /// Delete one.
+    Delete(KeptIdArgs),
+}
+
+/// Number of listed measurements.
+const USUAL_NUMBER: u32 = 20;
+
+#[derive(Debug, Args)]
+struct KeptIdArgs {
+    /// As `farmctl measurements` lists it.
+    id: String,
+}
+
+#[derive(Debug, Args)]
+struct KeptListArgs {
+    /// Number of measurements.
+    #[arg(long, value_name = "N", default_value_t = USUAL_NUMBER, value_parser = clap::value_parser!(u32).range(1..))]
+    most: u32,
+}
+
+#[derive(Debug, Args)]
+struct KeptShowArgs {
+    #[command(flatten)]
+    kept: KeptIdArgs,
+    /// Write a folder with table, media and statement of uncertainty, as `farmctl measure -o` does.
+    #[arg(long, short, value_name = "DIR")]
+    output: Option<PathBuf>,
+}
+
+#[derive(Debug, Args)]
+struct KeptNoteArgs {
+    #[command(flatten)]
+    kept: KeptIdArgs,
+    /// New title, one line.
+    #[arg(long, value_name = "TEXT", required_unless_present = "note")]
+    title: Option<String>,
+    /// New note, which may have several lines; empty for none.
+    #[arg(long, value_name = "TEXT")]
+    note: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct KeptJson {
+    id: String,
+    kept: String,
+    owner: String,
+    title: String,
+    note: String,
+    source: String,
+    command: String,
+    dictionary: String,
+    materials: Vec<String>,
+    channels: u32,
+}
+
+impl From<MeasurementSummary> for KeptJson {
+    fn from(kept: MeasurementSummary) -> Self {
+        let MeasurementSummary {
+            id,
+            kept_unix_ms,
+            owner,
+            title,
+            note,
+            source,
+            command,
+            dictionary,
+            materials,
+            channels,
+        } = kept;
+        let kept = utc(kept_unix_ms);
+        Self { id, kept, owner, title, note, source, command, dictionary, materials, channels }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct KeptListJson {
+    measurements: Vec<KeptJson>,
+}
+
+pub(crate) async fn run(global: &Global, args: KeptArgs, output: &Output) -> Result<()> {
+    let command = args.command.unwrap_or(KeptCommand::List(KeptListArgs { most: USUAL_NUMBER }));
+    with_farm(global, Purpose::Ask, async |connection| match &command {
+        KeptCommand::List(args) => {
+            let data = KeptListJson { measurements: newest(connection, args.most as usize).await? };
+            output.print("measurements", &data, || list_text(&data.measurements))
+        }
+        KeptCommand::Show(args) => show(get(connection, &args.kept).await?, args.output.as_deref(), output),
+        KeptCommand::Annotate(args) => {
+            let data = annotate(connection, args).await?;
+            output.print("measurement", &data, || head(&data))
+        }
+        KeptCommand::Delete(KeptIdArgs { id }) => {
+            connection.measurements().delete(DeleteMeasurementRequest { id: id.clone() }).await?;
+            output.print("measurement_deleted", &json!({ "id": id }), || format!("deleted: measurement {id}"))
+        }
+    })
+    .await
+}
+
+async fn get(connection: &Connection, kept: &KeptIdArgs) -> Result<KeptMeasurement> {
+    let request = GetMeasurementRequest { id: kept.id.clone() };
+    Ok(connection.measurements().get(request).await?.into_inner())
+}
+
+async fn annotate(connection: &Connection, args: &KeptNoteArgs) -> Result<KeptJson> {
+    let before = get(connection, &args.kept).await?.summary.unwrap_or_default();
+    let changed = AnnotateMeasurementRequest {
+        id: before.id,
+        title: args.title.clone().unwrap_or(before.title),
+        note: args.note.clone().unwrap_or(before.note),
+    };
+    Ok(connection.measurements().annotate(changed).await?.into_inner().into())
+}
+
+/// The newest measurements.
+async fn newest(connection: &Connection, most: usize) -> Result<Vec<KeptJson>> {
+    let (mut all, mut page_token) = (Vec::new(), String::new());
+    while all.len() < most {
+        let page_size = (most - all.len()) as u32;
+        let request = ListMeasurementsRequest { page_size, page_token };
+        let page = connection.measurements().list(request).await?.into_inner();
+        all.extend(page.measurements.into_iter().map(KeptJson::from));
+        page_token = page.next_page_token;
+        if page_token.is_empty() {
+            break;
+        }
+    }
+    Ok(all)
+}
+
+fn list_text(all: &[KeptJson]) -> String {
+    if all.is_empty() {
+        return "no measurement is kept yet: `farmctl measure FILE --keep` and the page of `farmctl web` keep them"
+            .to_owned();
+    }
+    let rows = all.iter().map(|kept| {
+        let KeptJson { id, kept, owner, title, dictionary, channels, .. } = kept;
+        [id, kept, owner, title, dictionary]
+            .map(Clone::clone)
+            .into_iter()
+            .chain([channels.to_string()])
+            .collect()
+    });
+    table(&["id", "kept", "owner", "title", "dictionary", "channels"], &[5], rows)
+}
+
+fn head(kept: &KeptJson) -> String {
+    let KeptJson { id, title, note, command, .. } = kept;
+    let by = if kept.owner.is_empty() { String::new() } else { format!(" by {}", kept.owner) };
+    let mut text = format!("{title}\nmeasurement {id}, kept {}{by}", kept.kept);
+    for line in note.lines().chain((!command.is_empty()).then_some(command.as_str())) {
+        text += &format!("\n  {line}");
+    }
+    text
+}
+
+fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result<()> {
+    let summary = KeptJson::from(kept.summary.context("the coordinator sent no summary")?);
+    let (request, answer, grid) = (kept.request, kept.answer, kept.grid);
+    let MeasureRequest { materials, options, .. } = request.context("the coordinator sent no question")?;
+    let found = MeasureAnswer::try_from(answer.context("the coordinator sent no answer")?)?;
+    let grid = Grid::try_from(grid.context("the coordinator sent no grid")?)?;
+    let options = FitOptions::try_from(options.unwrap_or_default())?;
+    let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
+    let materials: Vec<Measurement> =
+        materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
+    let assumed = SetUp::default().assumed(&materials);
+    if let Some(folder) = folder {
+        files::write_renderers(folder, &found)
+            .and_then(|()| {
+                let record = SessionRecord::default();
+                files::write_media(folder, &found, (&summary.dictionary, &grid), &record)
+            })
+            .with_context(|| format!("writing {}", folder.display()))?;
+    }
+    let used = UsedOptions::new(&summary.dictionary, &options, &assumed);
+    output.print("measure", &measure::data(used, &found, &[]), || {
+        let report = FitsReport {
+            fits: &found.materials,
+            assumed: assumed.text(options.settings()),
+            bound: false,
+            scene: true,
+        };
+        format!("{}\n\n{}", head(&summary), measure::text(&found, &report, folder, &[]))
+    })
+}

@@ -1,0 +1,169 @@
+//! Stores and reads kept measurements (table `measurements`). Their content is opaque here; a digest finds damage.
+
+use optics_model::Digest;
+
+use super::{Result, Store, StoreError, doing};
+
+/// A kept measurement without its content.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredMeasurement {
+    /// Its place in the list: the newest has the greatest number. The store assigns it.
+    pub number: i64,
+    pub id: String,
+    pub kept_unix_ms: i64,
+    pub owner: String,
+    pub title: String,
+    pub note: String,
+    pub source: String,
+    pub command: String,
+    pub dictionary: String,
+    /// One name per line.
+    pub materials: String,
+    pub channels: i64,
+}
+
+from_row!(StoredMeasurement {
+    number,
+    id,
+    kept_unix_ms,
+    owner,
+    title,
+    note,
+    source,
+    command,
+    dictionary,
+    materials,
+    channels
+});
+
+struct ContentRow {
+    number: i64,
+    content: Vec<u8>,
+    content_digest: Vec<u8>,
+}
+
+from_row!(ContentRow { number, content, content_digest });
+
+impl ContentRow {
+    fn checked(self) -> Result<Vec<u8>> {
+        if Digest::of_bytes(&self.content).as_bytes()[..] == self.content_digest[..] {
+            return Ok(self.content);
+        }
+        let why = "it is not the one that was stored: its digest differs".to_owned();
+        Err(StoreError::Corrupt { table: "measurements", row: self.number, column: "content", why })
+    }
+}
+
+const WHAT: &str = "storing a measurement";
+const READING: &str = "reading the kept measurements";
+
+impl Store {
+    /// Keeps a measurement as the newest one, in the place of one with the same id, whose title and note stay where the new
+    /// ones are empty. A new one without a title has its materials as title.
+    pub async fn keep_measurement(&self, kept: &StoredMeasurement, content: &[u8]) -> Result<()> {
+        let mut tx = self.begin().await?;
+        let before: Option<(String, String)> =
+            sqlx::query_as("DELETE FROM measurements WHERE id = ? RETURNING title, note")
+                .bind(&kept.id)
+                .fetch_optional(&mut *tx)
+                .await
+                .map_err(doing(WHAT))?;
+        let (title, note) = before.unwrap_or_else(|| (kept.materials.replace('\n', ", "), String::new()));
+        sqlx::query(
+            "INSERT INTO measurements (id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, \
+             channels, content, content_digest) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(&kept.id)
+        .bind(kept.kept_unix_ms)
+        .bind(&kept.owner)
+        .bind(if kept.title.is_empty() { &title } else { &kept.title })
+        .bind(if kept.note.is_empty() { &note } else { &kept.note })
+        .bind(&kept.source)
+        .bind(&kept.command)
+        .bind(&kept.dictionary)
+        .bind(&kept.materials)
+        .bind(kept.channels)
+        .bind(content)
+        .bind(&Digest::of_bytes(content).as_bytes()[..])
+        .execute(&mut *tx)
+        .await
+        .map_err(doing(WHAT))?;
+        tx.commit().await.map_err(doing(WHAT))
+    }
+
+    /// Measurements with smaller numbers than this, the newest first.
+    pub async fn measurements_before(&self, number: i64, most: u32) -> Result<Vec<StoredMeasurement>> {
+        sqlx::query_as(
+            "SELECT number, id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, channels \
+             FROM measurements WHERE number < ? ORDER BY number DESC LIMIT ?",
+        )
+        .bind(number)
+        .bind(most)
+        .fetch_all(&self.read)
+        .await
+        .map_err(doing(READING))
+    }
+
+    pub async fn measurement(&self, id: &str) -> Result<Option<StoredMeasurement>> {
+        sqlx::query_as(
+            "SELECT number, id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, channels \
+             FROM measurements WHERE id = ?",
+        )
+        .bind(id)
+        .fetch_optional(&self.read)
+        .await
+        .map_err(doing(READING))
+    }
+
+    /// The content of a measurement, compared with its digest.
+    pub async fn measurement_content(&self, id: &str) -> Result<Option<Vec<u8>>> {
+        let row: Option<ContentRow> =
+            sqlx::query_as("SELECT number, content, content_digest FROM measurements WHERE id = ?")
+                .bind(id)
+                .fetch_optional(&self.read)
+                .await
+                .map_err(doing(READING))?;
+        row.map(ContentRow::checked).transpose()
+    }
+
+    /// Number of measurements that an owner keeps.
+    pub async fn measurements_of(&self, owner: &str) -> Result<usize> {
+        let (count,): (i64,) = sqlx::query_as("SELECT count(*) FROM measurements WHERE owner = ?")
+            .bind(owner)
+            .fetch_one(&self.read)
+            .await
+            .map_err(doing(READING))?;
+        Ok(count as usize)
+    }
+
+    pub async fn annotate_measurement(&self, id: &str, title: &str, note: &str) -> Result<()> {
+        sqlx::query("UPDATE measurements SET title = ?, note = ? WHERE id = ?")
+            .bind(title)
+            .bind(note)
+            .bind(id)
+            .execute(self.writer()?)
+            .await
+            .map_err(doing("annotating a measurement"))?;
+        Ok(())
+    }
+
+    pub async fn delete_measurement(&self, id: &str) -> Result<()> {
+        sqlx::query("DELETE FROM measurements WHERE id = ?")
+            .bind(id)
+            .execute(self.writer()?)
+            .await
+            .map_err(doing("deleting a measurement"))?;
+        Ok(())
+    }
+
+    /// Errors of the measurements whose content is damaged.
+    pub async fn damaged_measurements(&self) -> Result<Vec<StoreError>> {
+        let mut damaged = Vec::new();
+        let mut before = i64::MAX;
+        while let Some(kept) = self.measurements_before(before, 1).await?.pop() {
+            before = kept.number;
+            damaged.extend(self.measurement_content(&kept.id).await.err());
+        }
+        Ok(damaged)
+    }
+}
