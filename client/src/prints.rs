@@ -1,6 +1,7 @@
-//! Predicts how prints of measured media look: for the verbs about prints, and for the page.
+//! Predicts how prints of measured media look, and compares media: for the verbs about prints, and for the page.
 
 pub(crate) mod bases;
+pub(crate) mod comparison;
 pub(crate) mod errors;
 pub(crate) mod geometry;
 pub(crate) mod prediction;

@@ -6,6 +6,7 @@
 mod assets;
 mod behind;
 mod browser;
+mod capture_run;
 mod captures;
 mod desk;
 mod farm;
@@ -30,6 +31,7 @@ use crate::interrupt::interrupted;
 use crate::output::Output;
 use crate::slurm::shell_quoted;
 use behind::Url;
+use capture_run::CaptureRun;
 use captures::Captures;
 use desk::DeskService;
 use farm::FarmAccess;
@@ -93,7 +95,7 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     let server = Server {
         gate: Arc::new(gate),
         farm: Arc::clone(&farm),
-        desk: Arc::new(DeskService { about, captures }),
+        desk: Arc::new(DeskService { about, captures: Arc::new(captures), run: CaptureRun::default() }),
     };
     output.print("web", &WebJson { url: url.clone() }, || {
         format!("the page is at {url}\nwhoever has this address may do what farmctl may; Ctrl-C ends it")

@@ -9,7 +9,9 @@ use optics_model::invalid::each;
 use serde::Deserialize;
 
 use crate::grid_file::{from_toml, read_text};
-use crate::measurement_file::normal;
+use crate::measurement_file::{normal, plain};
+
+const WHAT: &str = "mixture file";
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -28,9 +30,17 @@ struct MixtureEntry {
 
 /// Reads and checks a file of mixtures.
 pub fn read_mixtures(path: &Path) -> Result<Mixtures> {
-    let what = "mixture file";
-    let file: File = from_toml(&read_text(path, what)?, path, what)?;
-    mixtures(file).with_context(|| format!("{what} {}", path.display()))
+    mixtures_of(&read_text(path, WHAT)?, path)
+}
+
+/// Reads and checks the bytes of a file of mixtures.
+pub fn mixtures_in(bytes: &[u8], name: &Path) -> Result<Mixtures> {
+    mixtures_of(&plain(bytes).with_context(|| format!("{WHAT} {}", name.display()))?, name)
+}
+
+fn mixtures_of(text: &str, path: &Path) -> Result<Mixtures> {
+    let file: File = from_toml(text, path, WHAT)?;
+    mixtures(file).with_context(|| format!("{WHAT} {}", path.display()))
 }
 
 fn mixtures(file: File) -> optics_model::Result<Mixtures> {

@@ -1,10 +1,13 @@
-//! Serves the reports in folders that `farmctl capture` has written.
+//! Lists the folders that `farmctl capture` has written and the session files from which it can make more; serves their
+//! reports.
 
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use axum::http::StatusCode;
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
+use farm_lab::capture::CaptureSession;
 use rustix::fs::OFlags;
 use tokio::io::AsyncReadExt as _;
 use tonic::Status;
@@ -20,9 +23,14 @@ const LARGEST: u64 = 256 << 20;
 const POLICY: &str = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; \
      frame-ancestors 'self'";
 
+/// How deep folders are searched for session files, and how many files are looked at.
+const DEPTH: usize = 3;
+const MOST_FILES: usize = 10_000;
+
 #[derive(Debug)]
 pub(super) struct Captures {
-    folders: Vec<PathBuf>,
+    /// A folder keeps its place, which is in the addresses of its files.
+    folders: Mutex<Vec<PathBuf>>,
 }
 
 impl Captures {
@@ -42,7 +50,7 @@ impl Captures {
             folders = here.filter(|folder| is_capture(folder)).collect();
             folders.sort();
         }
-        Ok(Self { folders })
+        Ok(Self { folders: Mutex::new(folders) })
     }
 
     pub fn list(&self) -> Vec<Capture> {
@@ -50,16 +58,30 @@ impl Captures {
             folder: shown(folder),
             report: format!("captures/{number}/report.html"),
         };
-        self.folders.iter().enumerate().map(capture).collect()
+        self.folders().iter().enumerate().map(capture).collect()
+    }
+
+    /// Adds a folder that was written since, and returns its name in `list`.
+    pub fn add(&self, folder: PathBuf) -> String {
+        let name = shown(&folder);
+        let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
+        if folders.iter().all(|known| shown(known) != name) {
+            folders.push(folder);
+        }
+        name
+    }
+
+    fn folders(&self) -> Vec<PathBuf> {
+        self.folders.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// The folder of a capture by its name in `list`.
     pub fn folder(&self, name: &str) -> Result<PathBuf, Status> {
-        let found = self.folders.iter().find(|folder| shown(folder) == name);
+        let found = self.folders().into_iter().find(|folder| shown(folder) == name);
         let folder = found
             .ok_or_else(|| Status::not_found(format!("capture = {name:?}: this page has no such folder")))?;
-        match link_in(folder) {
-            None => Ok(folder.clone()),
+        match link_in(&folder) {
+            None => Ok(folder),
             Some(link) => Err(Status::failed_precondition(format!(
                 "capture = {name:?}: {} is a link, which the page does not follow: put the file itself there",
                 link.display()
@@ -69,7 +91,7 @@ impl Captures {
 
     /// A file of a capture; `None` if it does not exist.
     pub async fn file(&self, number: &str, name: &str) -> Option<Response> {
-        let folder = self.folders.get(number.parse::<usize>().ok()?)?;
+        let folder = self.folders().into_iter().nth(number.parse::<usize>().ok()?)?;
         let kind = kind(name)?;
         let file = open_own(&folder.join(name)).await?;
         let mut bytes = Vec::new();
@@ -79,6 +101,29 @@ impl Captures {
             Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
         })
     }
+}
+
+/// The session files below the working directory, in alphabetical order. Links are not followed.
+pub(super) fn session_files() -> Vec<PathBuf> {
+    let walk = toml_files(Path::new("."), DEPTH);
+    let mut found: Vec<PathBuf> = walk.into_iter().filter(|path| CaptureSession::is_at(path)).collect();
+    found.sort();
+    found
+}
+
+/// TOML files below a folder, without the "./" of the working directory.
+fn toml_files(folder: &Path, depth: usize) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten().take(MOST_FILES) {
+        let (Ok(kind), path) = (entry.file_type(), entry.path()) else { continue };
+        let hidden = entry.file_name().to_string_lossy().starts_with('.');
+        if kind.is_dir() && depth > 0 && !hidden {
+            found.extend(toml_files(&path, depth - 1));
+        } else if kind.is_file() && path.extension().is_some_and(|e| e == "toml") {
+            found.push(path.strip_prefix(".").map_or(path.clone(), Path::to_owned));
+        }
+    }
+    found
 }
 
 /// Opens a file up to the size limit. Links are not followed: otherwise a user who may write to the folder could read
@@ -146,10 +191,10 @@ mod tests {
         assert_eq!([".", "./a", "a/b"].map(|folder| shown(Path::new(folder))), [".", "a", "a/b"]);
         let report = captures.file("0", "report.html").await.unwrap();
         assert_eq!(report.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
-        std::os::unix::fs::symlink("../secret.json", captures.folders[0].join("link.json")).unwrap();
+        std::os::unix::fs::symlink("../secret.json", captures.folders()[0].join("link.json")).unwrap();
         rustix::fs::mknodat(
             rustix::fs::CWD,
-            captures.folders[0].join("pipe.json"),
+            captures.folders()[0].join("pipe.json"),
             rustix::fs::FileType::Fifo,
             0o600.into(),
             0,

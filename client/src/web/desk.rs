@@ -1,11 +1,13 @@
 //! Answers the page's calls to `farmctl web` itself: reads and writes files like the other verbs.
 
 mod colours;
+mod comparison;
 mod prints;
 mod session;
 mod tables;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail};
 use farm_figures::estimates::{self, estimate_rows};
@@ -13,6 +15,7 @@ use farm_figures::{Picture, error_budget, fit_figure, map_figure, profile_figure
 use farm_proto::{to_status, wire};
 use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
 use optics_model::grid::NoiseLevel;
+use optics_model::quantities::Quantity;
 use optics_model::{Grid, Invalid, Measurement, Scene};
 use tonic::{Request, Response, Status};
 
@@ -20,17 +23,22 @@ use super::api;
 use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
-    AboutRequest, AboutResponse, ChannelSummary, ColorsRequest, ColorsResponse, FigureFormat, FiguresRequest,
-    File, Files, ListCapturesRequest, ListCapturesResponse, MediaRequest, Note, NumberWithInterval,
+    AboutRequest, AboutResponse, CaptureProgressRequest, CaptureProgressResponse, ChannelSummary,
+    ColorsRequest, ColorsResponse, CompareRequest, CompareResponse, FigureFormat, FiguresRequest, File,
+    Files, ListCapturesRequest, ListCapturesResponse, ListSessionsRequest, ListSessionsResponse,
+    ListSetUpQuantitiesRequest, ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval,
     OpenCaptureRequest, OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest,
-    ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, Remark, SummarizeRequest,
+    ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, ReadMixturesRequest,
+    ReadMixturesResponse, Remark, SetUpQuantity, StartCaptureRequest, StartCaptureResponse, SummarizeRequest,
     SummarizeResponse,
 };
-use super::captures::Captures;
+use super::capture_run::CaptureRun;
+use super::captures::{Captures, session_files};
 use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, media_files, objective};
 use farm_lab::grid_file::{grid_of, named_grid};
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::media_file::MEDIA_FILE;
+use farm_lab::mixture_file::mixtures_in;
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
@@ -45,7 +53,8 @@ const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
 #[derive(Debug)]
 pub(super) struct DeskService {
     pub about: AboutResponse,
-    pub captures: Captures,
+    pub captures: Arc<Captures>,
+    pub run: CaptureRun,
 }
 
 #[tonic::async_trait]
@@ -163,6 +172,57 @@ impl Desk for DeskService {
     ) -> Result<Response<PredictPrintResponse>, Status> {
         let request = request.into_inner();
         answer(move || prints::print(request)).await
+    }
+
+    async fn compare(&self, request: Request<CompareRequest>) -> Result<Response<CompareResponse>, Status> {
+        let request = request.into_inner();
+        answer(move || comparison::compare(request)).await
+    }
+
+    async fn list_set_up_quantities(
+        &self,
+        _: Request<ListSetUpQuantitiesRequest>,
+    ) -> Result<Response<ListSetUpQuantitiesResponse>, Status> {
+        let quantities = Quantity::OF_OPTIONS.iter().map(SetUpQuantity::from).collect();
+        Ok(Response::new(ListSetUpQuantitiesResponse { quantities }))
+    }
+
+    async fn read_mixtures(
+        &self,
+        request: Request<ReadMixturesRequest>,
+    ) -> Result<Response<ReadMixturesResponse>, Status> {
+        let file = request.into_inner().file.unwrap_or_default();
+        answer(move || {
+            let mixtures = mixtures_in(&file.content, Path::new(&file.name))?;
+            Ok(ReadMixturesResponse { mixtures: mixtures.all().iter().map(Into::into).collect() })
+        })
+        .await
+    }
+
+    async fn list_sessions(
+        &self,
+        _: Request<ListSessionsRequest>,
+    ) -> Result<Response<ListSessionsResponse>, Status> {
+        answer(|| {
+            let sessions = session_files().iter().map(|path| path.display().to_string()).collect();
+            Ok(ListSessionsResponse { sessions })
+        })
+        .await
+    }
+
+    async fn start_capture(
+        &self,
+        request: Request<StartCaptureRequest>,
+    ) -> Result<Response<StartCaptureResponse>, Status> {
+        self.run.start(request.into_inner(), Arc::clone(&self.captures))?;
+        Ok(Response::new(StartCaptureResponse {}))
+    }
+
+    async fn capture_progress(
+        &self,
+        _: Request<CaptureProgressRequest>,
+    ) -> Result<Response<CaptureProgressResponse>, Status> {
+        Ok(Response::new(self.run.progress()))
     }
 
     async fn list_captures(

@@ -1,11 +1,15 @@
 //! The results of a session's photographs, in parts: one for red, green and blue, or one for each band.
 
+use std::path::Path;
+
 use optics_capture::{Board, BoardRho, Calibration, SampleProfile};
 
 use super::bands::Band;
+use super::results::FILES;
 use super::session_file::{CaptureSession, Sample};
 use super::shots::Input;
 use super::strip::Strip;
+use crate::measurement_file::Note;
 use crate::photograph::About;
 
 /// All results of a session's photographs.
@@ -37,4 +41,33 @@ pub struct CapturedSample {
     pub profile: SampleProfile,
     /// None of bands.
     pub strip: Option<Strip>,
+}
+
+impl Captured {
+    /// All warnings: about the session's numbers, the set-up, the samples, and the profiles as they are read back from the
+    /// folder.
+    pub fn warnings(&self, folder: &Path, notes: &[Note]) -> Vec<String> {
+        let of_parts = self.parts.iter().flat_map(CapturedPart::warnings);
+        let file = folder.join(FILES[0]);
+        let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
+        self.session.doubts.iter().cloned().chain(of_parts).chain(notes).collect()
+    }
+}
+
+impl CapturedPart {
+    /// Warnings about a part: those of a band begin with its name.
+    fn warnings(&self) -> Vec<String> {
+        let set_up = self.calibration.warnings.iter().chain(&self.board.warnings).map(ToString::to_string);
+        let samples = self.samples.iter().flat_map(|sample| {
+            sample.profile.warnings.iter().map(|w| {
+                let (text, label) = (w.to_string(), sample.about.label());
+                if text.starts_with(&label) { text } else { format!("{label}: {text}") }
+            })
+        });
+        let of_band = |text: String| match &self.band {
+            Some(band) => format!("band {}: {text}", band.name),
+            None => text,
+        };
+        set_up.chain(samples).map(of_band).collect()
+    }
 }

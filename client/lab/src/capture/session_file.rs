@@ -83,6 +83,12 @@ impl CaptureSession {
         session.map_err(|wrong| in_file(wrong, &text, path, WHAT))
     }
 
+    /// Whether a file is meant as a session: TOML with the tables that every session has.
+    pub fn is_at(path: &Path) -> bool {
+        let table = read_text(path, WHAT).ok().and_then(|text| text.parse::<toml::Table>().ok());
+        table.is_some_and(|table| ["neutral", "target", "sample"].iter().all(|key| table.contains_key(*key)))
+    }
+
     /// All photographs, in the order of their use; those that bands share, once for each.
     pub fn shots(&self) -> impl Iterator<Item = &PathBuf> {
         self.parts.iter().flat_map(SessionPart::shots)

@@ -9,10 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::capture::{
-    self, Captured, CapturedChannel, CapturedPart, CapturedSample, FILES, SessionErrors,
-};
-use farm_lab::measurement_file::Note;
+use farm_lab::capture::{self, Captured, CapturedChannel, CapturedSample, FILES, SessionErrors};
 use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
@@ -77,7 +74,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     bar.finish_and_clear();
     let captured = captured?;
     let notes = capture::write_folder(&folder, &captured)?;
-    let warnings = warnings(&captured, &folder, &notes);
+    let warnings = captured.warnings(&folder, &notes);
     // Standard output has one object: with --measure, that of the media.
     if !(args.measure && output.is_json()) {
         output
@@ -196,30 +193,6 @@ fn rows(captured: &Captured) -> Vec<CapturedRow> {
         }
     };
     capture::profiles(&channels).map(row).collect()
-}
-
-/// All warnings: about the session's numbers, the set-up, the samples, and the profiles as `measure` reads them.
-fn warnings(captured: &Captured, folder: &Path, notes: &[Note]) -> Vec<String> {
-    let of_parts = captured.parts.iter().flat_map(warnings_of);
-    let file = folder.join(FILES[0]);
-    let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
-    captured.session.doubts.iter().cloned().chain(of_parts).chain(notes).collect()
-}
-
-/// Warnings about a part: those of a band begin with its name.
-fn warnings_of(part: &CapturedPart) -> Vec<String> {
-    let set_up = part.calibration.warnings.iter().chain(&part.board.warnings).map(ToString::to_string);
-    let samples = part.samples.iter().flat_map(|sample| {
-        sample.profile.warnings.iter().map(|w| {
-            let (text, label) = (w.to_string(), sample.about.label());
-            if text.starts_with(&label) { text } else { format!("{label}: {text}") }
-        })
-    });
-    let of_band = |text: String| match &part.band {
-        Some(band) => format!("band {}: {text}", band.name),
-        None => text,
-    };
-    set_up.chain(samples).map(of_band).collect()
 }
 
 fn data(captured: &Captured, folder: &Path, warnings: &[String]) -> Value {

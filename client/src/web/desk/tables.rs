@@ -2,6 +2,7 @@
 
 use farm_figures::estimates::EstimateRow;
 use farm_figures::{ChannelBudget, ErrorBudget};
+use optics_model::quantities::Quantity;
 
 use super::api;
 
@@ -21,5 +22,17 @@ impl From<ErrorBudget> for api::ErrorBudget {
 impl From<ChannelBudget> for api::ChannelBudget {
     fn from(ChannelBudget { about, sigma_t, shares, .. }: ChannelBudget) -> Self {
         Self { about, sigma_t, shares }
+    }
+}
+
+impl From<&Quantity> for api::SetUpQuantity {
+    fn from(quantity: &Quantity) -> Self {
+        Self {
+            name: quantity.name.to_owned(),
+            help: quantity.help.to_owned(),
+            default: quantity.default,
+            lowest: quantity.lowest,
+            highest: quantity.highest,
+        }
     }
 }

@@ -7,8 +7,8 @@ use farm_figures::numbers::{short, significant};
 use farm_lab::media_file::{MEDIA_FILE, MediaFile, MediaMaterial};
 use serde::Serialize;
 
-use super::{ComparedQuantity, invariants};
 use crate::output::{table, wrapped};
+use crate::prints::comparison::{ComparedQuantity, invariants};
 
 /// How deep folders are searched.
 const DEPTH: usize = 4;
