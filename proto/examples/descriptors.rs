@@ -4,10 +4,11 @@ use std::io::Write as _;
 
 use prost::Message as _;
 
-const FILES: [&str; 5] = [
+const FILES: [&str; 6] = [
     "desk/v1/desk.proto",
     "farm/v1/dictionaries.proto",
     "farm/v1/fits.proto",
+    "farm/v1/measurements.proto",
     "farm/v1/farm.proto",
     "farm/v1/admin.proto",
 ];

@@ -116,6 +116,7 @@ impl Desk for DeskService {
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
             let set_up = folder.map_or_else(|| Ok(SetUp::default()), |f| session::set_up(&f))?;
             let assumed = set_up.assumed(&materials).text(options.settings());
+            let verdict = answers::verdict(&found.materials);
             Ok(SummarizeResponse {
                 common: common_text(&found.common),
                 channels: channels(&found),
@@ -124,6 +125,8 @@ impl Desk for DeskService {
                 estimates: estimate_rows(&found.materials).into_iter().map(Into::into).collect(),
                 estimates_note: estimates::NOTE.to_owned(),
                 budget: error_budget(&found.materials).map(Into::into),
+                verdict: verdict.sentences,
+                precision: verdict.precision.into_iter().map(Into::into).collect(),
             })
         })
         .await

@@ -6,6 +6,7 @@ import { Admin } from '../gen/farm/v1/admin_pb';
 import { Dictionaries } from '../gen/farm/v1/dictionaries_pb';
 import { Farm } from '../gen/farm/v1/farm_pb';
 import { Fits } from '../gen/farm/v1/fits_pb';
+import { Measurements } from '../gen/farm/v1/measurements_pb';
 import { link } from './link.svelte';
 
 // Updates on every answer whether the farm can be reached.
@@ -38,6 +39,7 @@ export const admin = createClient(Admin, transport);
 export const dictionaries = createClient(Dictionaries, transport);
 export const farm = createClient(Farm, transport);
 export const fits = createClient(Fits, transport);
+export const kept = createClient(Measurements, transport);
 
 // The message of an error for users, as the server gave it.
 export function text(error: unknown): string {

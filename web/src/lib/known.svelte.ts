@@ -1,7 +1,5 @@
 // The farm's dictionaries, shared by the tabs.
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
-import type { MessageInitShape } from '@bufbuild/protobuf';
-import type { FitOptionsSchema } from '../gen/farm/v1/fits_pb';
 import { PriorKind } from '../gen/farm/v1/model_pb';
 import { dictionaries } from './api';
 
@@ -54,4 +52,4 @@ export function hasUncertainLobe(dictionary: Dictionary | undefined): boolean {
   return grid !== undefined && grid.responses.length > 0 && (grid.scene?.priors.some((p) => p.kind === PriorKind.SECOND_LOBE_WEIGHT) ?? false);
 }
 
-export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;
+export type { Options } from './request';

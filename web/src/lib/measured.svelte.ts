@@ -1,21 +1,29 @@
-// The current measurement and its answer, shared by the tabs and kept over a reload of the page.
+// The current measurement and its answer, shared by the tabs. An answer that is kept with the farm has its id in the link;
+// a file is kept over a reload of the page.
 import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v1/desk_pb';
-import type { MeasureResponse } from '../gen/farm/v1/fits_pb';
-import type { Measurement } from '../gen/farm/v1/model_pb';
-import { desk, text } from './api';
-import type { Options } from './known.svelte';
-import { keep, kept, wasMeasured, type Dropped } from './kept';
+import type { MaterialFit, MeasureResponse } from '../gen/farm/v1/fits_pb';
+import type { KeptMeasurement, MeasurementSummary } from '../gen/farm/v1/measurements_pb';
+import type { Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
+import { desk, fits, kept, text } from './api';
+import { dropped, keep, type Dropped } from './dropped';
+import { parametersOf, type MeasureQuestion, type Options } from './request';
 import { route } from './route.svelte';
 
-// An answer with the options of its request, which may have changed on the page since.
+// An answer with the question's options, which may have changed on the page since.
 export type Answer = {
   found: MeasureResponse;
   summary: SummarizeResponse;
   colors: Map<string, [number, number, number]>;
   dictionary: string;
+  grid: Grid | undefined;
   options: Options;
   line: string;
+  // Null if it is not kept.
+  kept: MeasurementSummary | null;
 };
+
+// Parameters of the link that belong to one measurement.
+const OWN = { scale: null, lambda: null, sigma_t: null, albedo: null, g: null, look: null, map: null };
 
 class Measured {
   // Name of the file, or of the capture's folder.
@@ -29,48 +37,93 @@ class Measured {
   // The current action, as shown to users.
   busy = $state('');
   wrong = $state('');
-  // Whether it was measured before a reload, so that it is measured again.
-  again = $state(false);
   // Answers for an older file are discarded.
   turn = 0;
-  // The last requested capture, whether or not it could be opened.
-  #asked: string | null = null;
+  // A question ends the one before.
+  #asking: AbortController | null = null;
+  // The last requested capture and kept measurement, whether or not they could be opened.
+  #asked: { capture: string | null; kept: string | null } = { capture: null, kept: null };
 
   // The chosen file; null for the example of the documentation.
   choose(file: File | null): Promise<void> {
-    this.#forget(null);
-    return this.#read(async () => file && { name: file.name, content: await bytesOf(file) }, true);
+    this.#forget({ capture: null, kept: null });
+    return this.#read(async () => file && { name: file.name, content: await bytesOf(file) });
   }
 
   chooseCapture(folder: string): Promise<void> {
-    this.#forget(folder);
-    return this.#open(folder, true);
+    this.#forget({ capture: folder, kept: null });
+    return this.#open(folder);
   }
 
-  // Follows the address: a capture in the link is opened, and an open one is added to the link.
-  follow(folder: string | null): void {
-    if (folder && folder !== this.#asked) void this.#open(folder, false);
+  // Follows the address: what its link names is opened, and what is open is added to it.
+  follow(folder: string | null, id: string | null): void {
+    if (id && id !== this.#asked.kept) void this.#openKept(id);
+    else if (id) return;
+    else if (folder && folder !== this.#asked.capture) void this.#open(folder);
     else if (!folder && this.capture) route.set({ capture: this.name });
+    else if (this.answer?.kept) route.set({ kept: this.answer.kept.id });
   }
 
-  // Restores the choice from before a reload.
+  // Restores the file from before a reload.
   restore(): void {
-    if (this.name || this.busy || route.get('capture')) return;
-    const before = kept();
-    if (before) void this.#read(() => Promise.resolve(before), false);
+    if (this.name || this.busy || route.get('capture') || route.get('kept')) return;
+    const before = dropped();
+    if (before) void this.#read(() => Promise.resolve(before));
   }
 
-  // Removes parameters of the link that belong to another measurement.
-  #forget(capture: string | null): void {
-    this.#asked = capture;
+  // Back to the first screen.
+  close(): void {
+    this.#forget({ capture: null, kept: null });
+    keep(null);
+    this.turn += 1;
+    [this.answer, this.name, this.materials, this.notes, this.busy, this.wrong] = [null, '', [], [], '', ''];
+    this.example = false;
+  }
+
+  // Measures, and keeps the answer with the farm if wanted.
+  async ask(request: MeasureQuestion, line: string, grid: Grid | undefined, isKept: boolean): Promise<void> {
+    this.#asking?.abort();
+    const [own, asking] = [this.turn, new AbortController()];
+    [this.busy, this.wrong, this.#asking] = ['Measuring…', '', asking];
+    try {
+      const { found, why } = await measure(request, asking.signal, isKept ? { source: this.name, command: line, title: '', note: '' } : null);
+      const [answer, summary] = await Promise.all([
+        this.#answer(found, request.options, { dictionary: request.dictionary, grid, line }),
+        found.keptId ? kept.get({ id: found.keptId }).then((k) => k.summary ?? null) : null,
+      ]);
+      if (own !== this.turn || asking.signal.aborted) return;
+      this.answer = { ...answer, kept: summary };
+      this.#asked.kept = summary?.id ?? null;
+      route.set({ kept: summary?.id ?? null });
+      this.wrong = why;
+    } catch (error) {
+      if (own !== this.turn || asking.signal.aborted) return;
+      this.wrong = text(error);
+    }
+    this.busy = '';
+  }
+
+  async #answer(found: MeasureResponse, options: Options, asked: { dictionary: string; grid: Grid | undefined; line: string }): Promise<Omit<Answer, 'kept'>> {
+    const mu = found.common?.mu ?? found.mu;
+    const muStdError = Math.min(1, found.common?.muStdError ?? found.muStdError);
+    const folder = this.capture ? { capture: this.name } : {};
+    const [summary, colors] = await Promise.all([
+      desk.summarize({ found, materials: this.materials, options: { ...options, mu, muStdError }, ...folder }),
+      colorsOf(found.materials),
+    ]);
+    return { found, summary, colors, options, ...asked };
+  }
+
+  #forget(asked: { capture: string | null; kept: string | null }): void {
+    this.#asked = asked;
     this.capture = null;
-    route.set({ capture, scale: null, lambda: null, sigma_t: null, albedo: null, g: null, look: null, map: null });
+    route.set({ ...asked, ...OWN });
   }
 
   // Accepts the answer, unless there was another request meanwhile.
   async #load(ask: () => Promise<() => void>): Promise<void> {
     const own = (this.turn += 1);
-    [this.again, this.busy, this.wrong] = [false, 'Reading…', ''];
+    [this.busy, this.wrong] = ['Reading…', ''];
     [this.answer, this.name, this.capture, this.materials, this.notes] = [null, '', null, [], []];
     this.example = false;
     try {
@@ -84,29 +137,85 @@ class Measured {
     this.busy = '';
   }
 
-  #read(get: () => Promise<Dropped | null>, chosen: boolean): Promise<void> {
+  #read(get: () => Promise<Dropped | null>): Promise<void> {
     return this.#load(async () => {
       const file = await get();
       const { materials, notes } = await desk.readMeasurements(file ? { file: { ...file, mediaType: 'text/csv' } } : {});
       return () => {
         [this.name, this.materials, this.notes, this.example] = [file?.name ?? 'white.csv', materials, notes, !file];
-        if (chosen) keep(file);
-        else this.again = wasMeasured(this.name);
+        keep(file);
       };
     });
   }
 
-  #open(folder: string, chosen: boolean): Promise<void> {
-    this.#asked = folder;
+  #open(folder: string): Promise<void> {
+    this.#asked.capture = folder;
     return this.#load(async () => {
       const capture = await desk.openCapture({ folder });
       return () => {
         [this.name, this.materials, this.notes, this.capture] = [folder, capture.materials, capture.notes, capture];
-        if (chosen) keep(null);
-        else this.again = wasMeasured(folder);
+        keep(null);
       };
     });
   }
+
+  #openKept(id: string): Promise<void> {
+    this.#asked.kept = id;
+    return this.#load(async () => {
+      const one = await kept.get({ id });
+      const capture = await captureOf(one);
+      const { quantities } = await desk.listSetUpQuantities({});
+      const { request, answer: found, summary, grid } = one;
+      if (!request || !found || !summary) throw new Error(`measurement ${id} is not whole`);
+      [this.materials, this.capture, this.name] = [request.materials, capture, summary.source || summary.title];
+      const { $typeName: _t, $unknown: _u, ...options } = request.options ?? {};
+      const answer = await this.#answer(found, options, { dictionary: request.dictionary, grid, line: summary.command });
+      return () => {
+        this.answer = { ...answer, kept: summary };
+        this.#asked.capture = capture ? summary.source : null;
+        route.set({ ...parametersOf(request, quantities), ...(capture ? { mu: null, dictionary: null, capture: summary.source } : {}) });
+        keep(null);
+      };
+    });
+  }
+}
+
+// The capture's folder of a kept measurement, if this page has it.
+async function captureOf(one: KeptMeasurement): Promise<OpenCaptureResponse | null> {
+  const source = one.summary?.source ?? '';
+  const { captures } = await desk.listCaptures({});
+  return captures.some((c) => c.folder === source) ? desk.openCapture({ folder: source }) : null;
+}
+
+// The answer; `why` is the reason if it could not be kept.
+async function measure(
+  request: MeasureQuestion,
+  signal: AbortSignal,
+  texts: { source: string; command: string; title: string; note: string } | null,
+): Promise<{ found: MeasureResponse; why: string }> {
+  if (!texts) return { found: await fits.measure(request, { signal }), why: '' };
+  try {
+    return { found: await fits.measure({ ...request, keep: texts }, { signal }), why: '' };
+  } catch (error) {
+    // An invalid question fails again; a measurement that cannot be kept is shown nevertheless.
+    return { found: await fits.measure(request, { signal }), why: `The measurement is not kept: ${text(error)}` };
+  }
+}
+
+// Colours of materials with R, G and B.
+async function colorsOf(materials: MaterialFit[]): Promise<Map<string, [number, number, number]>> {
+  const colors = new Map<string, [number, number, number]>();
+  const media = materials.map((m) => ({
+    name: m.material,
+    rgb: ['R', 'G', 'B']
+      .map((c) => m.channels.find((f) => f.channel === c)?.refined?.best?.medium)
+      .filter((medium): medium is Medium => medium !== undefined),
+  }));
+  const whole = media.filter((m) => m.rgb.length === 3).slice(0, 80);
+  if (whole.length === 0) return colors;
+  const { radianceFactors: v } = await desk.colors({ media: whole.flatMap((m) => m.rgb) });
+  whole.forEach((m, i) => colors.set(m.name, [v[3 * i] ?? 0, v[3 * i + 1] ?? 0, v[3 * i + 2] ?? 0]));
+  return colors;
 }
 
 async function bytesOf(file: File): Promise<Uint8Array> {

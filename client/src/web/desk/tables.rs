@@ -2,6 +2,7 @@
 
 use farm_figures::estimates::EstimateRow;
 use farm_figures::{ChannelBudget, ErrorBudget};
+use farm_lab::capture::PrecisionRow;
 use optics_model::quantities::Quantity;
 
 use super::api;
@@ -34,5 +35,12 @@ impl From<&Quantity> for api::SetUpQuantity {
             lowest: quantity.lowest,
             highest: quantity.highest,
         }
+    }
+}
+
+impl From<PrecisionRow> for api::PrecisionRow {
+    fn from(PrecisionRow { material, half_widths }: PrecisionRow) -> Self {
+        let [reduced_scattering, absorption, sigma_t, g] = half_widths;
+        Self { material, reduced_scattering, absorption, sigma_t, g }
     }
 }

@@ -1,6 +1,5 @@
 // Keeps the last dropped file over a reload of the page.
-const KEPT = 'measurement';
-const MEASURED = 'measured';
+const DROPPED = 'measurement';
 // Longer files are not kept: browsers allow some 5 MB.
 const MOST_KEPT = 3_000_000;
 
@@ -8,27 +7,17 @@ export type Dropped = { name: string; content: Uint8Array };
 
 export function keep(file: Dropped | null): void {
   try {
-    sessionStorage.removeItem(KEPT);
-    sessionStorage.removeItem(MEASURED);
+    sessionStorage.removeItem(DROPPED);
     if (file && file.content.length <= MOST_KEPT) {
-      sessionStorage.setItem(KEPT, JSON.stringify({ name: file.name, content: base64(file.content) }));
+      sessionStorage.setItem(DROPPED, JSON.stringify({ name: file.name, content: base64(file.content) }));
     }
   } catch {
     // Without space, the file has to be chosen again after a reload.
   }
 }
 
-// Stores that the file of this name was measured.
-export function keepMeasured(name: string): void {
-  sessionStorage.setItem(MEASURED, name);
-}
-
-export function wasMeasured(name: string): boolean {
-  return sessionStorage.getItem(MEASURED) === name;
-}
-
-export function kept(): Dropped | null {
-  const text = sessionStorage.getItem(KEPT);
+export function dropped(): Dropped | null {
+  const text = sessionStorage.getItem(DROPPED);
   if (!text) return null;
   const { name, content } = JSON.parse(text) as { name: string; content: string };
   return { name, content: Uint8Array.from(atob(content), (c) => c.charCodeAt(0)) };
