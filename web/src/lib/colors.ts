@@ -2,6 +2,22 @@
 // values).
 export const COLORS = ['#0072b2', '#d55e00', '#009e73', '#cc79a7', '#e69f00', '#56b4e9'] as const;
 
+// Line styles, so that lines can be distinguished without their colours.
+const DASHES: readonly (readonly number[])[] = [[], [8, 4], [2, 3], [10, 3, 2, 3], [5, 2], [14, 5], [1, 5], [9, 2, 2, 2, 2, 2]];
+
+export function dash(i: number): readonly number[] {
+  return DASHES[i % DASHES.length]!;
+}
+
+// The colour of a channel, as in the figures of farmctl: red, green and blue have similar ones.
+export function channelColor(name: string, i: number): string {
+  const place = { R: 1, G: 2, B: 0 }[name] ?? i;
+  return COLORS[place % COLORS.length]!;
+}
+
+// Cells without a value.
+export const NO_DATA: [number, number, number] = [150, 150, 150];
+
 const VIRIDIS: readonly [number, number, number][] = [
   [68, 1, 84],
   [71, 44, 122],

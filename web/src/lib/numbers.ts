@@ -7,6 +7,18 @@ export function significant(value: number, digits = 3): string {
   return (text.includes('.') ? text.replace(/\.?0+$/, '') : text).replace('-', '−');
 }
 
+// Decimals that resolve steps of this size to a tenth.
+export function decimalsOf(step: number): number {
+  return step > 0 && Number.isFinite(step) ? Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(step)))) : 0;
+}
+
+// A number of a column, with the decimals of the column.
+export function fixed(value: number, decimals: number): string {
+  if (!Number.isFinite(value)) return '–';
+  const text = value.toFixed(decimals);
+  return Number(text) === 0 ? text.replace('-', '') : text.replace('-', '−');
+}
+
 // An albedo with the digits that 1 − α needs.
 export function albedo(value: number): string {
   const co = 1 - value;
