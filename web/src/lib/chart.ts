@@ -96,13 +96,14 @@ export function optionsOf(chart: Chart): uPlot.Options {
     series,
     bands,
     pxAlign: 0,
+    padding: [8, null, null, null],
     legend: { show: false },
     cursor: { y: false, drag: { x: false, y: false }, points: { show: false } },
     hooks: { setCursor: [(plot) => chart.onpoint(plot.cursor.idx ?? null)] },
     scales: chart.bars ? barScales(chart.x) : { x: { time: false } },
     axes: [
       { ...axis, label: chart.xLabel, size: 38 },
-      { ...axis, label: chart.yLabel, size: 58, space: 24 },
+      { ...axis, label: chart.yLabel, size: 58, space: (_plot, _axis, _low, _high, length) => Math.max(24, length / 8) },
     ],
   };
 }
