@@ -74,7 +74,12 @@ async fn measuring_works_by_keyboard_alone() {
     press(&browser, Key::Enter).await;
     browser.saved("media.zip").await;
     browser.css("section[aria-label=Explore] canvas.cells").await;
-    // The crosshair of the map moves by its sliders.
+    // The crosshair of the map moves by the arrow keys and by its sliders.
+    tab_to(&browser, "Crosshair on the map").await;
+    press(&browser, Key::Up).await;
+    let url = browser.driver.current_url().await.unwrap();
+    assert!(url.fragment().is_some_and(|state| state.contains("sigma_t=")), "{url}");
+    browser.shows("At the crosshair: σ_t").await;
     for (slider, parameter) in [("σ_t [1/mm]", "sigma_t="), ("α", "albedo="), ("scale factor μ", "scale=")]
     {
         tab_to(&browser, slider).await;

@@ -38,6 +38,9 @@ async fn first_use_computes_measures_and_saves() {
     browser.press("Compute").await;
     fills(&browser).await;
     browser.shows_within("coarse: done, 100 % of the work", LONG).await;
+    browser.shows("coarse is done: 180 records.").await;
+    assert!(browser.driver.title().await.unwrap().starts_with("✓ "));
+    browser.shows("routine events").await;
 
     measure_the_example(&browser).await;
     let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
@@ -59,6 +62,7 @@ async fn first_use_computes_measures_and_saves() {
 
     go_to(&browser, "Dictionary").await;
     browser.shows("± ").await;
+    browser.shows("Edge seen through the slab").await;
     browser.press("Keep to compare").await;
     browser.press("Drop 1 kept").await;
     browser.press("Figure (SVG)").await;
