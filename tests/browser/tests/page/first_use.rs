@@ -39,8 +39,8 @@ async fn first_use_computes_measures_and_saves() {
     fills(&browser).await;
     browser.shows_within("coarse: done, 100 % of the work", LONG).await;
     browser.shows("coarse is done: 180 records.").await;
-    assert!(browser.driver.title().await.unwrap().starts_with("✓ "));
     browser.shows("routine events").await;
+    assert!(browser.driver.title().await.unwrap().starts_with("✓ "));
 
     measure_the_example(&browser).await;
     let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
