@@ -9,6 +9,13 @@ export function dash(i: number): readonly number[] {
   return DASHES[i % DASHES.length]!;
 }
 
+// The colour as it is drawn: on a dark ground the two blues change places, since the darker one is hard to see there.
+export function onGround(color: string, dark: boolean): string {
+  const [blue, sky] = [COLORS[0], COLORS[5]];
+  if (!dark) return color;
+  return color === blue ? sky : color === sky ? blue : color;
+}
+
 // The colour of a channel, as in the figures of farmctl: red, green and blue have similar ones.
 export function channelColor(name: string, i: number): string {
   const place = { R: 1, G: 2, B: 0 }[name] ?? i;
