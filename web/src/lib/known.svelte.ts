@@ -51,5 +51,3 @@ export function hasUncertainLobe(dictionary: Dictionary | undefined): boolean {
   const grid = dictionary?.grid;
   return grid !== undefined && grid.responses.length > 0 && (grid.scene?.priors.some((p) => p.kind === PriorKind.SECOND_LOBE_WEIGHT) ?? false);
 }
-
-export type { Options } from './request';
