@@ -1,6 +1,7 @@
 //! Arguments that several verbs share.
 
 mod bounds;
+mod figure;
 mod options;
 pub(crate) mod set_up;
 mod whole;
@@ -9,6 +10,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+pub(crate) use figure::FigureArgs;
 pub(crate) use options::{MuArgs, OptionArgs};
 pub(crate) use set_up::SetUpArgs;
 pub(crate) use whole::whole_number;

@@ -1,4 +1,4 @@
-//! Writes figures to files: the extension of a path selects SVG or PNG, and several figures get distinct names.
+//! Writes figures to files: the extension of a path selects SVG, PNG or PDF, and several figures get distinct names.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,23 @@ use optics_model::fit::{DistanceMap, MaterialFit};
 enum FileFormat {
     Svg,
     Png,
+    Pdf,
+}
+
+/// The size of figures.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FigureSize {
+    /// None: 96 pixels per inch.
+    pub(crate) width_mm: Option<f64>,
+    /// Pixels per inch of PNG.
+    pub(crate) dpi: f64,
+}
+
+impl Default for FigureSize {
+    /// Two pixels of PNG for each pixel of the page, so that text is sharp.
+    fn default() -> Self {
+        Self { width_mm: None, dpi: 192.0 }
+    }
 }
 
 /// Checks that a figure can be written to a path, before any long work.
@@ -24,43 +41,61 @@ pub(crate) fn check_path(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Writes SVG or PNG, by the extension. The file is written atomically.
-pub(crate) fn write(picture: &Picture, path: &Path) -> Result<()> {
+/// Writes SVG, PNG or PDF, by the extension. The file is written atomically.
+pub(crate) fn write(picture: &Picture, path: &Path, size: FigureSize) -> Result<()> {
+    let place = || format!("figure {}", path.display());
     let bytes = match format_of(path)? {
-        FileFormat::Svg => picture.svg().as_bytes().to_vec(),
-        FileFormat::Png => picture.png().with_context(|| format!("figure {}", path.display()))?,
+        FileFormat::Svg => match size.width_mm {
+            Some(width_mm) => picture.svg_of_width(width_mm).into_bytes(),
+            None => picture.svg().as_bytes().to_vec(),
+        },
+        FileFormat::Png => picture.png(size.width_mm, size.dpi).with_context(place)?,
+        FileFormat::Pdf => picture.pdf(size.width_mm).with_context(place)?,
     };
-    write_whole(path, &bytes).with_context(|| format!("figure {}", path.display()))
+    write_whole(path, &bytes).with_context(place)
 }
 
 fn format_of(path: &Path) -> Result<FileFormat> {
     match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
         Some("svg") => Ok(FileFormat::Svg),
         Some("png") => Ok(FileFormat::Png),
-        _ => bail!("figure {}: unknown kind of file, use .svg or .png", path.display()),
+        Some("pdf") => Ok(FileFormat::Pdf),
+        _ => bail!("figure {}: unknown kind of file, use .svg, .png or .pdf", path.display()),
     }
 }
 
 /// One picture per material: `FILE.svg`, or `FILE-MATERIAL.svg` if there are several, and `FILE-spectra.svg` where channels
 /// are wavelengths. Returns the files.
-pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path) -> Result<Vec<PathBuf>> {
+pub(crate) fn write_fits(fits: &[MaterialFit], path: &Path, size: FigureSize) -> Result<Vec<PathBuf>> {
     let of_fits = fits.iter().map(|fit| Ok((fit.material.clone(), fit_figure(fit)?)));
     let spectra = spectra_figure(fits).map(|figure| Ok(("spectra".to_owned(), figure)));
     let figures = of_fits.chain(spectra).collect::<Result<Vec<_>>>()?;
+    write_all(&figures, path, size)
+}
+
+/// The figures with their names: `FILE.svg`, or `FILE-NAME.svg` if there are several. Returns the files.
+pub(crate) fn write_all(
+    figures: &[(String, Picture)],
+    path: &Path,
+    size: FigureSize,
+) -> Result<Vec<PathBuf>> {
     let paths = paths(path, figures.iter().map(|(name, _)| name.clone()));
     for ((_, figure), path) in figures.iter().zip(&paths) {
-        write(figure, path)?;
+        write(figure, path, size)?;
     }
     Ok(paths)
 }
 
 /// One picture per map and material: `FILE.svg`, or `FILE-MATERIAL-CHANNEL.svg` if there are several. Returns the files.
-pub(crate) fn write_maps(maps: &[(&str, &DistanceMap)], path: &Path) -> Result<Vec<PathBuf>> {
-    let paths = paths(path, maps.iter().map(|(material, map)| format!("{material}-{}", map.channel)));
-    for ((material, map), path) in maps.iter().zip(&paths) {
-        write(&map_figure(material, map)?, path)?;
-    }
-    Ok(paths)
+pub(crate) fn write_maps(
+    maps: &[(&str, &DistanceMap)],
+    path: &Path,
+    size: FigureSize,
+) -> Result<Vec<PathBuf>> {
+    let figure = |(material, map): &(&str, &DistanceMap)| {
+        Ok((format!("{material}-{}", map.channel), map_figure(material, map)?))
+    };
+    write_all(&maps.iter().map(figure).collect::<Result<Vec<_>>>()?, path, size)
 }
 
 /// A line for each picture.
@@ -117,15 +152,17 @@ mod tests {
     fn file_extension_decides_the_format() {
         let dir = tempfile::tempdir().unwrap();
         let (svg, png) = (dir.path().join("a.SVG"), dir.path().join("a.Png"));
-        write(&picture(), &svg).unwrap();
-        write(&picture(), &png).unwrap();
+        write(&picture(), &svg, FigureSize::default()).unwrap();
+        write(&picture(), &png, FigureSize::default()).unwrap();
         assert!(std::fs::read_to_string(svg).unwrap().starts_with("<svg"));
         assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"));
-        for name in ["a.pdf", "a", ".svg"] {
+        for name in ["a.eps", "a", ".svg"] {
             let path = dir.path().join(name);
-            for error in [check_path(&path), write(&picture(), &path)].map(Result::unwrap_err) {
+            for error in
+                [check_path(&path), write(&picture(), &path, FigureSize::default())].map(Result::unwrap_err)
+            {
                 let message = format!("{error:#}");
-                assert!(message.contains(name) && message.contains("use .svg or .png"), "{message}");
+                assert!(message.contains(name) && message.contains("use .svg, .png or .pdf"), "{message}");
             }
         }
     }
@@ -147,8 +184,8 @@ mod tests {
         let taken = dir.path().join("a.svg");
         std::fs::create_dir(&taken).unwrap();
         std::fs::write(taken.join("inside"), "").unwrap();
-        write(&picture(), &taken).unwrap_err();
-        write(&picture(), &dir.path().join("b.png")).unwrap();
+        write(&picture(), &taken, FigureSize::default()).unwrap_err();
+        write(&picture(), &dir.path().join("b.png"), FigureSize::default()).unwrap();
         let mut names: Vec<_> =
             std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
         names.sort();

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use farm_link::memory::usable_bytes;
 use optics_model::limits::FitLimits;
+use ureq::http::Uri;
 
 /// The interval of backups, and the number of those that are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,6 +36,8 @@ pub struct Config {
     pub start_is_event: bool,
     /// Schedule of automatic backups; None without.
     pub backups: Option<BackupSchedule>,
+    /// URL to which events that people wait for are posted; None without.
+    pub webhook: Option<Uri>,
 }
 
 impl Config {
@@ -58,6 +61,7 @@ impl Config {
             question_pixels: FitLimits::QUESTION_PIXELS,
             start_is_event: true,
             backups: None,
+            webhook: None,
         }
     }
 }

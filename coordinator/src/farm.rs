@@ -23,6 +23,7 @@ mod tests;
 mod upkeep;
 mod watch;
 mod watch_jobs;
+mod webhook;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -167,7 +168,8 @@ impl Farm {
     ) -> Result<Arc<Self>, StoreError> {
         let dispatcher = dispatcher_of(&store, config).await?;
         let ids: Vec<_> = dispatcher.schedule().dictionaries().map(Dictionary::id).collect();
-        let (scheduler, orders) = Scheduler::new(dispatcher, Recorder::start(store.clone()), metrics);
+        let (scheduler, orders) =
+            Scheduler::new(dispatcher, Recorder::start(store.clone(), config.webhook.clone()), metrics);
         let farm = Arc::new(Self {
             store,
             scheduler,

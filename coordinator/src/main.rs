@@ -37,6 +37,7 @@ async fn run(args: Args) -> anyhow::Result<()> {
     let defaults = Config::new(args.data);
     let config = Config {
         backups: args.backup_every.map(schedule),
+        webhook: args.webhook,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,
         check_share: args.verify_share,

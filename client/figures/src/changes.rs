@@ -6,7 +6,7 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
-use crate::drawing::sheet::{Sheet, SheetCell};
+use crate::drawing::sheet::{GRADIENT, Sheet, SheetCell};
 
 const REFERENCE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
 const CHANGED: [Stroke; 4] = [
@@ -47,7 +47,7 @@ pub fn changes_figure(figure: &ChangesFigure) -> anyhow::Result<Picture> {
         Key::note("|∇| per pixel of 10 mm / 360"),
     ];
     let cells = figure.panels.iter().map(|panel| cell(panel, &figure.x_mm)).collect();
-    Sheet { title: &figure.title, legend, cells, alike: true }.draw()
+    Sheet { title: &figure.title, legend, cells, alike: true, lower: GRADIENT }.draw()
 }
 
 fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> SheetCell<'a> {

@@ -56,7 +56,7 @@ fn collect(group: &Group, inked: &mut Vec<(String, Rect)>, texts: &mut Vec<(Stri
             Node::Group(group) => collect(group, inked, texts),
             Node::Text(text) => {
                 let words = text.chunks().iter().map(|chunk| chunk.text().to_owned()).collect();
-                texts.push((words, text.flattened().abs_bounding_box()));
+                texts.push((words, text.abs_stroke_bounding_box()));
             }
             Node::Path(_) | Node::Image(_) => inked.push(("a shape".into(), node.abs_stroke_bounding_box())),
         }

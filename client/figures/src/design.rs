@@ -123,7 +123,9 @@ impl DesignRows {
             let sample = KeySample::Patch(COLOURS[i % COLOURS.len()]);
             Key { sample, label: format!("{n} {words} of each slab") }
         };
-        let mut keys: Vec<Key> = self.shots.iter().enumerate().map(patch).collect();
+        let bound = Key::note("half-widths of 95 % intervals at the Cramér–Rao bound");
+        let mut keys: Vec<Key> =
+            std::iter::once(bound).chain(self.shots.iter().enumerate().map(patch)).collect();
         if design.sets.iter().any(|set| set.g_free.is_some()) {
             keys.push(Key::note("filled: g held, open: g free"));
         }

@@ -7,7 +7,7 @@ use crate::drawing::canvas::Stroke;
 use crate::drawing::legend::Key;
 use crate::drawing::picture::Picture;
 use crate::drawing::rgb::Rgb;
-use crate::drawing::sheet::{LEFT_OUT, Residuals, Sheet, SheetCell};
+use crate::drawing::sheet::{GRADIENT, LEFT_OUT, Residuals, Sheet, SheetCell};
 use crate::misfit::misfit_short;
 use crate::numbers::{albedo, significant};
 
@@ -37,7 +37,7 @@ pub fn fit_figure(fit: &MaterialFit) -> anyhow::Result<Picture> {
     }
     let cells =
         fit.channels.iter().flat_map(|channel| channel.curves.iter().filter_map(|c| cell(channel, c)));
-    Sheet { title: &fit.material, legend, cells: cells.collect(), alike: false }.draw()
+    Sheet { title: &fit.material, legend, cells: cells.collect(), alike: false, lower: GRADIENT }.draw()
 }
 
 fn has_residuals(curves: &FitCurves) -> bool {

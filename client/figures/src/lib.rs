@@ -34,6 +34,6 @@ pub use edge::{EdgeCurve, edge_figure};
 pub use fit::fit_figure;
 pub use map::{map_figure, noise_figure};
 pub use overview::{OverviewFigure, overview_figure};
-pub use profile::profile_figure;
+pub use profile::{profile_figure, simulated_figure};
 pub use scale::scale_figure;
 pub use spectra::spectra_figure;

@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn png_shows_the_maps_reproducibly() {
         let figure = figure(2);
-        let png = || draw(&figure).unwrap().png().unwrap();
+        let png = || draw(&figure).unwrap().png(None, 192.0).unwrap();
         let bytes = png();
         assert!(bytes == png());
         let drawn = Pixmap::decode_png(&bytes).unwrap();

@@ -43,7 +43,7 @@ use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
-use crate::figure_files::file_name;
+use crate::figure_files::{FigureSize, file_name};
 use crate::output::sentence;
 
 /// The measurement of the documentation, as an example in the page.
@@ -345,8 +345,9 @@ fn pictures(of: Of) -> Result<Vec<(String, Picture)>> {
 }
 
 fn figure(name: &str, picture: &Picture, format: FigureFormat) -> Result<File> {
+    let size = FigureSize::default();
     let (extension, media_type, content) = match format {
-        FigureFormat::Png => ("png", "image/png", picture.png()?),
+        FigureFormat::Png => ("png", "image/png", picture.png(size.width_mm, size.dpi)?),
         FigureFormat::Svg | FigureFormat::Unspecified => {
             ("svg", "image/svg+xml", picture.svg().as_bytes().to_vec())
         }

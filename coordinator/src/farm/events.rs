@@ -1,4 +1,4 @@
-//! Writes events to the store in batches, so that no operation waits for them.
+//! Writes events to the store in batches, and posts some to the webhook, so that no operation waits for them.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
@@ -6,7 +6,10 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
+use ureq::http::Uri;
+
 use super::event_shares::EventShares;
+use super::webhook::Webhook;
 use crate::clock::Clock;
 use crate::dispatch::Event;
 use crate::store::{Store, StoredEvent};
@@ -23,17 +26,19 @@ pub(super) struct Recorder {
     queue: Mutex<Option<mpsc::Sender<StoredEvent>>>,
     clock: Clock,
     shares: Mutex<EventShares>,
+    webhook: Option<Webhook>,
     writer: tokio::sync::Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Recorder {
-    pub(super) fn start(store: Store) -> Self {
+    pub(super) fn start(store: Store, webhook: Option<Uri>) -> Self {
         let (queue, events) = mpsc::channel(QUEUE);
         let writer = tokio::spawn(write(store, events));
         Self {
             queue: Mutex::new(Some(queue)),
             clock: Clock::start(),
             shares: Mutex::default(),
+            webhook: webhook.map(Webhook::start),
             writer: tokio::sync::Mutex::new(Some(writer)),
         }
     }
@@ -59,6 +64,9 @@ impl Recorder {
             message: message.clone(),
             actor: actor.clone(),
         };
+        if let Some(webhook) = &self.webhook {
+            webhook.post(&stored);
+        }
         let queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         if queue.as_ref().is_some_and(|queue| queue.try_send(stored).is_err()) {
             tracing::warn!("too many events at once: this one is not kept");

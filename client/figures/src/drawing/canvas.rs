@@ -237,7 +237,7 @@ fn dots(points: &[CanvasPoint]) -> String {
 }
 
 /// A length to a hundredth of a pixel, without trailing zeros.
-fn short(length: f64) -> String {
+pub(super) fn short(length: f64) -> String {
     let text = format!("{length:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
     if text == "-0" { "0".to_owned() } else { text.to_owned() }

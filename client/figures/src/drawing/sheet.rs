@@ -1,4 +1,4 @@
-//! Draws columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7, or with residuals.
+//! Draws columns of profiles with their gradient magnitudes below, as in Figs. 3 and 7, or with residuals or noise.
 
 use anyhow::ensure;
 use optics_model::fit::Curve;
@@ -34,7 +34,12 @@ pub(crate) struct Sheet<'a> {
     pub(crate) cells: Vec<SheetCell<'a>>,
     /// Whether the cells of a row have the same axes.
     pub(crate) alike: bool,
+    /// The quantity of the panels below the profiles, where they have no residuals.
+    pub(crate) lower: &'static str,
 }
+
+/// The usual one.
+pub(crate) const GRADIENT: &str = "|∇| per pixel";
 
 #[derive(Debug)]
 pub(crate) struct SheetCell<'a> {
@@ -98,6 +103,7 @@ struct SheetLayout<'a> {
     tick_width: f64,
     width: f64,
     alike: bool,
+    lower: &'static str,
 }
 
 impl<'a> SheetLayout<'a> {
@@ -148,6 +154,7 @@ impl<'a> SheetLayout<'a> {
             tick_width: 0.0,
             width: 0.0,
             alike: sheet.alike,
+            lower: sheet.lower,
         };
         let tick_widths =
             plan.placed.iter().flat_map(|p| plan.frames(p, 0.0)).map(|frame| tick_width(&frame.y_ticks()));
@@ -228,7 +235,7 @@ impl<'a> SheetLayout<'a> {
         canvas.text_upwards(at(MARGIN + LABEL, top + parts_height() / 2.0), &thickness);
         let lower_middle = top + PROFILE_HEIGHT + BETWEEN_PARTS + LOWER_HEIGHT / 2.0;
         let has_residuals = self.placed.iter().any(|p| p.cell.residuals.is_some());
-        let lower = if has_residuals { "residual [σ]" } else { "|∇| per pixel" };
+        let lower = if has_residuals { "residual [σ]" } else { self.lower };
         for (name, middle) in [("radiance factor", top + PROFILE_HEIGHT / 2.0), (lower, lower_middle)] {
             let text = Text::new(name, LABEL).anchor(Anchor::Middle);
             canvas.text_upwards(at(MARGIN + NAMES - 6.0, middle), &text);

@@ -15,10 +15,10 @@ use optics_model::grid::{Axes, Effort};
 use optics_model::{Grid, SceneFile, Walks};
 use serde::Serialize;
 
-use crate::cli::Global;
+use crate::cli::{FigureArgs, Global};
 use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::figure_files;
+use crate::figure_files::{self, FigureSize};
 use crate::output::{DictionaryJson, Output, grouped, state};
 use noise::Noise;
 
@@ -30,9 +30,11 @@ Examples:
 pub(crate) struct ShowArgs {
     /// Name of the dictionary.
     name: String,
-    /// Draw profiles from all over the dictionary, or with --noise how noisy each record is: FILE.svg or FILE.png.
+    /// Draw profiles from all over the dictionary, or with --noise how noisy each record is: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
     /// Read all records and print their noise: median, worst, and by albedo.
     #[arg(long)]
     noise: bool,
@@ -40,7 +42,7 @@ pub(crate) struct ShowArgs {
 
 pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Result<()> {
     let name = DictionaryName::new(args.name)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let (status, noise) = with_farm(global, Purpose::Ask, async |connection| {
         let answer = connection.dictionaries().get(GetRequest { name: name.to_string() }).await?;
         let mut status = DictionaryStatus::try_from(answer.into_inner())?;
@@ -49,13 +51,17 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
         }
         if !args.noise {
             if let Some(path) = &args.plot {
-                draw(connection, &status, path).await?;
+                draw(connection, &status, path, args.figure.size()?).await?;
             }
             return Ok((status, None));
         }
         let found = noise::read(connection, &status).await?;
         if let Some(path) = &args.plot {
-            figure_files::write(&noise::picture(status.name.as_str(), &status.grid, &found)?, path)?;
+            figure_files::write(
+                &noise::picture(status.name.as_str(), &status.grid, &found)?,
+                path,
+                args.figure.size()?,
+            )?;
         }
         let noise = Noise::of(&status.grid, &found);
         Ok((status, Some(noise)))
@@ -127,7 +133,12 @@ pub(crate) fn data(status: &DictionaryStatus) -> impl Serialize {
     }
 }
 
-async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -> Result<()> {
+async fn draw(
+    connection: &Connection,
+    status: &DictionaryStatus,
+    path: &Path,
+    size: FigureSize,
+) -> Result<()> {
     let axes = overview::chosen_axes(&status.grid);
     let mut wanted = axes.records(&status.grid);
     wanted.sort_unstable();
@@ -139,7 +150,7 @@ async fn draw(connection: &Connection, status: &DictionaryStatus, path: &Path) -
     if records.is_empty() {
         bail!("none of the records to be drawn is done yet");
     }
-    figure_files::write(&overview::picture(status.name.as_str(), &status.grid, &axes, &records)?, path)
+    figure_files::write(&overview::picture(status.name.as_str(), &status.grid, &axes, &records)?, path, size)
 }
 
 fn text(status: &DictionaryStatus) -> String {

@@ -1,10 +1,11 @@
 //! Waits for dictionaries until they have ended.
 
-use std::process::ExitCode;
+use std::process::{ExitCode, Stdio};
 use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Args;
+use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use serde::Serialize;
@@ -20,7 +21,11 @@ use crate::output::{DictionaryJson, Output, grouped, state};
 #[command(after_help = "\
 Examples:
   farmctl wait paper fine
-  farmctl wait paper --timeout 3600")]
+  farmctl wait paper --timeout 3600
+  farmctl wait paper --notify 'notify-send \"$FARM_MESSAGE\"'
+
+The command of --notify has FARM_DICTIONARY, FARM_STATE (done, failed, cancelled, …) and FARM_MESSAGE in its
+environment.")]
 pub(crate) struct WaitArgs {
     /// Names of the dictionaries.
     #[arg(required = true)]
@@ -28,6 +33,9 @@ pub(crate) struct WaitArgs {
     /// Give up after this many seconds, with exit code 6.
     #[arg(long, value_name = "SECONDS")]
     timeout: Option<u64>,
+    /// Run a shell command for each dictionary when it has ended.
+    #[arg(long, value_name = "COMMAND")]
+    notify: Option<String>,
 }
 
 pub(crate) async fn watch(global: &Global, name: &str, output: &Output) -> Result<ExitCode> {
@@ -56,7 +64,7 @@ struct WaitJson {
 
 pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Result<ExitCode> {
     let names: Vec<DictionaryName> =
-        args.names.into_iter().map(DictionaryName::new).collect::<Result<_, _>>()?;
+        args.names.iter().cloned().map(DictionaryName::new).collect::<Result<_, _>>()?;
     let limit = Duration::from_secs(args.timeout.unwrap_or(u32::MAX.into()));
     let deadline = tokio::time::Instant::now() + limit;
     let fixed = Fixed::default();
@@ -78,6 +86,9 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
             if matches!(followed?, FollowEnd::Interrupted) {
                 return Err(Interrupted.into());
             }
+            if let Some(command) = &args.notify {
+                notify(command, status).await;
+            }
         }
         Ok((statuses, timed_out))
     })
@@ -86,6 +97,20 @@ pub(crate) async fn wait(global: &Global, args: WaitArgs, output: &Output) -> Re
     let data = WaitJson { dictionaries: statuses.iter().map(Into::into).collect(), timed_out };
     output.print("wait", &data, || statuses.iter().map(|s| format!("{}\n", line(s))).collect())?;
     Ok(ExitCode::from(if timed_out { exit::TIMEOUT } else { worst }))
+}
+
+/// Runs the command about a dictionary that has ended. Its failure is reported, and does not change the exit code, which is
+/// about the dictionaries.
+async fn notify(command: &str, status: &DictionaryStatus) {
+    let mut shell = tokio::process::Command::new("sh");
+    shell.arg("-c").arg(command).stdin(Stdio::null()).stdout(Stdio::null());
+    shell.env("FARM_DICTIONARY", status.name.as_str()).env("FARM_STATE", state(status));
+    let failure = match shell.env("FARM_MESSAGE", line(status)).status().await {
+        Ok(ended) if ended.success() => return,
+        Ok(ended) => ended.to_string(),
+        Err(error) => error.to_string(),
+    };
+    to_stderr(format_args!("farmctl: the command of --notify failed for {}: {failure}", status.name));
 }
 
 /// Updates a state, unless the answer takes too long.

@@ -15,7 +15,7 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::answers::{SetUpJson, design_text};
 use crate::cli::set_up::SET_UP;
-use crate::cli::{Global, SetUpArgs};
+use crate::cli::{FigureArgs, Global, SetUpArgs};
 use crate::figure_files::{self, drawn};
 use crate::output::{Output, wrapped};
 
@@ -100,9 +100,11 @@ pub(crate) struct DesignArgs {
     free_mu: bool,
     #[command(flatten)]
     set_up: SetUpArgs,
-    /// Draw the half-widths over the sets of slabs: FILE.svg or FILE.png.
+    /// Draw the half-widths over the sets of slabs: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 /// Thicknesses of the slabs of one set.
@@ -170,14 +172,14 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
     let assumed = set_up.assumed_of(args.channel.as_deref());
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let (dictionary, design) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
         let request = DesignRequest { dictionary, ..(&question).into() };
         Ok(Design::try_from(connection.fits().design(request).await?.into_inner())?)
     })
     .await?;
     if let Some(path) = &args.plot {
-        figure_files::write(&design_figure(&design)?, path)?;
+        figure_files::write(&design_figure(&design)?, path, args.figure.size()?)?;
     }
     let data = data(&dictionary, &question, &assumed, &design);
     output.print("design", &data, || {

@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
 use crate::cli::set_up::SET_UP;
-use crate::cli::{Global, OptionArgs};
+use crate::cli::{FigureArgs, Global, OptionArgs};
 use crate::connection::{Connection, patient};
 use crate::figure_files;
 use crate::output::Output;
@@ -46,9 +46,11 @@ pub(crate) struct FitArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long, conflicts_with = "no_refine")]
     bound: bool,
-    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg or FILE.png.
+    /// Draw profiles and gradients with their fits, one figure per material: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 impl FitArgs {
@@ -69,7 +71,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     let options = args.options(&set_up)?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
@@ -78,7 +80,7 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     })
     .await?;
     let pictures = match &args.plot {
-        Some(path) => figure_files::write_fits(&fits, path)?,
+        Some(path) => figure_files::write_fits(&fits, path, args.figure.size()?)?,
         None => Vec::new(),
     };
     let used = UsedOptions::new(&dictionary, &options, &assumed);

@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, UsedOptions};
 use crate::cli::set_up::SET_UP;
-use crate::cli::{Global, OptionArgs};
+use crate::cli::{FigureArgs, Global, OptionArgs};
 use crate::connection::{Connection, patient};
 use crate::figure_files;
 use crate::output::{Output, table};
@@ -38,9 +38,11 @@ pub(crate) struct MapArgs {
     /// Only this channel [default: all].
     #[arg(long, value_name = "NAME")]
     channel: Option<String>,
-    /// Draw the maps, one picture per material and channel: FILE.svg or FILE.png.
+    /// Draw the maps, one picture per material and channel: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Result<()> {
@@ -48,7 +50,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     let options = FitOptions::new(FitSettings { mu: args.mu, ..args.options.settings(&set_up)? })?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let MeasurementFile { materials, notes } = output.read_measurements(&args.measurement)?;
     let materials = chosen(materials, &args)?;
     let assumed = set_up.assumed(&materials);
@@ -60,7 +62,7 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     let pictures = match &args.plot {
         Some(path) => {
             let maps: Vec<_> = maps.iter().map(|m| (m.material.as_str(), &m.map)).collect();
-            figure_files::write_maps(&maps, path)?
+            figure_files::write_maps(&maps, path, args.figure.size()?)?
         }
         None => Vec::new(),
     };

@@ -30,10 +30,10 @@ use crate::answers::{
     medium_rows, verdict, verdict_text,
 };
 use crate::cli::set_up::SET_UP;
-use crate::cli::{Global, MuArgs, OptionArgs};
+use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, patient, with_farm};
-use crate::figure_files;
+use crate::figure_files::{self, FigureSize};
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, warning, wrapped};
 use crate::slurm::shell_quoted;
@@ -98,9 +98,11 @@ pub(crate) struct MeasureArgs {
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
-    /// wavelengths: FILE.svg or FILE.png.
+    /// wavelengths: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 impl MeasureArgs {
@@ -119,6 +121,7 @@ impl MeasureArgs {
             keep: None,
             output: None,
             plot: None,
+            figure: FigureArgs::default(),
         }
     }
 }
@@ -143,6 +146,7 @@ pub(crate) struct Inputs {
     keep: Option<Keep>,
     output: Option<PathBuf>,
     plot: Option<PathBuf>,
+    figure: FigureSize,
 }
 
 impl Inputs {
@@ -163,7 +167,7 @@ impl Inputs {
         let options = FitOptions::new(FitSettings { mu, mu_std_error, curves, ..settings })?;
         check_objective(options.objective(), &args, folder.is_some())?;
         chosen_dictionary::check(args.options.dictionary.as_ref())?;
-        args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+        args.figure.check(args.plot.as_deref())?;
         let keep = args.keep.map(|title| kept_as(title, &args.measurements));
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
@@ -186,6 +190,7 @@ impl Inputs {
             bound: args.bound,
             keep,
             output: args.output,
+            figure: args.figure.size()?,
             plot: args.plot,
         })
     }
@@ -243,7 +248,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         bail!("the coordinator is too old to keep measurements: upgrade it, or leave --keep out");
     }
     let pictures = match &inputs.plot {
-        Some(path) => figure_files::write_fits(&found.materials, path)?,
+        Some(path) => figure_files::write_fits(&found.materials, path, inputs.figure)?,
         None => Vec::new(),
     };
     if let Some(folder) = &inputs.output {

@@ -12,7 +12,7 @@ use optics_model::fit::{PredictedProfiles, ProfileQuestion};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::cli::Global;
+use crate::cli::{FigureArgs, Global};
 use crate::figure_files;
 use crate::output::Output;
 
@@ -43,9 +43,11 @@ pub(crate) struct ProfileArgs {
     /// Channels of the camera, as in R or R,G,B [default: the dictionary's first].
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     channel: Vec<String>,
-    /// Draw the profiles and their gradients: FILE.svg or FILE.png.
+    /// Draw the profiles and their gradients: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> Result<()> {
@@ -53,14 +55,14 @@ pub(crate) async fn run(global: &Global, args: ProfileArgs, output: &Output) -> 
     let question = ProfileQuestion::new(medium, args.thickness, args.sample_ior, args.channel)?;
     let given = args.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let (dictionary, profiles) = chosen_dictionary::ask(global, given, async |connection, dictionary| {
         let request = ProfileRequest { dictionary, ..(&question).into() };
         Ok(PredictedProfiles::try_from(connection.fits().profile(request).await?.into_inner())?)
     })
     .await?;
     if let Some(path) = &args.plot {
-        figure_files::write(&profile_figure(&profiles)?, path)?;
+        figure_files::write(&profile_figure(&profiles)?, path, args.figure.size()?)?;
     }
     let data = ProfileJson { dictionary: &dictionary, x_mm: profiles.pixels.x_mm(), profiles: &profiles };
     output.print("profile", &data, || table(&profiles))

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::chosen_dictionary;
 use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_text, scale_text};
-use crate::cli::{Global, MuArgs, OptionArgs};
+use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::connection::patient;
 use crate::figure_files::{self, drawn};
 use crate::output::Output;
@@ -29,9 +29,11 @@ pub(crate) struct ScaleArgs {
     options: OptionArgs,
     #[command(flatten)]
     mu: MuArgs,
-    /// Draw the error over the scale factor and over g: FILE.svg or FILE.png.
+    /// Draw the error over the scale factor and over g: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
 }
 
 pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Result<()> {
@@ -40,7 +42,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let range = args.mu.range()?;
     let given = args.options.dictionary.as_ref();
     chosen_dictionary::check(given)?;
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let MeasurementFile { materials, notes } = output.read_measurements(&args.measurements)?;
     let assumed = set_up.assumed(&materials);
     let materials = set_up.apply_to(materials)?;
@@ -60,7 +62,7 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let fits: Vec<MaterialFit> =
         answer.materials.into_iter().map(MaterialFit::try_from).collect::<Result<_, _>>()?;
     if let Some(path) = &args.plot {
-        figure_files::write(&scale_figure(&scale, &common, options.objective())?, path)?;
+        figure_files::write(&scale_figure(&scale, &common, options.objective())?, path, args.figure.size()?)?;
     }
     let options = options.with_mu(scale.best.mu, scale.std_error.unwrap_or(0.0))?;
     let used = UsedOptions::new(&dictionary, &options, &assumed);

@@ -26,10 +26,11 @@ Examples:
   farmctl measure white                                     media from them
   farmctl capture session.toml --measure                    both
   farmctl capture --check IMG_0815.dng                      is this photograph usable?
+  farmctl capture --watch shots                             check each one while shooting
   farmctl capture --board board.pdf                         a board to print")]
 pub(crate) struct CaptureArgs {
     /// Session file in TOML: the photographs, and the known values of patches, board and slabs.
-    #[arg(required_unless_present_any = ["check", "board"], conflicts_with_all = ["check", "board"])]
+    #[arg(required_unless_present_any = ["check", "board", "watch"], conflicts_with_all = ["check", "board", "watch"])]
     session: Option<PathBuf>,
     /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the
     /// session file's name without its ending].
@@ -41,11 +42,14 @@ pub(crate) struct CaptureArgs {
     /// Check whether single photographs are usable; the exit code is 1 if one is not.
     #[arg(long, value_name = "SHOT", num_args = 1.., conflicts_with = "board")]
     check: Vec<PathBuf>,
-    /// Colours of 2 × 2 pixels, row by row, for --check of mosaics whose files do not contain them.
-    #[arg(long, value_name = "RGGB", requires = "check")]
+    /// Check every photograph that arrives in a folder, until Ctrl-C: for shooting tethered.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["board", "check"])]
+    watch: Option<PathBuf>,
+    /// Colours of 2 × 2 pixels, row by row, for --check and --watch of mosaics whose files do not contain them.
+    #[arg(long, value_name = "RGGB", conflicts_with_all = ["session", "board"])]
     pattern: Option<String>,
-    /// Dark shots for --check, of photographs whose files do not contain the black level (TIFF, PNG, PGM).
-    #[arg(long, value_name = "SHOT", num_args = 1.., requires = "check")]
+    /// Dark shots for --check and --watch, of photographs whose files do not contain the black level (TIFF, PNG, PGM).
+    #[arg(long, value_name = "SHOT", num_args = 1.., conflicts_with_all = ["session", "board"])]
     darks: Vec<PathBuf>,
     /// Write a board to print: FILE.svg or FILE.pdf.
     #[arg(long, value_name = "FILE")]
@@ -58,6 +62,9 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     }
     if !args.check.is_empty() {
         return check::run(&args, output);
+    }
+    if let Some(folder) = &args.watch {
+        return check::watch(&args, folder, output).await;
     }
     let session = args.session.as_deref().context("name a session file")?;
     let folder = match &args.output {

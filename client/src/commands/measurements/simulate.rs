@@ -2,6 +2,7 @@
 
 mod camera;
 mod changes;
+mod figures;
 mod records;
 
 use std::io::Write;
@@ -20,7 +21,7 @@ use optics_model::scene::{Channel, Scene, Sensor};
 use optics_model::{Invalid, Medium, Profile, Record, TransportPoint, Walks};
 use serde::Serialize;
 
-use crate::cli::whole_number;
+use crate::cli::{FigureArgs, whole_number};
 use crate::figure_files;
 use crate::output::{Output, envelope, write_whole};
 use camera::{NOISE, SimulatedCamera};
@@ -30,7 +31,7 @@ use records::traced;
 #[command(after_help = "\
 Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
-  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 --walks 1e6 --plot changes.svg
+  farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 --walks 1e6 --plot-changes changes.svg
   farmctl simulate --sigma-t 6 --albedo 0.98 --g 0.4 --second-lobe 0.1,-0.5 --thickness 0.5 > lobes.csv
   farmctl simulate --sigma-t 4,6,8 --albedo 0.9,0.99 --g 0.4 --thickness 0.5,1 -o profiles.csv
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5,1 --measurement white -o white.csv")]
@@ -55,7 +56,7 @@ pub(crate) struct SimulateArgs {
     #[arg(long, value_name = "WEIGHT,G", value_parser = two_numbers, conflicts_with = "phase_function")]
     second_lobe: Option<[f64; 2]>,
     /// Tabulated phase function: CSV with the columns angle_deg and value, for angles from 0 to 180, in place of --g.
-    #[arg(long, value_name = "FILE", conflicts_with = "plot")]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["plot", "plot_changes"])]
     phase_function: Option<PathBuf>,
     /// Thicknesses of the sample in mm.
     #[arg(long, value_name = "LIST", required = true, value_delimiter = ',', allow_negative_numbers = true)]
@@ -97,15 +98,20 @@ pub(crate) struct SimulateArgs {
     /// Threads to use; the result is the same for any number [default: all cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     threads: Option<u16>,
-    /// Also draw what a small change of σ_t, 1 − albedo and 1 − g does: FILE.svg or FILE.png.
+    /// Also draw the profiles with their noise, one figure per medium and thickness: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    /// Also draw the effect of a small change of σ_t, 1 − albedo and 1 − g.
+    #[arg(long, value_name = "FILE")]
+    plot_changes: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
     /// Relative size of these changes, above 0 and below 1.
     #[arg(
         long,
         value_name = "SHARE",
         default_value_t = 0.2,
-        requires = "plot",
+        requires = "plot_changes",
         allow_negative_numbers = true
     )]
     change: f64,
@@ -133,8 +139,11 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 
 fn simulate(args: &SimulateArgs, style: &OutputStyle, jobs: &[JobSpec]) -> Result<()> {
     if let Some(path) = &args.plot {
+        figures::draw(jobs, path, args.figure.size()?)?;
+    }
+    if let Some(path) = &args.plot_changes {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], jobs[0].point().g())?);
-        figure_files::write(&changes::picture(job, &medium, args.change)?, path)?;
+        figure_files::write(&changes::picture(job, &medium, args.change)?, path, args.figure.size()?)?;
     }
     let Some(path) = &args.output else {
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
@@ -221,13 +230,17 @@ fn with_phase(scene: Scene, phase: PhaseShape) -> Result<Scene> {
 }
 
 fn check_plot(args: &SimulateArgs, jobs: &[JobSpec]) -> Result<()> {
-    let Some(path) = &args.plot else { return Ok(()) };
-    figure_files::check_path(path)?;
+    for path in args.plot.iter().chain(&args.plot_changes) {
+        args.figure.check(Some(path))?;
+    }
+    if args.plot_changes.is_none() {
+        return Ok(());
+    }
     if !(args.change > 0.0 && args.change < 1.0) {
         return Err(Invalid::new("change", args.change, "allowed are numbers above 0, below 1").into());
     }
     if jobs.len() * args.albedo.len() > 1 {
-        bail!("--plot shows the changes about one medium at one thickness: give one of each");
+        bail!("--plot-changes shows the changes about one medium at one thickness: give one of each");
     }
     Ok(())
 }

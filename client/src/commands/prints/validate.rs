@@ -21,6 +21,7 @@ use optics_model::{MeasuredProfile, Measurement};
 use serde::Serialize;
 
 use super::view_args::ViewArgs;
+use crate::cli::FigureArgs;
 use crate::figure_files;
 use crate::output::{Output, table, wrapped};
 use crate::prints::bases::PrintBase;
@@ -55,9 +56,11 @@ pub(crate) struct ValidateArgs {
     /// Standard error of the patches' thickness in mm.
     #[arg(long, value_name = "MM", default_value_t = FitSettings::default().thickness_std_error_mm)]
     thickness_std_error: f64,
-    /// Draw measured against predicted values, and their differences: FILE.svg or FILE.png.
+    /// Draw measured against predicted values, and their differences: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    figure: FigureArgs,
     #[command(flatten)]
     view: ViewArgs,
 }
@@ -122,7 +125,7 @@ pub(crate) struct ValidateJson {
 }
 
 pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
-    args.plot.as_deref().map_or(Ok(()), figure_files::check_path)?;
+    args.figure.check(args.plot.as_deref())?;
     let media = MediaFile::read(&args.media)?;
     let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
     let MeasurementFile { materials, .. } = output.read_measurements(&args.chart)?;
@@ -134,7 +137,7 @@ pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
     };
     let points: Vec<ChartPoint> = data.patches.iter().map(point).collect();
     if let (Some(path), Some(picture)) = (&args.plot, chart_figure(&points)) {
-        figure_files::write(&picture, path)?;
+        figure_files::write(&picture, path, args.figure.size()?)?;
     }
     output.print("validate", &data, || text(&data) + &figure_files::drawn(&args.plot))
 }

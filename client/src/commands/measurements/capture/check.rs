@@ -1,16 +1,22 @@
-//! Checks single photographs, before the slab is moved.
+//! Checks single photographs, before the slab is moved: given ones, or those that arrive in a folder.
+
+mod arrivals;
 
 use std::path::Path;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::Result;
 use farm_lab::capture::{Shots, pattern};
 use farm_lab::photograph::Orientation;
-use optics_capture::{Darks, Photo, ShotCheck, check_shot};
+use farm_link::logs::to_stderr;
+use optics_capture::{Colour, Darks, Photo, ShotCheck, check_shot};
 use serde_json::{Value, json};
 
 use super::CaptureArgs;
+use crate::interrupt::interrupted;
 use crate::output::{Output, warning};
+use arrivals::Arrivals;
 
 /// A usable photograph.
 struct UsableShot {
@@ -19,28 +25,67 @@ struct UsableShot {
     check: ShotCheck,
 }
 
-pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
-    let colours = args.pattern.as_deref().map(pattern).transpose().map_err(|e| e.renamed("pattern"))?;
-    let mut darks = Darks::new();
-    let mut dark_shots = Shots::new(colours, Path::new(""));
-    for path in &args.darks {
-        darks.add(dark_shots.read(path, "dark")?)?;
+/// Checks photographs with the same mosaic and dark shots.
+struct ShotChecker {
+    colours: Option<[Colour; 4]>,
+    darks: Darks,
+}
+
+impl ShotChecker {
+    fn new(args: &CaptureArgs) -> Result<Self> {
+        let colours = args.pattern.as_deref().map(pattern).transpose().map_err(|e| e.renamed("pattern"))?;
+        let mut darks = Darks::new();
+        let mut dark_shots = Shots::new(colours, Path::new(""));
+        for path in &args.darks {
+            darks.add(dark_shots.read(path, "dark")?)?;
+        }
+        Ok(Self { colours, darks })
     }
-    let look = |path: &Path| -> Result<UsableShot> {
-        let mut shots = Shots::new(colours, Path::new(""));
+
+    fn check(&self, path: &Path) -> Result<UsableShot> {
+        let mut shots = Shots::new(self.colours, Path::new(""));
         let photo: Photo = shots.read(path, "")?;
         let exposure = photo.exposure.map(|e| e.to_string());
         let orientation = shots.into_inputs().pop().and_then(|input| input.about.orientation);
-        Ok(UsableShot { exposure, orientation, check: check_shot(&photo, darks.clone())? })
-    };
+        Ok(UsableShot { exposure, orientation, check: check_shot(&photo, self.darks.clone())? })
+    }
+}
+
+pub(super) fn run(args: &CaptureArgs, output: &Output) -> Result<ExitCode> {
+    let checker = ShotChecker::new(args)?;
     let shots: Vec<(&Path, Result<UsableShot>)> =
-        args.check.iter().map(|path| (path.as_path(), look(path))).collect();
+        args.check.iter().map(|path| (path.as_path(), checker.check(path))).collect();
     let usable = shots.iter().all(|(_, seen)| seen.is_ok());
+    print(&shots, usable, output)?;
+    Ok(if usable { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn print(shots: &[(&Path, Result<UsableShot>)], usable: bool, output: &Output) -> Result<()> {
     let data: Vec<Value> = shots.iter().map(|(path, seen)| data(path, seen)).collect();
     output.print("check", &json!({"usable": usable, "shots": data}), || {
         shots.iter().map(|(path, seen)| text(path, seen)).collect::<Vec<_>>().join("\n")
-    })?;
-    Ok(if usable { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    })
+}
+
+/// Time between two looks at a watched folder.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Checks each photograph that appears in a folder once its file does not grow any more, until Ctrl-C.
+pub(super) async fn watch(args: &CaptureArgs, folder: &Path, output: &Output) -> Result<ExitCode> {
+    let checker = ShotChecker::new(args)?;
+    let mut arrivals = Arrivals::new(folder)?;
+    to_stderr(format_args!("farmctl: watching {} for new photographs; Ctrl-C ends", folder.display()));
+    loop {
+        tokio::select! {
+            () = interrupted() => return Ok(ExitCode::SUCCESS),
+            () = tokio::time::sleep(LOOK) => {}
+        }
+        for path in arrivals.complete()? {
+            let seen = checker.check(&path);
+            let usable = seen.is_ok();
+            print(&[(&path, seen)], usable, output)?;
+        }
+    }
 }
 
 fn data(path: &Path, seen: &Result<UsableShot>) -> Value {
