@@ -10,7 +10,7 @@ use farm_proto::ids::WorkerId;
 use farm_proto::status::{
     DictionaryState, DictionaryStatus, FailedJob, MachineFacts, WorkerState, WorkerStatus,
 };
-use farm_proto::wire::StatusResponse;
+use farm_proto::wire::{MeasurementSummary, StatusResponse};
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
     ErrorSource, FitCurves, FitOptions, FitSettings, GError, MapLayer, MaterialFit, Objective, Outside,
@@ -29,7 +29,7 @@ use super::dictionaries::{list, show};
 use super::farm::{status, workers};
 use super::fits::similar::{self, SimilarArgs};
 use super::fits::{design, fit, map, measure, profile, scale};
-use super::measurements::simulate;
+use super::measurements::{kept, simulate};
 use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::output::envelope;
 
@@ -100,7 +100,23 @@ fn answers() -> Vec<String> {
             &design::data("paper", &design_question(likely), &assumed, &farm_figures::testing::design()),
         ),
         line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
+        line("measurements", &kept::KeptListJson { measurements: vec![kept_measurement().into()] }),
     ]
+}
+
+fn kept_measurement() -> MeasurementSummary {
+    MeasurementSummary {
+        id: "3f2a9c0d11e08b47".to_owned(),
+        kept_unix_ms: 1_763_000_000_000,
+        owner: "alice".to_owned(),
+        title: "white, second print".to_owned(),
+        note: "slab 2 had a scratch\nagain".to_owned(),
+        source: "white.csv".to_owned(),
+        command: "farmctl measure white.csv --keep".to_owned(),
+        dictionary: "lab".to_owned(),
+        materials: vec!["white".to_owned()],
+        channels: 3,
+    }
 }
 
 fn predicted() -> PredictedProfiles {

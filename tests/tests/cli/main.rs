@@ -255,15 +255,24 @@ fn pictures_and_media_are_written() {
         ("map", &command[..], "map.png"),
         ("measure", &command[..], "measure.svg"),
         ("show", &["grid"][..], "show.svg"),
-        ("simulate", &medium[..], "changes.svg"),
+        ("simulate", &medium[..], "simulated.pdf"),
         ("profile", &within[..], "profile.svg"),
     ] {
         let ran = run(dir, &[&[verb][..], arguments, &["--plot", file]].concat());
         assert_eq!(ran.code, 0, "{verb}: {}", ran.stderr);
         let bytes = std::fs::read(dir.join(file)).unwrap();
-        let head: &[u8] = if file.ends_with("svg") { b"<svg" } else { b"\x89PNG" };
+        let head: &[u8] = match file.rsplit_once('.').unwrap().1 {
+            "svg" => b"<svg",
+            "pdf" => b"%PDF-",
+            _ => b"\x89PNG",
+        };
         assert!(bytes.starts_with(head) && bytes.len() > 5_000, "{file}: {} bytes", bytes.len());
     }
+    let sized = ["--plot", "narrow.png", "--plot-width", "50.8", "--plot-dpi", "300"];
+    assert_eq!(run(dir, &[&["fit"][..], &command, &sized].concat()).code, 0);
+    // The width of a PNG is in its header.
+    assert_eq!(std::fs::read(dir.join("narrow.png")).unwrap()[16..20], 600_u32.to_be_bytes());
+    assert_eq!(run(dir, &[&["simulate"][..], &medium, &["--plot-changes", "changes.svg"]].concat()).code, 0);
     assert_eq!(run(dir, &[&["measure"][..], &command, &["-o", "out"]].concat()).code, 0);
     for (file, text) in [
         ("table.csv", "material,channel,sigma_t_per_mm,"),
@@ -273,7 +282,11 @@ fn pictures_and_media_are_written() {
     ] {
         assert!(std::fs::read_to_string(dir.join("out").join(file)).unwrap().contains(text), "{file}");
     }
-    fails(dir, &[&["fit"][..], &command, &["--plot", "fit.pdf"]].concat(), &["fit.pdf", ".svg or .png"]);
+    fails(
+        dir,
+        &[&["fit"][..], &command, &["--plot", "fit.eps"]].concat(),
+        &["fit.eps", ".svg, .png or .pdf"],
+    );
     assert!(!dir.join("fit.pdf").exists());
 }
 

@@ -97,8 +97,8 @@ fn simulate_takes_lists_and_names_each_medium() {
         ),
         ("--sigma-t 4 --albedo 0.9,1.5 --thickness 1", "albedo = 1.5 is not valid"),
         (
-            "--sigma-t 4,6 --albedo 0.9 --thickness 1 --plot p.svg",
-            "--plot shows the changes about one medium",
+            "--sigma-t 4,6 --albedo 0.9 --thickness 1 --plot-changes p.svg",
+            "--plot-changes shows the changes about one medium",
         ),
         ("--sigma-t 4,6 --albedo 0.9 --thickness 1 --measurement m", "give one --sigma-t, --albedo and --g"),
     ] {

@@ -5,9 +5,10 @@ use std::time::Duration;
 use farm_proto::wire::WatchRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_proto::wire::leases_client::LeasesClient;
+use farm_tests::cli;
 use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced};
-use farm_tests::process::{SOON, wait_for};
+use farm_tests::process::{SOON, run, wait_for};
 use farm_tests::test_worker::on_wire;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Code;
@@ -115,4 +116,59 @@ async fn result_after_revocation_is_not_stored() {
     let ended = tokio::time::timeout(SOON, delivery).await.unwrap().unwrap().unwrap_err();
     assert_eq!(ended.code(), Code::Unauthenticated, "{ended}");
     assert_eq!(farm.show("grid")["records_done"], 0);
+}
+
+/// Kept measurements survive a kill of the coordinator. All clients read them, and their owner and admins change them.
+#[test]
+fn kept_measurements_have_owners_and_survive() {
+    let mut farm = Farm::closed(&[], &[]);
+    for name in ["alice", "bob"] {
+        farm.let_in("client", name);
+    }
+    let _worker = farm.worker("ada", &[]);
+    std::fs::write(farm.path("grid.toml"), cli::GRID).unwrap();
+    std::fs::write(farm.path("m.csv"), cli::HEAD.to_owned() + &cli::rows("R", 0.5) + &cli::rows("R", 1.0))
+        .unwrap();
+    let by = |farm: &Farm, name: &str, args: &[&str]| farm.farmctl_with(&format!("keys/{name}.toml"), args);
+    wait_for("alice has access", SOON, || {
+        (by(&farm, "alice", &["submit", "grid.toml", "--wait", "-q"]).code == 0).then_some(())
+    });
+    let measure = ["measure", "m.csv", "--dictionary", "grid", "--mu", "1", "--keep=first print"];
+    let kept = by(&farm, "alice", &measure);
+    assert_eq!(kept.code, 0, "{}", kept.stderr);
+    let id = kept.stdout.rsplit_once("measurements show ").unwrap().1.split('`').next().unwrap().to_owned();
+    farm.kill_coordinator();
+    farm.start_coordinator();
+
+    let listed = by(&farm, "bob", &["measurements", "--json"]);
+    let listed: serde_json::Value = serde_json::from_str(&listed.stdout).unwrap();
+    let first = &listed["data"]["measurements"][0];
+    assert_eq!([&first["id"], &first["owner"], &first["title"]], [id.as_str(), "alice", "first print"]);
+    let shown = by(&farm, "bob", &["measurements", "show", &id]);
+    let table = |text: &str| text.split_once("shared by similar media").unwrap().1.to_owned();
+    assert!(table(&kept.stdout).starts_with(&table(&shown.stdout)), "{}\n{}", kept.stdout, shown.stdout);
+    let annotate = ["measurements", "annotate", &id, "--note", "slab 2\nscratched"];
+    for args in [&annotate[..], &["measurements", "delete", &id]] {
+        let ran = by(&farm, "bob", args);
+        assert_eq!(ran.code, 1, "{}", ran.stdout);
+        let expected = format!("measurement {id} belongs to alice: only its owner and admins may change it");
+        assert!(ran.stderr.contains(&expected), "{}", ran.stderr);
+    }
+    assert_eq!(by(&farm, "alice", &annotate).code, 0);
+    // The same question again: title and note stay.
+    assert_eq!(by(&farm, "alice", &[&measure[..6], &["--keep"]].concat()).code, 0);
+    let listed = by(&farm, "alice", &["measurements", "--json"]).stdout;
+    let listed: serde_json::Value = serde_json::from_str(&listed).unwrap();
+    assert_eq!(listed["data"]["measurements"].as_array().unwrap().len(), 1, "{listed}");
+    let first = &listed["data"]["measurements"][0];
+    assert_eq!([&first["title"], &first["note"]], ["first print", "slab 2\nscratched"]);
+    // A backup contains it.
+    assert_eq!(by(&farm, "admin", &["backup", "copy.db"]).code, 0);
+    assert_eq!(by(&farm, "admin", &["measurements", "delete", &id]).code, 0);
+    let gone = by(&farm, "alice", &["measurements", "show", &id]);
+    assert!(gone.stderr.contains("does not exist"), "{}", gone.stderr);
+    let restored = run(farm.folder(), &["restore", "copy.db", "--data", "restored"]);
+    assert_eq!(restored.code, 0, "{}", restored.stderr);
+    let shown = run(farm.folder(), &["measurements", "show", &id, "--data", "restored"]);
+    assert!(shown.stdout.starts_with("first print\n"), "{} {}", shown.stdout, shown.stderr);
 }

@@ -24,7 +24,7 @@ use crate::output::{Output, table, utc};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  farmctl measure white.csv --keep='white, second print'
+  farmctl measure white.csv --keep=second-print
   farmctl measurements                                    the newest first
   farmctl measurements show 3f2a9c0d11e08b47
   farmctl measurements show 3f2a9c0d11e08b47 -o media     with the files that `measure -o` writes
@@ -84,7 +84,7 @@ struct KeptNoteArgs {
 }
 
 #[derive(Debug, Serialize)]
-struct KeptJson {
+pub(crate) struct KeptJson {
     id: String,
     kept: String,
     owner: String,
@@ -117,8 +117,8 @@ impl From<MeasurementSummary> for KeptJson {
 }
 
 #[derive(Debug, Serialize)]
-struct KeptListJson {
-    measurements: Vec<KeptJson>,
+pub(crate) struct KeptListJson {
+    pub(crate) measurements: Vec<KeptJson>,
 }
 
 pub(crate) async fn run(global: &Global, args: KeptArgs, output: &Output) -> Result<()> {

@@ -9,6 +9,7 @@ mod bad_input;
 mod crowd;
 mod entrance;
 mod first_use;
+mod kept;
 mod looks;
 mod new_dictionary;
 mod recovery;
@@ -60,6 +61,11 @@ async fn go_to(browser: &Browser, place: &str) {
 /// Measures the page's example.
 async fn measure_the_example(browser: &Browser) {
     go_to(browser, "Measure").await;
+    // One may be open already.
+    let close = By::XPath("//button[text()=\"Another measurement\"]".to_owned());
+    if let Ok(close) = browser.driver.find(close).await {
+        close.click().await.unwrap();
+    }
     browser.press("Try the example").await;
     browser.shows("white (R, G, B at 0.5, 1 mm)").await;
     browser.press("Measure").await;
