@@ -24,11 +24,9 @@ use crate::output::{Output, table, utc};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  farmctl measure white.csv --keep=second-print
+  farmctl measure white.csv --keep='white, second print'
   farmctl measurements                                    the newest first
-  farmctl measurements show 3f2a9c0d11e08b47
-  farmctl measurements show 3f2a9c0d11e08b47 -o media     with the files that `measure -o` writes
-  farmctl measurements annotate 3f2a9c0d11e08b47 --note 'slab 2 had a scratch'")]
+  farmctl measurements show 3f2a9c0d11e08b47")]
 pub(crate) struct KeptArgs {
     #[command(subcommand)]
     command: Option<KeptCommand>,
@@ -37,12 +35,26 @@ pub(crate) struct KeptArgs {
 #[derive(Debug, Subcommand)]
 enum KeptCommand {
     /// List them, the newest first.
+    #[command(after_help = "\
+Examples:
+  farmctl measurements list --most 100")]
     List(KeptListArgs),
     /// Print one as `farmctl measure` did.
+    #[command(after_help = "\
+Examples:
+  farmctl measurements show 3f2a9c0d11e08b47
+  farmctl measurements show 3f2a9c0d11e08b47 -o media     with the files that `measure -o` writes")]
     Show(KeptShowArgs),
     /// Change title or note.
+    #[command(after_help = "\
+Examples:
+  farmctl measurements annotate 3f2a9c0d11e08b47 --title 'white, second print'
+  farmctl measurements annotate 3f2a9c0d11e08b47 --note 'slab 2 had a scratch'")]
     Annotate(KeptNoteArgs),
     /// Delete one.
+    #[command(after_help = "\
+Example:
+  farmctl measurements delete 3f2a9c0d11e08b47")]
     Delete(KeptIdArgs),
 }
 

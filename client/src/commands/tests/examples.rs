@@ -12,11 +12,24 @@ fn examples(command: &Command) -> Vec<String> {
     lines.map(|line| line.trim_start().split("  ").next().unwrap_or_default().to_owned()).collect()
 }
 
+/// The words of a command line, as a shell reads those with single quotes.
+fn words(line: &str) -> Vec<String> {
+    let (mut words, mut is_quoted) = (vec![String::new()], false);
+    for c in line.chars() {
+        match c {
+            '\'' => is_quoted = !is_quoted,
+            ' ' if !is_quoted => words.push(String::new()),
+            _ => words.last_mut().unwrap().push(c),
+        }
+    }
+    words
+}
+
 fn check(command: &Command, name: &str, checked: &mut usize) {
     let verbs: Vec<_> = command.get_subcommands().filter(|c| c.get_name() != "help").collect();
     let examples = examples(command);
     for example in &examples {
-        let words = example.split_whitespace().take_while(|word| *word != ">");
+        let words = words(example).into_iter().take_while(|word| word != ">");
         let parsed = Cli::try_parse_from(words);
         assert!(parsed.is_ok(), "{example}: {}", parsed.err().map(|e| e.to_string()).unwrap_or_default());
     }
