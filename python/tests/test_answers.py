@@ -77,7 +77,7 @@ def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, given: resin_farm.Fit
 def of_laboratory() -> resin_farm.Measurement:
     """Simulated slabs in the scene `lab`, where the second lobe has a weight of 0.05 and an anisotropy of −0.5."""
     slabs = [
-        resin_farm.simulate(sigma_t=6, albedo=0.995, g=0.35, thickness_mm=thickness, walks=20_000)
+        resin_farm.simulate(sigma_t_per_mm=6, albedo=0.995, g=0.35, thickness_mm=thickness, walks=20_000)
         for thickness in (0.5, 1)
     ]
     profiles = [
@@ -268,7 +268,7 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
     for name in ("value", "std_error"):
         np.testing.assert_array_equal(exported[name].values.astype(np.float32), dataset[name].values)
     at = {"sigma_t_per_mm": 6, "albedo": 0.999, "g": 0.4, "thickness_mm": 0.5}
-    profile = dictionary.profile(sigma_t=6, albedo=0.999, g=0.4, thickness_mm=0.5)
+    profile = dictionary.profile(sigma_t_per_mm=6, albedo=0.999, g=0.4, thickness_mm=0.5)
     assert profile.recorded
     # The profile comes from the model between the records, which does not follow the noise of each record.
     record = dataset["value"].sel(at, method="nearest").isel(sample_ior=0)
@@ -277,12 +277,12 @@ def test_a_dictionary_as_an_array_has_the_records(farm: resin_farm.Farm) -> None
     expected = farmctl(farm, *options)
     np.testing.assert_array_equal(profile["G"], expected["channels"][0]["values"])
     np.testing.assert_allclose(profile.x_mm, dataset["x_mm"], atol=1e-12)
-    between = dictionary.profile(sigma_t=6.5, albedo=0.9992, g=0.35, thickness_mm=0.5, channels=("R",))
+    between = dictionary.profile(sigma_t_per_mm=6.5, albedo=0.9992, g=0.35, thickness_mm=0.5, channels=("R",))
     assert not between.recorded and list(between.channels) == ["R"]
 
 
 def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
-    options = {"sigma_t": 6.0, "albedo": 0.99, "g": -0.4, "thickness_mm": 0.5, "walks": 5000}
+    options = {"sigma_t_per_mm": 6.0, "albedo": 0.99, "g": -0.4, "thickness_mm": 0.5, "walks": 5000}
     profile = farm.simulate(**options)  # type: ignore[arg-type]
     frame = profile.to_pandas()
     command = "simulate --sigma-t 6 --albedo 0.99 --g=-0.4 --thickness 0.5 --walks 5000".split()
@@ -290,7 +290,7 @@ def test_a_simulation_is_that_of_farmctl(farm: resin_farm.Farm) -> None:
     expected = pd.read_csv(io.StringIO(ran.stdout))
     np.testing.assert_array_equal(frame["value"].astype(np.float32), expected["value"].astype(np.float32))
     with pytest.raises(resin_farm.InvalidArgument, match=r"albedo = 1\.5 is not valid") as wrong:
-        resin_farm.simulate(sigma_t=1, albedo=1.5, g=0, thickness_mm=1)
+        resin_farm.simulate(sigma_t_per_mm=1, albedo=1.5, g=0, thickness_mm=1)
     assert list(wrong.value.fields) == ["albedo"]
 
 
@@ -311,7 +311,7 @@ def test_answers_show_themselves(farm: resin_farm.Farm, white: resin_farm.Measur
     frame = measured.to_pandas()
     assert list(frame["channel"]) == ["R", "G", "B"] and frame["sigma_t_per_mm"].gt(0).all()
     fit = farm.fit(white, g=0.4, curves=True)
-    shown = [fit, white, farm.dictionary().profile(sigma_t=6, albedo=0.999, g=0.4, thickness_mm=0.5)]
+    shown = [fit, white, farm.dictionary().profile(sigma_t_per_mm=6, albedo=0.999, g=0.4, thickness_mm=0.5)]
     for figure in (one.plot() for one in shown):  # type: ignore[attr-defined]
         picture = io.BytesIO()
         figure.savefig(picture)
@@ -337,12 +337,12 @@ def test_maps_and_designs_are_those_of_farmctl(farm: resin_farm.Farm, white: res
         np.testing.assert_array_equal(found.errors.ravel(), np.ravel([layer["errors"] for layer in expected["layers"]]))
         assert found.plot().axes
     medium = resin_farm.Medium(6, 0.999, 0.4)
-    design = farm.design(medium, slabs=[[0.5, 1], [0.5]], shots=[1, 4])
+    design = farm.design(medium, slabs_mm=[[0.5, 1], [0.5]], shots=[1, 4])
     expected = farmctl(farm, *"design --sigma-t 6 --albedo 0.999 --g 0.4 --slabs 0.5,1 --slabs 0.5 --shots 1,4".split())
     assert [one.slabs_mm for one in design] == [tuple(one["slabs_mm"]) for one in expected["sets"]]
     assert [one.g_held.albedo for one in design] == [one["g_held"]["albedo"] for one in expected["sets"]]
     assert design.best.slabs_mm == (0.5, 1.0) and "best" in design._repr_html_()
-    assert design.to_pandas()["sigma_t"].gt(0).all()
+    assert design.to_pandas()["sigma_t_share"].gt(0).all()
 
 
 def test_the_scale_factor_is_found_with_its_curve(farm: resin_farm.Farm) -> None:

@@ -25,8 +25,8 @@ class NuisanceEstimate:
 
     name: str
     """`scale`, `blur_variance_mm2`, `thickness_mm`, `origin_mm`, `gain`, `zero` or `slope`."""
-    profile_mm: float | None
-    """The profile concerned, by its thickness; None if all are."""
+    slab_mm: float | None
+    """The slab that it belongs to, by its nominal thickness; None if all do."""
     value: float
     std_error: float
     prior: float

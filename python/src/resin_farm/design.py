@@ -63,7 +63,8 @@ class Design:
         return iter(self.sets)
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row for each set, with half-widths of σ_t and 1 − α as shares of them."""
+        """One row for each set: slabs, shots, half-widths of σ_t and 1 − α as shares of them, g held and free, and the
+        half-width of g."""
         import pandas
 
         return pandas.DataFrame([self._record(one) for one in self.sets])
@@ -73,11 +74,11 @@ class Design:
         return {
             "slabs_mm": one.slabs_mm,
             "shots": one.shots,
-            "sigma_t": one.g_held.sigma_t_per_mm / m.sigma_t_per_mm,
-            "one_minus_albedo": one.g_held.albedo / (1 - m.albedo),
-            "sigma_t_g_free": free.sigma_t_per_mm / m.sigma_t_per_mm if free else float("nan"),
-            "one_minus_albedo_g_free": free.albedo / (1 - m.albedo) if free else float("nan"),
-            "g": free.g if free else float("nan"),
+            "sigma_t_share": one.g_held.sigma_t_per_mm / m.sigma_t_per_mm,
+            "one_minus_albedo_share": one.g_held.albedo / (1 - m.albedo),
+            "sigma_t_share_g_free": free.sigma_t_per_mm / m.sigma_t_per_mm if free else float("nan"),
+            "one_minus_albedo_share_g_free": free.albedo / (1 - m.albedo) if free else float("nan"),
+            "g_half_width": free.g if free else float("nan"),
             "best": one.best,
         }
 
@@ -92,7 +93,7 @@ class Design:
             record = self._record(one)
             shares = [
                 f"{100 * share:.2g} %"
-                for share in (record["sigma_t"], record["one_minus_albedo"])
+                for share in (record["sigma_t_share"], record["one_minus_albedo_share"])
                 if isinstance(share, float)
             ]
             slabs = " + ".join(f"{t:g}" for t in one.slabs_mm)

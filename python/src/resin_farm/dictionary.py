@@ -145,7 +145,7 @@ class Dictionary:
     def profile(
         self,
         *,
-        sigma_t: float,
+        sigma_t_per_mm: float,
         albedo: float,
         g: float,
         thickness_mm: float,
@@ -155,7 +155,7 @@ class Dictionary:
         """The profile of a slab, at the records or between them.
 
         Args:
-            sigma_t: extinction coefficient, in 1/mm.
+            sigma_t_per_mm: extinction coefficient, in 1/mm.
             albedo: single-scattering albedo.
             g: anisotropy, the mean cosine of the phase function.
             thickness_mm: near one of the dictionary's, or between two.
@@ -164,7 +164,7 @@ class Dictionary:
         """
         request = fits_pb2.ProfileRequest(
             dictionary=self.name,
-            medium=model_pb2.Medium(sigma_t_per_mm=sigma_t, albedo=albedo, g=g),
+            medium=model_pb2.Medium(sigma_t_per_mm=sigma_t_per_mm, albedo=albedo, g=g),
             thickness_mm=thickness_mm,
             sample_ior=sample_ior,
             channels=channels or self.channels,

@@ -213,7 +213,7 @@ class Farm(FarmAccess):
         medium: Medium,
         dictionary: str | None = None,
         *,
-        slabs: Sequence[Sequence[float]] = (),
+        slabs_mm: Sequence[Sequence[float]] = (),
         shots: Sequence[int] = (),
         channel: str | None = None,
         noise: float | None = None,
@@ -226,7 +226,7 @@ class Farm(FarmAccess):
         Args:
             medium: a guess: the information in the pixels depends on the medium.
             dictionary: its name; the only one, else "lab", else "paper" if None.
-            slabs: sets of thicknesses in mm; sets of one to three of the dictionary's if there are none.
+            slabs_mm: sets of thicknesses in mm; sets of one to three of the dictionary's if there are none.
             shots: photographs of each slab; 1 and 2 if there are none.
             channel: the dictionary's first if None.
             noise: standard error of a pixel of one photograph, as a share of its value; 0.01 if None.
@@ -238,7 +238,7 @@ class Farm(FarmAccess):
             dictionary=self._name(dictionary),
             channel=channel,
             medium=_wire_medium(medium),
-            slab_sets=[fits_pb2.SlabThicknesses(thickness_mm=one) for one in slabs],
+            slab_sets=[fits_pb2.SlabThicknesses(thickness_mm=one) for one in slabs_mm],
             shots=shots,
             noise=noise,
             noise_floor=noise_floor,
@@ -258,7 +258,7 @@ class Farm(FarmAccess):
     def simulate(
         self,
         *,
-        sigma_t: float,
+        sigma_t_per_mm: float,
         albedo: float,
         g: float,
         thickness_mm: float,
@@ -269,7 +269,7 @@ class Farm(FarmAccess):
     ) -> profile.Profile:
         """Traces the profile of one medium on this machine; see `resin_farm.simulate`."""
         return profile.simulate(
-            sigma_t=sigma_t,
+            sigma_t_per_mm=sigma_t_per_mm,
             albedo=albedo,
             g=g,
             thickness_mm=thickness_mm,

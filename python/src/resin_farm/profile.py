@@ -54,7 +54,7 @@ class Profile:
 
 def simulate(
     *,
-    sigma_t: float,
+    sigma_t_per_mm: float,
     albedo: float,
     g: float,
     thickness_mm: float,
@@ -66,7 +66,7 @@ def simulate(
     """Traces the profile of one medium, without a farm or a dictionary; the same numbers give the same bits everywhere.
 
     Args:
-        sigma_t: extinction coefficient, in 1/mm.
+        sigma_t_per_mm: extinction coefficient, in 1/mm.
         albedo: single-scattering albedo.
         g: anisotropy, the mean cosine of the phase function, whose shape is the scene's.
         thickness_mm: thickness of the slab.
@@ -79,7 +79,7 @@ def simulate(
         InvalidArgument: if an argument is not valid; it names it.
     """
     options: dict[str, Any] = {
-        "--sigma-t": sigma_t,
+        "--sigma-t": sigma_t_per_mm,
         "--albedo": albedo,
         "--g": g,
         "--thickness": thickness_mm,
@@ -91,7 +91,7 @@ def simulate(
     found = _programs.farmctl(["simulate", *(f"{option}={value}" for option, value in options.items())])
     profiles = {one["channel"]: one for one in found["channels"]}
     return Profile(
-        medium=Medium(sigma_t, albedo, g),
+        medium=Medium(sigma_t_per_mm, albedo, g),
         thickness_mm=thickness_mm,
         x_mm=np.array(found["x_mm"]),
         channels={name: np.array(one["values"]) for name, one in profiles.items()},
