@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from resin_farm import _display
 from resin_farm.measurement import Measurement, read_measurements
 
 
@@ -32,6 +33,9 @@ class Capture:
     def report(self) -> pathlib.Path:
         """A page with every photograph, profile and error."""
         return self.folder / "report.html"
+
+    def __repr__(self) -> str:
+        return _display.short(self, f"{self.folder}: {_display.names([m.material for m in self.measurements])}")
 
     def _repr_html_(self) -> str:
         materials = "".join(m._repr_html_() for m in self.measurements)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from resin_farm import _display
 from resin_farm.medium import Array, Interval, Medium, SecondLobe
 
 
@@ -17,6 +18,9 @@ class Candidate:
     """The minimised objective: Eq. 1 of the paper, or the misfit by the likelihood."""
     records: tuple[int | None, ...]
     """Numbers of its records in the dictionary, one for each thickness."""
+
+    def __repr__(self) -> str:
+        return _display.short(self, f"{self.medium}, ior {self.sample_ior:g}: error {_display.number(self.error)}")
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,13 @@ class NuisanceEstimate:
     prior_std_error: float | None
     """None without a prior."""
 
+    def __repr__(self) -> str:
+        slab = "" if self.slab_mm is None else f" of {self.slab_mm:g} mm"
+        prior = "none" if self.prior_std_error is None else _display.estimate(self.prior, self.prior_std_error)
+        return _display.short(
+            self, f"{self.name}{slab}: {_display.estimate(self.value, self.std_error)}, prior {prior}"
+        )
+
 
 @dataclass(frozen=True)
 class SourceShare:
@@ -47,6 +58,12 @@ class SourceShare:
     absorption: float
     quantity: str | None = None
     """The quantity of the scene, if the source is `scene`."""
+
+    def __repr__(self) -> str:
+        shares = (self.sigma_t, self.albedo, self.reduced_scattering, self.absorption)
+        of_each = zip(("σ_t", "α", "σ_s(1−g)", "σ_a"), shares, strict=True)
+        text = ", ".join(f"{name} {100 * share:.1f} %" for name, share in of_each)
+        return _display.short(self, f"{self.quantity or self.source}: {text}")
 
 
 @dataclass(frozen=True)
@@ -68,6 +85,16 @@ class SceneEstimate:
     at_end: bool
     """The estimate lies at the end of the range of the dictionary's responses: the true value may lie beyond it."""
 
+    def __repr__(self) -> str:
+        slab = "" if self.slab_mm is None else f" of {self.slab_mm:g} mm"
+        value, prior = (
+            _display.estimate(mean, std_error)
+            for mean, std_error in ((self.value, self.std_error), (self.prior, self.prior_std_error))
+        )
+        return _display.short(
+            self, f"{self.quantity}{slab} ({self.scope}): {value} {self.unit}".rstrip() + f", prior {prior}"
+        )
+
 
 @dataclass(frozen=True)
 class Likelihood:
@@ -84,6 +111,16 @@ class Likelihood:
     """Shares of the variances of the medium by source; empty if the data determine nothing."""
     scene: tuple[SceneEstimate, ...] = ()
     """Uncertain quantities of the scene; empty if it was taken as exact."""
+
+    def __repr__(self) -> str:
+        parts = [f"χ² {self.chi2:.0f} of {self.degrees_of_freedom:.0f}", f"p {_display.number(self.probability, 2)}"]
+        parts += [
+            f"{self.outliers} outliers",
+            f"{len(self.nuisances)} nuisances",
+            f"{len(self.budget)} sources of error",
+        ]
+        parts += [f"{len(self.scene)} quantities of the scene"] if self.scene else []
+        return _display.short(self, ", ".join(parts))
 
 
 # eq=False: the equality of arrays has no single truth value.
@@ -116,6 +153,19 @@ class Refined:
     """The second lobe of the phase function, at its estimate; None if the function has none. `likelihood.scene` has
     the standard errors of what was estimated, with the priors."""
 
+    def __repr__(self) -> str:
+        return _display.short(self, self._summary())
+
+    def _summary(self) -> str:
+        m = self.medium
+        values = (
+            f"σ_t {_display.number(m.sigma_t_per_mm)} ({self.sigma_t_per_mm}) /mm",
+            f"α {_display.albedo(m.albedo)} ({self.albedo})",
+            f"g {_display.number(m.g)} ({self.g})",
+            f"misfit {self.misfit:.1f}",
+        )
+        return ", ".join(values) + ("" if self.resolved_at_g else "; unresolved")
+
 
 @dataclass(frozen=True, eq=False)
 class Curves:
@@ -132,6 +182,10 @@ class Curves:
     left_out: Array | None = None
     """Indices of pixels that the likelihood leaves out, such as dust."""
 
+    def __repr__(self) -> str:
+        fitted = "best record" if self.refined is None else "best record and continuous optimum"
+        return _display.short(self, f"{self.thickness_mm:g} mm: {self.x_mm.size} pixels, {fitted}")
+
 
 @dataclass(frozen=True)
 class ChannelFit:
@@ -143,6 +197,10 @@ class ChannelFit:
     outside: str | None
     """`brighter` or `darker`, if a profile's mean lies beyond that of every record."""
     curves: tuple[Curves, ...] = field(default=(), repr=False)
+
+    def __repr__(self) -> str:
+        text = self.refined._summary() if self.refined else f"{self.medium}; best of {len(self.candidates)} records"
+        return _display.short(self, f"{self.channel}: {text}")
 
     @property
     def medium(self) -> Medium:

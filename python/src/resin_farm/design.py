@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -25,6 +26,10 @@ class HalfWidths:
     reduced_scattering_per_mm: float
     absorption_per_mm: float
 
+    def __repr__(self) -> str:
+        sigma_t, alpha, g = map(_display.number, (self.sigma_t_per_mm, self.albedo, self.g))
+        return _display.short(self, f"σ_t ± {sigma_t} /mm, α ± {alpha}, g ± {g}")
+
     @classmethod
     def _of_wire(cls, wire: fits_pb2.HalfWidths) -> HalfWidths:
         return cls(wire.sigma_t_per_mm, wire.albedo, wire.g, wire.reduced_scattering_per_mm, wire.absorption_per_mm)
@@ -45,6 +50,11 @@ class SlabSet:
     """No other set determines σ_t and 1 − α together better, g held."""
     best_of_its_effort: bool
     """No other set of at most as many photographs determines them better."""
+
+    def __repr__(self) -> str:
+        widths = f"σ_t ± {_display.number(self.g_held.sigma_t_per_mm)} /mm, α ± {_display.number(self.g_held.albedo)}"
+        best = ", the best" if self.best else ""
+        return _display.short(self, f"{_slabs(self)}, {self.shots} shots{best}: {widths}, g held")
 
 
 @dataclass(frozen=True)
@@ -85,8 +95,14 @@ class Design:
     def __str__(self) -> str:
         return _display.text_table(_HEAD, self._rows())
 
+    def __repr__(self) -> str:
+        best = f"{_slabs(self.best)}, {self.best.shots} shots" if any(one.best for one in self.sets) else "none"
+        return _display.short(self, f"{self.channel}, {self.medium}: {len(self.sets)} sets of slabs, the best {best}")
+
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows(), f"channel {self.channel}: half-widths of 95 % intervals")
+        caption = f"channel {self.channel}, {self.medium}: half-widths of 95 % intervals"
+        marked = [place for place, one in enumerate(self.sets) if not math.isfinite(one.g_held.sigma_t_per_mm)]
+        return _display.html_table(_HEAD, self._rows(), caption, marked)
 
     def _rows(self) -> list[list[str]]:
         def row(one: SlabSet) -> list[str]:
@@ -96,11 +112,20 @@ class Design:
                 for share in (record["sigma_t_share"], record["one_minus_albedo_share"])
                 if isinstance(share, float)
             ]
-            slabs = " + ".join(f"{t:g}" for t in one.slabs_mm)
             free = f"{one.g_free.g:.2g}" if one.g_free else ""
-            return [slabs, "best" if one.best else "", str(one.shots), *shares, free]
+            return [
+                " + ".join(f"{t:g}" for t in one.slabs_mm),
+                "best" if one.best else "",
+                str(one.shots),
+                *shares,
+                free,
+            ]
 
         return [row(one) for one in self.sets]
+
+
+def _slabs(one: SlabSet) -> str:
+    return " + ".join(f"{t:g}" for t in one.slabs_mm) + " mm"
 
 
 _HEAD = ("slabs / mm", "", "shots", "σ_t", "1 − α", "g, free")

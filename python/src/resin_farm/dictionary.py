@@ -260,15 +260,15 @@ class Dictionary:
         return dataset, about
 
     def __repr__(self) -> str:
-        return f"Dictionary({self.name!r}: {self.state}, {self.records_done:,} of {self.records_total:,} records)"
+        return _display.short(
+            self, f"{self.name}: {self.state}, {self.records_done:,} of {self.records_total:,} records"
+        )
 
     def _repr_html_(self) -> str:
-        def axis(values: tuple[float, ...]) -> str:
-            return f"{len(values)}: {values[0]:g}…{values[-1]:g}" if len(values) > 1 else f"{values[0]:g}"
-
-        rows = [[name, axis(values)] for name, values in self.axes.items()]
-        rows.append(["channels", ", ".join(self.channels)])
-        return _display.html_table(("axis", "values"), rows, repr(self))
+        rows = [[name, _display.axis(values)] for name, values in self.axes.items()]
+        rows.append(["channels", _display.names(self.channels)])
+        caption = f"{self.name}: {self.state}, {self.records_done:,} of {self.records_total:,} records"
+        return _display.html_table(("axis", "values"), rows, caption)
 
 
 def _of_bytes(farm: FarmAccess, status: bytes) -> Dictionary:

@@ -11,6 +11,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from resin_farm import _display
+
 Axis: TypeAlias = Sequence[float] | NDArray[np.floating]
 
 
@@ -45,6 +47,13 @@ class Grid:
                 if isinstance(values, str) or not isinstance(values, Iterable):
                     raise TypeError(f"{name}: {values!r}: an axis is a list of numbers")
                 object.__setattr__(self, name, tuple(float(value) for value in values))
+
+    def __repr__(self) -> str:
+        def text(value: object) -> str:
+            return f"<{_display.axis(value)}>" if isinstance(value, tuple) and len(value) > 8 else repr(value)
+
+        given = {field.name: getattr(self, field.name) for field in fields(self)}
+        return f"Grid({', '.join(f'{name}={text(value)}' for name, value in given.items() if value is not None)})"
 
     def to_toml(self) -> str:
         """The grid as a grid file."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from resin_farm import _plots
+from resin_farm import _display, _plots
 from resin_farm._wire import fits_pb2
 from resin_farm.medium import Array, Medium
 
@@ -31,6 +31,11 @@ class DistanceMap:
     """The best medium at each g."""
     similar: tuple[Medium | None, ...] = field(repr=False)
     """The medium that is similar to the best of all, at each g."""
+
+    def __repr__(self) -> str:
+        axes = f"{self.g.size} g × {self.sigma_t_per_mm.size} σ_t × {self.albedo.size} α"
+        nearest = self.best[int(self.errors.min(axis=(1, 2)).argmin())]
+        return _display.short(self, f"{self.channel}: {axes}, least {_display.number(self.errors.min())} at {nearest}")
 
     def plot(self) -> Figure:
         """One panel for each g: its best medium as a ring, that of all as a cross, the similar one as a diamond."""

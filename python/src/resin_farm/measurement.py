@@ -72,6 +72,15 @@ class MeasuredProfile:
                     f"{name}: one for each of the {self.x_mm.size} pixels is needed, not {numbers.shape}"
                 )
 
+    def __repr__(self) -> str:
+        span = f"{self.x_mm.size} pixels"
+        if self.x_mm.size:
+            span += f" from {self.x_mm[0]:.3g} to {self.x_mm[-1]:.3g} mm"
+            span += f", values {self.values.min():.3g}…{self.values.max():.3g}"
+        set_up = "".join(f", {name}={value:g}" for name, value in self.set_up.items())
+        errors = "" if self.std_errors is None else ", std_errors"
+        return _display.short(self, f"{self.channel}, {self.thickness_mm:g} mm: {span}{errors}{set_up}")
+
     def _wire(self) -> model_pb2.MeasuredProfile:
         return model_pb2.MeasuredProfile(
             channel=self.channel,
@@ -133,8 +142,8 @@ class Measurement:
         return pandas.concat(frames, ignore_index=True)
 
     def __repr__(self) -> str:
-        slabs = ", ".join(f"{t:g}" for t in self.thicknesses_mm)
-        return f"Measurement({self.material!r}: {'/'.join(self.channels)}, slabs of {slabs} mm)"
+        slabs = _display.axis(self.thicknesses_mm)
+        return _display.short(self, f"{self.material}: {_display.names(self.channels)}; slabs of {slabs} mm")
 
     def _repr_html_(self) -> str:
         rows = [

@@ -37,6 +37,9 @@ class Medium:
         """σ_a = σ_t (1 − α), in 1/mm."""
         return self.sigma_t_per_mm * (1 - self.albedo)
 
+    def __str__(self) -> str:
+        return _display.coefficients(self.sigma_t_per_mm, self.albedo, self.g)
+
     @classmethod
     def _of_wire(cls, wire: model_pb2.Medium) -> Medium:
         return cls(wire.sigma_t_per_mm, wire.albedo, wire.g)
@@ -93,6 +96,9 @@ class Interval:
             case False, True:
                 return f"≥ {_display.end(self.low)}"
         return "…".join(_display.ends(self.low, self.high)) if self.high > self.low else "held"
+
+    def __repr__(self) -> str:
+        return _display.short(self, str(self))
 
     @classmethod
     def _of_wire(cls, wire: fits_pb2.Interval) -> Interval:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import html
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from resin_farm import _programs
+from resin_farm import _display, _programs
 
 Lab = tuple[float, float, float]
 
@@ -20,6 +21,10 @@ class Reflectance:
     radiance_factor: float
     std_error: float
 
+    def __repr__(self) -> str:
+        value = _display.estimate(self.radiance_factor, self.std_error)
+        return _display.short(self, f"{self.channel} over {self.base}: {value}")
+
 
 @dataclass(frozen=True)
 class PrintColour:
@@ -30,6 +35,9 @@ class PrintColour:
     lab_std_errors: Lab
     srgb: tuple[int, int, int] | None
 
+    def __repr__(self) -> str:
+        return _display.short(self, f"over {self.base}: {_lab(self)}")
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -38,6 +46,39 @@ class Prediction:
     reflectances: tuple[Reflectance, ...]
     colours: tuple[PrintColour, ...]
     """Empty unless the channels are wavelengths that cover the visible range."""
+
+    def __str__(self) -> str:
+        return "\n".join([_display.text_table(self._head(), self._rows()), *self._notes()])
+
+    def __repr__(self) -> str:
+        channels = _display.names(self._channels())
+        colours = "" if self.colours else "; no colours"
+        return _display.short(self, f"{channels} over {_display.names(self._bases())}{colours}")
+
+    def _repr_html_(self) -> str:
+        caption = "radiance factors ± standard errors"
+        table = _display.html_table(self._head(), self._rows(), caption)
+        return table + "".join(
+            f"<p>{_swatch(one)}{html.escape(note)}</p>" for one, note in zip(self.colours, self._notes(), strict=True)
+        )
+
+    def _channels(self) -> list[str]:
+        return list(dict.fromkeys(one.channel for one in self.reflectances))
+
+    def _bases(self) -> list[str]:
+        return list(dict.fromkeys(one.base for one in self.reflectances))
+
+    def _head(self) -> list[str]:
+        return ["channel", *(f"over {base}" for base in self._bases())]
+
+    def _rows(self) -> list[list[str]]:
+        found = {
+            (one.channel, one.base): _display.estimate(one.radiance_factor, one.std_error) for one in self.reflectances
+        }
+        return [[channel, *(found.get((channel, base), "") for base in self._bases())] for channel in self._channels()]
+
+    def _notes(self) -> list[str]:
+        return [f"over {colour.base}: {_lab(colour)}" for colour in self.colours]
 
     def radiance_factor(self, channel: str, base: str) -> float:
         """The radiance factor in a channel over a base.
@@ -100,6 +141,22 @@ def predict(
         for colour in (data["colours"] or {"bases": []})["bases"]
     )
     return Prediction(reflectances, colours)
+
+
+def _lab(colour: PrintColour) -> str:
+    values = [_display.estimate(value, error) for value, error in zip(colour.lab, colour.lab_std_errors, strict=True)]
+    return ", ".join(f"{name} {value}" for name, value in zip(("L*", "a*", "b*"), values, strict=True))
+
+
+def _swatch(colour: PrintColour) -> str:
+    """A patch of the colour; nothing without sRGB."""
+    if colour.srgb is None:
+        return ""
+    red, green, blue = colour.srgb
+    style = (
+        f"display: inline-block; width: 2em; height: 1em; margin-right: 0.5em; background: rgb({red}, {green}, {blue})"
+    )
+    return f'<span style="{style}"></span>'
 
 
 def _text(slab: Slab) -> str:

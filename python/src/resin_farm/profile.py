@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from resin_farm import _plots, _programs
+from resin_farm import _display, _plots, _programs
 from resin_farm.medium import Array, Medium
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ class Profile:
     """Standard errors from the noise of the walks; missing for a channel if they are unknown."""
     recorded: bool = False
     """The dictionary has a record of this medium and thickness; otherwise it lies between records."""
+
+    def __repr__(self) -> str:
+        channels = f"{_display.names(list(self.channels))} on {self.x_mm.size} pixels"
+        where = ", at a record" if self.recorded else ""
+        return _display.short(self, f"{self.medium}, {self.thickness_mm:g} mm{where}: {channels}")
 
     def __getitem__(self, channel: str) -> Array:
         return self.channels[channel]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,13 @@ class ScaleCurve:
     best_g: float
     """The anisotropy (mean cosine) with the least error common to all materials."""
 
+    def __repr__(self) -> str:
+        best = (
+            _display.number(self.best_mu) if self.std_error is None else _display.estimate(self.best_mu, self.std_error)
+        )
+        span = f"{self.mu.size} values from {self.mu[0]:g} to {self.mu[-1]:g}" if self.mu.size else "no values"
+        return _display.short(self, f"μ = {best}, best of {span}; g = {_display.number(self.best_g)}")
+
     def plot(self) -> Figure:
         """The curve, with its minimum."""
         return _plots.scale(self.mu, self.error, self.best_mu)
@@ -57,8 +65,12 @@ class MaterialFit:
     def __str__(self) -> str:
         return "\n".join([_display.text_table(_HEAD, self._rows()), *self._notes()])
 
+    def __repr__(self) -> str:
+        channels = [f"{fit.channel} {_sigma_t(fit)}" for fit in self.channels]
+        return _display.short(self, f"{self.material}: σ_t in 1/mm: {_display.names(channels)}")
+
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows()) + _display.html_lines(self._notes())
+        return _html([self]) + _display.html_lines(self._notes())
 
     @property
     def remarks(self) -> list[str]:
@@ -157,8 +169,15 @@ class Measured:
     def __str__(self) -> str:
         return "\n".join([self._common(), "", _display.text_table(_HEAD, self._rows()), *self._notes()])
 
+    def __repr__(self) -> str:
+        fits = [channel for fit in self.materials for channel in fit.channels]
+        unresolved = sum(_state(fit) == "unresolved" for fit in fits)
+        counts = f"{len(fits)} channels, {unresolved} unresolved"
+        materials = _display.names([fit.material for fit in self.materials])
+        return _display.short(self, f"{materials}: {counts}; {self._common()}; dictionary {self.dictionary}")
+
     def _repr_html_(self) -> str:
-        return _display.html_table(_HEAD, self._rows(), self._common()) + _display.html_lines(self._notes())
+        return _html(self.materials, self._common()) + _display.html_lines(self._notes())
 
     @property
     def remarks(self) -> list[str]:
@@ -222,6 +241,33 @@ def _row(material: str, fit: ChannelFit) -> list[str]:
     cells += [n(m.absorption_per_mm), str(r.absorption_per_mm), n(m.sigma_t_per_mm), str(r.sigma_t_per_mm)]
     cells += [_display.albedo(m.albedo), str(r.albedo), n(m.g), str(r.g), f"{r.misfit:.1f}"]
     return [material, fit.channel, *cells]
+
+
+def _state(fit: ChannelFit) -> str:
+    """Whether the data determine the medium of a channel; empty without a continuous optimum."""
+    if fit.outside is not None:
+        return "outside"
+    if fit.refined is None:
+        return ""
+    if not fit.refined.resolved_at_g:
+        return "unresolved"
+    return "resolved" if fit.refined.resolved else "g open"
+
+
+def _sigma_t(fit: ChannelFit) -> str:
+    """σ_t with its interval, and the state of the channel unless it is resolved."""
+    interval = f" ({fit.refined.sigma_t_per_mm})" if fit.refined else ""
+    state = _state(fit)
+    return (
+        _display.number(fit.medium.sigma_t_per_mm) + interval + (f" {state}" if state not in ("", "resolved") else "")
+    )
+
+
+def _html(materials: Sequence[MaterialFit], caption: str = "") -> str:
+    """The table of a notebook, with the state of each channel; those that are unresolved are marked."""
+    rows = [[*_row(fit.material, channel), _state(channel)] for fit in materials for channel in fit.channels]
+    marked = [place for place, row in enumerate(rows) if row[-1] in ("unresolved", "outside")]
+    return _display.html_table((*_HEAD, "state"), rows, caption, marked)
 
 
 def _mitsuba_phase(g: float, second: SecondLobe | None) -> dict[str, Any]:
