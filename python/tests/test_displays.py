@@ -124,7 +124,7 @@ def test_predictions_have_a_table() -> None:
     prediction = resin_farm.Prediction(reflectances, (colour,))
     assert str(prediction).splitlines() == [
         "channel  over black        over white",
-        "──────────────────────────────────────",
+        "─" * 37,
         "450      0.500 ± 0.012  0.500 ± 0.012",
         "550      0.600 ± 0.012  0.600 ± 0.012",
         "over white: L* 81.23 ± 0.50, a* -1.234 ± 0.010, b* 3.456 ± 0.020",

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from resin_farm import _optional
 from resin_farm.medium import Array, Medium
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def _shown_once(figure: Figure) -> None:
 
 def _panels(titles: list[str], lower: str | None = None) -> tuple[Figure, Any]:
     """A row of panels, and with the name of a lower axis a row of lower ones below it."""
+    _optional.require("plot", "matplotlib")
     import matplotlib.pyplot as plt
 
     rows = 1 if lower is None else 2
@@ -144,6 +146,7 @@ class Layer:
 def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) -> Figure:
     """One panel for each anisotropy: the best medium as a ring, that of all panels as a cross, the similar one as a
     diamond; bright is near."""
+    _optional.require("plot", "matplotlib")
     import matplotlib.pyplot as plt
     from matplotlib.colors import LogNorm
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from resin_farm import _display
+from resin_farm import _display, _optional
 from resin_farm._wire import fits_pb2
 from resin_farm.medium import Medium
 
@@ -75,6 +75,7 @@ class Design:
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each set: slabs, shots, half-widths of σ_t and 1 − α as shares of them, g held and free, and the
         half-width of g."""
+        _optional.require("data", "pandas")
         import pandas
 
         return pandas.DataFrame([self._record(one) for one in self.sets])

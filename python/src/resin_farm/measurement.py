@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resin_farm import _display, _plots, _programs
+from resin_farm import _display, _optional, _plots, _programs
 from resin_farm._wire import model_pb2
 from resin_farm.errors import FarmError, InvalidArgument
 from resin_farm.medium import Array
@@ -125,6 +125,7 @@ class Measurement:
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each pixel, as in a measurement file."""
+        _optional.require("data", "pandas")
         import pandas
 
         frames = []

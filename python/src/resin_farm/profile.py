@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from resin_farm import _display, _plots, _programs
+from resin_farm import _display, _optional, _plots, _programs
 from resin_farm.medium import Array, Medium
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Profile:
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each pixel of each channel."""
+        _optional.require("data", "pandas")
         import pandas
 
         frames = []

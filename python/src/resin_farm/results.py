@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from resin_farm import _display, _plots, _remarks
+from resin_farm import _display, _optional, _plots, _remarks
 from resin_farm.channel_fit import ChannelFit
 from resin_farm.medium import Array, Interval, SecondLobe
 
@@ -86,6 +86,7 @@ class MaterialFit:
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each channel: parameters, ends of intervals (NaN where open), misfit, weight and anisotropy of
         the second lobe (NaN if the phase function has none). g is the mean cosine of the phase function."""
+        _optional.require("data", "pandas")
         import pandas
 
         return pandas.DataFrame([_record(self.material, fit) for fit in self.channels])
@@ -201,6 +202,7 @@ class Measured:
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each channel of each material."""
+        _optional.require("data", "pandas")
         import pandas
 
         return pandas.concat([fit.to_pandas() for fit in self.materials], ignore_index=True)
@@ -212,6 +214,7 @@ class Measured:
         Raises:
             ImportError: if xarray is not installed.
         """
+        _optional.require("data", "pandas", "xarray")
         frame, axis = self.to_pandas(), "channel"
         wavelengths = [_wavelength_nm(channel) for channel in frame["channel"]]
         if not any(math.isnan(wavelength) for wavelength in wavelengths):
