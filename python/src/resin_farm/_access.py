@@ -47,6 +47,7 @@ class FarmAccess:
 
     @property
     def address(self) -> str:
+        """The URL of the coordinator."""
         return (self._connection or self._open()).address
 
     def close(self) -> None:

@@ -18,15 +18,25 @@ class Capture:
     """The results of `Farm.capture`, in a folder."""
 
     folder: pathlib.Path
+    """The folder that `capture` wrote."""
     session: dict[str, Any] = field(repr=False)
     """Set-up, board, camera, noise and errors by source (session.json)."""
 
     @classmethod
     def read(cls, folder: pathlib.Path) -> Capture:
+        """The results of an earlier `capture`.
+
+        Args:
+            folder: the folder that it wrote.
+
+        Raises:
+            OSError: if there is no `session.json` in it.
+        """
         return cls(folder, json.loads((folder / "session.json").read_text(encoding="utf-8")))
 
     @cached_property
     def measurements(self) -> list[Measurement]:
+        """The profiles of all materials."""
         return read_measurements(self.folder / "measurements.csv")
 
     @property

@@ -13,7 +13,9 @@ class Candidate:
     """A record that was compared."""
 
     medium: Medium
+    """The record's medium."""
     sample_ior: float
+    """The record's refractive index."""
     error: float
     """The minimised objective: Eq. 1 of the paper, or the misfit by the likelihood."""
     records: tuple[int | None, ...]
@@ -32,8 +34,11 @@ class NuisanceEstimate:
     slab_mm: float | None
     """The slab that it belongs to, by its nominal thickness; None if all do."""
     value: float
+    """The estimate, in the unit of the name's ending."""
     std_error: float
+    """Its standard error."""
     prior: float
+    """The mean of the prior."""
     prior_std_error: float | None
     """None without a prior."""
 
@@ -53,9 +58,13 @@ class SourceShare:
     """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`,
     `scene`."""
     sigma_t: float
+    """Share of the variance of ln σ_t, 0 to 1."""
     albedo: float
+    """Share of the variance of √(1 − α), 0 to 1."""
     reduced_scattering: float
+    """Share of the variance of ln σ_s(1 − g), 0 to 1."""
     absorption: float
+    """Share of the variance of √σ_a, 0 to 1."""
     quantity: str | None = None
     """The quantity of the scene, if the source is `scene`."""
 
@@ -79,9 +88,13 @@ class SceneEstimate:
     slab_mm: float | None
     """The slab that it belongs to, by its nominal thickness."""
     value: float
+    """The estimate, in the unit."""
     std_error: float
+    """Its standard error, in the unit."""
     prior: float
+    """The mean of the prior, in the unit."""
     prior_std_error: float
+    """The standard error of the prior, in the unit."""
     at_end: bool
     """The estimate lies at the end of the range of the dictionary's responses: the true value may lie beyond it."""
 
@@ -101,10 +114,13 @@ class Likelihood:
     """Results of the likelihood for a channel, in addition to its medium."""
 
     chi2: float
+    """The sum of squared residuals over their variances, priors included."""
     degrees_of_freedom: float
+    """The value of χ² that noise alone leads to on average."""
     probability: float
     """Probability of a χ² at least as large from noise alone."""
     nuisances: tuple[NuisanceEstimate, ...]
+    """Estimates of the set-up."""
     outliers: int
     """Pixels that were given no weight."""
     budget: tuple[SourceShare, ...] = ()
@@ -129,12 +145,17 @@ class Refined:
     """A continuous optimum, with error bars of 95 %."""
 
     medium: Medium
+    """The optimum."""
     sigma_t_per_mm: Interval
+    """Of the extinction coefficient, in 1/mm."""
     albedo: Interval
+    """Of the single-scattering albedo."""
     g: Interval
     """Of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: Interval
+    """Of σ_s (1 − g), in 1/mm."""
     absorption_per_mm: Interval
+    """Of σ_a, in 1/mm."""
     resolved: bool
     """Whether the data determine σ_t and the albedo: both intervals are bounded and narrow."""
     resolved_at_g: bool
@@ -144,9 +165,11 @@ class Refined:
     misfit: float
     """Root mean square of the residuals over the noise: 1 if noise alone explains them."""
     error: float
+    """The minimised objective."""
     covariance: Array = field(repr=False)
-    """Covariance of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
+    """Covariance, of the shape (3, 3), of (ln σ_t, √(1 − α), ln(1 − g)); zeros where a parameter was held."""
     likelihood: Likelihood = field(repr=False)
+    """χ², estimates of the set-up, and the error budget."""
     suspicion: str | None = None
     """The most likely single cause of a misfit beyond noise."""
     second_lobe: SecondLobe | None = None
@@ -172,11 +195,15 @@ class Curves:
     """The compared profiles at one thickness."""
 
     thickness_mm: float
+    """The slab's thickness, in mm."""
     x_mm: Array
+    """Centres of the pixels, in mm."""
     measured: Array
     """Measured values times μ, on the dictionary's pixels."""
     best_record: Array
+    """The profile of the best record."""
     refined: Array | None
+    """The profile of the continuous optimum; None without one."""
     residuals: Array | None = None
     """Measured less refined values over their standard errors; None without likelihood."""
     left_out: Array | None = None
@@ -192,11 +219,15 @@ class ChannelFit:
     """One channel of a material."""
 
     channel: str
+    """The channel's name."""
     candidates: tuple[Candidate, ...]
+    """The best records, the best one first; `top` is their number."""
     refined: Refined | None
+    """The continuous optimum; None without `refine`."""
     outside: str | None
     """`brighter` or `darker`, if a profile's mean lies beyond that of every record."""
     curves: tuple[Curves, ...] = field(default=(), repr=False)
+    """The compared profiles, one for each thickness; empty unless `curves=True`."""
 
     def __repr__(self) -> str:
         text = self.refined._summary() if self.refined else f"{self.medium}; best of {len(self.candidates)} records"

@@ -20,11 +20,15 @@ class HalfWidths:
     """Half of the widths of 95 % intervals; infinite where the pixels hold no information."""
 
     sigma_t_per_mm: float
+    """Of the extinction coefficient, in 1/mm."""
     albedo: float
+    """Of the single-scattering albedo."""
     g: float
     """Of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: float
+    """Of σ_s (1 − g), in 1/mm."""
     absorption_per_mm: float
+    """Of σ_a, in 1/mm."""
 
     def __repr__(self) -> str:
         sigma_t, alpha, g = map(_display.number, (self.sigma_t_per_mm, self.albedo, self.g))
@@ -40,6 +44,7 @@ class SlabSet:
     """A set of slabs, and how well photographs of it would determine the medium (Cramér–Rao bounds)."""
 
     slabs_mm: tuple[float, ...]
+    """Thicknesses of the slabs, in mm."""
     shots: int
     """Photographs of each slab."""
     g_held: HalfWidths
@@ -59,22 +64,31 @@ class SlabSet:
 
 @dataclass(frozen=True)
 class Design:
-    """Sets of slabs, in the order of the request."""
+    """Sets of slabs, in the order of the request. Iteration yields the sets."""
 
     medium: Medium
+    """The medium that was guessed."""
     channel: str
+    """The channel's name."""
     sets: tuple[SlabSet, ...]
+    """The sets of slabs."""
 
     @property
     def best(self) -> SlabSet:
+        """The set that determines σ_t and 1 − α together best, g held."""
         return next(one for one in self.sets if one.best)
 
     def __iter__(self) -> Iterator[SlabSet]:
+        """The sets of slabs."""
         return iter(self.sets)
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each set: slabs, shots, half-widths of σ_t and 1 − α as shares of them, g held and free, and the
-        half-width of g."""
+        half-width of g.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
         _optional.require("data", "pandas")
         import pandas
 

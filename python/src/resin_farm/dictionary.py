@@ -38,19 +38,22 @@ class Dictionary:
 
     @property
     def name(self) -> str:
+        """Its name."""
         return self._status.name
 
     @property
     def state(self) -> str:
-        """running, done, failed, paused, cancelled or outdated."""
+        """`running`, `done`, `failed`, `paused`, `cancelled` or `outdated`."""
         return wire.DictionaryState.Name(self._status.state).removeprefix("DICTIONARY_STATE_").lower()
 
     @property
     def records_done(self) -> int:
+        """Number of records that are computed."""
         return self._status.records_done
 
     @property
     def records_total(self) -> int:
+        """Number of records of the grid."""
         return self._status.records_total
 
     @property
@@ -70,22 +73,36 @@ class Dictionary:
 
     @property
     def axes(self) -> dict[str, tuple[float, ...]]:
-        """The values of the grid along each axis."""
+        """The values of the grid along each axis: sigma_t_per_mm, albedo, g, thickness_mm, sample_ior."""
         grid = self._status.grid
         names = ("sigma_t_per_mm", "albedo", "g", "thickness_mm", "sample_ior")
         return {name: tuple(getattr(grid, name)) for name in names}
 
     @property
     def channels(self) -> tuple[str, ...]:
+        """Names of the channels of its scene."""
         return tuple(channel.name for channel in self._status.grid.scene.channels)
 
     def refresh(self) -> Dictionary:
-        """Requests the current state from the farm."""
+        """Requests the current state from the farm.
+
+        Returns:
+            itself.
+
+        Raises:
+            NotFound: if it was deleted.
+        """
         self._status = self._farm._call("Dictionaries/Get", wire.GetRequest(name=self.name), wire.Dictionary)
         return self
 
     def wait(self, *, progress: bool = True) -> Dictionary:
         """Waits until it is done.
+
+        Args:
+            progress: show the progress, on standard error or in the notebook.
+
+        Returns:
+            itself.
 
         Raises:
             FarmError: if it ended otherwise: cancelled, paused, or with failed jobs.
@@ -117,28 +134,63 @@ class Dictionary:
         self._status = status
 
     def explain(self) -> list[str]:
-        """Reasons why it is not done yet, the most important first."""
+        """Reasons why it is not done yet, the most important first.
+
+        Raises:
+            NotFound: if it was deleted.
+        """
         answer = self._farm._call("Dictionaries/Explain", wire.ExplainRequest(name=self.name), wire.ExplainResponse)
         return [reason.text for reason in answer.reasons]
 
     def pause(self) -> Dictionary:
-        """Hands out no more of its jobs."""
+        """Hands out no more of its jobs.
+
+        Returns:
+            itself.
+
+        Raises:
+            Refused: if its state does not allow it.
+        """
         self._status = self._farm._call("Dictionaries/Pause", wire.PauseRequest(name=self.name), wire.Dictionary)
         return self
 
     def resume(self) -> Dictionary:
-        """Continues after a pause or a cancellation."""
+        """Continues after a pause or a cancellation.
+
+        Returns:
+            itself.
+
+        Raises:
+            Refused: if its state does not allow it.
+        """
         self._status = self._farm._call("Dictionaries/Resume", wire.ResumeRequest(name=self.name), wire.Dictionary)
         return self
 
     def cancel(self, reason: str = "") -> Dictionary:
-        """Ends the work; finished records are kept."""
+        """Ends the work; finished records are kept.
+
+        Args:
+            reason: the reason, which its state then has.
+
+        Returns:
+            itself.
+
+        Raises:
+            Refused: if its state does not allow it.
+        """
         request = wire.CancelRequest(name=self.name, reason=reason)
         self._status = self._farm._call("Dictionaries/Cancel", request, wire.Dictionary)
         return self
 
     def delete(self) -> int:
-        """Deletes it, and the records that no other one uses; returns the number of these records."""
+        """Deletes it, and the records that no other dictionary uses.
+
+        Returns:
+            the number of deleted records.
+
+        Raises:
+            NotFound: if it was deleted before.
+        """
         answer = self._farm._call("Dictionaries/Delete", wire.DeleteRequest(name=self.name), wire.DeleteResponse)
         return answer.records_deleted
 
@@ -158,9 +210,12 @@ class Dictionary:
             sigma_t_per_mm: extinction coefficient, in 1/mm.
             albedo: single-scattering albedo.
             g: anisotropy, the mean cosine of the phase function.
-            thickness_mm: near one of the dictionary's, or between two.
+            thickness_mm: thickness in mm, near one of the dictionary's, or between two.
             channels: all of the dictionary's if there are none.
             sample_ior: refractive index; the dictionary's first if None.
+
+        Raises:
+            InvalidArgument: if a value lies outside of the dictionary.
         """
         request = fits_pb2.ProfileRequest(
             dictionary=self.name,
@@ -181,10 +236,11 @@ class Dictionary:
         )
 
     def to_xarray(self) -> xarray.Dataset:
-        """All records, which must be done: `value` and `std_error`, also of derivatives if the grid has them, over
-        sample_ior, sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
+        """All records: `value` and `std_error`, also of derivatives if the grid has them, over sample_ior,
+        sigma_t_per_mm, g, thickness_mm, albedo, channel and x_mm. The paper's dictionary takes 300 MB.
 
         Raises:
+            FarmError: if records are missing.
             ImportError: if xarray is not installed.
         """
         dataset, about = self._records()
@@ -215,7 +271,11 @@ class Dictionary:
         """Writes all records as a Zarr store (format 3), with the variables and axes of `to_xarray`. Its attributes are
         the report of `farmctl show --json`, the axes and the units.
 
+        Args:
+            path: the folder of the store.
+
         Raises:
+            FarmError: if records are missing.
             FileExistsError: if there is something at the path.
             ImportError: if xarray or zarr is not installed.
         """
@@ -227,7 +287,11 @@ class Dictionary:
         """Writes all records as a Parquet file: a row for each record and channel, with its parameters, and the pixels
         as lists. `attrs` of the frame that `pandas.read_parquet` returns hold `about` and `x_mm`.
 
+        Args:
+            path: the file, which is replaced if it exists.
+
         Raises:
+            FarmError: if records are missing.
             ImportError: if xarray, pandas or pyarrow is not installed.
         """
         _optional.require("data", "xarray", "pandas", "pyarrow")

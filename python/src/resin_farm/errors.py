@@ -8,7 +8,7 @@ from grpc_status import rpc_status
 
 
 class FarmError(Exception):
-    """The farm, or one of its programs, could not fulfil a request."""
+    """The farm, or one of its programs, could not fulfil a request; `message` is the text."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message)

@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     import pandas
 
 Path: TypeAlias = str | os.PathLike[str]
+"""The path of a file or folder."""
+
 Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
+"""Measurements, a frame with the columns of a measurement file, or the path of such a file."""
 
 # Defaults among several dictionaries, in order of preference; the same as in farmctl.
 _USUAL = ("lab", "paper")
@@ -40,7 +43,10 @@ class Farm(FarmAccess):
     """
 
     def __init__(self, folder: Path = "farm-data") -> None:
-        """Opens the farm of a folder, which is created if it does not exist.
+        """Opens the farm of a folder.
+
+        Args:
+            folder: the folder of its data, which is created if it does not exist.
 
         Raises:
             FarmError: if it does not start.
@@ -50,7 +56,16 @@ class Farm(FarmAccess):
 
     @classmethod
     def connect(cls, where: Path) -> Self:
-        """The farm of an access file (`client.toml`), or at a URL of this machine (such as "http://127.0.0.1:7700")."""
+        """Opens a farm that runs already.
+
+        Args:
+            where: its access file (`client.toml`), or its URL on this machine, such as "http://127.0.0.1:7700".
+
+        Raises:
+            OSError: if the access file cannot be read.
+            FarmError: if something is missing in it, or the URL needs one.
+            Refused: if another user of this machine holds the port.
+        """
         farm = cls.__new__(cls)
         farm._begin(None, os.fspath(where))
         farm._open()
@@ -78,6 +93,13 @@ class Farm(FarmAccess):
             priority: from -1000 to 1000; higher goes first.
             wait: wait until it is done.
             progress: show the progress on standard error meanwhile.
+
+        Returns:
+            the dictionary, which is done if it was waited for.
+
+        Raises:
+            InvalidArgument: if a value of the grid is out of its range.
+            FarmError: if there is a dictionary of this name with another grid, or if it ends otherwise than done.
         """
         arguments = [*self._arguments(), "submit", f"--priority={priority}"]
         arguments += [f"--quality={quality}"] if quality else []
@@ -96,7 +118,10 @@ class Farm(FarmAccess):
         return dictionary.wait(progress=progress) if wait else dictionary
 
     def dictionary(self, name: str | None = None) -> Dictionary:
-        """A dictionary by its name; without a name the only one, else "lab", else "paper".
+        """A dictionary by its name.
+
+        Args:
+            name: its name; the only one, else "lab", else "paper" if None.
 
         Raises:
             NotFound: if there is none of this name.
@@ -134,8 +159,13 @@ class Farm(FarmAccess):
             refine: continue from the best record to a continuous optimum.
             given: the options of `FitOptions` that are known, such as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
 
+        Returns:
+            one `ChannelFit` for each channel of the material.
+
         Raises:
-            InvalidArgument: if a value is not valid; `fields` names it.
+            InvalidArgument: if a value is not valid, of the measurement or an option; `fields` names it.
+            NotFound: if there is no such dictionary.
+            TypeError: if there is no such option.
         """
         material = _one(measurement)
         request = fits_pb2.FitRequest(
@@ -166,6 +196,14 @@ class Farm(FarmAccess):
             g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
                 None, and 0 for one anisotropy.
             given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
+
+        Returns:
+            the fits of all materials with what they share. Doubts cause a `MeasurementWarning`.
+
+        Raises:
+            InvalidArgument: if a value is not valid, of a measurement or an option; `fields` names it.
+            NotFound: if there is no such dictionary.
+            TypeError: if there is no such option, or if options are given for a session, whose folder has them.
         """
         folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
         if folder is not None:
@@ -199,6 +237,13 @@ class Farm(FarmAccess):
             measurement: of one material, as for `fit`.
             dictionary: its name; the only one, else "lab", else "paper" if None.
             given: the options of `FitOptions` that are known.
+
+        Returns:
+            one map for each channel.
+
+        Raises:
+            InvalidArgument: if a value is not valid; `fields` names it.
+            NotFound: if there is no such dictionary.
         """
         request = fits_pb2.MapRequest(
             dictionary=self._name(dictionary),
@@ -233,6 +278,10 @@ class Farm(FarmAccess):
             noise_floor: standard error of a dark pixel, as a radiance factor; 0.0005 if None.
             free_mu: the scale factor has no prior.
             given: options about the set-up, as for `fit`.
+
+        Raises:
+            InvalidArgument: if a value is not valid, such as a thickness that is not near one of the dictionary's.
+            NotFound: if there is no such dictionary.
         """
         request = fits_pb2.DesignRequest(
             dictionary=self._name(dictionary),
@@ -248,7 +297,18 @@ class Farm(FarmAccess):
         return design.of_wire(self._call("Fits/Design", request, fits_pb2.DesignResponse))
 
     def similar(self, medium: Medium, g: Sequence[float]) -> list[Medium]:
-        """Media that are equivalent to one by similarity theory, at other anisotropies (Eqs. 4 to 6 of the paper)."""
+        """Media that are equivalent to one by similarity theory (Eqs. 4 to 6 of the paper).
+
+        Args:
+            medium: the medium.
+            g: the anisotropies of the equivalent media.
+
+        Returns:
+            one medium for each anisotropy, with the same σ_s (1 − g) and σ_a.
+
+        Raises:
+            InvalidArgument: if a value is not valid.
+        """
         request = fits_pb2.SimilarRequest(medium=_wire_medium(medium), g=g)
         answer = self._call("Fits/Similar", request, fits_pb2.SimilarResponse)
         return [Medium._of_wire(one) for one in answer.media]
@@ -267,7 +327,21 @@ class Farm(FarmAccess):
         walks: int = 50_000,
         seed: int = 1,
     ) -> profile.Profile:
-        """Traces the profile of one medium on this machine; see `resin_farm.simulate`."""
+        """Traces the profile of one medium on this machine, as the function `simulate` does.
+
+        Args:
+            sigma_t_per_mm: extinction coefficient, in 1/mm.
+            albedo: single-scattering albedo.
+            g: anisotropy, the mean cosine of the phase function, whose shape is the scene's.
+            thickness_mm: thickness of the slab, in mm.
+            scene: "lab", "paper", "smooth" or the path of a scene file.
+            sample_ior: refractive index of the slab.
+            walks: random walks, a multiple of 500 from 1,000 on.
+            seed: seed of the random numbers.
+
+        Raises:
+            InvalidArgument: if an argument is not valid; it names it.
+        """
         return profile.simulate(
             sigma_t_per_mm=sigma_t_per_mm,
             albedo=albedo,
@@ -286,6 +360,9 @@ class Farm(FarmAccess):
         Args:
             session: the session file.
             output: the folder to write; the session file's name without its ending if None.
+
+        Returns:
+            the folder's measurements and set-up, for `measure`.
 
         Raises:
             FarmError: if the photographs cannot be used; its message names the photograph, the cause and the remedy.

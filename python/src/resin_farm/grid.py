@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from resin_farm import _display
 
 Axis: TypeAlias = Sequence[float] | NDArray[np.floating]
+"""Numbers along an axis of a grid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,11 +25,15 @@ class Grid:
     """
 
     sigma_t_per_mm: Axis | None = None
+    """Extinction coefficients, in 1/mm."""
     albedo: Axis | None = None
+    """Single-scattering albedos."""
     g: Axis | None = None
     """Anisotropies: mean cosines of the phase function, whose shape is the scene's."""
     thickness_mm: Axis | None = None
+    """Thicknesses of the slab, in mm."""
     sample_ior: Axis | None = None
+    """Refractive indices of the slab."""
     scene: str | None = None
     """"lab", "paper", "smooth" or the path of a scene file."""
     quality: Literal["draft", "paper", "fine"] | None = None
@@ -36,6 +41,7 @@ class Grid:
     walks: int | None = None
     """Random walks at each transport point, instead of a quality: a multiple of 500 from 1,000 on."""
     seed: int | None = None
+    """Seed of the random numbers."""
     derivatives: bool | None = None
     """Also compute ∂/∂α and ∂/∂σ_t."""
 

@@ -21,12 +21,16 @@ class DistanceMap:
     """The distances of one channel, at the refractive index of the best medium."""
 
     channel: str
+    """The channel's name."""
     g: Array
     """Anisotropies: mean cosines of the phase function."""
     sigma_t_per_mm: Array
+    """Extinction coefficients, in 1/mm."""
     albedo: Array
+    """Single-scattering albedos."""
     errors: Array = field(repr=False)
-    """Distances over g, σ_t and albedo: Eq. 1, or by the likelihood the root mean square of residuals over noise."""
+    """Distances, of the shape (g, σ_t, albedo): Eq. 1, or by the likelihood the root mean square of residuals over
+    noise."""
     best: tuple[Medium, ...] = field(repr=False)
     """The best medium at each g."""
     similar: tuple[Medium | None, ...] = field(repr=False)
@@ -38,7 +42,11 @@ class DistanceMap:
         return _display.short(self, f"{self.channel}: {axes}, least {_display.number(self.errors.min())} at {nearest}")
 
     def plot(self) -> Figure:
-        """One panel for each g: its best medium as a ring, that of all as a cross, the similar one as a diamond."""
+        """One panel for each g: its best medium as a ring, that of all as a cross, the similar one as a diamond.
+
+        Raises:
+            ImportError: if matplotlib is not installed.
+        """
         layers = [
             _plots.Layer(f"{self.channel}, g = {g:g}", errors, best, similar)
             for g, errors, best, similar in zip(self.g, self.errors, self.best, self.similar, strict=True)

@@ -35,12 +35,15 @@ class MeasuredProfile:
     """The brightness across the edge of one slab in one channel."""
 
     channel: str
+    """The channel's name."""
     thickness_mm: float
+    """The slab's thickness, in mm."""
     x_mm: Array
     """Pixel centres at a constant pitch, rising from the dark side to the light side; 0 at the edge."""
     values: Array
     """Linear radiance factors."""
     std_errors: Array | None = None
+    """Standard errors of the values; None if they are unknown."""
     set_up: Mapping[str, float] = field(default_factory=dict)
     """Parameters of this profile, named as the optional columns of a measurement file. Missing ones are taken from the
     options of a fit."""
@@ -54,6 +57,20 @@ class MeasuredProfile:
         std_errors: ArrayLike | None = None,
         **set_up: float,
     ) -> None:
+        """Takes lists or arrays, of which it keeps copies.
+
+        Args:
+            channel: the channel's name.
+            thickness_mm: the slab's thickness, in mm.
+            x_mm: pixel centres in mm, at a constant pitch.
+            values: linear radiance factors, one for each pixel.
+            std_errors: their standard errors.
+            set_up: parameters of this profile, such as `origin_mm=0.1`.
+
+        Raises:
+            InvalidArgument: if the arrays have different lengths.
+            TypeError: if there is no such parameter.
+        """
         if unknown := set(set_up) - set(_SET_UP):
             raise TypeError(f"{', '.join(sorted(unknown))}: the parameters of a profile are {', '.join(_SET_UP)}")
         # A frozen dataclass with its own constructor, so that lists are accepted as well.
@@ -97,26 +114,43 @@ class Measurement:
     """All profiles of a material."""
 
     material: str
+    """The material's name."""
     profiles: tuple[MeasuredProfile, ...]
+    """One for each slab and channel."""
     _checked: bool = field(init=False, repr=False)
 
     def __init__(self, material: str, profiles: Iterable[MeasuredProfile]) -> None:
+        """Takes the profiles as they are; `fit` and `measure` check them.
+
+        Args:
+            material: the material's name.
+            profiles: its profiles, of all slabs and channels.
+        """
         object.__setattr__(self, "material", material)
         object.__setattr__(self, "profiles", tuple(profiles))
         object.__setattr__(self, "_checked", False)
 
     @property
     def channels(self) -> tuple[str, ...]:
+        """Names of the channels, in the order of the profiles."""
         return tuple(dict.fromkeys(profile.channel for profile in self.profiles))
 
     @property
     def thicknesses_mm(self) -> tuple[float, ...]:
+        """Thicknesses of the slabs, rising, in mm."""
         return tuple(sorted({profile.thickness_mm for profile in self.profiles}))
 
     @classmethod
     def from_pandas(cls, frame: pandas.DataFrame) -> list[Measurement]:
-        """The materials of a frame with the columns of a measurement file: material, channel, thickness_mm, x_mm, value
-        and optionally std_error and the set-up of each profile. It is checked as a file is."""
+        """The materials of a frame, which is checked as a file is.
+
+        Args:
+            frame: with the columns of a measurement file: material, channel, thickness_mm, x_mm, value and optionally
+                std_error and the set-up of each profile.
+
+        Raises:
+            InvalidArgument: if columns are missing, or values are such that no medium can show them.
+        """
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "frame.csv")
             # In quotes a name may begin with #, which begins a comment otherwise.
@@ -124,7 +158,11 @@ class Measurement:
             return _read(str(file), "the frame")
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row for each pixel, as in a measurement file."""
+        """One row for each pixel, with the columns of a measurement file.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
         _optional.require("data", "pandas")
         import pandas
 
@@ -154,7 +192,11 @@ class Measurement:
         return _display.html_table(("channel", "thickness / mm", "pixels", "x / mm"), rows, self.material)
 
     def plot(self) -> Figure:
-        """All profiles, one panel for each thickness."""
+        """All profiles, one panel for each thickness.
+
+        Raises:
+            ImportError: if matplotlib is not installed.
+        """
         lines = [_plots.Line(p.thickness_mm, p.channel, p.x_mm, p.values, p.channel) for p in self.profiles]
         return _plots.slabs(self.material, lines)
 
@@ -176,6 +218,9 @@ class MeasurementWarning(UserWarning):
 def read_measurements(path: str | os.PathLike[str]) -> list[Measurement]:
     """The materials of a measurement file, as farmctl reads it: CSV, also with decimal commas, other separators, units
     and names of columns. Assumptions and likely errors cause a `MeasurementWarning`.
+
+    Args:
+        path: the file.
 
     Raises:
         InvalidArgument: with line and column, if it cannot be read, or contains values that no medium can show.

@@ -13,6 +13,7 @@ from resin_farm import _display
 from resin_farm._wire import fits_pb2, model_pb2
 
 Array = NDArray[np.float64]
+"""An array of 64-bit floats."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,11 @@ class SecondLobe:
     """g₂, the anisotropy of this lobe, from −0.999 to 0.999."""
 
     def first_g(self, g: float) -> float:
-        """g₁ = (g − b g₂)/(1 − b), the anisotropy of the first lobe in a medium of anisotropy g."""
+        """g₁ = (g − b g₂)/(1 − b), the anisotropy of the first lobe.
+
+        Args:
+            g: the anisotropy of the medium.
+        """
         return (g - self.weight * self.g) / (1 - self.weight)
 
     @classmethod
@@ -72,19 +77,28 @@ class SecondLobe:
 
 @dataclass(frozen=True)
 class Interval:
-    """The 95 % confidence interval of a quantity."""
+    """The 95 % confidence interval of a quantity, in its unit; `value in interval` is true if the data allow it."""
 
     low: float
+    """The lower end."""
     high: float
+    """The upper end."""
     open_low: bool = False
     """The data allow still lower values: `low` is where the dictionary or the given range ends."""
     open_high: bool = False
+    """The data allow still higher values: `high` is where the dictionary or the given range ends."""
 
     @property
     def is_closed(self) -> bool:
+        """Whether the data bound it on both sides."""
         return not (self.open_low or self.open_high)
 
     def __contains__(self, value: float) -> bool:
+        """Whether the data allow a value; an open end allows all beyond it.
+
+        Args:
+            value: the value, in the quantity's unit.
+        """
         return (self.open_low or self.low <= value) and (self.open_high or value <= self.high)
 
     def __str__(self) -> str:

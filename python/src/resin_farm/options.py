@@ -17,13 +17,17 @@ class FitOptions(SetUp, total=False):
     """Options of a fit, those of the set-up included. One that is left out has the default of `farmctl fit`."""
 
     sigma_t_per_mm: Range
+    """The extinction coefficient, in 1/mm."""
     albedo: Range
+    """The single-scattering albedo."""
     g: Range
+    """The anisotropy, the mean cosine of the phase function."""
     mu: float
     """Factor on the measured values."""
     mu_std_error: float
+    """Its standard error."""
     objective: Literal["paper", "likelihood"]
-    """The likelihood if it is not set."""
+    """The minimised objective, the likelihood if it is not set."""
     phase: Literal["two_lobes", "per_channel", "henyey_greenstein"]
     """The phase function p = (1 − b) HG(g₁) + b HG(g₂), if the weight b is uncertain in the dictionary's scene. Two
     lobes, with b as the scene has it, if it is not set: the channels of a material share one b unless the scene has
@@ -32,7 +36,9 @@ class FitOptions(SetUp, total=False):
     lambda_: float
     """Weight of the gradients in the paper's distance."""
     wavelet: Literal["spline", "haar"]
+    """The wavelet of the gradients in the paper's distance."""
     level: int
+    """Its level: gradients are smoothed over about 2^level pixels."""
     top: int
     """Number of records to return for each channel."""
     curves: bool

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from resin_farm import _display, _programs
 
 Lab = tuple[float, float, float]
+"""L*, a* and b* of CIELAB."""
 
 
 @dataclass(frozen=True)
@@ -17,9 +18,13 @@ class Reflectance:
     """The radiance factor of a print in one channel over one base."""
 
     channel: str
+    """The channel's name."""
     base: str
+    """The base, as it was given."""
     radiance_factor: float
+    """The radiance factor, 1 for a perfect white Lambertian surface."""
     std_error: float
+    """Its standard error."""
 
     def __repr__(self) -> str:
         value = _display.estimate(self.radiance_factor, self.std_error)
@@ -28,12 +33,16 @@ class Reflectance:
 
 @dataclass(frozen=True)
 class PrintColour:
-    """The CIELAB colour of a print over one base, and its sRGB (None for the 10° observer)."""
+    """The colour of a print over one base."""
 
     base: str
+    """The base, as it was given."""
     lab: Lab
+    """The CIELAB colour."""
     lab_std_errors: Lab
+    """Standard errors of L*, a* and b*."""
     srgb: tuple[int, int, int] | None
+    """The sRGB colour, 0 to 255; None for the 10° observer."""
 
     def __repr__(self) -> str:
         return _display.short(self, f"over {self.base}: {_lab(self)}")
@@ -41,9 +50,10 @@ class PrintColour:
 
 @dataclass(frozen=True)
 class Prediction:
-    """How a print looks."""
+    """The predicted reflectance and colour of a print."""
 
     reflectances: tuple[Reflectance, ...]
+    """One for each channel and base."""
     colours: tuple[PrintColour, ...]
     """Empty unless the channels are wavelengths that cover the visible range."""
 
@@ -83,6 +93,10 @@ class Prediction:
     def radiance_factor(self, channel: str, base: str) -> float:
         """The radiance factor in a channel over a base.
 
+        Args:
+            channel: the channel's name.
+            base: the base, as it was given to `predict`, as a text.
+
         Raises:
             KeyError: if it was not predicted.
         """
@@ -93,6 +107,7 @@ class Prediction:
 
 
 Slab = str | tuple[str | Mapping[str, float], float]
+"""A layer of a print: "white:0.5", or a material or a mixture with a thickness in mm."""
 
 
 def predict(

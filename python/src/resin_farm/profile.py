@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 # eq=False: the equality of arrays has no single truth value.
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The radiance factors of a slab across the edge."""
+    """The radiance factors of a slab across the edge. `profile["R"]` are those of a channel."""
 
     medium: Medium
+    """The slab's medium."""
     thickness_mm: float
+    """The slab's thickness, in mm."""
     x_mm: Array = field(repr=False)
+    """Centres of the pixels, rising; 0 at the edge, negative on the dark side."""
     channels: Mapping[str, Array] = field(repr=False)
     """Radiance factors of each channel, one for each pixel."""
     std_errors: Mapping[str, Array] = field(repr=False)
@@ -37,10 +40,22 @@ class Profile:
         return _display.short(self, f"{self.medium}, {self.thickness_mm:g} mm{where}: {channels}")
 
     def __getitem__(self, channel: str) -> Array:
+        """The radiance factors of a channel.
+
+        Args:
+            channel: its name.
+
+        Raises:
+            KeyError: if the profile has no such channel.
+        """
         return self.channels[channel]
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row for each pixel of each channel."""
+        """One row for each pixel of each channel: channel, x_mm, value, std_error.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
         _optional.require("data", "pandas")
         import pandas
 
@@ -52,7 +67,11 @@ class Profile:
         return pandas.concat(frames, ignore_index=True)
 
     def plot(self) -> Figure:
-        """All channels, with bands of two standard errors."""
+        """All channels, with bands of two standard errors.
+
+        Raises:
+            ImportError: if matplotlib is not installed.
+        """
         m = self.medium
         title = f"σ_t {m.sigma_t_per_mm:g} /mm, α {m.albedo:g}, g {m.g:g}, {self.thickness_mm:g} mm"
         return _plots.profile(title, self.x_mm, self.channels, self.std_errors)
@@ -75,7 +94,7 @@ def simulate(
         sigma_t_per_mm: extinction coefficient, in 1/mm.
         albedo: single-scattering albedo.
         g: anisotropy, the mean cosine of the phase function, whose shape is the scene's.
-        thickness_mm: thickness of the slab.
+        thickness_mm: thickness of the slab, in mm.
         scene: "lab", "paper", "smooth" or the path of a scene file.
         sample_ior: refractive index of the slab.
         walks: random walks, a multiple of 500 from 1,000 on.

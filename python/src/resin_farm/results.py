@@ -25,8 +25,11 @@ class ScaleCurve:
     """The aggregate error of a set of materials over the scale factor (Eq. 3 of the paper), by the best records."""
 
     mu: Array = field(repr=False)
+    """Scale factors that were tried, rising."""
     error: Array = field(repr=False)
+    """The aggregate error at each of them."""
     best_mu: float
+    """The scale factor with the least error."""
     std_error: float | None
     """Standard error of `best_mu`, by leaving out one channel after the other; None for one channel."""
     best_g: float
@@ -40,7 +43,11 @@ class ScaleCurve:
         return _display.short(self, f"μ = {best}, best of {span}; g = {_display.number(self.best_g)}")
 
     def plot(self) -> Figure:
-        """The curve, with its minimum."""
+        """The curve, with its minimum.
+
+        Raises:
+            ImportError: if matplotlib is not installed.
+        """
         return _plots.scale(self.mu, self.error, self.best_mu)
 
 
@@ -49,14 +56,24 @@ _HEAD = ("material", "ch", "σ_s(1−g)", "95 %", "σ_a", "95 %", "σ_t /mm", "9
 
 @dataclass(frozen=True)
 class MaterialFit:
-    """The media of a material, one for each channel."""
+    """The media of a material, one for each channel. `fit["R"]` is that of a channel."""
 
     material: str
+    """The material's name."""
     channels: tuple[ChannelFit, ...]
+    """The fits of its channels."""
     assumed: tuple[str, ...] = field(default=(), repr=False)
     """Options that have their defaults, for at least one profile."""
 
     def __getitem__(self, channel: str) -> ChannelFit:
+        """The fit of a channel.
+
+        Args:
+            channel: its name.
+
+        Raises:
+            KeyError: if there is no such channel; it lists those that there are.
+        """
         for fit in self.channels:
             if fit.channel == channel:
                 return fit
@@ -85,7 +102,11 @@ class MaterialFit:
 
     def to_pandas(self) -> pandas.DataFrame:
         """One row for each channel: parameters, ends of intervals (NaN where open), misfit, weight and anisotropy of
-        the second lobe (NaN if the phase function has none). g is the mean cosine of the phase function."""
+        the second lobe (NaN if the phase function has none). g is the mean cosine of the phase function.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
         _optional.require("data", "pandas")
         import pandas
 
@@ -121,7 +142,12 @@ class MaterialFit:
         }
 
     def plot(self) -> Figure:
-        """Measured profiles with their fits, and residuals below; needs curves, which `curves=True` requests."""
+        """Measured profiles with their fits, and residuals below.
+
+        Raises:
+            ValueError: if there are no curves; `curves=True` requests them.
+            ImportError: if matplotlib is not installed.
+        """
         lines = [
             _plots.Line(
                 curves.thickness_mm,
@@ -143,25 +169,37 @@ class MaterialFit:
 
 @dataclass(frozen=True)
 class Measured:
-    """A set of materials, measured together."""
+    """A set of materials, measured together. `measured["white"]` is the fit of a material."""
 
     materials: tuple[MaterialFit, ...]
+    """The fits of the materials."""
     mu: float
     """Factor on all measured values."""
     mu_std_error: float
+    """Its standard error."""
     mu_chosen: bool
     """Whether it was estimated, not given."""
     g: float | None
     """The common anisotropy, the mean cosine of the phase function; None if every channel has its own, or each
     wavelength."""
     g_interval: Interval | None
+    """The interval of the common anisotropy; None if there is none."""
     dictionary: str
+    """The name of the dictionary."""
     scale: ScaleCurve | None = field(default=None, repr=False)
-    """None if μ was given."""
+    """The error over the scale factor; None if μ was given."""
     assumed: tuple[str, ...] = field(default=(), repr=False)
     """Options that have their defaults, for at least one profile."""
 
     def __getitem__(self, material: str) -> MaterialFit:
+        """The fit of a material.
+
+        Args:
+            material: its name.
+
+        Raises:
+            KeyError: if there is no such material; it lists those that there are.
+        """
         for fit in self.materials:
             if fit.material == material:
                 return fit
@@ -201,7 +239,11 @@ class Measured:
         return line
 
     def to_pandas(self) -> pandas.DataFrame:
-        """One row for each channel of each material."""
+        """One row for each channel of each material, with the columns of `MaterialFit.to_pandas`.
+
+        Raises:
+            ImportError: if pandas is not installed.
+        """
         _optional.require("data", "pandas")
         import pandas
 
@@ -212,7 +254,7 @@ class Measured:
         over material and `channel` if not. A channel that a material lacks has no value there.
 
         Raises:
-            ImportError: if xarray is not installed.
+            ImportError: if pandas or xarray is not installed.
         """
         _optional.require("data", "pandas", "xarray")
         frame, axis = self.to_pandas(), "channel"
