@@ -74,6 +74,26 @@ def test_a_fit_is_what_farmctl_fits(farm: resin_farm.Farm, given: resin_farm.Fit
     same(farm.fit(WHITE, **given), _decode.material_of_json(found["materials"][0], found["assumed"]))
 
 
+def test_an_output_has_the_files_and_the_same_answer(
+    farm: resin_farm.Farm, white: resin_farm.Measurement, tmp_path: pathlib.Path
+) -> None:
+    """Every option reaches farmctl, and those that it lacks are refused."""
+    given: resin_farm.FitOptions = {
+        "sigma_t_per_mm": (None, 28.0), "albedo": (0.99, None), "g": 0.4, "mu": 1.0, "mu_std_error": 0.01,
+        "phase": "henyey_greenstein", "blur_mm": 0.01, "thickness_std_error_mm": 0.002,
+    }  # fmt: skip
+    same(farm.measure(white, output=tmp_path / "media", **given), farm.measure(white, **given))
+    names = {path.name for path in (tmp_path / "media").iterdir()}
+    assert {"table.csv", "media.json", "media.py", "media.pbrt", "media.mtlx", "media.usda"} <= names
+    paper: resin_farm.FitOptions = {"objective": "paper", "lambda_": 10.0, "wavelet": "haar", "level": 3}
+    same(
+        farm.measure(white, output=tmp_path / "paper", free_g=True, **paper), farm.measure(white, free_g=True, **paper)
+    )
+    with pytest.raises(TypeError, match="curves, top: options with an output are"):
+        farm.measure(white, output=tmp_path / "other", top=3, curves=True)
+    assert not (tmp_path / "other").exists()
+
+
 def of_laboratory() -> resin_farm.Measurement:
     """Simulated slabs in the scene `lab`, where the second lobe has a weight of 0.05 and an anisotropy of −0.5."""
     slabs = [

@@ -9,7 +9,6 @@ import pytest
 
 import resin_farm
 from conftest import WHITE
-from resin_farm import _programs
 
 LONGEST = 240
 # Classes that no object of an answer has.
@@ -33,7 +32,7 @@ def answers(
     farm: resin_farm.Farm, white: resin_farm.Measurement, tmp_path_factory: pytest.TempPathFactory
 ) -> list[object]:
     folder = tmp_path_factory.mktemp("media")
-    _programs.farmctl([*farm._arguments(), "measure", str(WHITE), "--mu=1", "--dictionary=grid", f"--output={folder}"])
+    farm.measure(WHITE, "grid", mu=1.0, output=folder)
     medium = resin_farm.Medium(6, 0.999, 0.4)
     lobe = resin_farm.SecondLobe(0.05, -0.5)
     estimate = resin_farm.SceneEstimate(

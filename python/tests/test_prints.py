@@ -8,22 +8,12 @@ import pytest
 
 import resin_farm
 from conftest import CHECKOUT, WHITE
-from resin_farm import _programs
 
 
 @pytest.fixture(scope="module")
 def media(farm: resin_farm.Farm, tmp_path_factory: pytest.TempPathFactory) -> pathlib.Path:
     folder = tmp_path_factory.mktemp("media")
-    _programs.farmctl(
-        [
-            *farm._arguments(),
-            "measure",
-            str(WHITE),
-            *("--mu", "1"),
-            *("--dictionary", "grid"),
-            *("--output", str(folder)),
-        ]
-    )
+    farm.measure(WHITE, "grid", mu=1.0, output=folder)
     return folder
 
 

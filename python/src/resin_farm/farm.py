@@ -16,7 +16,7 @@ from resin_farm.capture import Capture
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import Deleted, FarmError, InvalidArgument
 from resin_farm.grid import Grid
-from resin_farm.measurement import Measurement, checked, read_measurements, warn
+from resin_farm.measurement import Measurement, checked, read_measurements, warn, write
 from resin_farm.medium import Medium
 
 if TYPE_CHECKING:
@@ -183,6 +183,7 @@ class Farm(FarmAccess):
         *,
         free_g: bool = False,
         g_change: float | None = None,
+        output: Path | None = None,
         **given: Unpack[options.FitOptions],
     ) -> results.Measured:
         """All steps for materials of one set-up: scale factor, common anisotropy, media with error bars.
@@ -195,6 +196,8 @@ class Farm(FarmAccess):
             free_g: let every channel have its own anisotropy.
             g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
                 None, and 0 for one anisotropy.
+            output: a folder to write: the table, `media.json` for `predict`, a statement of uncertainty, and media for
+                Mitsuba 3, pbrt-v4, Blender, MaterialX and USD. A session's folder has them without it.
             given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
 
         Returns:
@@ -205,17 +208,21 @@ class Farm(FarmAccess):
             NotFound: if there is no such dictionary.
             TypeError: if there is no such option, or if options are given for a session, whose folder has them.
         """
+        common = ["--free-g"] if free_g else []
+        common += [] if g_change is None else [f"--g-change={g_change}"]
+        common += [] if output is None else [f"--output={os.fspath(output)}"]
         folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
         if folder is not None:
             if given:
                 raise TypeError(f"{', '.join(given)}: the options of a session are in its folder")
-            arguments = ["measure", str(folder)] + (["--free-g"] if free_g else [])
-            arguments += [] if g_change is None else [f"--g-change={g_change}"]
-            arguments += [f"--dictionary={dictionary}"] if dictionary else []
-            found = _programs.farmctl([*self._arguments(), *arguments])
+            common += [f"--dictionary={dictionary}"] if dictionary else []
+            found = _programs.farmctl([*self._arguments(), "measure", str(folder), *common])
             warn(note["text"] for note in found["notes"])
             return _decode.measured_of_json(found)
         assert not isinstance(materials, Capture)
+        if output is not None:
+            common += [f"--dictionary={self._name(dictionary)}", *options.flags(given)]
+            return self._written(_measurements(materials), common)
         measurements, name = _measurements(materials), self._name(dictionary)
         request = fits_pb2.MeasureRequest(
             dictionary=name,
@@ -227,6 +234,14 @@ class Farm(FarmAccess):
         )
         answer = self._call("Fits/Measure", request, fits_pb2.MeasureResponse)
         return _decode.measured(answer, name, options.assumed(given, measurements))
+
+    def _written(self, measurements: list[Measurement], arguments: list[str]) -> results.Measured:
+        """Measures by farmctl, which writes the folder that its arguments name."""
+        with tempfile.TemporaryDirectory() as folder:
+            file = pathlib.Path(folder, "measurement.csv")
+            write(measurements, file)
+            found = _programs.farmctl([*self._arguments(), "measure", str(file), *arguments])
+        return _decode.measured_of_json(found)
 
     def map(
         self, measurement: Materials, dictionary: str | None = None, **given: Unpack[options.FitOptions]

@@ -8,7 +8,7 @@ import pathlib
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -235,18 +235,21 @@ def checked(materials: Iterable[Measurement]) -> list[Measurement]:
     if unchecked:
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "measurement.csv")
-            with open(file, "w", encoding="utf-8", newline="") as out:
-                has_errors = any(
-                    profile.std_errors is not None for material in unchecked for profile in material.profiles
-                )
-                columns = [*_NEEDED, *(["std_error"] if has_errors else []), *_SET_UP]
-                writer = csv.DictWriter(out, columns, extrasaction="ignore", quoting=csv.QUOTE_NONNUMERIC)
-                writer.writeheader()
-                writer.writerows(row for material in unchecked for row in _rows(material))
+            write(unchecked, file)
             _read(str(file), "the measurement")
         for material in unchecked:
             object.__setattr__(material, "_checked", True)
     return found
+
+
+def write(materials: Sequence[Measurement], file: pathlib.Path) -> None:
+    """Writes a measurement file."""
+    has_errors = any(profile.std_errors is not None for material in materials for profile in material.profiles)
+    columns = [*_NEEDED, *(["std_error"] if has_errors else []), *_SET_UP]
+    with open(file, "w", encoding="utf-8", newline="") as out:
+        writer = csv.DictWriter(out, columns, extrasaction="ignore", quoting=csv.QUOTE_NONNUMERIC)
+        writer.writeheader()
+        writer.writerows(row for material in materials for row in _rows(material))
 
 
 def _rows(material: Measurement) -> Iterator[dict[str, Any]]:

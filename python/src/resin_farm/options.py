@@ -81,6 +81,27 @@ def wire(given: Mapping[str, Any], *, refine: bool) -> fits_pb2.FitOptions:
     return fits_pb2.FitOptions(**fields)
 
 
+def flags(given: Mapping[str, Any]) -> list[str]:
+    """The options as arguments of `farmctl measure`.
+
+    Raises:
+        TypeError: if it has no such option.
+    """
+    known = set(FitOptions.__annotations__) - {"top", "curves"}
+    if unknown := set(given) - known:
+        raise TypeError(f"{', '.join(sorted(unknown))}: options with an output are {', '.join(sorted(known))}")
+    return [f"--{_FLAGS.get(name, name.replace('_', '-'))}={_flag_value(value)}" for name, value in given.items()]
+
+
+_FLAGS = {"sigma_t_per_mm": "sigma-t", "lambda_": "lambda"}
+
+
+def _flag_value(value: object) -> str:
+    if isinstance(value, tuple):
+        return "..".join("" if end is None else str(end) for end in value)
+    return "hg" if value == "henyey_greenstein" else str(value).replace("_", "-")
+
+
 _OF_PROFILES = {f.name for f in model_pb2.MeasuredProfile.DESCRIPTOR.fields}
 
 
