@@ -85,10 +85,10 @@ def test_an_output_has_the_files_and_the_same_answer(
     same(farm.measure(white, output=tmp_path / "media", **given), farm.measure(white, **given))
     names = {path.name for path in (tmp_path / "media").iterdir()}
     assert {"table.csv", "media.json", "media.py", "media.pbrt", "media.mtlx", "media.usda"} <= names
-    paper: resin_farm.FitOptions = {"objective": "paper", "lambda_": 10.0, "wavelet": "haar", "level": 3}
-    same(
-        farm.measure(white, output=tmp_path / "paper", free_g=True, **paper), farm.measure(white, free_g=True, **paper)
-    )
+    free = farm.measure(white, free_g=True, mu=1.0, objective="likelihood")
+    same(farm.measure(white, output=tmp_path / "free", free_g=True, mu=1.0, objective="likelihood"), free)
+    with pytest.raises(resin_farm.FarmError, match="records of the dictionary without intervals"):
+        farm.measure(white, output=tmp_path / "other", objective="paper", lambda_=10.0, wavelet="haar", level=3)
     with pytest.raises(TypeError, match="curves, top: options with an output are"):
         farm.measure(white, output=tmp_path / "other", top=3, curves=True)
     assert not (tmp_path / "other").exists()
