@@ -12,7 +12,7 @@ from conftest import CHECKOUT, GRID, WHITE
 def test_the_lines_of_the_documents_run(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = (CHECKOUT / "docs" / "python.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
-    assert len(blocks) >= 3
+    assert len(blocks) >= 8
     monkeypatch.chdir(tmp_path)
     (tmp_path / "examples").symlink_to(WHITE.parent)
     # The paper's grid takes minutes in a debug build.
