@@ -110,7 +110,7 @@ def split_arguments(text: str) -> list[str]:
 def plain_types(text: str) -> str:
     """Types without the package's modules; quotes and spaces as a formatter sets them."""
     text = re.sub(r"\b(options|results|design|maps|profile|_connection)\.(?=[A-Z])", "", text)
-    return text.replace("'", '"')
+    return re.sub(r"NDArray\[[\w.]+\]", "numpy.ndarray", text).replace("'", '"')
 
 
 def type_of(node: ast.expr) -> str:

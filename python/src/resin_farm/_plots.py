@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _COLOURS = {"R": "#d55e00", "G": "#009e73", "B": "#0072b2"}
 _STYLES = ("-", "--", ":", "-.")
 
+SIGMA_T = r"$\sigma_t$"
+
 
 @dataclass(frozen=True, eq=False)
 class Line:
@@ -153,29 +155,49 @@ def distance_map(sigma_t_per_mm: Array, albedo: Array, layers: Sequence[Layer]) 
     columns = min(4, len(layers))
     rows = -(-len(layers) // columns)
     figure, axes = plt.subplots(
-        rows, columns, figsize=(3 * columns, 2.6 * rows), sharex=True, sharey=True, squeeze=False, layout="constrained"
+        rows,
+        columns,
+        figsize=(2.6 * columns, 2.3 * rows + 0.3),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
     )
     _shown_once(figure)
     least = min(layer.errors.min() for layer in layers)
     norm = LogNorm(least, min(max(layer.errors.max() for layer in layers), 100 * least))
-    for axis in axes.flat[len(layers) :]:
-        axis.set_visible(False)
     # A dictionary may hold an albedo of 1, which has no logarithm.
     missing = np.maximum(1 - albedo, 1e-6)
     for axis, layer in zip(axes.flat, layers, strict=False):
         mesh = axis.pcolormesh(missing, sigma_t_per_mm, layer.errors, norm=norm, cmap="viridis_r", shading="nearest")
         place = max(1 - layer.best.albedo, 1e-6), layer.best.sigma_t_per_mm
-        axis.plot(*place, "o", mfc="none", color="black")
+        axis.plot(*place, "o", mfc="none", color="black", label="best at this g")
         if layer.errors.min() == least:
-            axis.plot(*place, "x", color="black")
+            axis.plot(*place, "x", color="black", label="best of all")
         if layer.similar is not None:
             similar = layer.similar
-            axis.plot(max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm, "D", mfc="none", color="black")
-        axis.set(xscale="log", yscale="log", title=layer.title)
+            place = max(1 - similar.albedo, 1e-6), similar.sigma_t_per_mm
+            axis.plot(*place, "D", mfc="none", color="black", label="similar to the best of all")
+        axis.set(xscale="log", yscale="log")
+        axis.set_title(layer.title, fontsize=10)
         axis.set_ylim(sigma_t_per_mm[0], sigma_t_per_mm[-1])
-    for axis in axes[-1]:
-        axis.set_xlabel("1 − α")
+    _label_lowest(axes, len(layers), "1 − α")
     for axis in axes[:, 0]:
-        axis.set_ylabel("σ_t [1/mm]")
+        axis.set_ylabel(f"{SIGMA_T} [1/mm]")
     figure.colorbar(mesh, ax=axes, label="distance", shrink=0.8)
+    marks = {
+        label: handle for axis in axes.flat for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend([*marks.values()], [*marks], loc="outside lower center", ncols=3, frameon=False)
     return figure
+
+
+def _label_lowest(axes: Any, count: int, label: str) -> None:
+    """Labels the lowest of `count` panels in each column, and hides the panels that are left."""
+    columns = axes.shape[1]
+    for place, axis in enumerate(axes.flat):
+        if place >= count:
+            axis.set_visible(False)
+        elif place + columns >= count:
+            axis.set_xlabel(label)
+            axis.tick_params(labelbottom=True)

@@ -73,7 +73,7 @@ class Profile:
             ImportError: if matplotlib is not installed.
         """
         m = self.medium
-        title = f"σ_t {m.sigma_t_per_mm:g} /mm, α {m.albedo:g}, g {m.g:g}, {self.thickness_mm:g} mm"
+        title = f"{_plots.SIGMA_T} {m.sigma_t_per_mm:g} /mm, α {m.albedo:g}, g {m.g:g}, {self.thickness_mm:g} mm"
         return _plots.profile(title, self.x_mm, self.channels, self.std_errors)
 
 
