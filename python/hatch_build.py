@@ -8,6 +8,7 @@ import os
 import pathlib
 import platform
 import re
+import shutil
 import subprocess
 import sysconfig
 import tomllib
@@ -47,6 +48,10 @@ class Wheel(BuildHookInterface):
 def built_programs() -> list[pathlib.Path]:
     named = os.environ.get("FARM_PROGRAMS")
     if named is None:
+        if shutil.which("cargo") is None:
+            raise SystemExit(
+                "cargo is needed, which is part of Rust; or FARM_PROGRAMS names the folder of the programs"
+            )
         packages = [option for program in ["farmctl", *PROGRAMS[1:]] for option in ("--package", program)]
         command = ["cargo", "build", "--release", "--locked", *packages]
         subprocess.run(command, cwd=CHECKOUT, check=True)

@@ -213,7 +213,9 @@ class Measured:
         unresolved = sum(_state(fit) == "unresolved" for fit in fits)
         counts = f"{len(fits)} channels, {unresolved} unresolved"
         materials = _display.names([fit.material for fit in self.materials])
-        return _display.short(self, f"{materials}: {counts}; {self._common()}; dictionary {self.dictionary}")
+        common = f"μ {_display.estimate(self.mu, self.mu_std_error)}"
+        common += "" if self.g is None else f", g {_display.number(self.g)}"
+        return _display.short(self, f"{materials}: {counts}; {common}; dictionary {self.dictionary}")
 
     def _repr_html_(self) -> str:
         return _html(self.materials, self._common()) + _display.html_lines(self._notes())
