@@ -339,7 +339,7 @@ def test_answers_show_themselves(farm: resin_farm.Farm, white: resin_farm.Measur
     with pytest.raises(ValueError, match="curves=True"):
         farm.fit(white, g=0.4).plot()
     for one in (farm, farm.dictionary(), white, fit):
-        assert one._repr_html_().startswith("<table>")
+        assert one._repr_html_().startswith("<table")
     unrefined = farm.fit(white, refine=False)
     assert unrefined["R"].refined is None and "white" in str(unrefined)
     assert json.loads(unrefined.to_pandas().to_json())["misfit"]["0"] is None
