@@ -213,7 +213,7 @@ def aliases(trees: list[ast.Module]) -> str:
             assert isinstance(one, ast.AnnAssign | ast.Assign) and one.value is not None
             text = after.value.value if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) else None
             assert isinstance(text, str), f"{target.id} has no docstring"
-            kind = one.value.value if isinstance(one.value, ast.Constant) else type_of(one.value)
+            kind = str(one.value.value) if isinstance(one.value, ast.Constant) else type_of(one.value)
             found[target.id] = wrapped(f"- `{target.id}` is `{kind}`: {text}", "  ")
     return "\n".join(found[name] for name in ALIASES.split())
 
