@@ -363,6 +363,9 @@ def test_maps_and_designs_are_those_of_farmctl(farm: resin_farm.Farm, white: res
     assert [one.g_held.albedo for one in design] == [one["g_held"]["albedo"] for one in expected["sets"]]
     assert design.best.slabs_mm == (0.5, 1.0) and "best" in design._repr_html_()
     assert design.to_pandas()["sigma_t_share"].gt(0).all()
+    with pytest.raises(resin_farm.InvalidArgument, match=r"^slabs_mm\[0\]\[0\] = 5 is not valid") as caught:
+        farm.design(medium, slabs_mm=[[5]])
+    assert list(caught.value.fields) == ["slabs_mm[0][0]"]
 
 
 def test_the_scale_factor_is_found_with_its_curve(farm: resin_farm.Farm) -> None:

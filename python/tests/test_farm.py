@@ -93,7 +93,7 @@ def test_what_does_not_start_says_why(tmp_path: pathlib.Path) -> None:
 
 
 def test_grids_that_are_not_valid_are_refused_with_the_field(farm: resin_farm.Farm) -> None:
-    with pytest.raises(resin_farm.FarmError, match="albedo"):
+    with pytest.raises(resin_farm.InvalidArgument, match=r"^the grid: albedo\[1\] = 1\.5 is not valid"):
         farm.submit(resin_farm.Grid(albedo=[0.5, 1.5]), "bad")
     with pytest.raises(resin_farm.FarmError, match="draft"):
         farm.submit(GRID, "bad", quality="best")  # type: ignore[arg-type]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import pathlib
+import re
 import tempfile
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, Self, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, Unpack
 
 from resin_farm import _decode, _display, _programs, design, maps, options, profile, results
 from resin_farm._access import FarmAccess
@@ -103,15 +104,11 @@ class Farm(FarmAccess):
         """
         arguments = [*self._arguments(), "submit", f"--priority={priority}"]
         arguments += [f"--quality={quality}"] if quality else []
-        if not isinstance(grid, Grid):
-            arguments += [f"--name={name}"] if name else []
-            found = _programs.farmctl(arguments + ([os.fspath(grid)] if grid is not None else []))
+        arguments += [f"--name={name}"] if name else []
+        if isinstance(grid, Grid):
+            found = _submitted(grid, arguments)
         else:
-            with tempfile.TemporaryDirectory() as folder:
-                # The file's name is the dictionary's.
-                file = pathlib.Path(folder, "paper.toml" if grid == Grid() else "grid.toml")
-                file.write_text(grid.to_toml(), encoding="utf-8")
-                found = _programs.farmctl([*arguments, *([f"--name={name}"] if name else []), str(file)])
+            found = _programs.farmctl(arguments + ([os.fspath(grid)] if grid is not None else []))
         dictionary = self.dictionary(found["name"])
         if dictionary._status.grid_digest != found["grid_digest"]:
             raise Deleted(f"dictionary {dictionary.name} was replaced as soon as it was submitted")
@@ -309,7 +306,12 @@ class Farm(FarmAccess):
             set_up=options.wire(given, refine=False),
             mu_free=free_mu,
         )
-        return design.of_wire(self._call("Fits/Design", request, fits_pb2.DesignResponse))
+        try:
+            return design.of_wire(self._call("Fits/Design", request, fits_pb2.DesignResponse))
+        except InvalidArgument as error:
+            # The interface has another name for this argument.
+            fields = {field.replace("slab_sets", "slabs_mm"): allowed for field, allowed in error.fields.items()}
+            raise InvalidArgument(error.message.replace("slab_sets", "slabs_mm"), fields) from None
 
     def similar(self, medium: Medium, g: Sequence[float]) -> list[Medium]:
         """Media that are equivalent to one by similarity theory (Eqs. 4 to 6 of the paper).
@@ -420,6 +422,19 @@ def _opened_later(folder: pathlib.Path | None, where: str | None) -> Farm:
     farm = Farm.__new__(Farm)
     farm._begin(folder, where)
     return farm
+
+
+def _submitted(grid: Grid, arguments: list[str]) -> dict[str, Any]:
+    """Submits a grid by a file, which messages do not name."""
+    with tempfile.TemporaryDirectory() as folder:
+        # The file's name is the dictionary's.
+        file = pathlib.Path(folder, "paper.toml" if grid == Grid() else "grid.toml")
+        file.write_text(grid.to_toml(), encoding="utf-8")
+        try:
+            return _programs.farmctl([*arguments, str(file)])
+        except InvalidArgument as error:
+            message = re.sub(rf"grid file {re.escape(str(file))}(, line \d+)?", "the grid", error.message)
+            raise InvalidArgument(message, error.fields) from None
 
 
 def _folder(given: object) -> pathlib.Path | None:
