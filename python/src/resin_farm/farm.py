@@ -4,30 +4,21 @@ from __future__ import annotations
 
 import os
 import pathlib
-import re
 import tempfile
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias, Unpack
+from typing import Literal, Self, Unpack
 
-from resin_farm import _decode, _display, _programs, design, maps, options, profile, results
+from resin_farm import _decode, _display, _inputs, _programs, design, maps, options, profile, results
 from resin_farm._access import FarmAccess
+from resin_farm._inputs import Materials, Path
 from resin_farm._local import folder_of
-from resin_farm._wire import dictionaries_pb2, fits_pb2, model_pb2
+from resin_farm._wire import dictionaries_pb2, fits_pb2
 from resin_farm.capture import Capture
 from resin_farm.dictionary import Dictionary
 from resin_farm.errors import Deleted, FarmError, InvalidArgument
 from resin_farm.grid import Grid
-from resin_farm.measurement import Measurement, checked, read_measurements, warn, write
+from resin_farm.measurement import Measurement, warn, write
 from resin_farm.medium import Medium
-
-if TYPE_CHECKING:
-    import pandas
-
-Path: TypeAlias = str | os.PathLike[str]
-"""The path of a file or folder."""
-
-Materials: TypeAlias = "list[Measurement] | tuple[Measurement, ...] | Measurement | pandas.DataFrame | Path"
-"""Measurements, a frame with the columns of a measurement file, or the path of such a file."""
 
 # Defaults among several dictionaries, in order of preference; the same as in farmctl.
 _USUAL = ("lab", "paper")
@@ -106,7 +97,7 @@ class Farm(FarmAccess):
         arguments += [f"--quality={quality}"] if quality else []
         arguments += [f"--name={name}"] if name else []
         if isinstance(grid, Grid):
-            found = _submitted(grid, arguments)
+            found = _inputs.submitted(grid, arguments)
         else:
             found = _programs.farmctl(arguments + ([os.fspath(grid)] if grid is not None else []))
         dictionary = self.dictionary(found["name"])
@@ -164,7 +155,7 @@ class Farm(FarmAccess):
             NotFound: if there is no such dictionary.
             TypeError: if there is no such option.
         """
-        material = _one(measurement)
+        material = _inputs.one(measurement)
         request = fits_pb2.FitRequest(
             dictionary=self._name(dictionary),
             measurement=material._wire(),
@@ -208,7 +199,7 @@ class Farm(FarmAccess):
         common = ["--free-g"] if free_g else []
         common += [] if g_change is None else [f"--g-change={g_change}"]
         common += [] if output is None else [f"--output={os.fspath(output)}"]
-        folder = materials.folder if isinstance(materials, Capture) else _folder(materials)
+        folder = materials.folder if isinstance(materials, Capture) else _inputs.folder(materials)
         if folder is not None:
             if given:
                 raise TypeError(f"{', '.join(given)}: the options of a session are in its folder")
@@ -219,8 +210,8 @@ class Farm(FarmAccess):
         assert not isinstance(materials, Capture)
         if output is not None:
             common += [f"--dictionary={self._name(dictionary)}", *options.flags(given)]
-            return self._written(_measurements(materials), common)
-        measurements, name = _measurements(materials), self._name(dictionary)
+            return self._written(_inputs.measurements(materials), common)
+        measurements, name = _inputs.measurements(materials), self._name(dictionary)
         request = fits_pb2.MeasureRequest(
             dictionary=name,
             materials=[m._wire() for m in measurements],
@@ -259,7 +250,7 @@ class Farm(FarmAccess):
         """
         request = fits_pb2.MapRequest(
             dictionary=self._name(dictionary),
-            measurement=_one(measurement)._wire(),
+            measurement=_inputs.one(measurement)._wire(),
             options=options.wire(given, refine=False),
         )
         answer = self._call("Fits/Map", request, fits_pb2.MapResponse)
@@ -298,7 +289,7 @@ class Farm(FarmAccess):
         request = fits_pb2.DesignRequest(
             dictionary=self._name(dictionary),
             channel=channel,
-            medium=_wire_medium(medium),
+            medium=_inputs.wire_medium(medium),
             slab_sets=[fits_pb2.SlabThicknesses(thickness_mm=one) for one in slabs_mm],
             shots=shots,
             noise=noise,
@@ -326,7 +317,7 @@ class Farm(FarmAccess):
         Raises:
             InvalidArgument: if a value is not valid.
         """
-        request = fits_pb2.SimilarRequest(medium=_wire_medium(medium), g=g)
+        request = fits_pb2.SimilarRequest(medium=_inputs.wire_medium(medium), g=g)
         answer = self._call("Fits/Similar", request, fits_pb2.SimilarResponse)
         return [Medium._of_wire(one) for one in answer.media]
 
@@ -422,45 +413,3 @@ def _opened_later(folder: pathlib.Path | None, where: str | None) -> Farm:
     farm = Farm.__new__(Farm)
     farm._begin(folder, where)
     return farm
-
-
-def _submitted(grid: Grid, arguments: list[str]) -> dict[str, Any]:
-    """Submits a grid by a file, which messages do not name."""
-    with tempfile.TemporaryDirectory() as folder:
-        # The file's name is the dictionary's.
-        file = pathlib.Path(folder, "paper.toml" if grid == Grid() else "grid.toml")
-        file.write_text(grid.to_toml(), encoding="utf-8")
-        try:
-            return _programs.farmctl([*arguments, str(file)])
-        except InvalidArgument as error:
-            message = re.sub(rf"grid file {re.escape(str(file))}(, line \d+)?", "the grid", error.message)
-            raise InvalidArgument(message, error.fields) from None
-
-
-def _folder(given: object) -> pathlib.Path | None:
-    if not isinstance(given, str | os.PathLike):
-        return None
-    path = pathlib.Path(given)
-    return path if path.is_dir() else None
-
-
-def _wire_medium(medium: Medium) -> model_pb2.Medium:
-    return model_pb2.Medium(sigma_t_per_mm=medium.sigma_t_per_mm, albedo=medium.albedo, g=medium.g)
-
-
-def _one(given: Materials) -> Measurement:
-    materials = _measurements(given)
-    if len(materials) != 1:
-        names = ", ".join(m.material for m in materials)
-        raise InvalidArgument(f"one material is expected, and these are {names}: measure takes several")
-    return materials[0]
-
-
-def _measurements(given: Materials) -> list[Measurement]:
-    if isinstance(given, Measurement):
-        return checked([given])
-    if isinstance(given, str | os.PathLike):
-        return read_measurements(given)
-    if isinstance(given, list | tuple):
-        return checked(given)
-    return Measurement.from_pandas(given)
