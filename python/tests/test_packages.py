@@ -57,7 +57,7 @@ def imports() -> Iterator[str]:
 
 
 def test_every_import_is_a_dependency() -> None:
-    """What the package imports beyond the standard library and its dependencies, an extra brings, and no more."""
+    """Extras bring all imports beyond the standard library and the dependencies, and no more."""
     needs = [Requirement(line) for line in importlib.metadata.requires("resin-farm") or []]
     required = {need.name for need in needs if need.marker is None}
     provided = {module for module, names in importlib.metadata.packages_distributions().items() if required & {*names}}

@@ -147,15 +147,15 @@ class Refined:
     medium: Medium
     """The optimum."""
     sigma_t_per_mm: Interval
-    """Of the extinction coefficient, in 1/mm."""
+    """Interval of the extinction coefficient, in 1/mm."""
     albedo: Interval
-    """Of the single-scattering albedo."""
+    """Interval of the single-scattering albedo."""
     g: Interval
-    """Of the anisotropy, the mean cosine of the phase function."""
+    """Interval of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: Interval
-    """Of σ_s (1 − g), in 1/mm."""
+    """Interval of σ_s (1 − g), in 1/mm."""
     absorption_per_mm: Interval
-    """Of σ_a, in 1/mm."""
+    """Interval of σ_a, in 1/mm."""
     resolved: bool
     """Whether the data determine σ_t and the albedo: both intervals are bounded and narrow."""
     resolved_at_g: bool

@@ -20,15 +20,15 @@ class HalfWidths:
     """Half of the widths of 95 % intervals; infinite where the pixels hold no information."""
 
     sigma_t_per_mm: float
-    """Of the extinction coefficient, in 1/mm."""
+    """Half-width of the extinction coefficient, in 1/mm."""
     albedo: float
-    """Of the single-scattering albedo."""
+    """Half-width of the single-scattering albedo."""
     g: float
-    """Of the anisotropy, the mean cosine of the phase function."""
+    """Half-width of the anisotropy, the mean cosine of the phase function."""
     reduced_scattering_per_mm: float
-    """Of σ_s (1 − g), in 1/mm."""
+    """Half-width of σ_s (1 − g), in 1/mm."""
     absorption_per_mm: float
-    """Of σ_a, in 1/mm."""
+    """Half-width of σ_a, in 1/mm."""
 
     def __repr__(self) -> str:
         sigma_t, alpha, g = map(_display.number, (self.sigma_t_per_mm, self.albedo, self.g))
