@@ -1,4 +1,5 @@
-//! Draws profiles across one edge, a curve for each channel, with their random errors as bands.
+//! Draws a curve for each channel: profiles across one edge with their random errors as bands, or the camera's response to
+//! spatial frequencies. Channels differ by the style of their lines as well as by colour.
 
 use crate::drawing::axis::{Axis, extent};
 use crate::drawing::canvas::{Canvas, PlotArea, Stroke, at};
@@ -25,9 +26,27 @@ pub struct EdgeCurve<'a> {
     pub std_errors: &'a [f64],
 }
 
-/// Draws all curves on common axes.
+/// Profiles on common axes.
 pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
-    let pen = |i: usize| Stroke::solid(COLOURS[i % COLOURS.len()], 1.4);
+    figure(curves, ["x [mm]", "radiance factor"])
+}
+
+/// Responses over frequencies, which are in the place of `x_mm`; without errors.
+pub fn sfr_figure(curves: &[EdgeCurve]) -> Picture {
+    figure(curves, ["cycles per mm", "response"])
+}
+
+/// The line of a channel.
+fn pen(i: usize) -> Stroke {
+    let colour = COLOURS[i % COLOURS.len()];
+    match i % 3 {
+        0 => Stroke::solid(colour, 1.4),
+        1 => Stroke::dashed(colour, 1.4, "7 3"),
+        _ => Stroke::dashed(colour, 1.4, "2 2"),
+    }
+}
+
+fn figure(curves: &[EdgeCurve], [x_label, y_label]: [&str; 2]) -> Picture {
     let keys: Vec<Key> =
         curves.iter().enumerate().map(|(i, curve)| Key::line(pen(i), curve.channel)).collect();
     let legend = LegendRow::new(&keys, WIDTH - 2.0 * MARGIN);
@@ -54,8 +73,8 @@ pub fn edge_figure(curves: &[EdgeCurve]) -> Picture {
     frame.axes(&mut canvas, Labels { x: true, y: true });
     let middle = frame.area.center();
     let label = |name: &str| Text::new(name, LABEL).anchor(Anchor::Middle);
-    canvas.text(at(middle.x, frame.area.bottom() + TICKS_BELOW + 1.2 * LABEL), &label("x [mm]"));
-    canvas.text_upwards(at(MARGIN + LABEL, middle.y), &label("radiance factor"));
+    canvas.text(at(middle.x, frame.area.bottom() + TICKS_BELOW + 1.2 * LABEL), &label(x_label));
+    canvas.text_upwards(at(MARGIN + LABEL, middle.y), &label(y_label));
     canvas.finish()
 }
 

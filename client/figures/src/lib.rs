@@ -30,7 +30,7 @@ pub use changes::{ChangesFigure, ChangesPanel, LabelledCurve, changes_figure};
 pub use chart::{ChartPoint, chart_figure};
 pub use design::design_figure;
 pub use drawing::picture::Picture;
-pub use edge::{EdgeCurve, edge_figure};
+pub use edge::{EdgeCurve, edge_figure, sfr_figure};
 pub use fit::fit_figure;
 pub use map::{map_figure, noise_figure};
 pub use overview::{OverviewFigure, overview_figure};

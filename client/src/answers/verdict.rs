@@ -87,11 +87,11 @@ fn precision(fit: &MaterialFit) -> Option<PrecisionRow> {
         let mut all: Vec<f64> = known.iter().map(|r| half_width(r)).collect();
         all.sort_by(f64::total_cmp);
         let shown =
-            |v: f64| if v.is_finite() { format!("{}{unit}", significant(v, 2)) } else { "open".to_owned() };
+            |v: f64| if v.is_finite() { format!("{}{unit}", significant(v, 2)) } else { "open".into() };
         let (median, greatest) = (all[all.len() / 2], all[all.len() - 1]);
         let widest =
             if greatest > UNLIKE * median { format!(" ({})", shown(greatest)) } else { String::new() };
-        format!("± {}{widest}", shown(median))
+        if median.is_finite() { format!("± {}{widest}", shown(median)) } else { shown(median) }
     };
     let percent = |interval: &dyn Fn(&Refined) -> Interval, value: &dyn Fn(&Refined) -> f64| {
         cell(&|r| 100.0 * half(&interval(r)) / value(r).abs(), " %")

@@ -15,6 +15,7 @@ use crate::least_squares::{FittedParameters, NormalEquations};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::Saturation;
+use crate::sfr::EdgeSfr;
 
 /// Accumulates shots of the bare board.
 #[derive(Debug)]
@@ -44,6 +45,8 @@ pub struct Board {
     pub profiles: [EdgeProfile; 3],
     /// Standard deviation of the Gaussian of lens and pixel, without the width of the bins.
     pub blur_mm: [Estimate; 3],
+    /// Response of lens and pixel to sinusoids; None where bins near the edge are empty.
+    pub sfr: [Option<EdgeSfr>; 3],
     /// Place of the edge in each channel, in x of `profiles`. It is subtracted in profiles of samples.
     pub origin_mm: [Estimate; 3],
     /// Radiance factors of both sides, away from the edge.
@@ -134,7 +137,8 @@ impl<'a> BareShots<'a> {
         let of_shots = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
         let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
         let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
-        let [red, green, blue] = [0, 1, 2].map(|c| fit_edge(&crate::join::mean(&of_fine(c)), label));
+        let fine = [0, 1, 2].map(|c| crate::join::mean(&of_fine(c)));
+        let [red, green, blue] = fine.each_ref().map(|profile| fit_edge(profile, label));
         let fits = [red?, green?, blue?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
@@ -152,6 +156,9 @@ impl<'a> BareShots<'a> {
             mm_per_px: Estimate::new(scale, scale * of_square.hypot(found.scale_std_error)),
             corners_px: found.corners_px.clone(),
             crop_px: edge_frame.crop_px(),
+            sfr: std::array::from_fn(|c| {
+                EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale)
+            }),
             blur_mm,
             origin_mm,
             light: std::array::from_fn(|c| level(&profiles[c], 1.0)),

@@ -26,6 +26,7 @@ mod refusal;
 mod report;
 mod rho;
 mod saturation;
+mod sfr;
 #[cfg(test)]
 mod testing;
 mod view;
@@ -46,3 +47,4 @@ pub use patches::{Neutral, Patches};
 pub use refusal::{Refusal, Side, Warning};
 pub use report::ShotReport;
 pub use rho::{Appearance, BoardRho};
+pub use sfr::EdgeSfr;

@@ -63,13 +63,13 @@ fn folder() -> (PathBuf, Option<tempfile::TempDir>) {
 
 async fn first_paint(browser: &Browser, page: &Page) {
     browser.open(&page.url()).await;
-    browser.shows("Measurement (CSV)").await;
+    browser.shows("Choose a measurement").await;
     let mut times = Vec::new();
     for _ in 0..11 {
         browser.order("Network.clearBrowserCache", json!({})).await;
         browser.open("about:blank").await;
         browser.open(&page.home).await;
-        browser.shows("Measurement (CSV)").await;
+        browser.shows("Choose a measurement").await;
         let paint = "return performance.getEntriesByName('first-contentful-paint')[0]?.startTime ?? null";
         let measured =
             browser.wait("a first paint", LONG, async |b| b.script(paint, vec![]).await.as_f64()).await;

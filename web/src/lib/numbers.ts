@@ -57,7 +57,7 @@ export function duration(seconds: number): string {
 
 // An argument of a command line, quoted where a shell would misread it.
 export function quoted(text: string): string {
-  return /^[\p{L}\p{N}_./:@=+-]+$/u.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
+  return /^[\p{L}\p{N}_.,/:@=+-]+$/u.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`;
 }
 
 // A share of the work, rounded down, so that 100 % means done.

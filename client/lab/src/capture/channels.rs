@@ -3,7 +3,7 @@
 //! The photographs of a band have three interleaved parts, each with its own results. Their profiles are joined; errors
 //! that they share, such as that of the light, are averaged, and independent ones shrink.
 
-use optics_capture::{BoardRho, EdgeProfile, Estimate, Source, join_parts};
+use optics_capture::{BoardRho, EdgeProfile, EdgeSfr, Estimate, Source, join_parts};
 use optics_capture::{Colour, Contribution};
 
 use super::captured::{Captured, CapturedPart, CapturedSample};
@@ -70,6 +70,11 @@ impl CapturedChannel<'_> {
     /// Standard deviation of the camera's blur in mm.
     pub fn blur_mm(&self) -> Estimate {
         self.independent(&self.part.board.blur_mm)
+    }
+
+    /// Response of the camera to spatial frequencies: of several columns that of the first.
+    pub fn sfr(&self) -> Option<&EdgeSfr> {
+        self.part.board.sfr[self.columns[0]].as_ref()
     }
 
     pub fn rho(&self) -> BoardRho {

@@ -61,7 +61,7 @@ async fn measuring_works_by_keyboard_alone() {
     let folder = folder_with_dictionary();
     let page = Page::start(folder.path(), &[]);
     let browser = let_in(&page).await;
-    browser.shows("Measurement (CSV)").await;
+    browser.shows("Choose a measurement").await;
     tab_to(&browser, "Skip to the content").await;
     press(&browser, Key::Enter).await;
     tab_to(&browser, "Try the example").await;

@@ -48,7 +48,7 @@ async fn deep_link_restores_its_view() {
     browser.shows("± ").await;
     let line = browser.css("section[aria-label=Profile] code").await.text().await.unwrap();
     assert!(
-        line.contains("--sigma-t 28 ") && line.contains("--g 0.2 ") && line.contains("--channel R "),
+        line.contains("--sigma-t 28 ") && line.contains("--g 0.2 ") && line.contains("--channel R,G,B "),
         "{line}"
     );
     assert_eq!(browser.complaints().await, Vec::<String>::new());
@@ -96,7 +96,7 @@ async fn page_needs_token_and_same_site() {
     }
     browser.complaints().await;
     browser.open(&page.url()).await;
-    browser.shows("Measurement (CSV)").await;
+    browser.shows("Choose a measurement").await;
 
     // Another user's server on this machine, which the same browser visits.
     let cookies_received: Arc<Mutex<Vec<String>>> = Arc::default();

@@ -137,7 +137,7 @@ async fn same_print_as_the_command(browser: &Browser, folder: &Path) {
 }
 
 async fn same_numbers(browser: &Browser, answer: &Value) {
-    let shown = browser.css("section[aria-label=Media] table").await.text().await.unwrap();
+    let shown = browser.css("[aria-label='Media, a table'] table").await.text().await.unwrap();
     let separates = |c: char| c.is_whitespace() || "()".contains(c);
     let numbers: Vec<f64> = shown.split(separates).filter_map(|number| number.parse().ok()).collect();
     let channels = answer["data"]["materials"][0]["channels"].as_array().unwrap();

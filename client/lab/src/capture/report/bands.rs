@@ -4,7 +4,7 @@ use farm_figures::numbers::fixed;
 use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::EdgeProfile;
 
-use super::set_up::{exposure, with_error};
+use super::set_up::{exposure, mtf50, with_error};
 use super::warnings;
 use crate::capture::band_optics::BandOptics;
 use crate::capture::captured::{Captured, CapturedPart};
@@ -20,7 +20,7 @@ pub(super) fn section(captured: &Captured) -> String {
     let rows = optics.iter().zip(&captured.parts).map(|(optics, part)| row(optics, part));
     let each = captured.parts.iter().map(band);
     format!(
-        "<h2>Bands</h2>\n<div class=\"wide\"><table>\n<tr><th>band</th><th>nm</th><th>exposure</th><th>blur σ [µm]</th>\
+        "<h2>Bands</h2>\n<div class=\"wide\"><table>\n<tr><th>band</th><th>nm</th><th>exposure</th><th>blur σ [µm]</th><th>MTF50 [1/mm] ([cycles/px])</th>\
          <th>shift [px]</th><th>magnification</th><th>left [px]</th><th>ρ light</th><th>ρ dark</th></tr>\n{}</table></div>\n\
          <p class=\"faint\">Shift and magnification of the board's corners against the sharpest band (*): lateral colour. \
          Each band is measured with its own edge, scale and blur.</p>\n{}",
@@ -37,6 +37,7 @@ fn row(optics: &BandOptics, part: &CapturedPart) -> String {
         optics.wavelength_nm.to_string(),
         part.about.exposure_s.map_or_else(String::new, exposure),
         format!("{:.1} ± {:.2}", 1000.0 * blur.value, 1000.0 * blur.std_error),
+        mtf50(channel.sfr(), part.board.mm_per_px.value),
         optics.shift_px.map(|px| fixed(px, 2)).join(", "),
         format!("{:+.3} %", 100.0 * optics.magnification),
         format!("{:.2}", optics.left_px),

@@ -1,7 +1,8 @@
 //! Renders the set-up: board, grey patches, light, noise.
 
 use farm_figures::numbers::significant;
-use optics_capture::{Calibration, Colour, Estimate};
+use farm_figures::{EdgeCurve, sfr_figure};
+use optics_capture::{Board, Calibration, Colour, EdgeSfr, Estimate};
 
 use super::samples::figure;
 use super::{shots, warnings};
@@ -27,7 +28,7 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
             board.origin_mm[c].value * 1000.0,
         ];
         format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
+            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{8}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
             colour.letter(),
             cells[0],
             cells[1],
@@ -36,14 +37,15 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
             with_error(board.dark[c]),
             with_error(part.rho[c].light),
             with_error(part.rho[c].dark),
+            mtf50(board.sfr[c].as_ref(), board.mm_per_px.value),
         )
     });
     let figures: String = board.shots.iter().map(|shot| shots::figure(captured, part, shot)).collect();
     format!(
         "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}.</p>\n\
-         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>edge against green [µm]</th><th>apparent light</th>\
-         <th>apparent dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
-         <figure class=\"wide\">{}<figcaption>The bare edge.</figcaption></figure>\n<div class=\"row\">{figures}</div>\n",
+         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>MTF50 [1/mm] ([cycles/px])</th>\
+         <th>edge against green [µm]</th><th>radiance factor, light</th><th>radiance factor, dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
+         <figure class=\"wide\">{}<figcaption>The bare edge.</figcaption></figure>\n{}<div class=\"row\">{figures}</div>\n",
         warnings(&board.warnings),
         1.0 / board.mm_per_px.value,
         board.mm_per_px.std_error / board.mm_per_px.value.powi(2),
@@ -53,6 +55,39 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
         board.edge.dark_side,
         rows.collect::<String>(),
         figure(&board.profiles),
+        sfr(board),
+    )
+}
+
+/// The frequency at which the response is a half, in cycles per mm and per pixel.
+pub(super) fn mtf50(sfr: Option<&EdgeSfr>, mm_per_px: f64) -> String {
+    let Some(sfr) = sfr else { return "–".to_owned() };
+    match sfr.mtf50_per_mm() {
+        Some(f) => format!("{} ({})", significant(f, 3), significant(f * mm_per_px, 2)),
+        None => format!("above {}", significant(1.0 / mm_per_px, 3)),
+    }
+}
+
+/// The response of the camera to spatial frequencies.
+fn sfr(board: &Board) -> String {
+    let known = Colour::ALL.iter().filter_map(|c| Some((c.letter(), board.sfr[c.index()].as_ref()?)));
+    let known: Vec<_> = known.map(|(letter, sfr)| (letter, sfr, vec![0.0; sfr.response.len()])).collect();
+    let curves: Vec<EdgeCurve> = known
+        .iter()
+        .map(|(channel, sfr, none)| EdgeCurve {
+            channel,
+            x_mm: &sfr.cycles_per_mm,
+            values: &sfr.response,
+            std_errors: none,
+        })
+        .collect();
+    if curves.is_empty() {
+        return String::new();
+    }
+    format!(
+        "<figure class=\"wide\">{}<figcaption>Spatial frequency response of lens and pixel from the bare edge (e-SFR, ISO \
+         12233), up to one cycle per pixel; MTF50 is where it is a half.</figcaption></figure>\n",
+        sfr_figure(&curves).svg()
     )
 }
 
@@ -115,8 +150,11 @@ fn constants(calibration: &Calibration) -> String {
         )
     });
     format!(
-        "<h3>Constants</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>read noise / numbers per electron</th><th>numbers per unit</th>\
-         <th>glare</th><th>drift</th></tr>{}</table></div>\n",
+        "<h3>Camera model</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>dark noise [DN] / system gain K [DN/e⁻]</th>\
+         <th>responsivity [DN]</th><th>glare</th><th>drift</th></tr>{}</table></div>\n\
+         <p class=\"faint\">Temporal dark noise and system gain as in EMVA 1288, by the photon transfer of repeated shots; the \
+         responsivity is the signal of a radiance factor of 1; the glare is the share of the mean light that adds to every pixel; \
+         the drift is that of the lamps between the first and the last shot of the patches.</p>\n",
         rows.collect::<String>()
     )
 }
