@@ -173,7 +173,7 @@ class Measured {
       return () => {
         this.answer = { ...answer, kept: summary };
         this.#asked.capture = capture ? summary.source : null;
-        route.set({ ...parametersOf(request, quantities), ...(capture ? { mu: null, dictionary: null, capture: summary.source } : {}) });
+        route.set({ ...parametersOf(request, quantities, capture?.options), ...(capture ? { mu: null, dictionary: null, capture: summary.source } : {}) });
         keep(null);
       };
     });

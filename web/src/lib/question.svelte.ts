@@ -6,7 +6,7 @@ import { desk } from './api';
 import { hasUncertainLobe, listDictionaries, preset, usual } from './known.svelte';
 import { measured } from './measured.svelte';
 import { quoted } from './numbers';
-import { BOUNDS, fieldOf, optionOf, PHASES, rangeOf, type MeasureQuestion, type Options } from './request';
+import { BOUNDS, fieldOf, optionOf, PHASES, rangeOf, standardOf, type MeasureQuestion, type Options } from './request';
 import { route } from './route.svelte';
 
 class Question {
@@ -36,10 +36,8 @@ class Question {
     this.all = await listDictionaries();
   }
 
-  // The value of a quantity where the link has none: the session's, or the default.
   standard(quantity: SetUpQuantity): number {
-    const value = measured.capture?.options?.[fieldOf(quantity) as 'gainStdError'];
-    return typeof value === 'number' ? value : quantity.default;
+    return standardOf(quantity, measured.capture?.options);
   }
 
   // The value of a quantity in the link, if it is in the allowed range.

@@ -1,7 +1,7 @@
 // Converts between the question of a measurement and the parameters of a link: words and ranges are those of `farmctl`.
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import type { SetUpQuantity } from '../gen/desk/v1/desk_pb';
-import { Objective, PhaseModel, type Bounds, type FitOptionsSchema, type MeasureRequest, type Mixture } from '../gen/farm/v1/fits_pb';
+import { Objective, PhaseModel, type Bounds, type FitOptions, type FitOptionsSchema, type MeasureRequest, type Mixture } from '../gen/farm/v1/fits_pb';
 import type { Measurement } from '../gen/farm/v1/model_pb';
 
 export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;
@@ -54,8 +54,18 @@ export function optionOf(quantity: SetUpQuantity): string {
   return `--${quantity.name.replaceAll('_', '-')}`;
 }
 
+// The value of a quantity where the link has none: the session's, or the default.
+export function standardOf(quantity: SetUpQuantity, session: FitOptions | undefined): number {
+  const value = session?.[fieldOf(quantity) as 'gainStdError'];
+  return typeof value === 'number' ? value : quantity.default;
+}
+
 // The parameters of a link with which the page asks the same question.
-export function parametersOf(request: MeasureRequest, quantities: readonly SetUpQuantity[]): Record<string, string | number | null> {
+export function parametersOf(
+  request: MeasureRequest,
+  quantities: readonly SetUpQuantity[],
+  session: FitOptions | undefined,
+): Record<string, string | number | null> {
   const { options, searchMu, commonG, dictionary } = request;
   const parameters: Record<string, string | number | null> = {
     dictionary,
@@ -66,8 +76,8 @@ export function parametersOf(request: MeasureRequest, quantities: readonly SetUp
   };
   for (const { parameter, field } of BOUNDS) parameters[parameter] = textOf(options?.[field]);
   for (const quantity of quantities) {
-    const value = options?.[fieldOf(quantity) as keyof typeof options];
-    parameters[quantity.name] = typeof value === 'number' && value !== quantity.default ? value : null;
+    const value = standardOf(quantity, options);
+    parameters[quantity.name] = value === standardOf(quantity, session) ? null : value;
   }
   return parameters;
 }

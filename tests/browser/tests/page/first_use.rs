@@ -66,6 +66,10 @@ async fn first_use_computes_measures_and_saves() {
     browser.press("Keep to compare").await;
     browser.press("Drop 1 kept").await;
     browser.press("Figure (SVG)").await;
+    let design = By::XPath("//summary[text()=\"Which slabs to photograph\"]".to_owned());
+    browser.element(design).await.click().await.unwrap();
+    browser.press("Predict").await;
+    browser.shows("at the Cramér–Rao bound").await;
     assert_eq!(browser.complaints().await, Vec::<String>::new());
     // An open page does not keep the server from ending.
     go_to(&browser, "Farm").await;
