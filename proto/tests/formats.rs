@@ -204,6 +204,7 @@ fn answer_of_a_measurement_is_understood() {
                 common: common.clone().map(Into::into),
                 unmixed: None,
                 shared_errors: None,
+                kept_id: String::new(),
             },
         );
         assert_eq!(scale.unwrap().points.len(), 5, "version {version}");

@@ -70,7 +70,7 @@ impl CaptureRun {
 fn write(session: &Path, folder: &Path, report: impl FnMut(&str, f64)) -> Result<Vec<String>> {
     let captured = capture::capture(session, report)?;
     let notes = capture::write_folder(folder, &captured)?;
-    Ok(captured.warnings(folder, &notes))
+    Ok(captured.warnings(&folder.join(capture::FILES[0]), &notes))
 }
 
 /// The session file and the folder to write: files elsewhere are neither read nor written.

@@ -1,10 +1,10 @@
 //! Computes the spatial frequency response of the camera from the bare edge (e-SFR, after ISO 12233).
 //!
 //! The derivative of the edge's profile is the line spread function. A window centred on the edge limits it to the
-//! neighbourhood: flat over its inner half and tapered by a cosine, since the standard's Hamming window would narrow a wide
-//! spread and make the response too high. The Fourier transform, relative to frequency 0, is the response of lens and pixel together. Means over
-//! bins and differences between bins of width w are convolutions with a box of that width, so that the transform is divided
-//! by sinc²(f w), where the standard corrects for the differences alone.
+//! neighbourhood: flat over its inner half and tapered by a cosine, since the standard's Hamming window would narrow a
+//! wide spread and make the response too high. The Fourier transform, relative to frequency 0, is the response of lens
+//! and pixel together. Means over bins and differences between bins of width w are convolutions with a box of that width,
+//! so that the transform is divided by sinc²(f w), where the standard corrects for the differences alone.
 
 use std::f64::consts::PI;
 

@@ -155,7 +155,7 @@ fn kept_measurements_have_owners_and_survive() {
         assert!(ran.stderr.contains(&expected), "{}", ran.stderr);
     }
     assert_eq!(by(&farm, "alice", &annotate).code, 0);
-    // The same question again: title and note stay.
+    // When it is kept again, title and note stay.
     assert_eq!(by(&farm, "alice", &[&measure[..6], &["--keep"]].concat()).code, 0);
     let listed = by(&farm, "alice", &["measurements", "--json"]).stdout;
     let listed: serde_json::Value = serde_json::from_str(&listed).unwrap();

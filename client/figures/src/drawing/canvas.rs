@@ -6,6 +6,7 @@ use anyhow::Context as _;
 use base64::Engine as _;
 use resvg::tiny_skia::Pixmap;
 
+use super::number::short;
 use super::picture::Picture;
 use super::rgb::Rgb;
 use super::text::{Anchor, Level, SCRIPT, Text, spans};
@@ -234,13 +235,6 @@ fn path(points: &[CanvasPoint]) -> String {
 /// Very short dashes, which round caps turn into dots.
 fn dots(points: &[CanvasPoint]) -> String {
     points.iter().map(|point| format!("M{} {}h0.01", short(point.x), short(point.y))).collect()
-}
-
-/// A length to a hundredth of a pixel, without trailing zeros.
-pub(super) fn short(length: f64) -> String {
-    let text = format!("{length:.2}");
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
 }
 
 #[cfg(test)]

@@ -48,6 +48,13 @@ pub(crate) fn logarithmic_label(mantissa: i32, exponent: i32, powers: bool) -> S
     }
 }
 
+/// A length to a hundredth of a pixel, without trailing zeros.
+pub(crate) fn short(length: f64) -> String {
+    let text = format!("{length:.2}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -10,7 +10,7 @@ use krilla_svg::{SurfaceExt as _, SvgSettings};
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{self, fontdb};
 
-use super::canvas::short;
+use super::number::short;
 
 /// CSS pixels per inch.
 const CSS_DPI: f64 = 96.0;
@@ -121,7 +121,7 @@ mod tests {
 
     /// A PDF has a page of the drawing's size in points, embedded fonts, and the same bytes each time.
     #[test]
-    fn pdf_has_the_wanted_size_and_is_reproducible() {
+    fn pdf_is_reproducible_with_the_wanted_size() {
         let pdf = picture().pdf(Some(127.0)).unwrap();
         assert_eq!(pdf, picture().pdf(Some(127.0)).unwrap());
         let text = String::from_utf8_lossy(&pdf);

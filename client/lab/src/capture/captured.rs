@@ -5,7 +5,6 @@ use std::path::Path;
 use optics_capture::{Board, BoardRho, Calibration, SampleProfile};
 
 use super::bands::Band;
-use super::results::FILES;
 use super::session_file::{CaptureSession, Sample};
 use super::shots::Input;
 use super::strip::Strip;
@@ -44,11 +43,10 @@ pub struct CapturedSample {
 }
 
 impl Captured {
-    /// All warnings: about the session's numbers, the set-up, the samples, and the profiles as they are read back from the
-    /// folder.
-    pub fn warnings(&self, folder: &Path, notes: &[Note]) -> Vec<String> {
+    /// All warnings: about the session's numbers, the set-up, the samples, and the profiles as they are read back from their
+    /// file.
+    pub fn warnings(&self, file: &Path, notes: &[Note]) -> Vec<String> {
         let of_parts = self.parts.iter().flat_map(CapturedPart::warnings);
-        let file = folder.join(FILES[0]);
         let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
         self.session.doubts.iter().cloned().chain(of_parts).chain(notes).collect()
     }

@@ -81,7 +81,7 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     bar.finish_and_clear();
     let captured = captured?;
     let notes = capture::write_folder(&folder, &captured)?;
-    let warnings = captured.warnings(&folder, &notes);
+    let warnings = captured.warnings(&folder.join(FILES[0]), &notes);
     // Standard output has one object: with --measure, that of the media.
     if !(args.measure && output.is_json()) {
         output

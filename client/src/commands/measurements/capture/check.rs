@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use super::CaptureArgs;
 use crate::interrupt::interrupted;
 use crate::output::{Output, warning};
-use arrivals::Arrivals;
+use arrivals::NewPhotographs;
 
 /// A usable photograph.
 struct UsableShot {
@@ -73,7 +73,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// Checks each photograph that appears in a folder once its file does not grow any more, until Ctrl-C.
 pub(super) async fn watch(args: &CaptureArgs, folder: &Path, output: &Output) -> Result<ExitCode> {
     let checker = ShotChecker::new(args)?;
-    let mut arrivals = Arrivals::new(folder)?;
+    let mut arrivals = NewPhotographs::new(folder)?;
     to_stderr(format_args!("farmctl: watching {} for new photographs; Ctrl-C ends", folder.display()));
     loop {
         tokio::select! {

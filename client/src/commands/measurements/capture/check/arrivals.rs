@@ -12,7 +12,7 @@ const OTHERS: [&str; 12] =
 
 /// The new photographs of a folder.
 #[derive(Debug)]
-pub(super) struct Arrivals {
+pub(super) struct NewPhotographs {
     folder: PathBuf,
     /// Files that were there before, or have been returned.
     known: BTreeSet<OsString>,
@@ -20,7 +20,7 @@ pub(super) struct Arrivals {
     growing: BTreeMap<OsString, u64>,
 }
 
-impl Arrivals {
+impl NewPhotographs {
     pub(super) fn new(folder: &Path) -> Result<Self> {
         let mut arrivals =
             Self { folder: folder.to_owned(), known: BTreeSet::new(), growing: BTreeMap::new() };
@@ -72,7 +72,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let write = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
         write("old.dng", b"1");
-        let mut arrivals = Arrivals::new(folder.path()).unwrap();
+        let mut arrivals = NewPhotographs::new(folder.path()).unwrap();
         write("new.dng", b"");
         write("notes.txt", b"1");
         assert!(arrivals.complete().unwrap().is_empty(), "empty");
@@ -82,6 +82,6 @@ mod tests {
         assert_eq!(arrivals.complete().unwrap(), [folder.path().join("new.dng")]);
         assert!(arrivals.complete().unwrap().is_empty(), "returned before");
         let gone = folder.path().join("gone");
-        assert!(Arrivals::new(&gone).unwrap_err().to_string().contains("gone"));
+        assert!(NewPhotographs::new(&gone).unwrap_err().to_string().contains("gone"));
     }
 }
