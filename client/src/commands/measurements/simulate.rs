@@ -15,6 +15,7 @@ use farm_lab::grid_file::read_scene;
 use farm_lab::measurement_file::{MeasurementWriter, check_name};
 use farm_lab::phase_file::read_phase_table;
 use farm_lab::whole_file::open_node;
+use farm_link::logs::to_stderr;
 use optics_model::job::JobSpec;
 use optics_model::phase::{PhaseShape, SecondLobe};
 use optics_model::scene::{Channel, Scene, Sensor};
@@ -138,13 +139,23 @@ pub(crate) async fn run(args: SimulateArgs, output: &Output) -> Result<()> {
 }
 
 fn simulate(args: &SimulateArgs, style: &OutputStyle, jobs: &[JobSpec]) -> Result<()> {
+    let mut pictures = Vec::new();
+    // Figures need all records before the first is written; otherwise each is traced when it is written.
+    let mut kept = Vec::new();
     if let Some(path) = &args.plot {
-        figures::draw(jobs, path, args.figure.size()?)?;
+        kept = jobs.iter().map(traced).collect::<Result<_>>()?;
+        pictures = figures::draw(jobs, &kept, path, args.figure.size()?)?;
     }
     if let Some(path) = &args.plot_changes {
         let (job, medium) = (&jobs[0], Medium::new(args.sigma_t[0], args.albedo[0], jobs[0].point().g())?);
         figure_files::write(&changes::picture(job, &medium, args.change)?, path, args.figure.size()?)?;
+        pictures.push(path.clone());
     }
+    for path in pictures {
+        to_stderr(format_args!("drawn: {}", path.display()));
+    }
+    let jobs: Vec<(&JobSpec, Option<Vec<Record>>)> =
+        jobs.iter().zip(kept.into_iter().map(Some).chain(std::iter::repeat_with(|| None))).collect();
     let Some(path) = &args.output else {
         return write(style, jobs, std::io::BufWriter::new(std::io::stdout().lock()));
     };
@@ -290,13 +301,15 @@ fn style(args: &SimulateArgs, jobs: &[JobSpec], output: &Output) -> Result<Outpu
 }
 
 /// Writes each profile as soon as it is traced.
-fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<()> {
+/// Writes the records of all jobs; those that are not given are traced.
+fn write(style: &OutputStyle, jobs: Vec<(&JobSpec, Option<Vec<Record>>)>, mut out: impl Write) -> Result<()> {
+    let records = |job: &JobSpec, kept: Option<Vec<Record>>| kept.map_or_else(|| traced(job), Ok);
     match style {
         OutputStyle::Measurement { material, noise, seed } => {
             let mut camera = SimulatedCamera::new(*noise, *seed)?;
             let mut measurement = MeasurementWriter::new(&mut out, material)?;
-            for job in jobs {
-                for Record { profiles, .. } in traced(job)? {
+            for (job, kept) in jobs {
+                for Record { profiles, .. } in records(job, kept)? {
                     let profiles = match &mut camera {
                         Some(camera) => camera.photograph(&profiles)?,
                         None => profiles,
@@ -307,8 +320,8 @@ fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<(
             measurement.finish()?;
         }
         OutputStyle::Json(json) => {
-            for job in jobs {
-                for (record, albedo) in traced(job)?.iter().zip(job.albedo()) {
+            for (job, kept) in jobs {
+                for (record, albedo) in records(job, kept)?.iter().zip(job.albedo()) {
                     let data = SimulateJson::new(json, job, *albedo, record);
                     writeln!(out, "{}", envelope("simulate", &data)?)?;
                 }
@@ -318,8 +331,8 @@ fn write(style: &OutputStyle, jobs: &[JobSpec], mut out: impl Write) -> Result<(
             let several = matches!(style, OutputStyle::Several);
             let media = if several { "sigma_t_per_mm,albedo,g,thickness_mm," } else { "" };
             writeln!(out, "{media}channel,x_mm,value,std_error")?;
-            for job in jobs {
-                for (record, albedo) in traced(job)?.iter().zip(job.albedo()) {
+            for (job, kept) in jobs {
+                for (record, albedo) in records(job, kept)?.iter().zip(job.albedo()) {
                     let medium = if several { medium_cells(job, *albedo) } else { String::new() };
                     write_rows(&mut out, &medium, job.scene(), &record.profiles)?;
                 }

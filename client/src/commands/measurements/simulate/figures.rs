@@ -5,22 +5,26 @@ use std::path::{Path, PathBuf};
 use anyhow::Result;
 use farm_figures::numbers::{albedo, significant};
 use farm_figures::simulated_figure;
-use optics_model::Medium;
 use optics_model::fit::PredictedChannel;
 use optics_model::job::JobSpec;
+use optics_model::{Medium, Record};
 
-use super::records::traced;
 use crate::figure_files::{self, FigureSize};
 
-/// One figure per medium and thickness; returns the files. Runs on the current rayon pool.
-pub(super) fn draw(jobs: &[JobSpec], path: &Path, size: FigureSize) -> Result<Vec<PathBuf>> {
+/// One figure per medium and thickness; returns the files.
+pub(super) fn draw(
+    jobs: &[JobSpec],
+    records: &[Vec<Record>],
+    path: &Path,
+    size: FigureSize,
+) -> Result<Vec<PathBuf>> {
     let mut figures = Vec::new();
-    for job in jobs {
+    for (job, records) in jobs.iter().zip(records) {
         let (scene, point) = (job.scene(), job.point());
         let x_mm: Vec<f64> = (0..scene.sensor().pixels()).map(|i| scene.sensor().centre_mm(i)).collect();
-        for (record, &a) in traced(job)?.into_iter().zip(job.albedo()) {
+        for (record, &a) in records.iter().zip(job.albedo()) {
             let medium = Medium::new(point.sigma_t_per_mm(), a, point.g())?;
-            let channels = scene.channels().iter().zip(record.profiles).map(|(channel, profile)| {
+            let channels = scene.channels().iter().zip(&record.profiles).map(|(channel, profile)| {
                 let numbers = |all: &[f32]| all.iter().copied().map(f64::from).collect::<Vec<f64>>();
                 PredictedChannel {
                     channel: channel.name().to_owned(),
