@@ -78,6 +78,17 @@ impl<'a> RecordStream<'a> {
         }
     }
 
+    /// The next records, fewer than `most` only at the end.
+    pub(crate) async fn next_batch(&mut self, most: usize) -> Result<Vec<Record>> {
+        let mut batch = Vec::with_capacity(most.min(self.promised));
+        while batch.len() < most
+            && let Some(record) = self.next().await?
+        {
+            batch.push(record);
+        }
+        Ok(batch)
+    }
+
     /// Requests the next batch of the indices.
     async fn ask_for_more(&mut self) -> Result<()> {
         self.next = self.indices[self.asked];

@@ -58,7 +58,12 @@ impl Farm {
             Err(error) => inspection.unchecked = Some(error.to_string()),
         }
         match self.store.damaged_measurements().await {
-            Ok(damaged) => inspection.faults.extend(damaged.iter().map(ToString::to_string)),
+            Ok(damaged) => inspection.faults.extend(damaged.iter().map(|id| {
+                format!(
+                    "the content of kept measurement {id} is not what was stored (`farmctl measurements delete {id}` removes \
+                     it)"
+                )
+            })),
             Err(error) => inspection.unchecked = Some(error.to_string()),
         }
         for (name, id, grid) in all {

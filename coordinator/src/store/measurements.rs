@@ -156,13 +156,17 @@ impl Store {
         Ok(())
     }
 
-    /// Errors of the measurements whose content is damaged.
-    pub async fn damaged_measurements(&self) -> Result<Vec<StoreError>> {
+    /// Ids of the measurements whose content is damaged.
+    pub async fn damaged_measurements(&self) -> Result<Vec<String>> {
         let mut damaged = Vec::new();
         let mut before = i64::MAX;
         while let Some(kept) = self.measurements_before(before, 1).await?.pop() {
             before = kept.number;
-            damaged.extend(self.measurement_content(&kept.id).await.err());
+            match self.measurement_content(&kept.id).await {
+                Ok(_) => {}
+                Err(StoreError::Corrupt { .. }) => damaged.push(kept.id),
+                Err(error) => return Err(error),
+            }
         }
         Ok(damaged)
     }

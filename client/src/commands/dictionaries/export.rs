@@ -4,6 +4,7 @@
 mod arrays;
 mod chosen;
 mod npz;
+mod rows;
 mod variant;
 
 use std::io::Write;
@@ -17,16 +18,18 @@ use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::GetRequest;
-use optics_model::{Estimate, Grid, Record};
-use serde::Serialize;
+use optics_model::Grid;
 
 use crate::cli::Global;
 use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose};
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::{Output, envelope};
+use crate::output::Output;
 use chosen::ChosenAxes;
-use variant::VariedQuantity;
+use rows::RecordText;
+
+/// Records that are formatted together, on all cores.
+const BATCH: usize = 256;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -143,18 +146,29 @@ async fn export(
     let wanted = if indices.is_empty() { grid.record_count() } else { indices.len() };
     let mut records = RecordStream::ask(connection, &status, indices).await?;
     if !json && measurement.is_none() {
-        write_head(&mut out, grid, args.responses)?;
+        rows::write_head(&mut out, grid, args.responses)?;
     }
-    let mut count = 0;
-    while let Some(record) = records.next().await? {
-        count += 1;
+    let form = RecordText::new(grid, json);
+    let (mut count, mut bytes) = (0, 0);
+    loop {
+        let batch = records.next_batch(BATCH).await?;
+        if batch.is_empty() {
+            break;
+        }
+        count += batch.len();
         if let Some(measurement) = &mut measurement {
-            let thickness_mm = grid.parameters(record.index).0.thickness_mm();
-            measurement.add(grid.scene(), thickness_mm, &record.profiles)?;
-        } else if json {
-            writeln!(out, "{}", envelope("record", &RecordJson::new(grid, &record))?)?;
-        } else {
-            write_rows(&mut out, grid, &record)?;
+            for record in batch {
+                let thickness_mm = grid.parameters(record.index).0.thickness_mm();
+                measurement.add(grid.scene(), thickness_mm, &record.profiles)?;
+            }
+            continue;
+        }
+        for text in form.of_all(&batch)? {
+            bytes += text.len();
+            out.write_all(&text)?;
+        }
+        if count == batch.len() && args.output.is_some() {
+            report_size(bytes as f64 / count as f64 * records.promised() as f64);
         }
     }
     if let Some(measurement) = measurement {
@@ -194,104 +208,10 @@ fn one_material(grid: &Grid, indices: &[u32], name: &str, json: bool) -> Result<
     MeasurementWriter::new(Vec::new(), name)
 }
 
-fn write_head(out: &mut impl Write, grid: &Grid, responses: bool) -> Result<()> {
-    let variant = if responses { ",quantity,step,unit" } else { "" };
-    write!(
-        out,
-        "record{variant},sigma_t_per_mm,albedo,g,thickness_mm,sample_ior,channel,x_mm,value,std_error"
-    )?;
-    if grid.derivatives() {
-        write!(out, ",d_albedo,d_albedo_std_error,d_sigma_t,d_sigma_t_std_error")?;
-    }
-    writeln!(out)?;
-    Ok(())
-}
-
-fn write_rows(out: &mut impl Write, grid: &Grid, record: &Record) -> Result<()> {
-    let (point, medium) = grid.parameters(record.index);
-    let scene = grid.scene();
-    let variant = VariedQuantity::of_record(grid, record.index);
-    let variant = variant.map_or_else(String::new, |v| format!(",{},{},{}", v.quantity, v.step, v.unit));
-    for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
-        for pixel in 0..scene.sensor().pixels() {
-            write!(
-                out,
-                "{}{variant},{},{},{},{},{},{},{}",
-                record.index,
-                medium.sigma_t_per_mm(),
-                medium.albedo(),
-                medium.g(),
-                point.thickness_mm(),
-                point.sample_ior(),
-                channel.name(),
-                scene.sensor().centre_mm(pixel),
-            )?;
-            for estimate in profile.estimates() {
-                write!(out, ",{},{}", estimate.values()[pixel], estimate.std_errors()[pixel])?;
-            }
-            writeln!(out)?;
-        }
-    }
-    Ok(())
-}
-
-#[derive(Debug, Serialize)]
-struct RecordJson<'a> {
-    record: usize,
-    /// The varied quantity of a record of the responses.
-    #[serde(flatten)]
-    variant: Option<VariedQuantity>,
-    sigma_t_per_mm: f64,
-    albedo: f64,
-    g: f64,
-    thickness_mm: f64,
-    sample_ior: f64,
-    channels: Vec<RecordProfileJson<'a>>,
-}
-
-#[derive(Debug, Serialize)]
-struct RecordProfileJson<'a> {
-    channel: &'a str,
-    values: &'a [f32],
-    std_errors: &'a [f32],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    d_albedo: Option<EstimateJson<'a>>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    d_sigma_t: Option<EstimateJson<'a>>,
-}
-
-#[derive(Debug, Serialize)]
-struct EstimateJson<'a> {
-    values: &'a [f32],
-    std_errors: &'a [f32],
-}
-
-impl<'a> From<&'a Estimate> for EstimateJson<'a> {
-    fn from(e: &'a Estimate) -> Self {
-        Self { values: e.values(), std_errors: e.std_errors() }
-    }
-}
-
-impl<'a> RecordJson<'a> {
-    fn new(grid: &'a Grid, record: &'a Record) -> Self {
-        let (point, medium) = grid.parameters(record.index);
-        let channels =
-            grid.scene().channels().iter().zip(&record.profiles).map(|(channel, p)| RecordProfileJson {
-                channel: channel.name(),
-                values: p.radiance_factor.values(),
-                std_errors: p.radiance_factor.std_errors(),
-                d_albedo: p.derivatives.as_ref().map(|d| (&d.albedo).into()),
-                d_sigma_t: p.derivatives.as_ref().map(|d| (&d.sigma_t).into()),
-            });
-        Self {
-            record: record.index,
-            variant: VariedQuantity::of_record(grid, record.index),
-            sigma_t_per_mm: medium.sigma_t_per_mm(),
-            albedo: medium.albedo(),
-            g: medium.g(),
-            thickness_mm: point.thickness_mm(),
-            sample_ior: point.sample_ior(),
-            channels: channels.collect(),
-        }
+/// Reports the size of a large file before it is complete.
+fn report_size(bytes: f64) {
+    const LARGE: f64 = 1e8;
+    if bytes > LARGE {
+        to_stderr(format_args!("farmctl: about {:.1} GB will be written", bytes / 1e9));
     }
 }
