@@ -17,6 +17,7 @@ mod prints;
 mod progress;
 mod renderers;
 mod slurm;
+mod traced;
 mod web;
 
 use std::process::ExitCode;

@@ -4,6 +4,7 @@ mod colours;
 mod comparison;
 mod prints;
 mod session;
+mod simulation;
 mod tables;
 
 use std::path::Path;
@@ -29,7 +30,7 @@ use super::api::{
     ListSetUpQuantitiesRequest, ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval,
     OpenCaptureRequest, OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest,
     ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, ReadMixturesRequest,
-    ReadMixturesResponse, Remark, SetUpQuantity, StartCaptureRequest, StartCaptureResponse, SummarizeRequest,
+    ReadMixturesResponse, Remark, SetUpQuantity, SimulateRequest, SimulateResponse, StartCaptureRequest, StartCaptureResponse, SummarizeRequest,
     SummarizeResponse,
 };
 use super::capture_run::CaptureRun;
@@ -188,6 +189,14 @@ impl Desk for DeskService {
     ) -> Result<Response<ListSetUpQuantitiesResponse>, Status> {
         let quantities = Quantity::OF_OPTIONS.iter().map(SetUpQuantity::from).collect();
         Ok(Response::new(ListSetUpQuantitiesResponse { quantities }))
+    }
+
+    async fn simulate(
+        &self,
+        request: Request<SimulateRequest>,
+    ) -> Result<Response<SimulateResponse>, Status> {
+        let request = request.into_inner();
+        answer(move || simulation::simulate(request)).await
     }
 
     async fn read_mixtures(

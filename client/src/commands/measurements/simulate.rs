@@ -3,7 +3,6 @@
 mod camera;
 mod changes;
 mod figures;
-mod records;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -25,8 +24,8 @@ use serde::Serialize;
 use crate::cli::{FigureArgs, whole_number};
 use crate::figure_files;
 use crate::output::{Output, envelope, write_whole};
+use crate::traced::traced;
 use camera::{NOISE, SimulatedCamera};
-use records::traced;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

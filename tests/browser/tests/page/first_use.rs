@@ -66,10 +66,15 @@ async fn first_use_computes_measures_and_saves() {
     browser.press("Keep to compare").await;
     browser.press("Drop 1 kept").await;
     browser.press("Figure (SVG)").await;
-    let design = By::XPath("//summary[text()=\"Which slabs to photograph\"]".to_owned());
-    browser.element(design).await.click().await.unwrap();
-    browser.press("Predict").await;
-    browser.shows("at the Cramér–Rao bound").await;
+    for (part, button, text) in [
+        ("Simulate this slab", "Simulate", "standard errors of both"),
+        ("Which slabs to photograph", "Predict", "at the Cramér–Rao bound"),
+    ] {
+        let summary = By::XPath(format!("//summary[text()=\"{part}\"]"));
+        browser.element(summary).await.click().await.unwrap();
+        browser.press(button).await;
+        browser.shows(text).await;
+    }
     assert_eq!(browser.complaints().await, Vec::<String>::new());
     // An open page does not keep the server from ending.
     go_to(&browser, "Farm").await;

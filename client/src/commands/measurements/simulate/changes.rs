@@ -9,7 +9,7 @@ use optics_model::{Medium, TransportPoint};
 use farm_figures::numbers::{albedo, significant};
 use farm_figures::{ChangesFigure, ChangesPanel, LabelledCurve, Picture, changes_figure};
 
-use super::records::traced;
+use crate::traced::traced;
 
 /// Traces the medium and its neighbours, each of which has σ_t, 1 − α or 1 − g smaller or larger by the relative
 /// `change`, and draws the first channel. Runs on the current rayon pool.

@@ -8,7 +8,7 @@ use optics_model::job::JobSpec;
 use optics_model::scene::{Channel, Scene};
 
 /// The records of a job. If indices depend on the wavelength, each channel has walks of its own.
-pub(super) fn traced(job: &JobSpec) -> Result<Vec<Record>> {
+pub(crate) fn traced(job: &JobSpec) -> Result<Vec<Record>> {
     let scene = job.scene();
     if !scene.is_dispersive() {
         return traced_in(job, scene.clone());
