@@ -21,7 +21,7 @@ const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86ce
 const BYTES: &str = "630a8a7c9bde119ced73150c6695e6d1cc69c2c8d619476218de3e1cbae79755";
 
 /// Version of the physics of the program that wrote the fixture of each schema.
-const PHYSICS_VERSIONS: [u32; 6] = [2, 3, 3, 3, 3, 3];
+const PHYSICS_VERSIONS: [u32; 7] = [2, 3, 3, 3, 3, 3, 3];
 
 /// The digest that a grid had in the program that wrote a fixture.
 fn grid_digest(grid: &Grid, schema: i64) -> Digest {
@@ -113,6 +113,25 @@ async fn derivatives_of_every_schema_are_read() {
         let found = store.all_jobs(slopes.id, &slopes.grid, 0..1).await.unwrap().remove(0).unwrap();
         assert!(found.records.shape().derivatives, "schema {schema}");
         RecordShape::of(&slopes.grid).check(&found.records.record(0)).unwrap();
+    }
+}
+
+/// From the seventh schema on there is a kept measurement, which older databases do not have.
+#[tokio::test]
+async fn kept_measurements_of_every_schema_are_read() {
+    for schema in 1..=newest_schema() {
+        let dir = data_of(schema).await;
+        let store = open(&dir).await;
+        let kept = store.measurements_before(i64::MAX, 10).await.unwrap();
+        assert_eq!(kept.len(), usize::from(schema >= 7), "schema {schema}");
+        for one in kept {
+            assert_eq!((one.title.as_str(), one.note.as_str()), ("first print", "of schema 7"));
+            let content = store.measurement_content(&one.id).await.unwrap().unwrap();
+            let kept = wire::KeptMeasurement::decode(&content[..]).unwrap();
+            assert_eq!(kept.request.unwrap().materials[0].material, "resin", "schema {schema}");
+            assert_eq!(kept.answer.unwrap().materials[0].channels.len(), 2, "schema {schema}");
+            Grid::try_from(kept.grid.unwrap()).unwrap();
+        }
     }
 }
 
