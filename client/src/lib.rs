@@ -12,6 +12,7 @@ mod damaged;
 mod exit;
 mod figure_files;
 mod interrupt;
+mod measured;
 mod output;
 mod prints;
 mod progress;

@@ -29,6 +29,17 @@ impl SetUp {
         Ok(Self { values: given.or(session) })
     }
 
+    /// These values, and those settings that are not the defaults, where there is none yet: somebody has given them.
+    #[must_use]
+    pub fn with_given(mut self, settings: &FitSettings) -> Self {
+        for ((quantity, own), (_, value)) in self.values.values_mut().zip(settings.set_up()) {
+            if own.is_none() && value != quantity.default {
+                *own = Some(ByChannel::All(value));
+            }
+        }
+        self
+    }
+
     /// Standard error of the scale factor, if the session has one for its white reference.
     pub fn mu_std_error(&self) -> Option<f64> {
         self.values.mu_std_error

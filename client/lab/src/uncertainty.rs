@@ -191,7 +191,11 @@ fn input_table(inputs: &[InputQuantity]) -> String {
     format!("<h2>Input quantities</h2>\n{}", table("text", &head, &rows))
 }
 
-/// Contributions to u_c in per cent of the value: a table of each measurand, with a column for each source.
+/// Channels that one table of the budget has at most: more do not fit on a page.
+const MOST_COLUMNS: usize = 6;
+
+/// Contributions to u_c in per cent of the value: tables of each measurand, with a row for each source and a column for
+/// each channel.
 fn budgets(channels: &[EvaluatedChannel]) -> String {
     let of = |i: usize| {
         let mut names: Vec<&str> = Vec::new();
@@ -200,26 +204,8 @@ fn budgets(channels: &[EvaluatedChannel]) -> String {
                 names.push(name);
             }
         }
-        let head: Vec<&str> =
-            ["material", "channel", "u_c"].into_iter().chain(names.iter().copied()).collect();
-        let row = |channel: &EvaluatedChannel| {
-            let m = &channel.measurands[i];
-            let part = |name: &&str| {
-                let found = m.contributions.iter().find(|(of, _)| of == name).map_or(0.0, |(_, part)| *part);
-                significant(found, 2)
-            };
-            let first = [
-                channel.material.clone(),
-                channel.channel.clone(),
-                m.std_uncertainty.map_or_else(
-                    || "–".to_owned(),
-                    |u| significant(100.0 * u / m.value.max(f64::MIN_POSITIVE), 2),
-                ),
-            ];
-            first.into_iter().chain(names.iter().map(part)).collect()
-        };
-        let rows: Vec<Vec<String>> = channels.iter().map(row).collect();
-        format!("<h3>{}</h3>\n{}", MEASURANDS[i], table("", &head, &rows))
+        let tables = channels.chunks(MOST_COLUMNS).map(|some| budget(some, i, &names));
+        format!("<h3>{}</h3>\n{}", MEASURANDS[i], tables.collect::<String>())
     };
     format!(
         "<h2>Budget</h2>\n<p>Contributions |c<sub>i</sub>| u(x<sub>i</sub>) in per cent of the value, whose squares add up to \
@@ -229,7 +215,27 @@ fn budgets(channels: &[EvaluatedChannel]) -> String {
     )
 }
 
-/// Contributions below this share of the value in per cent get no column.
+fn budget(channels: &[EvaluatedChannel], measurand: usize, names: &[&str]) -> String {
+    let labels: Vec<String> = channels.iter().map(EvaluatedChannel::label).collect();
+    let head: Vec<&str> = std::iter::once("source").chain(labels.iter().map(String::as_str)).collect();
+    let part = |channel: &EvaluatedChannel, name: &str| {
+        let of = channel.measurands[measurand].contributions.iter().find(|(of, _)| of == name);
+        significant(of.map_or(0.0, |(_, part)| *part), 2)
+    };
+    let combined = |channel: &EvaluatedChannel| {
+        let m = &channel.measurands[measurand];
+        let percent = |u: f64| significant(100.0 * u / m.value.max(f64::MIN_POSITIVE), 2);
+        m.std_uncertainty.map_or_else(|| "–".to_owned(), percent)
+    };
+    let row = |name: &&str| {
+        std::iter::once((*name).to_owned()).chain(channels.iter().map(|c| part(c, name))).collect()
+    };
+    let mut rows: Vec<Vec<String>> = names.iter().map(row).collect();
+    rows.push(std::iter::once("u_c".to_owned()).chain(channels.iter().map(combined)).collect());
+    table("", &head, &rows)
+}
+
+/// Contributions below this share of the value in per cent get no row.
 const LEAST_SHOWN: f64 = 0.05;
 
 fn correlations(channels: &[EvaluatedChannel]) -> String {

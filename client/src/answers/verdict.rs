@@ -15,20 +15,24 @@ const UNLIKE: f64 = 1.2;
 /// The verdict on all fits.
 pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     let channels = || fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
-    let is_known = |r: Option<&Refined>| r.is_some_and(|r| r.resolved_at_g);
-    let unknown: Vec<String> = channels()
-        .filter(|(_, channel)| !is_known(channel.refined.as_ref()))
-        .map(|(fit, channel)| format!("{} {}", fit.material, channel.channel))
-        .collect();
-    let all = channels().count();
-    let determined = match (all, unknown.len()) {
-        (1, 0) => "The medium is determined.".to_owned(),
-        (all, 0) => format!("All {all} media are determined."),
-        (all, none) if none == all => "No medium is determined.".to_owned(),
-        (all, some) => {
-            format!("{} of {all} media are determined, but not those of {}.", all - some, unknown.join(", "))
-        }
+    let named = |is: &dyn Fn(&ChannelFit) -> bool| -> Vec<String> {
+        let some = channels().filter(|(_, channel)| is(channel));
+        some.map(|(fit, channel)| format!("{} {}", fit.material, channel.channel)).collect()
     };
+    let at_g = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved_at_g);
+    let whole = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved);
+    let (open, unknown) = (named(&|c| at_g(c) && !whole(c)), named(&|c| !at_g(c)));
+    let all = channels().count();
+    let determined = match all - open.len() - unknown.len() {
+        1 if all == 1 => "The medium is determined.".to_owned(),
+        n if n == all => format!("All {all} media are determined."),
+        0 => "No medium is determined whole.".to_owned(),
+        n => format!("{n} of {all} media are determined."),
+    };
+    let if_given = (!open.is_empty()).then(|| {
+        format!("σ_s(1 − g) and σ_a are determined, σ_t and α only if g is given: {}.", open.join(", "))
+    });
+    let nothing = (!unknown.is_empty()).then(|| format!("Undetermined: {}.", unknown.join(", ")));
     let is_valley = channels().any(|(_, c)| c.refined.as_ref().is_some_and(|r| r.valley));
     let trade_off = is_valley.then(|| {
         "σ_t and g trade off: σ_s(1 − g) and σ_a are the numbers to compare, and a renderer needs σ_t, α and g of one row \
@@ -37,7 +41,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     });
     let warnings = all_remarks(fits).into_iter().filter(|remark| remark.warning);
     MeasureVerdict {
-        sentences: std::iter::once(determined).chain(trade_off).collect(),
+        sentences: std::iter::once(determined).chain(if_given).chain(nothing).chain(trade_off).collect(),
         precision: fits.iter().filter_map(precision).collect(),
         warnings: warnings.map(|w| format!("{}: {}", w.about.join(", "), w.text)).collect(),
         improve_first: error_budget(fits).map(|budget| budget.first),
@@ -126,8 +130,8 @@ mod tests {
         let sigma_t = &mut channels[1].refined.as_mut().unwrap().sigma_t_per_mm;
         (sigma_t.low, sigma_t.high) = (5.88, 6.12);
         let found = verdict(&[MaterialFit { material: "white".into(), channels }]);
-        assert_eq!(found.sentences[0], "2 of 3 media are determined, but not those of white R.");
-        assert!(found.sentences[1].starts_with("σ_t and g trade off"), "{found:?}");
+        assert_eq!(found.sentences[..2], ["2 of 3 media are determined.", "Undetermined: white R."]);
+        assert!(found.sentences[2].starts_with("σ_t and g trade off"), "{found:?}");
         assert_eq!(found.precision[0].half_widths[2], "± 10 %");
         assert!(found.warnings[0].starts_with("white R: unresolved"), "{found:?}");
         assert!(found.improve_first.unwrap().contains("% of the variance"));

@@ -13,7 +13,7 @@ const FIGURES: &str = "Figures";
 /// The size of the figures of --plot.
 #[derive(Debug, Default, Clone, Args)]
 pub(crate) struct FigureArgs {
-    /// Width of figures in mm, such as 85 for a column of a journal [default: 96 pixels per inch].
+    /// Width of figures in mm, such as 170 for a page; texts are scaled with it [default: 96 pixels per inch].
     #[arg(long, value_name = "MM", help_heading = FIGURES)]
     plot_width: Option<f64>,
     /// Pixels per inch of PNG [default: 192].

@@ -33,6 +33,9 @@ pub(crate) struct Comparison {
     pub(crate) channels: Vec<ComparedChannel>,
     /// Materials of one file only.
     pub(crate) unmatched: Vec<String>,
+    /// Both are of the same profiles, so that a mean of both would count them twice.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub(crate) same_profiles: bool,
 }
 
 /// Probability that any of the media that agree is called different; each has its share of it (Bonferroni).
@@ -58,6 +61,13 @@ impl ComparedQuantity {
 }
 
 impl Comparison {
+    /// The comparison of two answers about the same profiles: without pooled values.
+    pub(crate) fn of_same_profiles(mut self) -> Self {
+        self.same_profiles = true;
+        self.channels.iter_mut().flat_map(|c| &mut c.quantities).for_each(|q| q.pooled = None);
+        self
+    }
+
     /// Whether the media differ, in words.
     pub(crate) fn conclusion(&self) -> String {
         let known: Vec<(&ComparedChannel, f64)> =
@@ -67,6 +77,11 @@ impl Comparison {
             .filter(|(_, p)| *p < CHANCE / known.len() as f64)
             .map(|(c, p)| format!("{} {} (p {})", c.material, c.channel, significant(*p, 2)))
             .collect();
+        if self.same_profiles {
+            return "both are of the same profiles: their differences are those of the options, and nothing is \
+                                        pooled"
+                .to_owned();
+        }
         match (known.len(), differ.len()) {
             (0, _) => "without covariances E_n alone counts".to_owned(),
             (n, 0) => format!("no difference: all {n} media with a covariance agree within it"),
@@ -98,7 +113,10 @@ pub(crate) fn compared(a: &MediaFile, b: &MediaFile) -> Result<Comparison> {
     let lacking = pairs.iter().filter(|(one, _)| !is_compared(&one.material));
     let unmatched =
         names.filter(|name| !is_matched(name)).chain(lacking.map(|(one, _)| one.material.clone())).collect();
-    Ok(Comparison { channels, unmatched })
+    // Two measurements are never equal in every number.
+    let same_profiles = channels.iter().flat_map(|c| &c.quantities).all(|q| q.a.to_bits() == q.b.to_bits());
+    let found = Comparison { channels, unmatched, same_profiles: false };
+    Ok(if same_profiles { found.of_same_profiles() } else { found })
 }
 
 /// The quantities that similar media share: σ_s(1 − g) and σ_a.
@@ -199,7 +217,8 @@ mod tests {
                 quantities: Vec::new(),
                 probability: Some(if i == 0 { least } else { 0.5 }),
             };
-            Comparison { channels: (0..20).map(channel).collect(), unmatched: Vec::new() }.conclusion()
+            let channels = (0..20).map(channel).collect();
+            Comparison { channels, ..Comparison::default() }.conclusion()
         };
         assert!(with(0.03).contains("no difference: all 20 media"), "{}", with(0.03));
         assert!(with(0.002).contains("different media"), "{}", with(0.002));

@@ -25,7 +25,7 @@ use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
     AboutRequest, AboutResponse, CaptureProgressRequest, CaptureProgressResponse, ChannelSummary,
-    ColorsRequest, ColorsResponse, CompareRequest, CompareResponse, FigureFormat, FiguresRequest, File,
+    ColorsRequest, ColorsResponse, CompareRequest, CompareResponse, CompleteCaptureRequest, CompleteCaptureResponse, FigureFormat, FiguresRequest, File,
     Files, ListCapturesRequest, ListCapturesResponse, ListSessionsRequest, ListSessionsResponse,
     ListSetUpQuantitiesRequest, ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval,
     OpenCaptureRequest, OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest,
@@ -116,7 +116,8 @@ impl Desk for DeskService {
             let materials: Vec<Measurement> =
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
             let set_up = folder.map_or_else(|| Ok(SetUp::default()), |f| session::set_up(&f))?;
-            let assumed = set_up.assumed(&materials).text(options.settings());
+            let given = set_up.with_given(options.settings());
+            let assumed = given.assumed(&materials).text(options.settings());
             let verdict = answers::verdict(&found.materials);
             Ok(SummarizeResponse {
                 common: common_text(&found.common),
@@ -152,6 +153,16 @@ impl Desk for DeskService {
             Ok(Files { files: files.into_iter().map(file).collect() })
         })
         .await
+    }
+
+    async fn complete_capture(
+        &self,
+        request: Request<CompleteCaptureRequest>,
+    ) -> Result<Response<CompleteCaptureResponse>, Status> {
+        let request = request.into_inner();
+        let capture = request.media.as_ref().and_then(|media| media.capture.clone()).unwrap_or_default();
+        let folder = self.captures.folder(&capture)?;
+        answer(move || session::complete(&folder, request)).await
     }
 
     async fn figures(&self, request: Request<FiguresRequest>) -> Result<Response<Files>, Status> {

@@ -26,6 +26,8 @@ const CLIPPED: f64 = 1e-3;
 
 /// Brightest hundredth below which the noise is unnecessarily large.
 const DIM: f64 = 0.15;
+/// Largest brightness of a dark shot, as a share of the sensor's range.
+const DARK: f64 = 0.005;
 
 /// Checks a photograph by itself: clipping, black level, exposure, and sharpness of free edges. Without dark shots, the
 /// black level is that of its file. [`crate::Mountings::add`] checks a shot
@@ -56,6 +58,10 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
             let (label, percent) = (photo.label.clone(), 100.0 * brightest);
             check.warnings.push(Warning::Dim { label, colour, percent });
         }
+    }
+    if check.brightness_share.iter().all(|share| *share < DARK) {
+        check.warnings = vec![Warning::DarkShot { label: photo.label.clone() }];
+        return Ok(check);
     }
     if one_colour::are_one(&photo.frame, black.levels(), full) {
         check.warnings.push(Warning::OneColour { label: photo.label.clone() });

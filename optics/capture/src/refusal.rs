@@ -161,6 +161,8 @@ pub enum Warning {
         if *count == 1 { "a speck or scratch".to_owned() } else { format!("{count} specks or scratches") }
     )]
     Masked { label: String, count: usize, share: f64, area_mm2: f64, x_mm: f64 },
+    #[error("{label}: no light: a dark shot, which sessions list under `dark`; with light, expose longer")]
+    DarkShot { label: String },
     #[error(
         "the board's dark side is darker than a black base under the scene's coat: ρ = {:.4}, {:.4}, {:.4} in red, green, \
          blue; the coat mirrors less of the lamps than the scene's, and its roughness is estimated in the fit",
@@ -209,5 +211,12 @@ impl std::fmt::Display for Side {
             Self::Top => "top",
             Self::Bottom => "bottom",
         })
+    }
+}
+
+impl Warning {
+    /// Whether it only reports what was corrected, so that nothing has to be done.
+    pub fn is_note(&self) -> bool {
+        matches!(self, Self::Masked { .. })
     }
 }

@@ -1,7 +1,7 @@
 // The current measurement and its answer, shared by the tabs. An answer that is kept with the farm has its id in the link;
 // a file is kept over a reload of the page.
 import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v1/desk_pb';
-import type { MaterialFit, MeasureResponse } from '../gen/farm/v1/fits_pb';
+import { Objective, type MaterialFit, type MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { KeptMeasurement, MeasurementSummary } from '../gen/farm/v1/measurements_pb';
 import type { Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
 import { desk, fits, kept, text } from './api';
@@ -86,7 +86,7 @@ class Measured {
     const [own, asking] = [this.turn, new AbortController()];
     [this.busy, this.wrong, this.#asking] = ['Measuring…', '', asking];
     try {
-      const { found, why } = await measure(request, asking.signal, isKept ? { source: this.name, command: line, title: '', note: '' } : null);
+      const { found, why } = await measure(request, asking.signal, isKept ? { source: this.name, command: line, title: titleOf(request, line), note: '' } : null);
       const [answer, summary] = await Promise.all([
         this.#answer(found, request.options, { dictionary: request.dictionary, grid, line }),
         found.keptId ? kept.get({ id: found.keptId }).then((k) => k.summary ?? null) : null,
@@ -96,11 +96,19 @@ class Measured {
       this.#asked.kept = summary?.id ?? null;
       route.set({ kept: summary?.id ?? null });
       this.wrong = why;
+      if (this.capture && isKept) await this.#complete(this.answer);
     } catch (error) {
       if (own !== this.turn || asking.signal.aborted) return;
       this.wrong = text(error);
     }
     this.busy = '';
+  }
+
+  // Writes media and report into the capture's folder, as the command does; the paper's distance gives no media.
+  async #complete({ found, dictionary, grid, options }: Answer): Promise<void> {
+    if (!grid || options.objective === Objective.PAPER) return;
+    const media = { found, dictionary, grid, capture: this.name };
+    await desk.completeCapture({ media, materials: this.materials, options });
   }
 
   async #answer(found: MeasureResponse, options: Options, asked: { dictionary: string; grid: Grid | undefined; line: string }): Promise<Omit<Answer, 'kept'>> {
@@ -185,6 +193,13 @@ async function captureOf(one: KeptMeasurement): Promise<OpenCaptureResponse | nu
   const source = one.summary?.source ?? '';
   const { captures } = await desk.listCaptures({});
   return captures.some((c) => c.folder === source) ? desk.openCapture({ folder: source }) : null;
+}
+
+// The materials, with the options that are not the defaults; empty without such options, so that an earlier title stays.
+function titleOf(request: MeasureQuestion, line: string): string {
+  const options = line.split(' --').slice(1).filter((option) => !option.startsWith('output ') && !option.startsWith('data '));
+  if (options.length === 0) return '';
+  return `${request.materials.map((m) => m.material).join(', ')} (${options.join(', ')})`.slice(0, 190);
 }
 
 // The answer; `why` is the reason if it could not be kept.

@@ -88,7 +88,7 @@ class Question {
       this.phase === 'two-lobes' ? '' : `--phase ${this.phase}`,
       this.mixtures ? `--mixtures ${quoted(this.mixtures.name)}` : '',
       ...this.quantities.map((q) => (this.given(q) === null ? '' : `${optionOf(q)} ${this.given(q)}`)),
-      '--output media',
+      measured.capture ? '' : '--output media',
     ]
       .filter(Boolean)
       .join(' ');

@@ -58,7 +58,7 @@ macro_rules! session {
                 Quantity::OF_OPTIONS.iter().zip([$(self.$name.as_ref()),+])
             }
 
-            fn values_mut(&mut self) -> impl Iterator<Item = (&'static Quantity, &mut Option<ByChannel>)> {
+            pub(super) fn values_mut(&mut self) -> impl Iterator<Item = (&'static Quantity, &mut Option<ByChannel>)> {
                 Quantity::OF_OPTIONS.iter().zip([$(&mut self.$name),+])
             }
 

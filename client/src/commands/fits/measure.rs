@@ -1,7 +1,6 @@
 //! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
 //! folder of a session.
 
-pub(crate) mod files;
 #[cfg(test)]
 mod tests;
 
@@ -34,6 +33,7 @@ use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, patient, with_farm};
 use crate::figure_files::{self, FigureSize};
+use crate::measured;
 use crate::interrupt::{Interrupted, interrupted};
 use crate::output::{Output, grouped, warning, wrapped};
 use crate::slurm::shell_quoted;
@@ -94,7 +94,7 @@ pub(crate) struct MeasureArgs {
     #[arg(long, value_name = "TITLE", num_args = 0..=1, require_equals = true, default_missing_value = "")]
     keep: Option<String>,
     /// Write a folder with table.csv, media.json for `farmctl predict`, uncertainty.html, and media for Mitsuba 3, pbrt-v4,
-    /// Blender, MaterialX and USD.
+    /// Blender, MaterialX and USD. The folder of a session then stays as it is.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
@@ -153,6 +153,10 @@ impl Inputs {
     /// Validates the arguments. A session's folder gives a scale factor of 1, with the standard error of its white
     /// reference, and a dictionary.
     pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
+        if args.measurements.extension().is_some_and(|e| e == "toml") {
+            let session = args.measurements.display();
+            bail!("{session} is no measurement: `farmctl capture {session} --measure` makes one from photographs");
+        }
         let folder =
             args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
         let session = folder.as_ref().and_then(SessionFolder::session);
@@ -252,56 +256,45 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         None => Vec::new(),
     };
     if let Some(folder) = &inputs.output {
-        files::write_renderers(folder, &found)
-            .and_then(|()| files::write_media(folder, &found, (&dictionary, &grid), &record))
+        measured::write_renderers(folder, &found)
+            .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), &record))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     if let Some(folder) = &inputs.folder {
-        files::write_renderers(folder.path(), &found)?;
-        files::write_media(folder.path(), &found, (&dictionary, &grid), &record)?;
         let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
         let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
         output.notes(&of_filters, &inputs.measurements);
         notes.extend(of_filters);
     }
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    // The report of a session contains the tables of the scene's estimates and of the budget, so its text omits them.
     let answer = |scene: bool| {
         let assumed = assumed.text(options.settings());
         let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound, scene };
-        text(&found, &report, inputs.output.as_deref(), &pictures)
+        measured::text(&found, &report) + &figure_files::drawn(&pictures)
     };
-    let summed = verdict(&found.materials);
-    let report = match &inputs.folder {
-        Some(folder) => {
-            let plain = anstream::adapter::strip_str(&answer(false)).to_string();
-            let answer =
-                ReportedAnswer { verdict: summed.clone(), rows: medium_rows(&found.materials), text: plain };
-            let completed = folder.complete(&found.materials, found.common.mu, answer)?;
-            files::describe(folder.path(), &found, &record)?;
-            completed
-        }
+    // With --output, a session's folder keeps its report and media. The report has tables of the scene's estimates and of
+    // the budget, so its text omits them.
+    let completed = inputs.folder.as_ref().filter(|_| inputs.output.is_none());
+    let report = match completed {
+        Some(folder) => measured::complete(folder, &found, (&dictionary, &grid), &answer(false))?,
         None => None,
     };
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
     output.print("measure", &data, || {
-        let completed = inputs.folder.as_ref().map_or_else(String::new, |folder| {
-            let report = report.map_or("", |_| "report.html with the media, ");
-            let text = format!(
-                "written to {}: {report}{WRITTEN}, ro-crate-metadata.json (for archives)",
-                folder.path().display()
-            );
-            format!("\n\n{}\n{}", verdict_text(&summed), wrapped(&text))
-        });
-        let budget = inputs.folder.as_ref().and_then(|_| budget_text(&found.materials));
-        let budget = budget.map_or_else(String::new, |text| format!("\n\n{text}"));
-        answer(true) + &budget + &completed
+        let mut text = answer(true);
+        if inputs.folder.is_some() {
+            let budget = budget_text(&found.materials);
+            text += &budget.map_or_else(String::new, |budget| format!("\n\n{budget}"));
+            text += &format!("\n\n{}", verdict_text(&verdict(&found.materials)));
+        }
+        let report = report.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
+        let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
+        if let Some(folder) = folder {
+            text += &measured::written_to(folder, report.unwrap_or_default());
+        }
+        text
     })
 }
-
-/// Files of media, with their purpose.
-const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
-                       and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda";
 
 struct Question<'a> {
     /// The named dictionary.
@@ -387,29 +380,6 @@ fn announce(global: &Global, wanted: &WantedDictionary) {
             grouped(total as u64)
         ));
     }
-}
-
-pub(crate) fn text(
-    found: &MeasureAnswer,
-    report: &FitsReport,
-    folder: Option<&Path>,
-    pictures: &[PathBuf],
-) -> String {
-    let mut text = format!("{}\n\n{}", common_text(&found.common), fits_text(report));
-    if let Some(unmixed) = &found.unmixed {
-        text += &format!("\n\n{}", inks_text(unmixed));
-    }
-    if let Some(line) = low_scale(&found.common, &found.materials) {
-        text += &format!("\n{}", warning(&wrapped(&line)));
-    }
-    text += &figure_files::drawn(pictures);
-    if let Some(id) = &found.kept {
-        text += &format!("\nkept: `farmctl measurements show {id}`");
-    }
-    if let Some(folder) = folder {
-        text += &format!("\n{}", wrapped(&format!("written to {}: {WRITTEN}", folder.display())));
-    }
-    text
 }
 
 pub(crate) fn data<'a>(

@@ -33,7 +33,7 @@ pub(crate) struct CaptureArgs {
     #[arg(required_unless_present_any = ["check", "board", "watch"], conflicts_with_all = ["check", "board", "watch"])]
     session: Option<PathBuf>,
     /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the
-    /// session file's name without its ending].
+    /// session file's name without its ending, with -capture if the photographs lie there].
     #[arg(long, short, value_name = "DIR", requires = "session")]
     output: Option<PathBuf>,
     /// Then measure the media, as `farmctl measure DIR` does.
@@ -67,11 +67,12 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
         return check::watch(&args, folder, output).await;
     }
     let session = args.session.as_deref().context("name a session file")?;
+    if session.is_dir() {
+        bail!("{} is a folder: name the session file in it, such as session.toml", session.display());
+    }
     let folder = match &args.output {
         Some(folder) => folder.clone(),
-        None => {
-            session.file_stem().map(PathBuf::from).context("the session file has no name: add --output")?
-        }
+        None => default_folder(session).context("the session file has no name: add --output")?,
     };
     let bar = bar(global.quiet);
     let captured = capture::capture(session, |what, share| {
@@ -91,6 +92,18 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
         measure::run(global, measure::Inputs::of(MeasureArgs::new(folder))?, output).await?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The session file's name without its ending; with "-capture" if that is the folder in which the file lies.
+fn default_folder(session: &Path) -> Option<PathBuf> {
+    let stem = session.file_stem()?;
+    let own = session.parent().and_then(|parent| parent.canonicalize().ok());
+    if own.is_some() && Path::new(stem).canonicalize().ok() == own {
+        let mut name = stem.to_owned();
+        name.push("-capture");
+        return Some(name.into());
+    }
+    Some(stem.into())
 }
 
 /// Most channels whose ρ are printed.

@@ -17,8 +17,9 @@ use serde_json::json;
 
 use crate::answers::{FitsReport, MeasureAnswer, UsedOptions};
 use crate::cli::Global;
-use crate::commands::fits::measure::{self, files};
+use crate::commands::fits::measure;
 use crate::connection::{Connection, Purpose, with_farm};
+use crate::measured;
 use crate::output::{Output, table, utc};
 
 #[derive(Debug, Args)]
@@ -220,12 +221,12 @@ fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result
     let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     let materials: Vec<Measurement> =
         materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
-    let assumed = SetUp::default().assumed(&materials);
+    let assumed = SetUp::default().with_given(options.settings()).assumed(&materials);
     if let Some(folder) = folder {
-        files::write_renderers(folder, &found)
+        measured::write_renderers(folder, &found)
             .and_then(|()| {
                 let record = SessionRecord::default();
-                files::write_media(folder, &found, (&summary.dictionary, &grid), &record)
+                measured::write_media(folder, &found, (&summary.dictionary, &grid), &record)
             })
             .with_context(|| format!("writing {}", folder.display()))?;
     }
@@ -237,6 +238,7 @@ fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result
             bound: false,
             scene: true,
         };
-        format!("{}\n\n{}", head(&summary), measure::text(&found, &report, folder, &[]))
+        let written = folder.map(|folder| measured::written_to(folder, ""));
+        format!("{}\n\n{}{}", head(&summary), measured::text(&found, &report), written.unwrap_or_default())
     })
 }

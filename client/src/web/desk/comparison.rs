@@ -9,7 +9,10 @@ use super::prints::measured;
 use crate::prints::comparison::{ComparedChannel, ComparedQuantity, compared};
 
 pub(super) fn compare(request: CompareRequest) -> Result<CompareResponse> {
-    let found = compared(&media("a", request.a)?, &media("b", request.b)?)?;
+    let mut found = compared(&media("a", request.a)?, &media("b", request.b)?)?;
+    if request.same_profiles {
+        found = found.of_same_profiles();
+    }
     // σ_s(1 − g) and σ_a alone are shared by similar media.
     let rows = found.channels.iter().flat_map(|c| c.quantities.iter().take(2).map(|q| row(c, q))).collect();
     Ok(CompareResponse { rows, conclusion: found.conclusion(), unmatched: found.unmatched })

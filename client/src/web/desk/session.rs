@@ -2,13 +2,17 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use farm_lab::measurement_file::{MeasurementFile, read_measurements};
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::{Session, SetUp};
 use optics_model::fit::{FitOptions, FitSettings};
+use optics_model::{Invalid, Measurement};
 
-use super::{api::OpenCaptureResponse, note};
+use super::api::{CompleteCaptureRequest, CompleteCaptureResponse, OpenCaptureResponse};
+use super::note;
+use super::prints::measured;
+use crate::answers::FitsReport;
 
 /// The set-up of a folder's session.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
@@ -34,4 +38,25 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
         records: grid.stored_records() as u64,
         grid: Some((&grid).into()),
     })
+}
+
+/// Writes media and report into the folder of a capture.
+pub(super) fn complete(folder: &Path, request: CompleteCaptureRequest) -> Result<CompleteCaptureResponse> {
+    let Some(media) = request.media else { bail!(Invalid::new("media", "nothing", "an answer is needed")) };
+    let (found, Some((name, grid))) = measured(media)? else {
+        bail!(Invalid::new("media.grid", "nothing", "the grid of the dictionary is needed"))
+    };
+    let options = FitOptions::try_from(request.options.unwrap_or_default())?;
+    let materials: Vec<Measurement> =
+        request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
+    let given = set_up(folder)?.with_given(options.settings());
+    let report = FitsReport {
+        fits: &found.materials,
+        assumed: given.assumed(&materials).text(options.settings()),
+        bound: false,
+        scene: false,
+    };
+    let text = crate::measured::text(&found, &report);
+    crate::measured::complete(&SessionFolder::open(folder)?, &found, (&name, &grid), &text)?;
+    Ok(CompleteCaptureResponse {})
 }

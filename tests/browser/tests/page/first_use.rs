@@ -265,7 +265,7 @@ async fn capture_is_measured_with_its_own_grid() {
     browser.press("Measure").await;
     browser.shows("Intervals of 95 %").await;
     let line = browser.css("section[aria-label=Measurement] code").await.text().await.unwrap();
-    assert_eq!(line, "farmctl measure session --output media");
+    assert_eq!(line, "farmctl measure session");
     let measured = run(folder.path(), &["measure", "session", "--json"]);
     assert_eq!(measured.code, 0, "{}", measured.stderr);
     same_numbers(&browser, &serde_json::from_str(&measured.stdout).unwrap()).await;

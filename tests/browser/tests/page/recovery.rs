@@ -50,7 +50,7 @@ async fn page_survives_worker_and_coordinator_failures() {
             state_of(browser, "ada").await.filter(|state| state == "silent")
         })
         .await;
-    browser.shows("fell silent").await;
+    browser.shows("has not been heard of").await;
     let _other = farm.worker("bea", &[]);
     wait_for_jobs(&browser, before + 1).await;
 

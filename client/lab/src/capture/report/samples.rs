@@ -2,7 +2,7 @@
 
 use farm_figures::numbers::significant;
 use farm_figures::{EdgeCurve, edge_figure};
-use optics_capture::{EdgeProfile, Source};
+use optics_capture::{EdgeProfile, Source, Warning};
 use serde::{Deserialize, Serialize};
 
 use super::{shots, warnings};
@@ -17,15 +17,22 @@ const MICROMETRES: f64 = 1000.0;
 pub(super) fn summary(captured: &Captured) -> String {
     let channels = captured.channels();
     let rows = profiles(&channels).map(|(channel, sample)| row(channel, sample));
-    let of_part = |part: &CapturedPart| {
-        let of_samples: usize = part.samples.iter().map(|s| s.profile.warnings.len()).sum();
-        of_samples + part.calibration.warnings.len() + part.board.warnings.len()
+    let of_part = |part: &'_ CapturedPart| -> Vec<bool> {
+        let of_samples = part.samples.iter().flat_map(|s| &s.profile.warnings);
+        let all = of_samples.chain(&part.calibration.warnings).chain(&part.board.warnings);
+        all.map(Warning::is_note).collect()
     };
-    let count: usize = captured.parts.iter().map(of_part).sum();
-    let doubtful = match count {
+    let all: Vec<bool> = captured.parts.iter().flat_map(of_part).collect();
+    let notes = all.iter().filter(|is_note| **is_note).count();
+    let doubtful = match all.len() - notes {
         0 => "There are no warnings.".to_owned(),
         1 => "There is one warning, below.".to_owned(),
         n => format!("There are {n} warnings, below."),
+    };
+    let noted = match notes {
+        0 => String::new(),
+        1 => " What was corrected is noted once, below.".to_owned(),
+        n => format!(" What was corrected is noted {n} times, below."),
     };
     let table = format!(
         "<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
@@ -40,7 +47,7 @@ pub(super) fn summary(captured: &Captured) -> String {
     };
     let (photographs, slabs) = (captured.inputs.len(), captured.parts[0].samples.len());
     let bands = if has_bands { format!(", {} bands", captured.parts.len()) } else { String::new() };
-    format!("<p>{photographs} photographs, {slabs} slabs{bands}. {doubtful}</p>\n{table}")
+    format!("<p>{photographs} photographs, {slabs} slabs{bands}. {doubtful}{noted}</p>\n{table}")
 }
 
 fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {

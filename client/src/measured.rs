@@ -1,0 +1,93 @@
+//! Writes the media of a measurement: as text, as files, and into the folder of a session with its report.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use farm_lab::media_file::MEDIA_FILE;
+use farm_lab::record::SessionRecord;
+use farm_lab::research_object::ResearchObject;
+use farm_lab::session_folder::{ReportedAnswer, SessionFolder};
+use farm_lab::uncertainty::UNCERTAINTY_FILE;
+use optics_model::Grid;
+
+use crate::answers::{
+    FitsReport, MeasureAnswer, common_text, fits_text, inks_text, low_scale, media_files, medium_rows, verdict,
+};
+use crate::output::{now_unix_s, utc, warning, wrapped, write_whole};
+
+/// Files of media, with their purpose.
+const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
+                       and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda";
+
+/// The answer as it is printed.
+pub(crate) fn text(found: &MeasureAnswer, report: &FitsReport) -> String {
+    let mut text = common_text(&found.common);
+    // It explains the misfits of the channels, which follow.
+    if let Some(line) = low_scale(&found.common, &found.materials) {
+        text += &format!("\n{}", warning(&wrapped(&line)));
+    }
+    text += &format!("\n\n{}", fits_text(report));
+    if let Some(unmixed) = &found.unmixed {
+        text += &format!("\n\n{}", inks_text(unmixed));
+    }
+    if let Some(id) = &found.kept {
+        text += &format!("\nkept: `farmctl measurements show {id}`");
+    }
+    text
+}
+
+/// The line about a folder with the media; `others` are further files, each followed by a comma.
+pub(crate) fn written_to(folder: &Path, others: &str) -> String {
+    format!("\n{}", wrapped(&format!("written to {}: {others}{WRITTEN}", folder.display())))
+}
+
+/// Writes media and report into the folder of a session; `text` is the answer in words. Returns the report's path; `None`
+/// if the folder has no data of a report.
+pub(crate) fn complete(
+    folder: &SessionFolder,
+    found: &MeasureAnswer,
+    dictionary: (&str, &Grid),
+    text: &str,
+) -> Result<Option<PathBuf>> {
+    let record = folder.record()?;
+    write_renderers(folder.path(), found)?;
+    write_media(folder.path(), found, dictionary, &record)?;
+    let answer = ReportedAnswer {
+        verdict: verdict(&found.materials),
+        rows: medium_rows(&found.materials),
+        text: anstream::adapter::strip_str(text).to_string(),
+    };
+    let report = folder.complete(&found.materials, found.common.mu, answer)?;
+    describe(folder.path(), found, &record)?;
+    Ok(report)
+}
+
+/// Writes table and media for renderers.
+pub(crate) fn write_renderers(folder: &Path, found: &MeasureAnswer) -> Result<()> {
+    std::fs::create_dir_all(folder)?;
+    for (name, text) in media_files(&found.materials)? {
+        write_whole(&folder.join(name), text.as_bytes()).context(name)?;
+    }
+    Ok(())
+}
+
+/// Writes the media with their covariance, and the statement of uncertainty.
+pub(crate) fn write_media(
+    folder: &Path,
+    found: &MeasureAnswer,
+    (dictionary, grid): (&str, &Grid),
+    record: &SessionRecord,
+) -> Result<()> {
+    let media = found.media_file(dictionary, grid).text()?;
+    write_whole(&folder.join(MEDIA_FILE), media.as_bytes()).context(MEDIA_FILE)?;
+    let page = found.uncertainty(dictionary, grid, record);
+    write_whole(&folder.join(UNCERTAINTY_FILE), page.as_bytes()).context(UNCERTAINTY_FILE)
+}
+
+/// Describes the folder of a session for archives.
+fn describe(folder: &Path, found: &MeasureAnswer, record: &SessionRecord) -> Result<()> {
+    let materials: Vec<&str> = found.materials.iter().map(|fit| fit.material.as_str()).collect();
+    let now = utc(now_unix_s().unsigned_abs() * 1000);
+    let date = now.split('T').next().unwrap_or_default();
+    ResearchObject { materials: &materials, record, date }.write(folder)
+}
