@@ -11,7 +11,8 @@ use farm_lab::uncertainty::UNCERTAINTY_FILE;
 use optics_model::Grid;
 
 use crate::answers::{
-    FitsReport, MeasureAnswer, common_text, fits_text, inks_text, low_scale, media_files, medium_rows, verdict,
+    FitsReport, MeasureAnswer, common_text, fits_text, inks_text, low_scale, media_files, medium_rows,
+    verdict,
 };
 use crate::output::{now_unix_s, utc, warning, wrapped, write_whole};
 

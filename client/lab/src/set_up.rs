@@ -29,7 +29,7 @@ impl SetUp {
         Ok(Self { values: given.or(session) })
     }
 
-    /// These values, and those settings that are not the defaults, where there is none yet: somebody has given them.
+    /// These values; where there is none, those settings that differ from the defaults, since they were given.
     #[must_use]
     pub fn with_given(mut self, settings: &FitSettings) -> Self {
         for ((quantity, own), (_, value)) in self.values.values_mut().zip(settings.set_up()) {

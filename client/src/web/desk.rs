@@ -25,13 +25,14 @@ use super::api::desk_server::Desk;
 use super::api::figures_request::Of;
 use super::api::{
     AboutRequest, AboutResponse, CaptureProgressRequest, CaptureProgressResponse, ChannelSummary,
-    ColorsRequest, ColorsResponse, CompareRequest, CompareResponse, CompleteCaptureRequest, CompleteCaptureResponse, FigureFormat, FiguresRequest, File,
-    Files, ListCapturesRequest, ListCapturesResponse, ListSessionsRequest, ListSessionsResponse,
-    ListSetUpQuantitiesRequest, ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval,
-    OpenCaptureRequest, OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest,
-    ReadGridResponse, ReadMeasurementsRequest, ReadMeasurementsResponse, ReadMixturesRequest,
-    ReadMixturesResponse, Remark, SetUpQuantity, SimulateRequest, SimulateResponse, StartCaptureRequest, StartCaptureResponse, SummarizeRequest,
-    SummarizeResponse,
+    ColorsRequest, ColorsResponse, CompareRequest, CompareResponse, CompleteCaptureRequest,
+    CompleteCaptureResponse, FigureFormat, FiguresRequest, File, Files, ListCapturesRequest,
+    ListCapturesResponse, ListSessionsRequest, ListSessionsResponse, ListSetUpQuantitiesRequest,
+    ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval, OpenCaptureRequest,
+    OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest, ReadGridResponse,
+    ReadMeasurementsRequest, ReadMeasurementsResponse, ReadMixturesRequest, ReadMixturesResponse, Remark,
+    SetUpQuantity, SimulateRequest, SimulateResponse, StartCaptureRequest, StartCaptureResponse,
+    SummarizeRequest, SummarizeResponse,
 };
 use super::capture_run::CaptureRun;
 use super::captures::{Captures, session_files};

@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_lab::measurement_file::{MeasurementFile, Note};
 use farm_lab::mixture_file::read_mixtures;
-use farm_lab::session_folder::{ReportedAnswer, SessionFolder};
+use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
@@ -24,18 +24,15 @@ use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, WantedDictionary};
 use super::{filters, other_scene};
-use crate::answers::{
-    FitsReport, MeasureAnswer, UsedOptions, budget_text, common_text, fits_text, inks_text, low_scale,
-    medium_rows, verdict, verdict_text,
-};
+use crate::answers::{FitsReport, MeasureAnswer, UsedOptions, budget_text, verdict, verdict_text};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::commands::dictionaries::submit;
 use crate::connection::{Purpose, patient, with_farm};
 use crate::figure_files::{self, FigureSize};
-use crate::measured;
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::{Output, grouped, warning, wrapped};
+use crate::measured;
+use crate::output::{Output, grouped};
 use crate::slurm::shell_quoted;
 
 #[derive(Debug, Args)]
@@ -155,7 +152,9 @@ impl Inputs {
     pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
         if args.measurements.extension().is_some_and(|e| e == "toml") {
             let session = args.measurements.display();
-            bail!("{session} is no measurement: `farmctl capture {session} --measure` makes one from photographs");
+            bail!(
+                "{session} is no measurement: `farmctl capture {session} --measure` makes one from photographs"
+            );
         }
         let folder =
             args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
@@ -287,7 +286,8 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
             text += &budget.map_or_else(String::new, |budget| format!("\n\n{budget}"));
             text += &format!("\n\n{}", verdict_text(&verdict(&found.materials)));
         }
-        let report = report.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
+        let report =
+            report.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
         let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
         if let Some(folder) = folder {
             text += &measured::written_to(folder, report.unwrap_or_default());
