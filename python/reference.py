@@ -1,6 +1,6 @@
 """Writes docs/python-api.md, the reference of the package, from its docstrings. Fails if one is missing.
 
-    PYTHONPATH=python/src python python/reference.py
+    python python/reference.py
 
 Needs the installed package, since the options of the set-up are generated when it is built.
 """
