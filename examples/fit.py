@@ -59,6 +59,8 @@ def read(path):
             profile = profiles.setdefault((channel, thickness_mm), empty)
             profile.x_mm.append(float(row["x_mm"]))
             profile.values.append(float(row["value"]))
+            if row.get("std_error"):
+                profile.std_errors.append(float(row["std_error"]))
     return materials
 
 

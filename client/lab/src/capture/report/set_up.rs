@@ -1,6 +1,6 @@
 //! Renders the set-up: board, grey patches, light, noise.
 
-use farm_figures::numbers::significant;
+use farm_figures::numbers::{minus, significant};
 use farm_figures::{EdgeCurve, sfr_figure};
 use optics_capture::{Board, Calibration, Colour, EdgeSfr, Estimate};
 
@@ -28,11 +28,11 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
             board.origin_mm[c].value * 1000.0,
         ];
         format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{8}</td><td>{3:+.2}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
+            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{8}</td><td>{3}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
             colour.letter(),
             cells[0],
             cells[1],
-            cells[2],
+            minus(&format!("{:+.2}", cells[2])),
             with_error(board.light[c]),
             with_error(board.dark[c]),
             with_error(part.rho[c].light),
@@ -124,7 +124,7 @@ fn patches(calibration: &Calibration) -> String {
         let area = patch.area;
         let place = [area.x, area.y, area.width, area.height].map(|v| format!("{v:.0}")).join(", ");
         let cells = [0, 1, 2]
-            .map(|c| format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]));
+            .map(|c| minus(&format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c])));
         format!("<tr><td>{}</td>{}<td>{place}</td></tr>", patch.rho[1], cells.concat())
     });
     format!(
@@ -141,12 +141,12 @@ fn constants(calibration: &Calibration) -> String {
         let noise: Vec<String> =
             sites.map(|n| format!("{:.2} / {:.3}", n.read.value, n.gain.value)).collect();
         format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1}</td><td>{2}</td><td>{3}</td><td>{4:.2} %</td></tr>",
+            "<tr><td class=\"{0}\">{0}</td><td>{1}</td><td>{2}</td><td>{3}</td><td>{4} %</td></tr>",
             colour.letter(),
             noise.join(", "),
             with_error(calibration.gain[c]),
             with_error(calibration.glare[c]),
-            100.0 * calibration.drift[c],
+            minus(&format!("{:.2}", 100.0 * calibration.drift[c])),
         )
     });
     format!(
@@ -175,9 +175,9 @@ fn light(captured: &Captured, part: &CapturedPart) -> String {
     let bytes: Vec<u8> = values.iter().flat_map(|v| departure_colour(v - 1.0)).collect();
     format!(
         "<h3>Light over the frame</h3>\n<figure><img class=\"strip\" style=\"max-width:24rem\" src=\"{}\" alt=\"map of the light\">\
-         <figcaption>Green, from {:.1} % (blue) to {:+.1} % (red) of the mean, in steps of 1 %.</figcaption></figure>\n",
+         <figcaption>Green, from {} % (blue) to {:+.1} % (red) of the mean, in steps of 1 %.</figcaption></figure>\n",
         data_uri(COLUMNS, rows, &bytes),
-        100.0 * (low - 1.0),
+        minus(&format!("{:.1}", 100.0 * (low - 1.0))),
         100.0 * (high - 1.0),
     )
 }
