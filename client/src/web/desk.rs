@@ -12,7 +12,7 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow, bail};
 use farm_figures::estimates::{self, estimate_rows};
-use farm_figures::{Picture, error_budget, fit_figure, map_figure, profile_figure};
+use farm_figures::{ErrorBudget, Picture, error_budget, fit_figure, map_figure, profile_figure};
 use farm_proto::{to_status, wire};
 use optics_model::fit::{DistanceMap, FitOptions, PredictedProfiles};
 use optics_model::grid::NoiseLevel;
@@ -123,11 +123,12 @@ impl Desk for DeskService {
             Ok(SummarizeResponse {
                 common: common_text(&found.common),
                 channels: channels(&found),
-                objective: objective(&found.materials, assumed),
+                objective: objective(&found.materials, assumed).into_iter().map(for_page).collect(),
                 remarks: remarks(&found),
                 estimates: estimate_rows(&found.materials).into_iter().map(Into::into).collect(),
                 estimates_note: estimates::NOTE.to_owned(),
-                budget: error_budget(&found.materials).map(Into::into),
+                budget: error_budget(&found.materials)
+                    .map(|budget| ErrorBudget { first: for_page(budget.first), ..budget }.into()),
                 verdict: verdict.sentences,
                 precision: verdict.precision.into_iter().map(Into::into).collect(),
             })
@@ -335,12 +336,25 @@ fn channels(found: &MeasureAnswer) -> Vec<ChannelSummary> {
     channels.map(channel).collect()
 }
 
+/// A text with the page's words in the place of options and commands.
+fn for_page(text: impl AsRef<str>) -> String {
+    const WORDS: [(&str, &str); 5] = [
+        ("the dictionary or --sigma-t ends", "the dictionary or the bound on σ_t ends"),
+        (" (--g)", ""),
+        ("(farmctl design)", "(Dictionary, “Which slabs to photograph”)"),
+        ("`--dictionary lab`", "the dictionary lab"),
+        ("`", ""),
+    ];
+    WORDS.iter().fold(text.as_ref().to_owned(), |text, (option, word)| text.replace(option, word))
+}
+
 /// Remarks on channels, and on the scale factor of all.
 fn remarks(found: &MeasureAnswer) -> Vec<Remark> {
     let of_all = low_scale(&found.common, &found.materials);
-    let of_all = of_all.map(|text| Remark { about: vec!["μ".to_owned()], text, warning: true });
+    let of_all =
+        of_all.map(|text| Remark { about: vec!["μ".to_owned()], text: for_page(text), warning: true });
     let of_channels = all_remarks(&found.materials).into_iter();
-    let remark = |r: answers::Remark| Remark { about: r.about, text: r.text, warning: r.warning };
+    let remark = |r: answers::Remark| Remark { about: r.about, text: for_page(r.text), warning: r.warning };
     of_all.into_iter().chain(of_channels.map(remark)).collect()
 }
 

@@ -123,8 +123,9 @@ fn patches(calibration: &Calibration) -> String {
     let rows = calibration.patches.iter().map(|patch| {
         let area = patch.area;
         let place = [area.x, area.y, area.width, area.height].map(|v| format!("{v:.0}")).join(", ");
-        let cells = [0, 1, 2]
-            .map(|c| minus(&format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c])));
+        let cells = [0, 1, 2].map(|c| {
+            minus(&format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]))
+        });
         format!("<tr><td>{}</td>{}<td>{place}</td></tr>", patch.rho[1], cells.concat())
     });
     format!(
