@@ -33,7 +33,9 @@ async fn measurements_are_kept_linked_and_compared() {
     browser.shows_within("This answer is not kept.", LONG).await;
     // It is given now, not assumed.
     browser
-        .wait("the gain is given", LONG, async |browser| (!browser.shown().await.contains("gain ±")).then_some(()))
+        .wait("the gain is given", LONG, async |browser| {
+            (!browser.shown().await.contains("gain ±")).then_some(())
+        })
         .await;
     browser.shows("--gain-std-error 0.02").await;
     browser.press("Keep it").await;
