@@ -91,7 +91,7 @@ async fn look(browser: &Browser, place: &str, dark: bool, width: u32) {
     assert_eq!(measured["width"], measured["room"], "{place}: it must be scrolled sideways");
     let light = measured["light"].as_f64().unwrap();
     assert!(if dark { light < 60.0 } else { light > 200.0 }, "{place}: a background of {light}");
-    let height = measured["height"].as_u64().unwrap().clamp(900, 2600);
+    let height = measured["height"].as_u64().unwrap().clamp(900, 3600);
     let Some(folder) = pictures() else { return };
     std::fs::create_dir_all(&folder).unwrap();
     browser.size(width, height as u32).await;
@@ -100,6 +100,7 @@ async fn look(browser: &Browser, place: &str, dark: bool, width: u32) {
             (browser.script("return innerHeight", vec![]).await == height).then_some(())
         })
         .await;
+    browser.script("window.scrollTo(0, 0)", vec![]).await;
     tokio::time::sleep(std::time::Duration::from_millis(400)).await;
     let name = format!("{place}-{}.png", if dark { "phone-dark" } else { "desk" });
     browser.driver.screenshot(&folder.join(name)).await.unwrap();
