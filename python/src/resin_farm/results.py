@@ -187,8 +187,8 @@ class Measured:
     dictionary: str
     """The name of the dictionary."""
     scale: ScaleCurve | None = field(default=None, repr=False)
-    """The error of the best records over the scale factor, with the paper's objective; None with the likelihood, and if μ
-    was given."""
+    """The error of the best records over the scale factor, with the paper's objective; None with the likelihood, and
+    if μ was given."""
     assumed: tuple[str, ...] = field(default=(), repr=False)
     """Options that have their defaults, for at least one profile."""
 
