@@ -224,9 +224,9 @@ impl Verification {
             |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| has_voted(*machine, votes));
         let count = self.checks.of_dictionary(id).filter(|(_, votes)| stuck(votes)).count();
         if count > 0 {
+            let results = if count == 1 { "1 result is".to_owned() } else { format!("{count} results are") };
             let text = format!(
-                "{count} results wait to be compared, and no machine is there that has not computed them: start a worker \
-                 on another one"
+                "{results} not checked: a check needs a second machine, and nothing else waits for it"
             );
             reasons.push(Reason::new("CHECKS_WAIT", text));
         }

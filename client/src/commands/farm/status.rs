@@ -91,7 +91,7 @@ fn text(
         0 => String::new(),
         waiting => {
             format!(
-                "\n{} to be compared on another machine: see `farmctl explain`",
+                "\n{} not checked, since a check needs a second machine (nothing else waits for it)",
                 counted(waiting, "result")
             )
         }
