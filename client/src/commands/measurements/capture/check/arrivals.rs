@@ -1,8 +1,9 @@
 //! Finds the photographs that arrive in a folder.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use anyhow::{Context, Result};
 
@@ -15,32 +16,36 @@ const OTHERS: [&str; 12] =
 pub(super) struct NewPhotographs {
     folder: PathBuf,
     /// Files that were there before, or have been returned.
-    known: BTreeSet<OsString>,
-    /// Sizes of new files at the last look: a file that still grows is incomplete.
-    growing: BTreeMap<OsString, u64>,
+    known: BTreeMap<OsString, Version>,
+    /// New files at the last look: a file that still changes is incomplete.
+    changing: BTreeMap<OsString, Version>,
 }
+
+/// Size and time of the last change: a photograph may be replaced by another one of the same name.
+type Version = (u64, Option<SystemTime>);
 
 impl NewPhotographs {
     pub(super) fn new(folder: &Path) -> Result<Self> {
         let mut arrivals =
-            Self { folder: folder.to_owned(), known: BTreeSet::new(), growing: BTreeMap::new() };
-        arrivals.known = arrivals.files()?.into_keys().collect();
+            Self { folder: folder.to_owned(), known: BTreeMap::new(), changing: BTreeMap::new() };
+        arrivals.known = arrivals.files()?;
         Ok(arrivals)
     }
 
-    /// New photographs whose size is that of the last look, in the order of their names.
+    /// New photographs that have not changed since the last look, in the order of their names.
     pub(super) fn complete(&mut self) -> Result<Vec<PathBuf>> {
         let mut now = self.files()?;
-        now.retain(|name, _| !self.known.contains(name));
-        let same = |(name, size): &(&OsString, &u64)| **size > 0 && self.growing.get(*name) == Some(*size);
-        let done: Vec<OsString> = now.iter().filter(same).map(|(name, _)| name.clone()).collect();
-        self.growing = now;
-        self.known.extend(done.iter().cloned());
-        Ok(done.into_iter().map(|name| self.folder.join(name)).collect())
+        now.retain(|name, version| self.known.get(name) != Some(version));
+        let mut done = now.clone();
+        done.retain(|name, version| version.0 > 0 && self.changing.get(name) == Some(version));
+        self.changing = now;
+        let paths = done.keys().map(|name| self.folder.join(name)).collect();
+        self.known.extend(done);
+        Ok(paths)
     }
 
-    /// Names and sizes of the photographs.
-    fn files(&self) -> Result<BTreeMap<OsString, u64>> {
+    /// The photographs of the folder.
+    fn files(&self) -> Result<BTreeMap<OsString, Version>> {
         let place = || format!("watching {}", self.folder.display());
         let mut files = BTreeMap::new();
         for entry in std::fs::read_dir(&self.folder).with_context(place)? {
@@ -48,7 +53,7 @@ impl NewPhotographs {
             // A file may be renamed or deleted between the two calls.
             let Ok(about) = entry.path().metadata() else { continue };
             if about.is_file() && is_photograph(&entry.path()) {
-                files.insert(entry.file_name(), about.len());
+                files.insert(entry.file_name(), (about.len(), about.modified().ok()));
             }
         }
         Ok(files)
@@ -66,7 +71,8 @@ fn is_photograph(path: &Path) -> bool {
 mod tests {
     use super::*;
 
-    /// A photograph is returned once, when its file does not grow any more; older and other files are not.
+    /// A photograph is returned once, when its file does not change any more, and again when another one has its name; older
+    /// and other files are not.
     #[test]
     fn arrivals_are_complete_and_returned_once() {
         let folder = tempfile::tempdir().unwrap();
@@ -81,6 +87,9 @@ mod tests {
         assert!(arrivals.complete().unwrap().is_empty(), "has grown");
         assert_eq!(arrivals.complete().unwrap(), [folder.path().join("new.dng")]);
         assert!(arrivals.complete().unwrap().is_empty(), "returned before");
+        write("new.dng", b"345");
+        assert!(arrivals.complete().unwrap().is_empty(), "just replaced");
+        assert_eq!(arrivals.complete().unwrap(), [folder.path().join("new.dng")]);
         let gone = folder.path().join("gone");
         assert!(NewPhotographs::new(&gone).unwrap_err().to_string().contains("gone"));
     }
