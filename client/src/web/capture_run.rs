@@ -1,7 +1,7 @@
 //! Runs `farmctl capture` for the page: one session at a time, with its present step.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use anyhow::Result;
 use farm_lab::capture;
@@ -10,6 +10,7 @@ use tonic::Status;
 
 use super::api::{CaptureProgressResponse, StartCaptureRequest};
 use super::captures::{Captures, session_files};
+use super::desk::INTERNAL;
 use crate::output::sentence;
 
 /// The capture that was started last.
@@ -20,7 +21,7 @@ pub(super) struct CaptureRun {
 
 impl CaptureRun {
     pub fn progress(&self) -> CaptureProgressResponse {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        lock(&self.progress).clone()
     }
 
     /// Starts a session unless another one is running; its folder is added to `captures` at the end.
@@ -28,42 +29,41 @@ impl CaptureRun {
         let StartCaptureRequest { session, folder } = request;
         let (path, folder) =
             checked(&session, &folder).map_err(|e| Status::invalid_argument(e.to_string()))?;
-        let progress = Arc::clone(&self.progress);
-        let set = move |change: &mut dyn FnMut(&mut CaptureProgressResponse)| {
-            change(&mut progress.lock().unwrap_or_else(PoisonError::into_inner));
-        };
-        let mut is_busy = false;
-        set(&mut |now| {
-            is_busy = now.is_running;
-            if !is_busy {
-                *now = CaptureProgressResponse {
-                    session: session.clone(),
-                    is_running: true,
-                    ..Default::default()
-                };
-            }
-        });
-        if is_busy {
+        let mut now = lock(&self.progress);
+        if now.is_running {
             return Err(Status::failed_precondition("a capture is running: wait for its end"));
         }
-        tokio::task::spawn_blocking(move || {
-            let report = |step: &str, share: f64| {
-                set(&mut |now| (now.step, now.share) = (step.to_owned(), share));
-            };
-            let written = write(&path, &folder, report);
-            set(&mut |now| {
-                now.is_running = false;
-                match &written {
-                    Ok(warnings) => {
-                        now.warnings.clone_from(warnings);
-                        now.folder = captures.add(folder.clone());
-                    }
-                    Err(error) => now.error = sentence(error),
-                }
-            });
-        });
+        *now = CaptureProgressResponse { session, is_running: true, ..Default::default() };
+        drop(now);
+        tokio::spawn(run(path, folder, Arc::clone(&self.progress), captures));
         Ok(())
     }
+}
+
+/// Runs a session outside the async runtime. However it ends, another one may be started afterwards.
+async fn run(
+    session: PathBuf,
+    folder: PathBuf,
+    progress: Arc<Mutex<CaptureProgressResponse>>,
+    captures: Arc<Captures>,
+) {
+    let (steps, written_to) = (Arc::clone(&progress), folder.clone());
+    let report = move |step: &str, share: f64| {
+        let mut now = lock(&steps);
+        (now.step, now.share) = (step.to_owned(), share);
+    };
+    let written = tokio::task::spawn_blocking(move || write(&session, &written_to, report)).await;
+    let mut now = lock(&progress);
+    now.is_running = false;
+    match written {
+        Ok(Ok(warnings)) => (now.warnings, now.folder) = (warnings, captures.add(folder)),
+        Ok(Err(error)) => now.error = sentence(&error),
+        Err(_) => INTERNAL.clone_into(&mut now.error),
+    }
+}
+
+fn lock(progress: &Mutex<CaptureProgressResponse>) -> MutexGuard<'_, CaptureProgressResponse> {
+    progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Writes the folder of a session; returns the warnings.

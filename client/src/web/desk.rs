@@ -51,6 +51,9 @@ use crate::output::sentence;
 /// The measurement of the documentation, as an example in the page.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
 
+/// The error of a call that has panicked.
+pub(super) const INTERNAL: &str = "internal error of farmctl: please report it with this request";
+
 /// The service behind the page's forms.
 #[derive(Debug)]
 pub(super) struct DeskService {
@@ -275,8 +278,7 @@ async fn answer<T: Send + 'static>(
     work: impl FnOnce() -> Result<T> + Send + 'static,
 ) -> Result<Response<T>, Status> {
     let done = tokio::task::spawn_blocking(work).await;
-    let done =
-        done.map_err(|_| Status::internal("internal error of farmctl: please report it with this request"))?;
+    let done = done.map_err(|_| Status::internal(INTERNAL))?;
     done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
         // Reported with its field, as by the coordinator.
         Some(invalid) if error.chain().count() == 1 => to_status(invalid),
