@@ -50,6 +50,11 @@ export function text(error: unknown): string {
   return failure.rawMessage || 'something went wrong';
 }
 
+// Whether the farm could not store something: without space, or at its limit.
+export function isOfStore(error: unknown): boolean {
+  return [Code.Internal, Code.ResourceExhausted].includes(ConnectError.from(error).code);
+}
+
 export function isCancelled(error: unknown): boolean {
   return ConnectError.from(error).code === Code.Canceled;
 }

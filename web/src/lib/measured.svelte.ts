@@ -4,7 +4,7 @@ import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v
 import { Objective, type MaterialFit, type MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { KeptMeasurement, MeasurementSummary } from '../gen/farm/v1/measurements_pb';
 import type { Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
-import { desk, fits, kept, text } from './api';
+import { desk, fits, isOfStore, kept, text } from './api';
 import { dropped, keep, type Dropped } from './dropped';
 import { parametersOf, type MeasureQuestion, type Options } from './request';
 import { route } from './route.svelte';
@@ -96,7 +96,7 @@ class Measured {
       this.#asked.kept = summary?.id ?? null;
       route.set({ kept: summary?.id ?? null });
       this.wrong = why;
-      if (this.capture && isKept) await this.#complete(this.answer);
+      if (this.capture && isKept) await this.#complete(this.answer).catch((error: unknown) => (this.wrong = `The folder has no media of this answer: ${text(error)}`));
     } catch (error) {
       if (own !== this.turn || asking.signal.aborted) return;
       this.wrong = text(error);
@@ -212,7 +212,8 @@ async function measure(
   try {
     return { found: await fits.measure({ ...request, keep: texts }, { signal }), why: '' };
   } catch (error) {
-    // An invalid question fails again; a measurement that cannot be kept is shown nevertheless.
+    // A measurement that cannot be kept is shown nevertheless. Other errors are those of the question.
+    if (!isOfStore(error)) throw error;
     return { found: await fits.measure(request, { signal }), why: `The measurement is not kept: ${text(error)}` };
   }
 }
