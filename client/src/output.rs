@@ -96,6 +96,9 @@ pub(crate) fn envelope<T: Serialize>(kind: &str, data: &T) -> anyhow::Result<Str
     Ok(with_escapes(&text, |c| format!("\\u{:04x}", c as u32)))
 }
 
+/// The message of work that has panicked.
+pub(crate) const INTERNAL_ERROR: &str = "internal error of farmctl: please report it with this request";
+
 /// The chain of causes as one sentence; of a gRPC status only the message is used.
 pub(crate) fn sentence(error: &anyhow::Error) -> String {
     let mut text = String::new();

@@ -10,8 +10,7 @@ use tonic::Status;
 
 use super::api::{CaptureProgressResponse, StartCaptureRequest};
 use super::captures::{Captures, session_files};
-use super::desk::INTERNAL;
-use crate::output::sentence;
+use crate::output::{INTERNAL_ERROR, sentence};
 
 /// The capture that was started last.
 #[derive(Debug, Default)]
@@ -58,7 +57,7 @@ async fn run(
     match written {
         Ok(Ok(warnings)) => (now.warnings, now.folder) = (warnings, captures.add(folder)),
         Ok(Err(error)) => now.error = sentence(&error),
-        Err(_) => INTERNAL.clone_into(&mut now.error),
+        Err(_) => INTERNAL_ERROR.clone_into(&mut now.error),
     }
 }
 

@@ -46,13 +46,10 @@ use farm_lab::set_up::SetUp;
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 
 use crate::figure_files::{FigureSize, file_name};
-use crate::output::sentence;
+use crate::output::{INTERNAL_ERROR, sentence};
 
 /// The measurement of the documentation, as an example in the page.
 const EXAMPLE: &[u8] = include_bytes!("../../../examples/white.csv");
-
-/// The error of a call that has panicked.
-pub(super) const INTERNAL: &str = "internal error of farmctl: please report it with this request";
 
 /// The service behind the page's forms.
 #[derive(Debug)]
@@ -278,7 +275,7 @@ async fn answer<T: Send + 'static>(
     work: impl FnOnce() -> Result<T> + Send + 'static,
 ) -> Result<Response<T>, Status> {
     let done = tokio::task::spawn_blocking(work).await;
-    let done = done.map_err(|_| Status::internal(INTERNAL))?;
+    let done = done.map_err(|_| Status::internal(INTERNAL_ERROR))?;
     done.map(Response::new).map_err(|error| match error.downcast_ref::<Invalid>() {
         // Reported with its field, as by the coordinator.
         Some(invalid) if error.chain().count() == 1 => to_status(invalid),
