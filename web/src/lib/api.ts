@@ -55,6 +55,11 @@ export function isOfStore(error: unknown): boolean {
   return [Code.Internal, Code.ResourceExhausted].includes(ConnectError.from(error).code);
 }
 
+// Whether the coordinator is of an older version, without this call.
+export function isMissing(error: unknown): boolean {
+  return ConnectError.from(error).code === Code.Unimplemented;
+}
+
 export function isCancelled(error: unknown): boolean {
   return ConnectError.from(error).code === Code.Canceled;
 }
