@@ -231,18 +231,41 @@ impl PhaseFunction {
     ///
     /// E being the complete elliptic integral (Gradshteyn and Ryzhik 2.575).
     pub fn azimuthal_mean(&self, u: f64, mu: f64) -> f64 {
-        let across = ((1.0 - u * u).max(0.0) * (1.0 - mu * mu).max(0.0)).sqrt();
-        let lobe = |g: f64| {
-            let a = 1.0 + g * g - 2.0 * g * u * mu;
-            let b = 2.0 * g.abs() * across;
-            let sum = a + b;
-            (1.0 - g * g) / (4.0 * PI) * elliptic(2.0 * b / sum) / ((a - b) * sum.sqrt())
-        };
+        let [mean] = self.azimuthal_means([u], mu);
+        mean
+    }
+
+    /// [`Self::azimuthal_mean`] for several cosines of walks at a time, with the same bits. The compiler can compute them
+    /// in the lanes of a vector.
+    #[expect(
+        clippy::inline_always,
+        reason = "it is compiled for the instructions of the function that calls it"
+    )]
+    #[inline(always)]
+    pub fn azimuthal_means<const N: usize>(&self, u: [f64; N], mu: f64) -> [f64; N] {
+        let across = u.map(|u| ((1.0 - u * u).max(0.0) * (1.0 - mu * mu).max(0.0)).sqrt());
         match self {
-            Self::Lobes { first, second } => mixed(*first, *second, lobe),
-            Self::Table(table) => table.azimuthal_mean(u * mu, across),
+            Self::Lobes { first, second } => {
+                let first = of_lobe(*first, u, mu, across);
+                if second.weight == 0.0 {
+                    return first;
+                }
+                let other = of_lobe(second.g, u, mu, across);
+                std::array::from_fn(|i| (1.0 - second.weight) * first[i] + second.weight * other[i])
+            }
+            Self::Table(table) => std::array::from_fn(|i| table.azimuthal_mean(u[i] * mu, across[i])),
         }
     }
+}
+
+/// The azimuthal mean of a lobe.
+#[expect(clippy::inline_always, reason = "it is compiled for the instructions of the function that calls it")]
+#[inline(always)]
+fn of_lobe<const N: usize>(g: f64, u: [f64; N], mu: f64, across: [f64; N]) -> [f64; N] {
+    let a = u.map(|u| 1.0 + g * g - 2.0 * g * u * mu);
+    let b = across.map(|across| 2.0 * g.abs() * across);
+    let e = elliptic::<N>(std::array::from_fn(|i| 2.0 * b[i] / (a[i] + b[i])));
+    std::array::from_fn(|i| (1.0 - g * g) / (4.0 * PI) * e[i] / ((a[i] - b[i]) * (a[i] + b[i]).sqrt()))
 }
 
 /// (1 − b) f(g₁) + b f(g₂).
@@ -254,15 +277,26 @@ fn mixed(first: f64, second: SecondLobe, of_lobe: impl Fn(f64) -> f64) -> f64 {
 }
 
 /// (2/π) E(m), by the arithmetic–geometric mean (Abramowitz and Stegun 17.6).
-fn elliptic(m: f64) -> f64 {
-    let (mut a, mut b, mut c2) = (1.0, (1.0 - m).max(0.0).sqrt(), m);
-    let (mut sum, mut power) = (0.5 * c2, 0.5);
-    while c2 > 1e-16 {
-        (a, b, c2) = (0.5 * (a + b), (a * b).sqrt(), (0.5 * (a - b)).powi(2));
+#[expect(clippy::inline_always, reason = "it is compiled for the instructions of the function that calls it")]
+#[inline(always)]
+fn elliptic<const N: usize>(m: [f64; N]) -> [f64; N] {
+    let (mut a, mut b, mut c2) = ([1.0; N], m.map(|m| (1.0 - m).max(0.0).sqrt()), m);
+    let (mut sum, mut power) = (c2.map(|c2| 0.5 * c2), 0.5);
+    while c2.iter().any(|c2| *c2 > 1e-16) {
         power *= 2.0;
-        sum += power * c2;
+        for i in 0..N {
+            // A lane that has converged stays as it is.
+            let goes_on = c2[i] > 1e-16;
+            let (mean, root) = (0.5 * (a[i] + b[i]), (a[i] * b[i]).sqrt());
+            let half = 0.5 * (a[i] - b[i]);
+            let next = half * half;
+            sum[i] = if goes_on { sum[i] + power * next } else { sum[i] };
+            c2[i] = if goes_on { next } else { c2[i] };
+            a[i] = if goes_on { mean } else { a[i] };
+            b[i] = if goes_on { root } else { b[i] };
+        }
     }
-    (1.0 - sum) / a
+    std::array::from_fn(|i| (1.0 - sum[i]) / a[i])
 }
 
 #[cfg(test)]

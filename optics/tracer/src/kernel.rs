@@ -113,6 +113,11 @@ impl Kernel {
         }
     }
 
+    /// The light in a stack.
+    pub(super) fn light(self, stack: &Stack, derivatives: bool) -> Light {
+        dispatch!(self.level(), _simd => Light::new(stack, derivatives))
+    }
+
     /// Adds the vertices of one batch to the tally. The loops are plain; here the compiler may use this machine's vectors.
     pub(super) fn score(self, tally: &mut Tally<'_>, vertices: &[Vertex]) {
         dispatch!(self.level(), simd => tally.add_batch(simd, vertices));

@@ -141,7 +141,7 @@ impl<'a> Tracer<'a> {
         Some(Self {
             kernel,
             jobs,
-            light: Light::new(&stack, job.derivatives()),
+            light: kernel.light(&stack, job.derivatives()),
             stack,
             powers: NodePowers::new(job.albedo(), MOST_SCATTERINGS),
             key: stream_key(job.seed(), &job.point()),

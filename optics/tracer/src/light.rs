@@ -14,9 +14,16 @@
 //! [`Light::about`] approximates C cheaply; vertices are picked by it. [`Light::at`] is C itself, by cubics between
 //! nodes, and corrects for the approximation.
 
+#![expect(
+    clippy::inline_always,
+    reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
+)]
+
 mod arrivals;
 
 use std::f64::consts::{LN_2, PI};
+
+use optics_model::phase::PhaseFunction;
 
 use super::math::{exp_f64, power_of_two};
 use super::stack::Stack;
@@ -71,8 +78,19 @@ fn total(beams: &[Beam], thickness: f64) -> [f64; 2] {
     })
 }
 
+/// Azimuthal means of the phase function for these cosines of walks and one of a beam.
+#[inline(always)]
+fn means_of(scattering: &PhaseFunction, cosines: &[f64], beam: f64, means: &mut [f64]) {
+    const LANES: usize = 8;
+    for (u, means) in cosines.chunks(LANES).zip(means.chunks_mut(LANES)) {
+        let lanes = std::array::from_fn(|i| u[i.min(u.len() - 1)]);
+        means.copy_from_slice(&scattering.azimuthal_means::<LANES>(lanes, beam)[..u.len()]);
+    }
+}
+
 impl Light {
-    /// For walks through a stack.
+    /// For walks through a stack. The loops are plain; where it is inlined the compiler may use this machine's vectors.
+    #[inline(always)]
     pub fn new(stack: &Stack, derivatives: bool) -> Self {
         let arrivals = Arrivals::of(stack);
         let [inner, outer] = stack.ring_sin2.map(|s| f64::from(s).clamp(0.0, 1.0));
@@ -85,15 +103,22 @@ impl Light {
         let steps = ((32.0 / scattering.peak_width()) as usize).clamp(COSINES.0, COSINES.1);
         let mut table = vec![0.0; (DEPTHS + 1) * (steps + 1)];
         let mut lengths = derivatives.then(|| table.clone());
+        let cosines: Vec<f64> = (0..=steps).map(|k| number_at(k, steps)).collect();
+        // Many points in each cell, so that the peak of a narrow phase function is not missed.
+        let each = steps.div_ceil(CELLS).max(4);
+        let in_cell = |k: usize| (2 * k + 1) as f64 / (each * CELLS) as f64 - 1.0;
+        let in_cells =
+            [1.0, -1.0].map(|sign| (0..each * CELLS).map(|k| sign * in_cell(k)).collect::<Vec<_>>());
+        let (mut phase, mut of_cells) = (cosines.clone(), in_cells[0].clone());
         let mut about = [[0.0; CELLS]; 2];
         let mut entering = [0.0; 2];
         for beam in &arrivals.in_sample(thickness, scattering) {
             let flux = scale * beam.flux / beam.cosine;
+            means_of(scattering, &cosines, beam.cosine, &mut phase);
             // Light that goes up has the values of light that goes down, with the signs of the cosines changed.
-            let mirrored = |k: usize, steps: usize| if beam.down { k } else { steps - k };
-            let phase: Vec<f64> = (0..=steps)
-                .map(|k| scattering.azimuthal_mean(number_at(mirrored(k, steps), steps), beam.cosine))
-                .collect();
+            if !beam.down {
+                phase.reverse();
+            }
             for (i, row) in table.chunks_exact_mut(steps + 1).enumerate() {
                 let depth = 0.5 * reach * (1.0 + number_at(i, DEPTHS));
                 let length = if beam.down { depth } else { thickness - depth } / beam.cosine;
@@ -105,11 +130,8 @@ impl Light {
                     row.iter_mut().zip(&phase).for_each(|(c, p)| *c += factor * length * p);
                 }
             }
-            // Many points in each cell, so that the peak of a narrow phase function is not missed.
-            let each = steps.div_ceil(CELLS).max(4);
-            for k in 0..each * CELLS {
-                let u = (2 * k + 1) as f64 / (each * CELLS) as f64 - 1.0;
-                let phase = scattering.azimuthal_mean(if beam.down { u } else { -u }, beam.cosine);
+            means_of(scattering, &in_cells[usize::from(!beam.down)], beam.cosine, &mut of_cells);
+            for (k, phase) in of_cells.iter().enumerate() {
                 about[usize::from(!beam.down)][k / each] += flux * phase / each as f64;
             }
             if beam.down {
