@@ -25,6 +25,9 @@ pub const FILES: [&str; 6] =
 
 /// Thicknesses that differ by less than this factor share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
+/// A thickness that differs from twice another by less than this factor becomes twice that one: then many of their slabs
+/// have the same optical thickness and share their walks.
+const DOUBLE: f64 = 1.03;
 
 /// Writes the folder: no file unless all can be generated, and each file atomically. Returns the notes of reading its
 /// measurements back.
@@ -180,7 +183,7 @@ fn grid(captured: &Captured) -> Result<String> {
     ))
 }
 
-/// The midpoints of groups of thicknesses that are nearly alike.
+/// The midpoints of groups of thicknesses that are nearly alike, or twice another where that is near.
 fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     thicknesses.sort_by(f64::total_cmp);
     let mut groups: Vec<[f64; 2]> = Vec::new();
@@ -190,7 +193,14 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
             _ => groups.push([t, t]),
         }
     }
-    groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect()
+    let mut axis: Vec<f64> = Vec::new();
+    for [from, to] in groups {
+        let middle = (1e4 * f64::midpoint(from, to)).round() / 1e4;
+        let doubles = axis.iter().map(|t| 2.0 * t);
+        let double = doubles.into_iter().find(|double| (middle / double).ln().abs() < DOUBLE.ln());
+        axis.push(double.unwrap_or(middle));
+    }
+    axis
 }
 
 /// All results as numbers, for programs; the fit reads the fields at the top level.
@@ -322,6 +332,7 @@ mod tests {
     fn nearly_equal_slabs_share_a_dictionary_thickness() {
         assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
         assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
+        assert_eq!(grouped(vec![0.512, 1.006, 2.03, 3.0]), [0.512, 1.024, 2.048, 3.0]);
     }
 
     /// A bin without samples is interpolated with a large error, so that the profile has no gap.
