@@ -124,7 +124,7 @@ impl Found<'_, '_> {
             },
             sigma_t_per_mm: sigma_t,
             albedo,
-            g: self.common_g.unwrap_or(g),
+            g,
             reduced_scattering_per_mm: reduced,
             absorption_per_mm: absorption,
             covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|k| of(i, k))),
@@ -192,6 +192,9 @@ impl Found<'_, '_> {
         let all_limits = [s, a, g, reduced, absorption];
         let quantities = Quantity::all(slots);
         std::array::from_fn(|index| {
+            if let Some(common) = self.common_g.filter(|_| index == LN_ONE_MINUS_G) {
+                return common;
+            }
             let quantity = quantities[index];
             let ends = if let Some(covariance) = covariance {
                 let (system, optimum) = (self.system, self.state);
