@@ -179,6 +179,7 @@ impl<'a> Surrogate<'a> {
         // At most four weights; the others are 0.
         let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
         let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
+        let mut sums = NodeSums::new(pixels.len());
         let mut nodes = Vec::with_capacity(g.values.len());
         for i in 0..s.values.len() {
             nodes.clear();
@@ -189,10 +190,16 @@ impl<'a> Surrogate<'a> {
                 };
                 Node { rows: std::array::from_fn(row), weight: g.values[k], slope: g.slopes[k] }
             }));
-            let sigma_t = (s.values[i], s.slopes[i]);
+            let (weight, slope) = (s.values[i], s.slopes[i]);
             wide(
                 #[inline(always)]
-                || accumulate(&nodes, &albedos, sigma_t, &mut values, &mut slopes),
+                || {
+                    sums.sum(&nodes, &albedos);
+                    add_scaled(&mut values, weight, &sums.value);
+                    add_scaled(&mut slopes[SIGMA_T], slope, &sums.value);
+                    add_scaled(&mut slopes[ALBEDO], weight, &sums.by_albedo);
+                    add_scaled(&mut slopes[G], weight, &sums.by_g);
+                },
             );
         }
         Prediction { values, slopes }
@@ -240,44 +247,50 @@ struct Node<R> {
 /// Number of pixels that are summed at a time: as many as vector registers hold.
 const BLOCK: usize = 8;
 
-/// Adds the contribution of the records of one σ_t to a value and its derivatives. `sigma_t` is the weight of this σ_t
-/// and its derivative.
-#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
-#[inline(always)]
-fn accumulate<R: Row>(
-    nodes: &[Node<R>],
-    albedos: &AlbedoWeights,
-    sigma_t: (f64, f64),
-    values: &mut [f64],
-    slopes: &mut [Vec<f64>; 3],
-) {
-    let whole = values.len() / BLOCK * BLOCK;
-    for at in (0..whole).step_by(BLOCK) {
-        accumulate_block::<R, BLOCK>(nodes, albedos, sigma_t, at, values, slopes);
-    }
-    for at in whole..values.len() {
-        accumulate_block::<R, 1>(nodes, albedos, sigma_t, at, values, slopes);
-    }
+/// Sums over the records of one σ_t: the value, and its derivatives by √(1 − α) and ln(1 − g).
+struct NodeSums {
+    value: Vec<f64>,
+    by_albedo: Vec<f64>,
+    by_g: Vec<f64>,
 }
 
-/// Adds the contribution of the records of one σ_t to the pixels of one block.
-#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
-#[inline(always)]
-fn accumulate_block<R: Row, const N: usize>(
-    nodes: &[Node<R>],
-    albedos: &AlbedoWeights,
-    sigma_t: (f64, f64),
-    at: usize,
-    values: &mut [f64],
-    slopes: &mut [Vec<f64>; 3],
-) {
-    // The value at this σ_t, and its derivatives by √(1 − α) and ln(1 − g).
-    let (mut value, mut by_albedo, mut by_g) = ([0.0; N], [0.0; N], [0.0; N]);
-    let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
-    for node in nodes {
+impl NodeSums {
+    fn new(pixels: usize) -> Self {
+        let zero = || vec![0.0; pixels];
+        Self { value: zero(), by_albedo: zero(), by_g: zero() }
+    }
+
+    /// Sums up records, one anisotropy after the other: its four records are one piece of memory, and processors fetch few
+    /// pieces ahead at a time.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
+    fn sum<R: Row>(&mut self, nodes: &[Node<R>], albedos: &AlbedoWeights) {
+        let pixels = self.value.len();
+        for sums in [&mut self.value, &mut self.by_albedo, &mut self.by_g] {
+            sums.fill(0.0);
+        }
+        let whole = pixels / BLOCK * BLOCK;
+        for node in nodes {
+            for at in (0..whole).step_by(BLOCK) {
+                self.add_block::<R, BLOCK>(node, albedos, at);
+            }
+            for at in whole..pixels {
+                self.add_block::<R, 1>(node, albedos, at);
+            }
+        }
+    }
+
+    /// Adds the records of one anisotropy to the pixels of one block.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
+    fn add_block<R: Row, const N: usize>(&mut self, node: &Node<R>, albedos: &AlbedoWeights, at: usize) {
+        let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
         // One by one: calls of closures by `map` are not all vectorised.
         let [a, b, c, d] = node.rows;
         let rows: [[f32; N]; 4] = [a.block(at), b.block(at), c.block(at), d.block(at)];
+        let value = block_mut::<N>(&mut self.value, at);
+        let by_albedo = block_mut::<N>(&mut self.by_albedo, at);
+        let by_g = block_mut::<N>(&mut self.by_g, at);
         for p in 0..N {
             let v = [rows[0][p].into(), rows[1][p].into(), rows[2][p].into(), rows[3][p].into()];
             let mixed = mix(v, &albedos.values);
@@ -286,17 +299,12 @@ fn accumulate_block<R: Row, const N: usize>(
             by_g[p] += node.slope * mixed;
         }
     }
-    let (weight, slope) = sigma_t;
-    let [by_sigma_t_out, by_albedo_out, by_g_out] = slopes;
-    let outs = [
-        (values, weight, &value),
-        (&mut by_sigma_t_out[..], slope, &value),
-        (&mut by_albedo_out[..], weight, &by_albedo),
-        (&mut by_g_out[..], weight, &by_g),
-    ];
-    for (out, factor, sum) in outs {
-        add_scaled(&mut out[at..at + N], factor, sum);
-    }
+}
+
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn block_mut<const N: usize>(sums: &mut [f64], at: usize) -> &mut [f64; N] {
+    sums[at..].first_chunk_mut().expect("the block is whole")
 }
 
 /// Adds factor · v.
