@@ -63,6 +63,12 @@ impl ComparedProfile {
     pub(crate) fn description(&self) -> &PairDescription {
         made_once(&self.description, || self.view.describe(&self.values, &self.gradient))
     }
+
+    /// The same with the profile multiplied by a factor.
+    pub(crate) fn described_at(&self, factor: f64) -> PairDescription {
+        let scaled = |f: &[f64]| f.iter().map(|v| factor * v).collect::<Vec<f64>>();
+        self.view.describe(&scaled(&self.values), &scaled(&self.gradient))
+    }
 }
 
 /// Indices of a medium into the axes of the grid.

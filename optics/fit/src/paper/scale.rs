@@ -2,7 +2,10 @@
 //!
 //! The distance is closed form in μ: ‖μa − s‖² = μ² ‖a‖² − 2μ a·s + ‖s‖², and |∇(μF)| = μ |∇F|, so three inner products
 //! per profile and record give the whole curve. They are in double precision; the difference loses some ten digits of
-//! sixteen where the fit is perfect, and none that matter elsewhere.
+//! sixteen where the fit is perfect, and none that matter elsewhere. Media that are the best at no μ are left out
+//! (`pruning`).
+
+mod pruning;
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -88,6 +91,13 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
     let lambda = questions[0].options.settings().lambda;
     let terms: Vec<Vec<Scalable>> =
         questions.iter().map(|q| q.terms.iter().map(Scalable::new).collect()).collect();
+    // By all threads together, channel by channel: materials that have the same channel would each describe its records.
+    questions.iter().flat_map(|q| &q.terms).for_each(|term| _ = term.description());
+    let possible: Vec<Vec<bool>> = questions
+        .par_iter()
+        .zip(&terms)
+        .map(|(question, terms)| pruning::possible(question, terms, mu))
+        .collect();
     (0..rows)
         .into_par_iter()
         .fold(none, |mut least, row| {
@@ -98,16 +108,20 @@ fn least_errors(questions: &[Question], mu: &[f64]) -> LeastErrors {
                 let (sigma_t, g) = (admissible.sigma_t.start + sigma_t, admissible.g.start + g);
                 // Gradients that are not stored are computed once for all materials.
                 let mut seen: Vec<Seen> = Vec::new();
+                let place = GridPlace { ior, sigma_t, g, albedo };
                 for (n, question) in questions.iter().enumerate() {
+                    if !possible[n][question.medium_number(place)] {
+                        continue;
+                    }
                     errors.fill(0.0);
                     for scalable in &terms[n] {
-                        let record = question.record(scalable.term, GridPlace { ior, sigma_t, g, albedo });
-                        let place = seen.iter().position(|s| s.is(question, scalable.term, record));
-                        let place = place.unwrap_or_else(|| {
+                        let record = question.record(scalable.term, place);
+                        let known = seen.iter().position(|s| s.is(question, scalable.term, record));
+                        let known = known.unwrap_or_else(|| {
                             seen.push(Seen::new(question, scalable.term, record));
                             seen.len() - 1
                         });
-                        let Seen { values, gradient, .. } = &seen[place];
+                        let Seen { values, gradient, .. } = &seen[known];
                         wide(
                             #[inline(always)]
                             || scalable.add_distances(values, gradient, lambda, mu, &mut errors),

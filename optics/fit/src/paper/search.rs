@@ -7,8 +7,9 @@ use std::ops::Range;
 
 use optics_model::fit::Candidate;
 
+use crate::dictionary::view::PairDescription;
 use crate::dictionary::wide::wide;
-use crate::paper::question::Question;
+use crate::paper::question::{ComparedProfile, Question};
 
 /// Number of media that are compared before any can be ruled out.
 const FIRST_LOOK: usize = 8;
@@ -33,7 +34,10 @@ pub(crate) fn best(question: &Question, top: usize) -> Vec<Candidate> {
 
 /// The best media among those of a range of the grid's anisotropies.
 pub(crate) fn best_within(question: &Question, g: &Range<usize>, top: usize) -> Vec<Candidate> {
-    let mut media: Vec<(f32, u32)> = bounds(question, g);
+    // Cancellation is checked first: gradients without descriptions are described below.
+    question.dictionary.stop.check();
+    let targets: Vec<&PairDescription> = question.terms.iter().map(ComparedProfile::description).collect();
+    let mut media: Vec<(f32, u32)> = bounds(question, &targets, g);
     let mut kept = KeptMedia { top: top.min(media.len()), compared: Vec::new() };
     let compare = |medium: u32| {
         let medium = medium as usize;
@@ -79,18 +83,16 @@ impl KeptMedia {
     }
 }
 
-/// Lower bounds of Eq. 1 for all admissible media.
-fn bounds(question: &Question, g: &Range<usize>) -> Vec<(f32, u32)> {
-    // Cancellation is checked first: gradients without descriptions are described below.
-    question.dictionary.stop.check();
+/// Lower bounds of Eq. 1 for all admissible media, given descriptions of the measured profiles.
+pub(super) fn bounds(question: &Question, targets: &[&PairDescription], g: &Range<usize>) -> Vec<(f32, u32)> {
     let lambda = question.options.settings().lambda;
     let mut media = Vec::new();
     let mut bounds = Vec::new();
     for range in question.media(g) {
         bounds.clear();
         bounds.resize(range.len(), 0.0_f32);
-        for term in &question.terms {
-            let (sketch, target) = (term.view.sketch(term.thickness), term.description());
+        for (term, target) in question.terms.iter().zip(targets) {
+            let sketch = term.view.sketch(term.thickness);
             wide(
                 #[inline(always)]
                 || sketch.add_bounds(target, lambda, range.start, &mut bounds),
