@@ -10,7 +10,7 @@ use optics_model::Digest;
 use sqlx::SqliteConnection;
 
 use super::points::{self, begin_jobs_again, delete_points, rows_of};
-use super::{Exclusive, Result, Store, doing, jobs};
+use super::{Exclusive, Result, doing, jobs};
 use crate::stored::{EndedJob, Origin};
 use optics_model::Walks;
 
@@ -87,14 +87,6 @@ struct AsideRow {
 }
 
 from_row!(AsideRow { dictionary_id, job, walks, records_digest });
-
-impl Store {
-    /// Whether anything is set aside.
-    pub(super) async fn has_set_aside(tx: &mut SqliteConnection) -> Result<bool> {
-        let found = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM set_aside)").fetch_one(tx).await;
-        found.map_err(doing("looking for what is set aside"))
-    }
-}
 
 impl Exclusive<'_> {
     /// Sets the records of a point aside; returns the jobs to be computed again.

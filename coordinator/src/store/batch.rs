@@ -2,7 +2,8 @@
 //!
 //! Every query is a message to SQLite's thread and an answer, which costs more than the query itself. So all rows with
 //! which the results of a transaction must be compared are read at once, the outcome of each is decided here, and new
-//! rows are written in statements of many rows, several at a time.
+//! rows are written in statements of many rows, several at a time. The transaction begins with the first query and is
+//! committed by the last, without messages of their own.
 
 mod facts;
 mod script;
@@ -15,7 +16,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Result, Store, aside, doing, points, sums};
+use super::{Result, aside, doing, points, sums};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
@@ -53,7 +54,8 @@ struct End<'a> {
     gathered: Option<i64>,
 }
 
-/// Stores results in a transaction; returns the outcome of each, in their order.
+/// Begins a transaction, stores results in it, and commits it; returns the outcome of each, in their order. After an error
+/// the transaction may still be open.
 pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut known = Known { facts: Facts::look(tx, completions).await?, points: Points::default() };
     let wanted: Vec<&Completion> = completions.iter().filter(|c| known.is_wanted(c)).collect();
@@ -66,23 +68,13 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
         };
         outcomes.push(outcome);
     }
-    known.points.insert(tx).await?;
-    for End { gathered, point, .. } in &ends {
-        if let Some(gathered) = gathered {
-            points::credit(tx, *gathered, known.points.id(*point)).await?;
-            points::delete_points(tx, &[*gathered]).await?;
-        }
-    }
+    #[cfg(test)]
+    assert!(completions.iter().all(|c| c.quality != Some(super::tests::defect())), "a simulated defect");
     let mut script = Script::new(tx);
-    known.points.write(&mut script).await?;
+    known.points.write(&mut script, known.facts.last_point).await?;
     write_ends(&mut script, &ends, &known.points).await?;
-    script.finish().await?;
-    if !ends.is_empty() && Store::has_set_aside(tx).await? {
-        let jobs = ends.iter().map(|end| (end.completion.dictionary, end.completion.job_number));
-        let gathered = ends.iter().filter(|end| end.gathered.is_some());
-        let gathered = gathered.map(|end| end.completion.job.sums_identity());
-        aside::done_again(tx, jobs, gathered).await?;
-    }
+    clear_up(&mut script, &ends, &known).await?;
+    script.commit().await?;
     Ok(outcomes)
 }
 
@@ -129,6 +121,7 @@ impl Known {
             JobResult::Records(records) => (records, None),
             JobResult::Sums(bytes) => {
                 let point = points::point(tx, job.sums_identity()).await?;
+                self.facts.last_point = self.facts.last_point.max(point);
                 points::contribute(tx, point, *worker).await?;
                 let block = job.block().unwrap_or(0);
                 let Some(total) = sums::add(tx, point, job, block, bytes).await? else {
@@ -234,18 +227,20 @@ impl Points {
     }
 
     /// Inserts a row for each point with records that has none.
-    async fn insert(&mut self, tx: &mut SqliteConnection) -> Result<()> {
-        let is_new = |p: &&Point| p.id.is_none() && !p.records.is_empty();
-        let missing: Vec<_> = self.points.iter().filter(is_new).map(|p| p.identity).collect();
-        for (identity, id) in points::insert(tx, &missing).await? {
-            let place = self.place(identity);
-            self.points[place].id = Some(id);
-        }
-        Ok(())
+    async fn insert(&mut self, script: &mut Script<'_>, last: i64) -> Result<()> {
+        let is_new = |p: &&mut Point| p.id.is_none() && !p.records.is_empty();
+        let new = self.points.iter_mut().filter(is_new).zip(last + 1..);
+        let rows: Vec<(i64, Digest)> = new.map(|(p, id)| (*p.id.insert(id), p.identity)).collect();
+        script
+            .insert("INSERT INTO points (id, identity)", &rows, |mut row, (id, identity)| {
+                row.push_bind(*id).push_bind(identity.as_bytes().to_vec());
+            })
+            .await
     }
 
-    /// Writes the records that are not stored yet.
-    async fn write(&self, script: &mut Script<'_>) -> Result<()> {
+    /// Writes the points and records that are not stored yet; `last` is the last row of a point.
+    async fn write(&mut self, script: &mut Script<'_>, last: i64) -> Result<()> {
+        self.insert(script, last).await?;
         let fresh = |point: &Point| {
             let id = point.id;
             let fresh = point.records[point.stored..].iter();
@@ -265,6 +260,24 @@ impl Points {
     fn id(&self, place: usize) -> i64 {
         self.points[place].id.expect("a point with records was given its row")
     }
+}
+
+/// Deletes the blocks that were gathered and what was set aside, now that their jobs are done.
+async fn clear_up(script: &mut Script<'_>, ends: &[End<'_>], known: &Known) -> Result<()> {
+    for End { gathered, point, .. } in ends {
+        if let Some(gathered) = gathered {
+            let tx = script.written().await?;
+            points::credit(tx, *gathered, known.points.id(*point)).await?;
+            points::delete_points(tx, &[*gathered]).await?;
+        }
+    }
+    if !ends.is_empty() && known.facts.has_set_aside {
+        let jobs = ends.iter().map(|end| (end.completion.dictionary, end.completion.job_number));
+        let gathered = ends.iter().filter(|end| end.gathered.is_some());
+        let gathered = gathered.map(|end| end.completion.job.sums_identity());
+        aside::done_again(script.written().await?, jobs, gathered).await?;
+    }
+    Ok(())
 }
 
 /// Writes the ends of jobs, and the machines that computed their points.

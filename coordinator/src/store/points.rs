@@ -74,24 +74,6 @@ pub(super) async fn find(
     Ok(found)
 }
 
-/// Inserts rows of points that are not stored yet.
-pub(super) async fn insert(
-    connection: &mut SqliteConnection,
-    identities: &[Digest],
-) -> Result<Vec<(Digest, i64)>> {
-    let mut made = Vec::new();
-    for some in identities.chunks(LOOKUP) {
-        let mut query = QueryBuilder::<Sqlite>::new("INSERT INTO points (identity) ");
-        query.push_values(some, |mut row, identity| {
-            row.push_bind(identity.as_bytes().to_vec());
-        });
-        query.push(" RETURNING identity, id");
-        let rows = query.build_query_as().fetch_all(&mut *connection).await;
-        made.extend(rows.map_err(doing("storing points"))?.into_iter().filter_map(identified));
-    }
-    Ok(made)
-}
-
 pub(super) fn identified((identity, id): (Vec<u8>, i64)) -> Option<(Digest, i64)> {
     <[u8; 32]>::try_from(identity).ok().map(|bytes| (Digest::from_bytes(bytes), id))
 }

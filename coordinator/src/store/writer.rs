@@ -10,7 +10,6 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use sqlx::{Connection, SqliteConnection};
 use tokio::sync::{mpsc, oneshot};
 
 use super::{Place, Result, Shared, StoreError, batch, doing};
@@ -86,7 +85,7 @@ pub(super) async fn run(
 
 /// Writes all results in one transaction; if one of them makes that fail, each in its own, so that it stops no other.
 async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<Result<Outcome>> {
-    match guarded(write(pool, completions)).await {
+    match write(pool, completions).await {
         Ok(stored) => return stored.into_iter().map(Ok).collect(),
         Err(error) if completions.len() == 1 => return vec![Err(error)],
         Err(error) if concerns_all(&error) => {
@@ -97,13 +96,13 @@ async fn write_all(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Vec<R
     }
     let mut results = Vec::with_capacity(completions.len());
     for completion in completions {
-        let stored = guarded(write(pool, std::slice::from_ref(completion))).await;
+        let stored = write(pool, std::slice::from_ref(completion)).await;
         results.push(stored.map(|stored| stored[0]));
     }
     results
 }
 
-/// If writing panics the transaction is rolled back, and the writer continues.
+/// If writing panics the writer continues.
 async fn guarded<T>(writing: impl Future<Output = Result<T>>) -> Result<T> {
     let mut writing = pin!(writing);
     poll_fn(|context| {
@@ -134,23 +133,13 @@ fn concerns_all(error: &StoreError) -> bool {
     }
 }
 
+/// Writes all results in one transaction.
 async fn write(pool: &sqlx::SqlitePool, completions: &[Completion]) -> Result<Vec<Outcome>> {
     let mut connection = pool.acquire().await.map_err(doing("waiting for the database"))?;
-    let written = write_in(&mut connection, completions).await;
+    let written = guarded(batch::store(&mut connection, completions)).await;
     if written.is_err() {
-        // On a full disk SQLite ends the transaction by itself and sqlx still counts it as open: the connection
-        // would refuse every later one.
+        // The transaction may be open, or ended by SQLite itself, as on a full disk: closing rolls it back.
         connection.close_on_drop();
     }
     written
-}
-
-async fn write_in(connection: &mut SqliteConnection, completions: &[Completion]) -> Result<Vec<Outcome>> {
-    let mut tx =
-        connection.begin_with("BEGIN IMMEDIATE").await.map_err(doing("beginning to store records"))?;
-    let stored = batch::store(&mut tx, completions).await?;
-    #[cfg(test)]
-    assert!(completions.iter().all(|c| c.quality != Some(super::tests::defect())), "a simulated defect");
-    tx.commit().await.map_err(doing("committing records"))?;
-    Ok(stored)
 }

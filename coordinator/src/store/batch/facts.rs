@@ -18,6 +18,10 @@ pub(super) struct Facts {
     pub ended: HashMap<(DictionaryId, u32), Ended>,
     /// Rows of the points that are stored.
     pub points: HashMap<Digest, i64>,
+    /// The last row of any point.
+    pub last_point: i64,
+    /// Whether anything is set aside.
+    pub has_set_aside: bool,
 }
 
 /// The end of a job, with its records and number of walks; without records if it was given up.
@@ -31,6 +35,8 @@ const DICTIONARY: i64 = 0;
 const FENCED: i64 = 1;
 const ENDED: i64 = 2;
 const POINT: i64 = 3;
+const LAST_POINT: i64 = 4;
+const SET_ASIDE: i64 = 5;
 
 /// One fact; the meaning of its columns depends on the kind.
 struct FactRow {
@@ -44,12 +50,16 @@ struct FactRow {
 from_row!(FactRow { kind, id, job, digest, walks });
 
 impl Facts {
+    /// Begins the transaction, and looks in it.
     pub(super) async fn look(tx: &mut SqliteConnection, completions: &[Completion]) -> Result<Self> {
         let mut facts = Self::default();
-        for some in completions.chunks(ROWS) {
-            let mut query = QueryBuilder::<Sqlite>::new(
+        for (number, some) in completions.chunks(ROWS).enumerate() {
+            let mut query = QueryBuilder::<Sqlite>::new(if number == 0 { "BEGIN IMMEDIATE;" } else { "" });
+            query.push(
                 "SELECT 0 AS kind, id, 0 AS job, NULL AS digest, NULL AS walks FROM dictionaries \
                  UNION ALL SELECT 1, id, 0, NULL, NULL FROM workers WHERE fenced IS NOT NULL \
+                 UNION ALL SELECT 4, coalesce(max(id), 0), 0, NULL, NULL FROM points \
+                 UNION ALL SELECT 5, count(*), 0, NULL, NULL FROM (SELECT 1 FROM set_aside LIMIT 1) \
                  UNION ALL SELECT 2, dictionary_id, job, records_digest, walks FROM jobs \
                  WHERE (dictionary_id, job) IN (",
             );
@@ -81,6 +91,8 @@ impl Facts {
                 self.ended.insert((DictionaryId(id), job as u32), Ended { records, walks });
             }
             POINT => self.points.extend(points::identified((digest.unwrap_or_default(), id))),
+            LAST_POINT => self.last_point = id,
+            SET_ASIDE => self.has_set_aside = id > 0,
             _ => unreachable!("the query has no other kinds"),
         }
         Ok(())

@@ -40,13 +40,20 @@ impl<'c> Script<'c> {
         Ok(())
     }
 
-    /// Writes the remaining rows.
-    pub(super) async fn finish(mut self) -> Result<()> {
+    /// The transaction, with all rows written to it.
+    pub(super) async fn written(&mut self) -> Result<&mut SqliteConnection> {
+        self.write().await?;
+        Ok(self.tx)
+    }
+
+    /// Writes the remaining rows and commits the transaction.
+    pub(super) async fn commit(mut self) -> Result<()> {
+        self.query.push("COMMIT");
         self.write().await
     }
 
     async fn write(&mut self) -> Result<()> {
-        if self.rows > 0 {
+        if !self.query.sql().as_str().is_empty() {
             let mut query = std::mem::replace(&mut self.query, QueryBuilder::new(""));
             let rows = std::mem::take(&mut self.rows);
             // Scripts that recur are small or full; others, each of another length, would only fill the statement cache.
