@@ -13,6 +13,8 @@ use crate::likelihood::system::{Normal, State, System};
 const TOLERANCE: f64 = 0.02;
 /// Relative tolerance of the root of the rise at an end.
 const CLOSE: f64 = 0.08;
+/// Share of a distance to which an end is bracketed at most: where descents end in kinks, the rise may have a jump there.
+const NARROW: f64 = 0.01;
 /// Maximum number of places that are tried on each side.
 const TRIALS: usize = 12;
 /// Stiffness of the penalty that holds a quantity, over its information.
@@ -236,6 +238,9 @@ pub(crate) fn reach(
         } else {
             outside = Some((distance, rise));
         }
+        if outside.is_some_and(|(far, _)| far - inside.0 < NARROW * far) {
+            break;
+        }
         distance = match outside {
             Some((far, high)) => {
                 let share = (wanted - inside.1) / (high - inside.1).max(1e-12);
@@ -267,6 +272,18 @@ mod tests {
         // The end is much nearer than the deviation predicts.
         let found = reach(1.96, 1e6, 1e9, |distance| 1e3 * distance).unwrap();
         assert!((1e3 * found / 1.96 - 1.0).abs() < CLOSE, "{found}");
+    }
+
+    /// A jump of the objective is bracketed to 1 %, by few descents.
+    #[test]
+    fn jump_is_bracketed() {
+        let mut trials = 0;
+        let jump = |distance: f64| {
+            trials += 1;
+            if distance < 2.5 { 0.5 * distance } else { 4.0 }
+        };
+        let found = reach(1.96, 1.0, 100.0, jump).unwrap();
+        assert!((found / 2.5 - 1.0).abs() < NARROW && trials < TRIALS, "{found} after {trials}");
     }
 
     /// An objective that rises too little, or at once, gives no end of the interval.
