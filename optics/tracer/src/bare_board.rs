@@ -228,7 +228,7 @@ mod tests {
     /// The share that a lossless coat sends back to the base, from what passes it from above, is what the same sum from
     /// below gives: within four standard errors of that sum, whose noise is greater.
     #[test]
-    fn returned_light_is_the_same_from_both_sides() {
+    fn both_sides_return_the_same_light() {
         let scene = coated(0.15).with_multiple_scattering(true);
         let coat = coat(&scene).unwrap().unwrap();
         let [direct] =

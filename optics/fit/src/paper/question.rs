@@ -64,7 +64,7 @@ impl ComparedProfile {
         made_once(&self.description, || self.view.describe(&self.values, &self.gradient))
     }
 
-    /// The same with the profile multiplied by a factor.
+    /// The description of the profile multiplied by a factor.
     pub(crate) fn described_at(&self, factor: f64) -> PairDescription {
         let scaled = |f: &[f64]| f.iter().map(|v| factor * v).collect::<Vec<f64>>();
         self.view.describe(&scaled(&self.values), &scaled(&self.gradient))
