@@ -8,43 +8,19 @@ use std::sync::{Arc, Mutex, PoisonError};
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_fit::{DictionaryBuilder, FitChannel, FitDictionary};
-use optics_model::{Grid, Invalid, scene};
+use optics_model::{Grid, scene};
 use tokio::task::JoinSet;
 
+use super::asked_grid::AskedGrid;
 use super::records::ended_early;
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
 
 /// A dictionary with its own boards, or over others.
 #[derive(Debug, Clone, PartialEq)]
-struct Key {
+struct DictionaryOver {
     id: DictionaryId,
     boards: Vec<scene::Channel>,
-}
-
-/// The grid of a dictionary, as it is stored, and the grid over the boards of a question: the same, unless the dictionary
-/// is for all boards.
-#[derive(Debug, Clone)]
-pub struct AskedGrid {
-    pub stored: Arc<Grid>,
-    pub grid: Arc<Grid>,
-}
-
-impl AskedGrid {
-    /// Over the boards of these channels; over its own if there are none.
-    pub(super) fn new(stored: Arc<Grid>, boards: Vec<scene::Channel>) -> Result<Self, Invalid> {
-        let grid = if boards.is_empty() { stored.clone() } else { Arc::new(stored.over_boards(boards)?) };
-        Ok(Self { stored, grid })
-    }
-
-    fn is_over_others(&self) -> bool {
-        !Arc::ptr_eq(&self.stored, &self.grid)
-    }
-
-    fn key(&self, id: DictionaryId) -> Key {
-        let boards = if self.is_over_others() { self.grid.scene().channels().to_vec() } else { Vec::new() };
-        Key { id, boards }
-    }
 }
 
 #[derive(Debug)]
@@ -66,7 +42,7 @@ struct Kept {
 
 #[derive(Debug)]
 struct Channel {
-    of: Key,
+    of: DictionaryOver,
     index: usize,
     bytes: usize,
     loaded: FitChannel,
@@ -86,7 +62,7 @@ impl FitCache {
         asked: &AskedGrid,
         channels: &[usize],
     ) -> Result<FitDictionary> {
-        let (grid, key) = (&asked.grid, asked.key(id));
+        let (grid, key) = (&asked.grid, DictionaryOver { id, boards: asked.boards().to_vec() });
         if let Some(found) = self.find(&key, grid, channels) {
             return Ok(found);
         }
@@ -127,7 +103,7 @@ impl FitCache {
     }
 
     /// The dictionary with these channels, if all of them are in memory.
-    fn find(&self, key: &Key, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
+    fn find(&self, key: &DictionaryOver, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
         let mut kept = self.lock();
         let is_asked = |channel: &Channel| channel.of == *key && channels.contains(&channel.index);
         let (asked, mut others): (Vec<_>, Vec<_>) =
@@ -143,7 +119,12 @@ impl FitCache {
 
     /// Drops other channels until there is room for the requested ones. Returns those of them that are in memory,
     /// and the number of times that records have changed.
-    fn make_room(&self, key: &Key, wanted: &[usize], needed: usize) -> (Vec<(usize, FitChannel)>, u64) {
+    fn make_room(
+        &self,
+        key: &DictionaryOver,
+        wanted: &[usize],
+        needed: usize,
+    ) -> (Vec<(usize, FitChannel)>, u64) {
         let mut kept = self.lock();
         let is_wanted = |channel: &Channel| channel.of == *key && wanted.contains(&channel.index);
         let (wanted_here, mut others): (Vec<_>, Vec<_>) =
@@ -158,7 +139,7 @@ impl FitCache {
     }
 
     /// Keeps the channels that were read, unless records have changed since.
-    fn keep(&self, key: &Key, grid: &Grid, read: &FitDictionary, forgotten: u64) {
+    fn keep(&self, key: &DictionaryOver, grid: &Grid, read: &FitDictionary, forgotten: u64) {
         let mut kept = self.lock();
         if kept.forgotten == forgotten {
             let channel = |(index, loaded): (usize, &FitChannel)| Channel {

@@ -12,7 +12,7 @@ use optics_model::scene::Channel;
 use optics_model::{Grid, Invalid, Record};
 use tokio::task::JoinError;
 
-use super::fit_cache::AskedGrid;
+use super::asked_grid::AskedGrid;
 use super::{Farm, FarmError, Result};
 use crate::dispatch::EventKind;
 use crate::store::{Damaged, JobRecords, StoreError};

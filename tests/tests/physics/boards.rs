@@ -7,7 +7,7 @@ use optics_model::scene::Channel;
 use optics_model::{Scene, TransportPoint, Walks};
 use optics_tracer::trace;
 
-/// The same walks give the profiles over all boards, so that the difference is the error of the interpolation alone. It
+/// Profiles over all boards come from one set of walks, so the difference is the error of the interpolation alone. It
 /// stays below 0.00003 of white, a tenth of a pixel's noise in a photograph of the example session.
 #[test]
 fn boards_are_interpolated_without_noise() {
