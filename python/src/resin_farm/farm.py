@@ -394,8 +394,7 @@ class Farm(FarmAccess):
         """The given name; without one the only dictionary, else the first of the usual ones, as in farmctl."""
         if given is not None:
             return given
-        # Those for all boards are asked with the board of a session, by farmctl.
-        names = [dictionary.name for dictionary in self.dictionaries() if dictionary.channels[0] != "board 1"]
+        names = [dictionary.name for dictionary in self.dictionaries()]
         if len(names) == 1:
             return names[0]
         for usual in _USUAL:

@@ -25,11 +25,9 @@ pub const FILES: [&str; 6] =
 
 /// Thicknesses that differ by less than this factor share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
-/// A thickness that differs from one of these in mm, or from twice another of the session, by less than this factor is
-/// replaced by it: sessions with slabs of the same nominal thickness share a dictionary, and slabs of the same optical
-/// thickness their walks.
-const NEAR: f64 = 1.03;
-const NOMINAL_MM: [f64; 14] = [0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 5.0];
+/// A thickness that differs from twice another by less than this factor becomes twice that one: then many of their slabs
+/// have the same optical thickness and share their walks.
+const DOUBLE: f64 = 1.03;
 
 /// Writes the folder: no file unless all can be generated, and each file atomically. Returns the notes of reading its
 /// measurements back.
@@ -185,7 +183,7 @@ fn grid(captured: &Captured) -> Result<String> {
     ))
 }
 
-/// The midpoints of groups of thicknesses that are nearly alike, or a nominal thickness, or twice another, near that.
+/// The midpoints of groups of thicknesses that are nearly alike, or twice another where that is near.
 fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     thicknesses.sort_by(f64::total_cmp);
     let mut groups: Vec<[f64; 2]> = Vec::new();
@@ -199,9 +197,8 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     for [from, to] in groups {
         let middle = (1e4 * f64::midpoint(from, to)).round() / 1e4;
         let doubles = axis.iter().map(|t| 2.0 * t);
-        let is_near =
-            |t: &f64| (middle / t).ln().abs() < NEAR.ln() && axis.last().is_none_or(|last| t > last);
-        axis.push(NOMINAL_MM.into_iter().chain(doubles).find(is_near).unwrap_or(middle));
+        let double = doubles.into_iter().find(|double| (middle / double).ln().abs() < DOUBLE.ln());
+        axis.push(double.unwrap_or(middle));
     }
     axis
 }
@@ -333,10 +330,9 @@ mod tests {
 
     #[test]
     fn nearly_equal_slabs_share_a_dictionary_thickness() {
-        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.5, 1.0]);
-        assert_eq!(grouped(vec![0.62, 0.55]), [0.55, 0.62]);
-        // The thickest is twice another one.
-        assert_eq!(grouped(vec![0.512, 0.64, 1.006, 1.3]), [0.5, 0.64, 1.0, 1.28]);
+        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
+        assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
+        assert_eq!(grouped(vec![0.512, 1.006, 2.03, 3.0]), [0.512, 1.024, 2.048, 3.0]);
     }
 
     /// A bin without samples is interpolated with a large error, so that the profile has no gap.

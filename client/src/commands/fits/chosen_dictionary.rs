@@ -40,14 +40,8 @@ async fn name(connection: &Connection, given: Option<&String>) -> Result<String>
     if let Some(name) = given {
         return Ok(name.clone());
     }
-    pick(&names(&list::fetch(connection).await?))
-}
-
-/// Names of the dictionaries that a question about a measurement file may be asked: those for all boards need the board
-/// of a session.
-fn names(dictionaries: &[DictionaryStatus]) -> Vec<String> {
-    let with_boards = dictionaries.iter().filter(|d| !d.grid.scene().is_for_all_boards());
-    with_boards.map(|d| d.name.to_string()).collect()
+    let names: Vec<String> = list::fetch(connection).await?.into_iter().map(|d| d.name.to_string()).collect();
+    pick(&names)
 }
 
 /// A dictionary to compute.
@@ -83,13 +77,13 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
         return Ok(Chosen::Complete(name(connection, given).await?));
     }
     let dictionaries = list::fetch(connection).await?;
-    let usable = names(&dictionaries);
+    let names: Vec<String> = dictionaries.iter().map(|d| d.name.to_string()).collect();
     let name = match given {
         Some(name) => name.clone(),
-        None if usable.is_empty() => USUAL[0].to_owned(),
-        None => pick(&usable)?,
+        None if names.is_empty() => USUAL[0].to_owned(),
+        None => pick(&names)?,
     };
-    if !dictionaries.iter().any(|d| d.name.as_str() == name) {
+    if !names.contains(&name) {
         return Ok(built_in(&name).map_or(Chosen::Complete(name), Chosen::Lacking));
     }
     let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running;

@@ -19,7 +19,6 @@ use farm_proto::wire::{GetRequest, Keep, MeasureRequest};
 use optics_model::fit::{
     Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
-use optics_model::scene::Channel;
 use optics_model::{Grid, Scene};
 use serde::Serialize;
 
@@ -137,7 +136,7 @@ pub(crate) struct Inputs {
     common_g: bool,
     g_change: Option<f64>,
     dictionary: Option<String>,
-    /// The dictionary of the session's set-up, unless another was named.
+    /// The session's dictionary, unless another was named.
     own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
@@ -175,8 +174,7 @@ impl Inputs {
         let keep = args.keep.map(|title| kept_as(title, &args.measurements));
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
-                let shared = folder.dictionary_for_all_boards()?;
-                let (name, grid) = shared.map_or_else(|| folder.dictionary(), Ok)?;
+                let (name, grid) = folder.dictionary()?;
                 Some(WantedDictionary::new(DictionaryName::new(name)?, grid))
             }
             _ => None,
@@ -236,9 +234,11 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         g_change: inputs.g_change,
         keep: inputs.keep,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
-        board: Vec::new(),
     };
-    let session = inputs.folder.as_ref().map(SessionFolder::scene).transpose()?.flatten();
+    let session = match &inputs.folder {
+        Some(folder) if inputs.dictionary.is_some() => folder.scene()?,
+        _ => None,
+    };
     let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
     let Answer { dictionary, grid, found, note } = ask(global, inputs.own, &asked).await?;
@@ -299,26 +299,10 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 struct Question<'a> {
     /// The named dictionary.
     given: Option<&'a String>,
-    /// The session's scene, to compare with that of a named dictionary, and with its board.
+    /// The session's scene, to compare with that of a named dictionary.
     session: Option<&'a Scene>,
-    /// The request; the dictionary's name and the board are set later.
+    /// The request; the dictionary's name is set later.
     request: MeasureRequest,
-}
-
-impl Question<'_> {
-    /// The session's board, if a dictionary is for all boards.
-    fn board(&self, dictionary: &str, grid: &Grid) -> Result<Vec<Channel>> {
-        if !grid.scene().is_for_all_boards() {
-            return Ok(Vec::new());
-        }
-        let Some(session) = self.session else {
-            bail!(
-                "dictionary {dictionary} is for all boards, and a measurement file has none: measure the folder of a \
-                 session, or name another dictionary with --dictionary"
-            );
-        };
-        Ok(session.channels().to_vec())
-    }
 }
 
 struct Answer {
@@ -370,16 +354,9 @@ async fn ask_once(
         };
         let get = GetRequest { name: dictionary.clone() };
         let status = connection.dictionaries().get(get).await?.into_inner();
-        let stored = DictionaryStatus::try_from(status)?.grid;
-        let board = question.board(&dictionary, &stored)?;
-        let request = MeasureRequest {
-            dictionary: dictionary.clone(),
-            board: board.iter().map(Into::into).collect(),
-            ..question.request.clone()
-        };
-        let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
-        let named = question.session.filter(|_| question.given.is_some());
-        let note = named.and_then(|session| other_scene::note(&dictionary, session, grid.scene()));
+        let grid = DictionaryStatus::try_from(status)?.grid;
+        let note = question.session.and_then(|session| other_scene::note(&dictionary, session, grid.scene()));
+        let request = MeasureRequest { dictionary: dictionary.clone(), ..question.request.clone() };
         let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
             biased;
