@@ -76,7 +76,7 @@ fn example_session_gives_the_true_profiles() {
     }
     assert_eq!(session_json["inputs"].as_array().unwrap().len(), 14);
     let grid = farm_lab::grid_file::read_grid(&white.join("grid.toml")).unwrap();
-    assert_eq!(grid.thickness_mm(), [0.512, 1.006]);
+    assert_eq!(grid.thickness_mm(), [0.512, 1.024]);
     let measured = farm_lab::measurement_file::read_measurements(&white.join("measurements.csv")).unwrap();
     assert!(measured.notes.is_empty(), "{:?}", measured.notes);
 
