@@ -193,12 +193,15 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
             _ => groups.push([t, t]),
         }
     }
-    let mut axis: Vec<f64> = Vec::new();
-    for [from, to] in groups {
-        let middle = (1e4 * f64::midpoint(from, to)).round() / 1e4;
-        let doubles = axis.iter().map(|t| 2.0 * t);
-        let double = doubles.into_iter().find(|double| (middle / double).ln().abs() < DOUBLE.ln());
-        axis.push(double.unwrap_or(middle));
+    let mut axis: Vec<f64> =
+        groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect();
+    for i in 1..axis.len() {
+        let next = axis.get(i + 1).copied().unwrap_or(f64::INFINITY);
+        let is_near = |t: &f64| (axis[i] / t).ln().abs() < DOUBLE.ln();
+        // The axis must rise.
+        let fits = |t: &f64| axis[i - 1] < *t && *t < next;
+        let double = axis[..i].iter().map(|t| 2.0 * t).find(|t| is_near(t) && fits(t));
+        axis[i] = double.unwrap_or(axis[i]);
     }
     axis
 }
@@ -333,6 +336,10 @@ mod tests {
         assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
         assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
         assert_eq!(grouped(vec![0.512, 1.006, 2.03, 3.0]), [0.512, 1.024, 2.048, 3.0]);
+        // Two thicknesses near twice another stay apart.
+        assert_eq!(grouped(vec![0.512, 1.006, 1.05]), [0.512, 1.024, 1.05]);
+        assert_eq!(grouped(vec![0.52, 1.01, 1.03, 1.055]), [0.52, 1.04, 1.055]);
+        assert_eq!(grouped(vec![0.54, 1.03, 1.07, 1.0715]), [0.54, 1.05, 1.08]);
     }
 
     /// A bin without samples is interpolated with a large error, so that the profile has no gap.
