@@ -211,10 +211,13 @@ impl PhaseFunction {
     pub fn over_isotropic(&self, cosine: f64) -> f64 {
         let lobe = |g: f64| {
             let square = 1.0 + g * g - 2.0 * g * cosine;
-            (1.0 - g * g) / (square * square.sqrt())
+            [(1.0 - g * g) / (square * square.sqrt())]
         };
         match self {
-            Self::Lobes { first, second } => mixed(*first, *second, lobe),
+            Self::Lobes { first, second } => {
+                let [density] = mixed(*first, *second, lobe);
+                density
+            }
             Self::Table(table) => table.over_isotropic(cosine),
         }
     }
@@ -245,14 +248,12 @@ impl PhaseFunction {
     pub fn azimuthal_means<const N: usize>(&self, u: [f64; N], mu: f64) -> [f64; N] {
         let across = u.map(|u| ((1.0 - u * u).max(0.0) * (1.0 - mu * mu).max(0.0)).sqrt());
         match self {
-            Self::Lobes { first, second } => {
-                let first = of_lobe(*first, u, mu, across);
-                if second.weight == 0.0 {
-                    return first;
-                }
-                let other = of_lobe(second.g, u, mu, across);
-                std::array::from_fn(|i| (1.0 - second.weight) * first[i] + second.weight * other[i])
-            }
+            Self::Lobes { first, second } => mixed(
+                *first,
+                *second,
+                #[inline(always)]
+                |g| of_lobe(g, u, mu, across),
+            ),
             Self::Table(table) => std::array::from_fn(|i| table.azimuthal_mean(u[i] * mu, across[i])),
         }
     }
@@ -268,12 +269,16 @@ fn of_lobe<const N: usize>(g: f64, u: [f64; N], mu: f64, across: [f64; N]) -> [f
     std::array::from_fn(|i| (1.0 - g * g) / (4.0 * PI) * e[i] / ((a[i] - b[i]) * (a[i] + b[i]).sqrt()))
 }
 
-/// (1 − b) f(g₁) + b f(g₂).
-fn mixed(first: f64, second: SecondLobe, of_lobe: impl Fn(f64) -> f64) -> f64 {
+/// (1 − b) f(g₁) + b f(g₂), for several values at a time.
+#[expect(clippy::inline_always, reason = "it is compiled for the instructions of the function that calls it")]
+#[inline(always)]
+fn mixed<const N: usize>(first: f64, second: SecondLobe, of_lobe: impl Fn(f64) -> [f64; N]) -> [f64; N] {
+    let of_first = of_lobe(first);
     if second.weight == 0.0 {
-        return of_lobe(first);
+        return of_first;
     }
-    (1.0 - second.weight) * of_lobe(first) + second.weight * of_lobe(second.g)
+    let of_second = of_lobe(second.g);
+    std::array::from_fn(|i| (1.0 - second.weight) * of_first[i] + second.weight * of_second[i])
 }
 
 /// (2/π) E(m), by the arithmetic–geometric mean (Abramowitz and Stegun 17.6).

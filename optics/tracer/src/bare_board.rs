@@ -225,16 +225,16 @@ mod tests {
         assert!((seen - 1.0).abs() < 2e-4, "{seen}");
     }
 
-    /// The share that a lossless coat sends back to the base, from what passes it from above, is what the same sum from
-    /// below gives: within four standard errors of that sum, whose noise is greater.
+    /// The share that a lossless coat sends back to the base, from what passes it from above, is what a sum from below
+    /// gives, within the accuracy of the module. That sum has more noise, so it has eight times as many points.
     #[test]
     fn both_sides_return_the_same_light() {
         let scene = coated(0.15).with_multiple_scattering(true);
         let coat = coat(&scene).unwrap().unwrap();
         let [direct] =
-            means(POINTS, |point| [share(&coat.rays(FaceSide::Below, point.u, point), |d| d.z > 0.0)]);
+            means(8 * POINTS, |point| [share(&coat.rays(FaceSide::Below, point.u, point), |d| d.z > 0.0)]);
         let returned = BareBoard::of(&scene).unwrap().returned;
-        assert!((returned - direct).abs() < 1e-3, "{returned} {direct}");
+        assert!((returned - direct).abs() < 1e-4, "{returned} {direct}");
     }
 
     /// The radiance factor of a base without a coat is its reflectance.
