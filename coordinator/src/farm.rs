@@ -1,5 +1,6 @@
 //! Implements the operations of the coordinator, each once. They connect dispatch, store and fit.
 
+mod asked_grid;
 mod backup;
 mod completion;
 mod effects;

@@ -4,6 +4,8 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
+#[path = "physics/boards.rs"]
+mod boards;
 #[path = "physics/example.rs"]
 mod example;
 #[path = "physics/measurement_checks.rs"]

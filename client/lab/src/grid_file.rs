@@ -20,8 +20,19 @@ pub fn read_grid(path: &Path) -> Result<Grid> {
     grid_of(&read_text(path, "grid file")?, path, |name| named_scene(name, folder))
 }
 
+/// The grid that a TOML file describes, without responses, which take a moment to plan.
+pub fn read_grid_without_responses(path: &Path) -> Result<Grid> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let text = read_text(path, "grid file")?;
+    plain_grid(&text, path, |name| named_scene(name, folder))
+}
+
 /// The grid that the text of a file describes; `scene` resolves the names of scenes.
 pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -> Result<Grid> {
+    with_responses(plain_grid(text, path, scene)?).map_err(|e| in_file(e, text, path, "grid file"))
+}
+
+fn plain_grid(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -> Result<Grid> {
     let file: GridFile = from_toml(text, path, "grid file")?;
     if DeTable::parse(text).is_ok_and(|table| table.get_ref().is_empty()) {
         bail!(
@@ -36,7 +47,7 @@ pub fn grid_of(text: &str, path: &Path, scene: impl Fn(&str) -> Result<Scene>) -
             Scene::try_from(scene.clone()).map_err(|e| in_file(e.within("scene"), text, path, "grid file"))?
         }
     };
-    file.into_grid(scene).and_then(with_responses).map_err(|e| in_file(e, text, path, "grid file"))
+    file.into_grid(scene).map_err(|e| in_file(e, text, path, "grid file"))
 }
 
 /// The grid with responses of its scene's uncertain quantities, if there are any.

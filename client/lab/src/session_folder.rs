@@ -6,11 +6,11 @@ use anyhow::{Context, Result, bail};
 use farm_figures::estimates::estimate_rows;
 use farm_figures::{error_budget, fit_figure, spectra_figure};
 use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
-use optics_model::{Grid, Scene};
+use optics_model::{Digest, Grid, Scene};
 use serde::Serialize;
 
 use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
-use crate::grid_file::read_grid;
+use crate::grid_file::{read_grid, read_grid_without_responses};
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
 
@@ -58,10 +58,20 @@ impl SessionFolder {
         Ok((format!("session-{}", &digest[..12]), grid))
     }
 
-    /// The scene of the session's dictionary; `None` without a grid file.
+    /// A dictionary of the session's set-up for all boards, which other sessions share, without its responses. `None` if it
+    /// does not serve the session's board. Its name contains a digest of this grid.
+    pub fn dictionary_for_all_boards(&self) -> Result<Option<(String, Grid)>> {
+        let own = read_grid_without_responses(&self.path.join("grid.toml"))?;
+        let Ok(grid) = own.for_all_boards() else { return Ok(None) };
+        let digest = Digest::of_grid(&grid).to_string();
+        Ok(Some((format!("boards-{}", &digest[..12]), grid)))
+    }
+
+    /// The scene of the session, with its board; `None` without a grid file.
     pub fn scene(&self) -> Result<Option<Scene>> {
         let path = self.path.join("grid.toml");
-        if path.exists() { Ok(Some(read_grid(&path)?.scene().clone())) } else { Ok(None) }
+        let scene = || Ok(read_grid_without_responses(&path)?.scene().clone());
+        path.exists().then(scene).transpose()
     }
 
     /// Wavelength and standard deviation of the filter of each band in nm; none for red, green and blue.

@@ -2,11 +2,11 @@
 
 mod chosen_dictionary;
 pub(crate) mod design;
+mod dictionary_notes;
 mod filters;
 pub(crate) mod fit;
 pub(crate) mod map;
 pub(crate) mod measure;
-mod other_scene;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;

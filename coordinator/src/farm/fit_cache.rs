@@ -8,12 +8,20 @@ use std::sync::{Arc, Mutex, PoisonError};
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_fit::{DictionaryBuilder, FitChannel, FitDictionary};
-use optics_model::Grid;
+use optics_model::{Grid, scene};
 use tokio::task::JoinSet;
 
+use super::asked_grid::AskedGrid;
 use super::records::ended_early;
 use super::{FarmError, Result, blocking};
 use crate::store::{Damaged, Store};
+
+/// A dictionary with its own boards, or over others.
+#[derive(Debug, Clone, PartialEq)]
+struct DictionaryOver {
+    id: DictionaryId,
+    boards: Vec<scene::Channel>,
+}
 
 #[derive(Debug)]
 pub(super) struct FitCache {
@@ -34,7 +42,7 @@ struct Kept {
 
 #[derive(Debug)]
 struct Channel {
-    of: DictionaryId,
+    of: DictionaryOver,
     index: usize,
     bytes: usize,
     loaded: FitChannel,
@@ -51,10 +59,11 @@ impl FitCache {
         &self,
         store: &Store,
         (name, id): (&DictionaryName, DictionaryId),
-        grid: &Arc<Grid>,
+        asked: &AskedGrid,
         channels: &[usize],
     ) -> Result<FitDictionary> {
-        if let Some(found) = self.find(id, grid, channels) {
+        let (grid, key) = (&asked.grid, DictionaryOver { id, boards: asked.boards().to_vec() });
+        if let Some(found) = self.find(&key, grid, channels) {
             return Ok(found);
         }
         let bytes = |channels: &[usize]| {
@@ -71,16 +80,16 @@ impl FitCache {
             });
         }
         let one_reader = self.reading.lock().await;
-        if let Some(found) = self.find(id, grid, channels) {
+        if let Some(found) = self.find(&key, grid, channels) {
             return Ok(found);
         }
         let all: Vec<usize> = (0..grid.scene().channels().len()).collect();
         let wanted = if bytes(&all) <= self.limit { &all } else { channels };
-        let (here, forgotten) = self.make_room(id, wanted, bytes(wanted));
+        let (here, forgotten) = self.make_room(&key, wanted, bytes(wanted));
         let is_here = |index: &usize| here.iter().any(|(other, _)| other == index);
         let lacking: Vec<usize> = wanted.iter().filter(|index| !is_here(index)).copied().collect();
-        let read = load_channels(store, name, id, grid, &lacking).await?;
-        self.keep(id, grid, &read, forgotten);
+        let read = load_channels(store, name, id, asked, &lacking).await?;
+        self.keep(&key, grid, &read, forgotten);
         drop(one_reader);
         let read = read.channels().map(|(index, channel)| (index, channel.clone()));
         Ok(FitDictionary::of_channels(grid.clone(), here.into_iter().chain(read)))
@@ -90,13 +99,13 @@ impl FitCache {
     pub(super) fn forget(&self, id: DictionaryId) {
         let mut kept = self.lock();
         kept.forgotten += 1;
-        kept.channels.retain(|channel| channel.of != id);
+        kept.channels.retain(|channel| channel.of.id != id);
     }
 
     /// The dictionary with these channels, if all of them are in memory.
-    fn find(&self, id: DictionaryId, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
+    fn find(&self, key: &DictionaryOver, grid: &Arc<Grid>, channels: &[usize]) -> Option<FitDictionary> {
         let mut kept = self.lock();
-        let is_asked = |channel: &Channel| channel.of == id && channels.contains(&channel.index);
+        let is_asked = |channel: &Channel| channel.of == *key && channels.contains(&channel.index);
         let (asked, mut others): (Vec<_>, Vec<_>) =
             std::mem::take(&mut kept.channels).into_iter().partition(is_asked);
         let found = (asked.len() == channels.len()).then(|| {
@@ -112,12 +121,12 @@ impl FitCache {
     /// and the number of times that records have changed.
     fn make_room(
         &self,
-        id: DictionaryId,
+        key: &DictionaryOver,
         wanted: &[usize],
         needed: usize,
     ) -> (Vec<(usize, FitChannel)>, u64) {
         let mut kept = self.lock();
-        let is_wanted = |channel: &Channel| channel.of == id && wanted.contains(&channel.index);
+        let is_wanted = |channel: &Channel| channel.of == *key && wanted.contains(&channel.index);
         let (wanted_here, mut others): (Vec<_>, Vec<_>) =
             std::mem::take(&mut kept.channels).into_iter().partition(is_wanted);
         while others.iter().map(|channel| channel.bytes).sum::<usize>() + needed > self.limit {
@@ -130,11 +139,11 @@ impl FitCache {
     }
 
     /// Keeps the channels that were read, unless records have changed since.
-    fn keep(&self, of: DictionaryId, grid: &Grid, read: &FitDictionary, forgotten: u64) {
+    fn keep(&self, key: &DictionaryOver, grid: &Grid, read: &FitDictionary, forgotten: u64) {
         let mut kept = self.lock();
         if kept.forgotten == forgotten {
             let channel = |(index, loaded): (usize, &FitChannel)| Channel {
-                of,
+                of: key.clone(),
                 index,
                 bytes: FitChannel::bytes_of(grid, index),
                 loaded: loaded.clone(),
@@ -162,7 +171,8 @@ pub async fn load_dictionary(
     grid: &Arc<Grid>,
 ) -> Result<FitDictionary> {
     let all: Vec<usize> = (0..grid.scene().channels().len()).collect();
-    load_channels(store, name, id, grid, &all).await
+    let asked = AskedGrid { stored: grid.clone(), grid: grid.clone() };
+    load_channels(store, name, id, &asked, &all).await
 }
 
 /// Reads some channels of a complete dictionary into memory, and compares its records with their digests.
@@ -170,9 +180,10 @@ async fn load_channels(
     store: &Store,
     name: &DictionaryName,
     id: DictionaryId,
-    grid: &Arc<Grid>,
+    asked: &AskedGrid,
     channels: &[usize],
 ) -> Result<FitDictionary> {
+    let grid = &asked.stored;
     let jobs = grid.job_count();
     let part = (PART_BYTES / (grid.albedo().len() * grid.record_bytes())).clamp(1, 1024);
     let mut parts = (0..jobs).step_by(part).map(|first| first..(first + part).min(jobs));
@@ -184,7 +195,12 @@ async fn load_channels(
         }
     };
     (0..READERS).for_each(|_| read_next(&mut reading));
-    let mut builder = DictionaryBuilder::of_channels(grid.clone(), channels.iter().copied());
+    let channels = channels.iter().copied();
+    let mut builder = if asked.is_over_others() {
+        DictionaryBuilder::over_boards(grid.clone(), &asked.grid, channels)
+    } else {
+        DictionaryBuilder::of_channels(grid.clone(), channels)
+    };
     while let Some(read) = reading.join_next().await {
         read_next(&mut reading);
         for found in read.map_err(|error| ended_early(&error))?? {

@@ -8,9 +8,11 @@ use std::ops::Range;
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use optics_fit::{FitDictionary, Stop};
+use optics_model::scene::Channel;
 use optics_model::{Grid, Invalid, Record};
 use tokio::task::JoinError;
 
+use super::asked_grid::AskedGrid;
 use super::{Farm, FarmError, Result};
 use crate::dispatch::EventKind;
 use crate::store::{Damaged, JobRecords, StoreError};
@@ -84,11 +86,12 @@ impl Farm {
     }
 
     /// Answers a question to a complete dictionary, off the async threads. The question is about the channels of these
-    /// names, or the first if none is given. When the answer is no longer awaited, the work ends soon.
+    /// names, or the first if none is given; over the boards of `boards`, if the dictionary is for all boards. When the
+    /// answer is no longer awaited, the work ends soon.
     pub(crate) async fn ask<T: Send + 'static>(
         &self,
         name: &DictionaryName,
-        channels: &[String],
+        (channels, boards): (&[String], Vec<Channel>),
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T> {
         let (id, grid) = self.found(name)?;
@@ -97,8 +100,9 @@ impl Farm {
             let (done, total) = (status.records_done(), status.records_total());
             return Err(FarmError::NotComplete { name: name.clone(), done, total });
         }
-        let channels = optics_fit::channels_called(&grid, channels.iter().map(String::as_str));
-        let dictionary = match self.fits.get(&self.store, (name, id), &grid, &channels).await {
+        let asked = AskedGrid::new(grid.clone(), boards)?;
+        let channels = optics_fit::channels_called(&asked.grid, channels.iter().map(String::as_str));
+        let dictionary = match self.fits.get(&self.store, (name, id), &asked, &channels).await {
             Err(FarmError::Damaged { job, .. }) => {
                 return Err(self.confirm_damage(name, id, &grid, job).await);
             }

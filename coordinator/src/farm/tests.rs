@@ -174,7 +174,7 @@ async fn fit_drops_only_the_damaged_job() {
     ] {
         let (farm, dir) = done().await;
         change(&dir, damage).await;
-        let refused = farm.ask(&name(), &[], |_| Ok(())).await;
+        let refused = farm.ask(&name(), (&[], Vec::new()), |_| Ok(())).await;
         assert!(matches!(refused, Err(FarmError::Damaged { job: 17, .. })), "{damage}: {refused:?}");
         assert_eq!(jobs_done(&farm), JOBS - 1, "{damage}");
         let found = farm.inspect(false).await;

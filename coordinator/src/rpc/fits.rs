@@ -11,6 +11,7 @@ use optics_fit as fit;
 use optics_fit::{FitDictionary, MeasurePlan};
 use optics_model::fit::{DesignQuestion, FitOptions, MaterialFit, MuRange, ProfileQuestion};
 use optics_model::limits::FitLimits;
+use optics_model::scene::Channel;
 use optics_model::{Invalid, Measurement, Medium};
 use tonic::{Request, Response, Status};
 
@@ -109,6 +110,7 @@ impl Fits for Context {
         let plan = MeasurePlan { search_mu, common_g: request.common_g, g_change }.checked().or_status()?;
         let materials = self.materials(request.materials).or_status()?;
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
+        let boards = boards(request.board).or_status()?;
         let channels = channels(&materials);
         let most = self.answer_bytes;
         let measure = move |d: &fit::FitDictionary| {
@@ -121,7 +123,7 @@ impl Fits for Context {
             }
             Ok((measured, unmixed, d.grid().clone()))
         };
-        let (answer, unmixed, grid) = self.ask(&by, &name, &channels, measure).await?;
+        let (answer, unmixed, grid) = self.ask_over(&by, &name, (&channels, boards), measure).await?;
         let mut answer = MeasureResponse {
             scale: answer.scale.map(Into::into),
             mu: answer.common.mu,
@@ -173,9 +175,20 @@ impl Context {
         channels: &[String],
         question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
     ) -> Result<T, Status> {
+        self.ask_over(by, name, (channels, Vec::new()), question).await
+    }
+
+    /// Answers a question over these boards.
+    async fn ask_over<T: Send + 'static>(
+        &self,
+        by: &Actor,
+        name: &DictionaryName,
+        (channels, boards): (&[String], Vec<Channel>),
+        question: impl FnOnce(&FitDictionary) -> Result<T, Invalid> + Send + 'static,
+    ) -> Result<T, Status> {
         let _place = self.limits.fit(by.shares_as()).await?;
         let start = tokio::time::Instant::now();
-        let answer = self.farm.ask(name, channels, question).await?;
+        let answer = self.farm.ask(name, (channels, boards), question).await?;
         self.farm.metrics().fitted(start.elapsed());
         Ok(answer)
     }
@@ -206,6 +219,13 @@ fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
 
 fn options(options: Option<&wire::FitOptions>) -> Result<FitOptions, Invalid> {
     FitOptions::try_from(options.copied().unwrap_or_default()).map_err(|e| e.within("options"))
+}
+
+fn boards(board: Vec<wire::Channel>) -> Result<Vec<Channel>, Invalid> {
+    let decode = |(i, channel): (usize, wire::Channel)| {
+        Channel::try_from(channel).map_err(|e| e.within(format_args!("board[{i}]")))
+    };
+    board.into_iter().enumerate().map(decode).collect()
 }
 
 /// Names of the measured channels.

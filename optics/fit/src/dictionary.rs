@@ -27,7 +27,12 @@ use view::{View, ViewKey};
 /// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
 pub struct DictionaryBuilder {
+    /// The grid of the records that are added.
+    stored: Arc<Grid>,
+    /// The grid of the dictionary that is built: the same, or over other boards.
     grid: Arc<Grid>,
+    /// Weights of the stored channels in each collected one, where boards are interpolated.
+    weights: Vec<Vec<f64>>,
     /// The collected channels, each with its index among the scene's.
     channels: Vec<(usize, Records, Option<VariedRecords>)>,
     /// Whether each record was added.
@@ -48,7 +53,18 @@ impl DictionaryBuilder {
         let channel = |index| (index, Records::new(grid.clone()), varied(index));
         let channels = channels.into_iter().map(channel).collect();
         let present = vec![false; grid.stored_records()];
-        Self { grid, channels, present }
+        Self { stored: grid.clone(), grid, weights: Vec::new(), channels, present }
+    }
+
+    /// A builder for some channels of a grid over other boards, from records of a grid for all boards.
+    pub fn over_boards(
+        stored: Arc<Grid>,
+        grid: &Arc<Grid>,
+        channels: impl IntoIterator<Item = usize>,
+    ) -> Self {
+        let builder = Self::of_channels(grid.clone(), channels);
+        let weights = |(index, ..): &(usize, _, _)| grid.scene().channels()[*index].board_weights();
+        Self { weights: builder.channels.iter().map(weights).collect(), stored, ..builder }
     }
 
     /// A builder that rounds all values, as for a large dictionary.
@@ -64,17 +80,41 @@ impl DictionaryBuilder {
     /// # Panics
     /// If a record does not have the grid's shape or a number of the grid, or was added before.
     pub fn add(&mut self, records: &PackedRecords) {
-        assert_eq!(records.shape(), RecordShape::of(&self.grid), "the records have the grid's shape");
+        assert_eq!(records.shape(), RecordShape::of(&self.stored), "the records have the grid's shape");
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
-            for (index, channel, varied) in &mut self.channels {
-                let values = records.radiance_factors(number, *index);
-                if number < self.grid.record_count() {
-                    channel.set(number, values);
-                } else if let Some(varied) = varied {
-                    varied.set(number, values);
+            if self.weights.is_empty() {
+                for (index, channel, varied) in &mut self.channels {
+                    let values = records.radiance_factors(number, *index);
+                    if number < self.grid.record_count() {
+                        channel.set(number, values);
+                    } else if let Some(varied) = varied {
+                        varied.set(number, values);
+                    }
                 }
+            } else {
+                self.add_over_boards(records, number);
+            }
+        }
+    }
+
+    /// Adds a record whose channels are interpolated between boards.
+    fn add_over_boards(&mut self, records: &PackedRecords, number: usize) {
+        let boards = 0..self.stored.scene().channels().len();
+        let boards: Vec<Vec<f32>> =
+            boards.map(|board| records.radiance_factors(number, board).collect()).collect();
+        for ((_, channel, varied), weights) in self.channels.iter_mut().zip(&self.weights) {
+            let mut sums = vec![0.0; boards[0].len()];
+            for (board, weight) in boards.iter().zip(weights) {
+                sums.iter_mut().zip(board).for_each(|(sum, v)| *sum += weight * f64::from(*v));
+            }
+            // Interpolation leaves rounding errors where all boards are dark.
+            let values = sums.iter().map(|sum| sum.max(0.0) as f32);
+            if number < self.grid.record_count() {
+                channel.set(number, values);
+            } else if let Some(varied) = varied {
+                varied.set(number, values);
             }
         }
     }

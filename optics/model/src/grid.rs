@@ -15,7 +15,8 @@ use crate::medium::{
     TransportPoint, check_albedo, check_ior, check_optical_thickness, check_sigma_t, check_thickness,
 };
 use crate::profile::RecordShape;
-use crate::scene::Scene;
+use crate::scene::boards::check_boards;
+use crate::scene::{Channel, Scene};
 pub use effort::{Effort, NoiseLevel};
 pub use jobs::ResponseJob;
 pub use parts::MAX_PARTS;
@@ -130,6 +131,33 @@ impl Grid {
 
     pub fn responses(&self) -> Option<&Responses> {
         self.responses.as_deref()
+    }
+
+    pub fn without_responses(self) -> Self {
+        Self { responses: None, ..self }
+    }
+
+    /// This grid for all boards, without responses.
+    pub fn for_all_boards(&self) -> Result<Self> {
+        let scene = self.scene.for_all_boards()?;
+        let grid = Self::new(scene, self.axes.clone(), self.effort, self.seed, self.derivatives)?;
+        self.quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality))
+    }
+
+    /// This grid over other boards, for records that are interpolated from this one's, which is for all boards.
+    pub fn over_boards(&self, channels: Vec<Channel>) -> Result<Self> {
+        if !self.scene.is_for_all_boards() {
+            let allowed = "the dictionary has boards of its own: leave this out";
+            return Err(Invalid::new("board", format_args!("{} channels", channels.len()), allowed));
+        }
+        check_boards("board", &channels)?;
+        let scene = self.scene().clone().with_channels(channels)?;
+        let responses = self.responses().map(|responses| {
+            let over = |variant: &Variant| Variant { channels: scene.channels().to_vec(), ..variant.clone() };
+            let variants = responses.variants().iter().map(over).collect();
+            Responses::new(&scene, &self.axes, variants, responses.walks_factor()).map(Arc::new)
+        });
+        Ok(Self { responses: responses.transpose()?, scene: Arc::new(scene), ..self.clone() })
     }
 
     /// This grid with more walks where the noise is above a target.

@@ -2,6 +2,7 @@
 //!
 //! Setting after Elek, Sumin et al. 2017, supplement, Secs. 4 and 5.1.
 
+pub(crate) mod boards;
 mod built_in;
 mod differences;
 mod dispersion;

@@ -394,7 +394,8 @@ class Farm(FarmAccess):
         """The given name; without one the only dictionary, else the first of the usual ones, as in farmctl."""
         if given is not None:
             return given
-        names = [dictionary.name for dictionary in self.dictionaries()]
+        # Those for all boards are asked with the board of a session, by farmctl.
+        names = [dictionary.name for dictionary in self.dictionaries() if dictionary.channels[0] != "board 1"]
         if len(names) == 1:
             return names[0]
         for usual in _USUAL:

@@ -76,7 +76,7 @@ fn example_session_gives_the_true_profiles() {
     }
     assert_eq!(session_json["inputs"].as_array().unwrap().len(), 14);
     let grid = farm_lab::grid_file::read_grid(&white.join("grid.toml")).unwrap();
-    assert_eq!(grid.thickness_mm(), [0.512, 1.024]);
+    assert_eq!(grid.thickness_mm(), [0.5, 1.0]);
     let measured = farm_lab::measurement_file::read_measurements(&white.join("measurements.csv")).unwrap();
     assert!(measured.notes.is_empty(), "{:?}", measured.notes);
 
@@ -121,6 +121,20 @@ fn captured_folder_is_measured_and_reported() {
     let again = run(folder.path(), &["measure", "white", "--json"]);
     assert_eq!(json(&again, "measure")["materials"], data["materials"]);
     assert_eq!(data["notes"], serde_json::json!([]));
+    // Sessions with another board share the dictionary, which is asked with theirs.
+    assert!(data["dictionary"].as_str().unwrap().starts_with("boards-"), "{data}");
+    let scene = std::fs::read_to_string(folder.path().join("white/scene.toml")).unwrap();
+    assert!(scene.contains("rho_light = 0.98"), "{scene}");
+    write(folder.path(), "white/scene.toml", &scene.replace("rho_light = 0.98", "rho_light = 0.96"));
+    let other_board = json(&run(folder.path(), &["measure", "white", "--json"]), "measure");
+    assert_eq!(other_board["dictionary"], data["dictionary"]);
+    assert_ne!(other_board["materials"], data["materials"]);
+    write(folder.path(), "white/scene.toml", &scene);
+    fails(
+        folder.path(),
+        &["measure", "white/measurements.csv", "--dictionary", data["dictionary"].as_str().unwrap()],
+        &["is for all boards", "measure the folder of a session"],
+    );
     // A dictionary of another scene is noted, with the quantities and both values.
     let axes = "sigma_t_per_mm = [5, 7, 10, 14, 20, 28]\nalbedo = [0.995, 0.999, 0.9999]\ng = [0.4]\n";
     let other = format!("{axes}thickness_mm = [0.512, 1.006]\nwalks = 20000\n");

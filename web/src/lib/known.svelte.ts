@@ -25,10 +25,16 @@ export async function listDictionaries(): Promise<Dictionary[]> {
   return all;
 }
 
+// Whether a dictionary is for all boards: it is asked with the board of a session, by `farmctl measure FOLDER`.
+export function isForAllBoards(dictionary: Dictionary): boolean {
+  return dictionary.grid?.scene?.channels[0]?.name === 'board 1';
+}
+
 // The dictionary that `farmctl` uses without --dictionary: the only one, or the first of the usual ones.
 export function usual(all: Dictionary[]): Dictionary | undefined {
-  const named = ['lab', 'paper'].map((name) => all.find((d) => d.name === name)).find((d) => d !== undefined);
-  return all.length === 1 ? all[0] : named;
+  const own = all.filter((d) => !isForAllBoards(d));
+  const named = ['lab', 'paper'].map((name) => own.find((d) => d.name === name)).find((d) => d !== undefined);
+  return own.length === 1 ? own[0] : named;
 }
 
 // The documentation's example was rendered in the scene `paper`.

@@ -3,7 +3,7 @@ import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb
 import type { SetUpQuantity } from '../gen/desk/v1/desk_pb';
 import { Objective, PhaseModel, type Mixture } from '../gen/farm/v1/fits_pb';
 import { desk } from './api';
-import { hasUncertainLobe, listDictionaries, preset, usual } from './known.svelte';
+import { hasUncertainLobe, isForAllBoards, listDictionaries, preset, usual } from './known.svelte';
 import { measured } from './measured.svelte';
 import { quoted } from './numbers';
 import { BOUNDS, fieldOf, optionOf, PHASES, rangeOf, standardOf, type MeasureQuestion, type Options } from './request';
@@ -15,7 +15,7 @@ class Question {
   // The file of mixtures, with its contents.
   mixtures = $state.raw<{ name: string; list: Mixture[] } | null>(null);
 
-  readonly ready = $derived(this.all?.filter((d) => d.state === DictionaryState.DONE) ?? []);
+  readonly ready = $derived(this.all?.filter((d) => d.state === DictionaryState.DONE && !isForAllBoards(d)) ?? []);
   readonly dictionary = $derived.by(() => {
     const named = (name: string | null): Dictionary | undefined => this.ready.find((d) => d.name === name);
     return measured.capture ? named(measured.capture.dictionary) : (named(route.get('dictionary')) ?? preset(this.ready, measured.example));

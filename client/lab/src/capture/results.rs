@@ -25,9 +25,11 @@ pub const FILES: [&str; 6] =
 
 /// Thicknesses that differ by less than this factor share a thickness of the dictionary: the fit allows for much more.
 const ALIKE: f64 = 1.04;
-/// A thickness that differs from twice another by less than this factor becomes twice that one: then many of their slabs
-/// have the same optical thickness and share their walks.
-const DOUBLE: f64 = 1.03;
+/// A thickness that differs from one of these in mm, or from twice another of the session, by less than this factor is
+/// replaced by it: sessions with slabs of the same nominal thickness share a dictionary, and slabs of the same optical
+/// thickness their walks.
+const NEAR: f64 = 1.03;
+const NOMINAL_MM: [f64; 14] = [0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 5.0];
 
 /// Writes the folder: no file unless all can be generated, and each file atomically. Returns the notes of reading its
 /// measurements back.
@@ -183,7 +185,7 @@ fn grid(captured: &Captured) -> Result<String> {
     ))
 }
 
-/// The midpoints of groups of thicknesses that are nearly alike, or twice another where that is near.
+/// The midpoints of groups of thicknesses that are nearly alike, or a nominal thickness, or twice another, near that.
 fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     thicknesses.sort_by(f64::total_cmp);
     let mut groups: Vec<[f64; 2]> = Vec::new();
@@ -195,13 +197,15 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     }
     let mut axis: Vec<f64> =
         groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect();
-    for i in 1..axis.len() {
+    for i in 0..axis.len() {
         let next = axis.get(i + 1).copied().unwrap_or(f64::INFINITY);
-        let is_near = |t: &f64| (axis[i] / t).ln().abs() < DOUBLE.ln();
+        let before = if i == 0 { 0.0 } else { axis[i - 1] };
+        let is_near = |t: &f64| (axis[i] / t).ln().abs() < NEAR.ln();
         // The axis must rise.
-        let fits = |t: &f64| axis[i - 1] < *t && *t < next;
-        let double = axis[..i].iter().map(|t| 2.0 * t).find(|t| is_near(t) && fits(t));
-        axis[i] = double.unwrap_or(axis[i]);
+        let fits = |t: &f64| before < *t && *t < next;
+        let doubles = axis[..i].iter().map(|t| 2.0 * t);
+        let other = NOMINAL_MM.into_iter().chain(doubles).find(|t| is_near(t) && fits(t));
+        axis[i] = other.unwrap_or(axis[i]);
     }
     axis
 }
@@ -333,13 +337,13 @@ mod tests {
 
     #[test]
     fn nearly_equal_slabs_share_a_dictionary_thickness() {
-        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.505, 1.01]);
-        assert_eq!(grouped(vec![0.5, 0.6]), [0.5, 0.6]);
-        assert_eq!(grouped(vec![0.512, 1.006, 2.03, 3.0]), [0.512, 1.024, 2.048, 3.0]);
-        // Two thicknesses near twice another stay apart.
-        assert_eq!(grouped(vec![0.512, 1.006, 1.05]), [0.512, 1.024, 1.05]);
-        assert_eq!(grouped(vec![0.52, 1.01, 1.03, 1.055]), [0.52, 1.04, 1.055]);
-        assert_eq!(grouped(vec![0.54, 1.03, 1.07, 1.0715]), [0.54, 1.05, 1.08]);
+        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.5, 1.0]);
+        assert_eq!(grouped(vec![0.62, 0.55]), [0.55, 0.62]);
+        // The thickest is twice another one.
+        assert_eq!(grouped(vec![0.512, 0.64, 1.006, 1.3]), [0.5, 0.64, 1.0, 1.28]);
+        // Two thicknesses near a nominal one or near twice another stay apart.
+        assert_eq!(grouped(vec![0.512, 1.006, 1.05]), [0.5, 1.0, 1.05]);
+        assert_eq!(grouped(vec![0.45, 0.88, 0.923]), [0.45, 0.9, 0.923]);
     }
 
     /// A bin without samples is interpolated with a large error, so that the profile has no gap.

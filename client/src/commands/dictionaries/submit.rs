@@ -5,7 +5,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::grid_file::{named_grid, read_grid};
+use farm_lab::grid_file::{named_grid, read_grid, with_responses};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
@@ -96,7 +96,8 @@ enum SubmitEnd {
     Followed(following::FollowEnd),
 }
 
-/// Computes a dictionary if it does not exist, and waits for it.
+/// Computes a dictionary if it does not exist, and waits for it. Responses that its grid lacks are planned only then, since
+/// that takes a moment.
 pub(crate) async fn ensure(
     connection: &Connection,
     name: &DictionaryName,
@@ -105,10 +106,20 @@ pub(crate) async fn ensure(
 ) -> Result<()> {
     let args = SubmitArgs { grid: None, name: None, quality: None, wait: true, priority: 0 };
     let known = list::fetch(connection).await?.into_iter().find(|d| d.name == *name);
-    if known.is_some_and(|d| d.state() == DictionaryState::Paused) {
-        bail!("dictionary {name} is paused: `farmctl resume {name}` continues it");
+    let lacks_responses = grid.responses().is_none();
+    match known {
+        Some(d) if d.state() == DictionaryState::Paused => {
+            bail!("dictionary {name} is paused: `farmctl resume {name}` continues it");
+        }
+        Some(d) if lacks_responses && d.state() == DictionaryState::Done => {
+            if d.grid.without_responses() == *grid {
+                return Ok(());
+            }
+        }
+        _ => {}
     }
-    let (status, end) = submit(connection, name, grid, &args, quiet).await?;
+    let planned = if lacks_responses { Some(with_responses(grid.clone())?) } else { None };
+    let (status, end) = submit(connection, name, planned.as_ref().unwrap_or(grid), &args, quiet).await?;
     match (&end, status.state()) {
         (SubmitEnd::Followed(following::FollowEnd::Ended(_)), DictionaryState::Done) => Ok(()),
         (SubmitEnd::Left | SubmitEnd::Followed(following::FollowEnd::Interrupted), _) => {

@@ -40,8 +40,14 @@ async fn name(connection: &Connection, given: Option<&String>) -> Result<String>
     if let Some(name) = given {
         return Ok(name.clone());
     }
-    let names: Vec<String> = list::fetch(connection).await?.into_iter().map(|d| d.name.to_string()).collect();
-    pick(&names)
+    pick(&names(&list::fetch(connection).await?))
+}
+
+/// Names of the dictionaries that a question about a measurement file may be asked: those for all boards need the board
+/// of a session.
+fn names(dictionaries: &[DictionaryStatus]) -> Vec<String> {
+    let with_boards = dictionaries.iter().filter(|d| !d.grid.scene().is_for_all_boards());
+    with_boards.map(|d| d.name.to_string()).collect()
 }
 
 /// A dictionary to compute.
@@ -77,13 +83,13 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
         return Ok(Chosen::Complete(name(connection, given).await?));
     }
     let dictionaries = list::fetch(connection).await?;
-    let names: Vec<String> = dictionaries.iter().map(|d| d.name.to_string()).collect();
+    let usable = names(&dictionaries);
     let name = match given {
         Some(name) => name.clone(),
-        None if names.is_empty() => USUAL[0].to_owned(),
-        None => pick(&names)?,
+        None if usable.is_empty() => USUAL[0].to_owned(),
+        None => pick(&usable)?,
     };
-    if !names.contains(&name) {
+    if !dictionaries.iter().any(|d| d.name.as_str() == name) {
         return Ok(built_in(&name).map_or(Chosen::Complete(name), Chosen::Lacking));
     }
     let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running;

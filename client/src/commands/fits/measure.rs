@@ -19,11 +19,12 @@ use farm_proto::wire::{GetRequest, Keep, MeasureRequest};
 use optics_model::fit::{
     Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
 };
+use optics_model::scene::Channel;
 use optics_model::{Grid, Scene};
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, Chosen, WantedDictionary};
-use super::{filters, other_scene};
+use super::{dictionary_notes, filters};
 use crate::answers::{FitsReport, MeasureAnswer, UsedOptions, budget_text, verdict, verdict_text};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
@@ -136,7 +137,7 @@ pub(crate) struct Inputs {
     common_g: bool,
     g_change: Option<f64>,
     dictionary: Option<String>,
-    /// The session's dictionary, unless another was named.
+    /// The dictionary of the session's set-up, unless another was named.
     own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
@@ -174,7 +175,8 @@ impl Inputs {
         let keep = args.keep.map(|title| kept_as(title, &args.measurements));
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
-                let (name, grid) = folder.dictionary()?;
+                let shared = folder.dictionary_for_all_boards()?;
+                let (name, grid) = shared.map_or_else(|| folder.dictionary(), Ok)?;
                 Some(WantedDictionary::new(DictionaryName::new(name)?, grid))
             }
             _ => None,
@@ -234,16 +236,14 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         g_change: inputs.g_change,
         keep: inputs.keep,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
+        board: Vec::new(),
     };
-    let session = match &inputs.folder {
-        Some(folder) if inputs.dictionary.is_some() => folder.scene()?,
-        _ => None,
-    };
+    let session = inputs.folder.as_ref().map(SessionFolder::scene).transpose()?.flatten();
     let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
-    let Answer { dictionary, grid, found, note } = ask(global, inputs.own, &asked).await?;
-    output.notes(note.as_slice(), &inputs.measurements);
-    notes.extend(note);
+    let Answer { dictionary, grid, found, notes: of_dictionary } = ask(global, inputs.own, &asked).await?;
+    output.notes(&of_dictionary, &inputs.measurements);
+    notes.extend(of_dictionary);
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
@@ -299,18 +299,34 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 struct Question<'a> {
     /// The named dictionary.
     given: Option<&'a String>,
-    /// The session's scene, to compare with that of a named dictionary.
+    /// The session's scene, to compare with that of a named dictionary, and with its board.
     session: Option<&'a Scene>,
-    /// The request; the dictionary's name is set later.
+    /// The request; the dictionary's name and the board are set later.
     request: MeasureRequest,
+}
+
+impl Question<'_> {
+    /// The session's board, if a dictionary is for all boards.
+    fn board(&self, dictionary: &str, grid: &Grid) -> Result<Vec<Channel>> {
+        if !grid.scene().is_for_all_boards() {
+            return Ok(Vec::new());
+        }
+        let Some(session) = self.session else {
+            bail!(
+                "dictionary {dictionary} is for all boards, and a measurement file has none: measure the folder of a \
+                 session, or name another dictionary with --dictionary"
+            );
+        };
+        Ok(session.channels().to_vec())
+    }
 }
 
 struct Answer {
     dictionary: String,
     grid: Grid,
     found: Box<MeasureAnswer>,
-    /// A note if the dictionary's scene differs from the session's.
-    note: Option<Note>,
+    /// On the dictionary.
+    notes: Vec<Note>,
 }
 
 /// Computes the dictionary if it is missing, and measures.
@@ -354,9 +370,17 @@ async fn ask_once(
         };
         let get = GetRequest { name: dictionary.clone() };
         let status = connection.dictionaries().get(get).await?.into_inner();
-        let grid = DictionaryStatus::try_from(status)?.grid;
-        let note = question.session.and_then(|session| other_scene::note(&dictionary, session, grid.scene()));
-        let request = MeasureRequest { dictionary: dictionary.clone(), ..question.request.clone() };
+        let stored = DictionaryStatus::try_from(status)?.grid;
+        let board = question.board(&dictionary, &stored)?;
+        let request = MeasureRequest {
+            dictionary: dictionary.clone(),
+            board: board.iter().map(Into::into).collect(),
+            ..question.request.clone()
+        };
+        let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
+        let named = question.session.filter(|_| question.given.is_some());
+        let other = named.and_then(|s| dictionary_notes::other_scene(&dictionary, s, grid.scene()));
+        let notes = other.into_iter().chain(dictionary_notes::few_walks(&dictionary, &grid)).collect();
         let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
             biased;
@@ -364,7 +388,7 @@ async fn ask_once(
             () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
             found = fits.measure(patient(request)) => found?.into_inner(),
         };
-        Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), note }))
+        Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), notes }))
     })
     .await
 }

@@ -20,7 +20,7 @@ async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
 async fn met(farm: &Farm, names: &[&str]) -> Result<Vec<usize>, FarmError> {
     let names: Vec<String> = names.iter().map(|name| (*name).to_owned()).collect();
     let question = |d: &optics_fit::FitDictionary| Ok(d.channels().map(|(index, _)| index).collect());
-    farm.ask(&name(), &names, question).await
+    farm.ask(&name(), (&names, Vec::new()), question).await
 }
 
 /// If there is no room for all channels, a fit reads its own only, and those that are in memory are not read again.
@@ -46,6 +46,15 @@ async fn dictionary_that_fits_is_read_whole() {
     for channel in ["R", "G", "B"] {
         assert!(!met(&farm, &[channel]).await.unwrap().is_empty());
     }
+}
+
+/// A question over given boards is refused by a dictionary with boards of its own.
+#[tokio::test]
+async fn boards_need_a_dictionary_for_all_boards() {
+    let (farm, _dir) = with_room_for(3).await;
+    let board = optics_model::scene::Channel::new("R", 0.95, 0.02).unwrap();
+    let refused = farm.ask(&name(), (&[], vec![board]), |_| Ok(())).await.unwrap_err();
+    assert!(matches!(&refused, FarmError::Invalid(invalid) if invalid.field() == "board"), "{refused:?}");
 }
 
 /// A fit beyond the memory limit is refused. The message gives the number of channels and the option that sets the limit.
@@ -80,7 +89,10 @@ async fn abandoned_question_ends() {
         Ok(())
     };
     let asking = farm.clone();
-    let asked = tokio::spawn(async move { asking.ask::<()>(&name(), &["G".to_owned()], question).await });
+    let asked =
+        tokio::spawn(
+            async move { asking.ask::<()>(&name(), (&["G".to_owned()], Vec::new()), question).await },
+        );
     has_begun.await.unwrap();
     asked.abort();
     assert!(asked.await.unwrap_err().is_cancelled());

@@ -1,0 +1,82 @@
+//! Notes on the dictionary of a measurement: that it has another scene than the session, or too few walks for intervals.
+
+use farm_lab::measurement_file::Note;
+use optics_model::grid::NoiseLevel;
+use optics_model::{Grid, Scene, TransportPoint};
+
+/// Least share of the walks of the paper's quality with which intervals of estimated set-ups hold.
+const ENOUGH_WALKS: f64 = 0.9;
+
+/// A note if a dictionary whose scene is estimated has fewer walks than the paper's quality: −2 ln L then has several
+/// minima, and an interval is about one of them.
+pub(super) fn few_walks(dictionary: &str, grid: &Grid) -> Option<Note> {
+    let point = |sigma_t: &f64, thickness_mm: &f64| {
+        TransportPoint::new(*sigma_t, grid.g()[0], *thickness_mm, grid.sample_ior()[0]).ok()
+    };
+    let thickest = point(grid.sigma_t_per_mm().last()?, grid.thickness_mm().last()?)?;
+    let walks = |effort: optics_model::grid::Effort| effort.walks(&thickest).get();
+    let [own, enough] = [walks(grid.effort()), walks(NoiseLevel::Paper.into())];
+    let few = (own as f64) < ENOUGH_WALKS * enough as f64;
+    (few && grid.quality().is_none() && grid.responses().is_some()).then(|| Note {
+        code: "FEW_WALKS",
+        text: format!(
+            "dictionary {dictionary} has {own} walks for its thickest sample: with fewer than {enough}, those of quality \
+             paper, intervals with an estimated set-up may be too narrow and g far off"
+        ),
+    })
+}
+
+/// A note if the scene of a dictionary differs from the session's.
+pub(super) fn other_scene(dictionary: &str, session: &Scene, other: &Scene) -> Option<Note> {
+    let differences = session.differences(other);
+    let list: Vec<String> =
+        differences.iter().map(|d| format!("{} {} instead of {}", d.quantity, d.other, d.own)).collect();
+    (!list.is_empty()).then(|| Note {
+        code: "SCENE_DIFFERS",
+        text: format!(
+            "dictionary {dictionary} has another scene than the session: {}; without --dictionary the session's own is \
+             used",
+            list.join("; ")
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use optics_model::scene::Prior;
+
+    use super::*;
+
+    /// Drafts of a scene that is estimated are noted; those of an exact scene and of the paper's quality are not.
+    #[test]
+    fn drafts_of_estimated_scenes_are_noted() {
+        let lab = farm_lab::grid_file::named_grid("lab").unwrap();
+        assert_eq!(few_walks("lab", &lab), None);
+        let draft = lab.with_effort(NoiseLevel::Draft).unwrap();
+        let note = few_walks("mine", &draft).unwrap();
+        assert_eq!(note.code, "FEW_WALKS");
+        assert!(note.text.starts_with("dictionary mine has 5500 walks"), "{}", note.text);
+        assert_eq!(few_walks("paper", &Grid::paper().with_effort(NoiseLevel::Draft).unwrap()), None);
+    }
+
+    /// The note names the quantity, with the values of both scenes.
+    #[test]
+    fn note_has_both_values_of_a_prior() {
+        let lab = Scene::lab();
+        let halved = |prior: &Prior| {
+            let half = 0.5 * prior.std_error();
+            Prior::new(prior.kind(), prior.layers().to_vec(), half, prior.scope()).unwrap()
+        };
+        let mut priors = lab.priors().to_vec();
+        let gel = priors.iter_mut().find(|prior| lab.name_of(prior) == "gel thickness").unwrap();
+        *gel = halved(gel);
+        let session = lab.clone().with_priors(priors).unwrap();
+        let found = other_scene("lab", &session, &lab).unwrap();
+        assert_eq!(
+            found.text,
+            "dictionary lab has another scene than the session: gel thickness 0.02 ± 0.02 mm per slab instead of 0.02 ± \
+             0.01 mm per slab; without --dictionary the session's own is used"
+        );
+        assert_eq!(other_scene("lab", &lab, &lab), None);
+    }
+}
