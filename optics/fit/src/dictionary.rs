@@ -3,6 +3,7 @@
 
 pub(crate) mod axes;
 mod channel;
+pub(crate) mod coefficients;
 pub(crate) mod gradient;
 pub(crate) mod records;
 pub(crate) mod responses;
@@ -20,6 +21,7 @@ use rayon::prelude::*;
 
 use crate::stop::{Stop, Stopped};
 use channel::ChannelRecords;
+use coefficients::Coefficients;
 use records::Records;
 use responses::{ResponseRecords, VariedRecords};
 use view::{View, ViewKey};
@@ -145,13 +147,14 @@ impl DictionaryBuilder {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Maximum bytes of a channel of a grid: values; and unless it is one under a darker white reference, responses, and
+    /// Maximum bytes of a channel of a grid: values and coefficients; and unless it is one under a darker white reference, responses, and
     /// descriptions (in small dictionaries gradients, too) for the whole profiles and for one other range of pixels.
     pub fn bytes_of(grid: &Grid, channel: usize) -> usize {
         let is_seen = grid.scene().seen_channels().any(|seen| seen == channel);
         let beyond = || responses::bytes_of(grid).saturating_add(2 * view::bytes_of(grid));
         let beyond = if is_seen { beyond() } else { 0 };
-        records::bytes_of(grid).saturating_add(beyond)
+        let of_records = records::bytes_of(grid).saturating_add(Coefficients::bytes_of(grid));
+        of_records.saturating_add(beyond)
     }
 }
 
@@ -207,6 +210,11 @@ impl FitDictionary {
 
     pub(crate) fn records(&self, channel: usize) -> &Records {
         self.channel(channel).records()
+    }
+
+    /// The records as coefficients in a basis, for predictions.
+    pub(crate) fn coefficients(&self, channel: usize) -> &Coefficients {
+        self.channel(channel).coefficients()
     }
 
     /// The view over all pixels, which stays cached.

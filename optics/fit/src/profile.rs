@@ -50,7 +50,7 @@ pub fn profile(dictionary: &FitDictionary, question: &ProfileQuestion) -> Result
 /// Leaves the channel's name empty: the caller sets it.
 fn of_channel(surrogate: &Surrogate, medium: &Medium, thickness_mm: f64) -> PredictedChannel {
     let x = coordinates(medium);
-    let values = surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), x).values;
+    let values = surrogate.predict_at(thickness_mm, x).values;
     let noise = surrogate.noise_factors_at(thickness_mm, x);
     let at = |pixel: usize| noise.factors.iter().map(|f| f[pixel] * f[pixel]).sum::<f64>().sqrt();
     let known = noise.degrees >= LEAST_DEGREES;

@@ -19,7 +19,6 @@ use optics_model::fit::{Bounds, FitOptions};
 use optics_model::{Grid, Medium};
 
 use crate::dictionary::FitDictionary;
-use crate::dictionary::records::{Row, Rows, Stored};
 use crate::dictionary::wide::wide;
 use local_axis::{LocalAxis, Weights};
 
@@ -113,11 +112,6 @@ impl<'a> Surrogate<'a> {
         self.dictionary.grid()
     }
 
-    /// Number of pixels of the dictionary's profiles.
-    pub(crate) fn pixels(&self) -> usize {
-        self.grid().scene().sensor().pixels()
-    }
-
     /// Least and greatest value of each coordinate.
     pub(crate) fn limits(&self) -> [(f64, f64); 3] {
         let albedo = (self.albedo[self.albedo.len() - 1], self.albedo[0]);
@@ -150,58 +144,43 @@ impl<'a> Surrogate<'a> {
         self.dictionary.records(self.channel).values(self.record(place), pixels)
     }
 
-    pub(crate) fn predict(
-        &self,
-        thickness: usize,
-        pixels: std::ops::Range<usize>,
-        x: Coordinates,
-    ) -> Prediction {
+    /// The profile at one of the dictionary's thicknesses.
+    pub(crate) fn predict(&self, thickness: usize, x: Coordinates) -> Prediction {
         self.dictionary.stop.check();
-        match self.dictionary.records(self.channel).stored() {
-            Stored::Exact(rows) => self.predict_from(rows, thickness, pixels, x),
-            Stored::Rounded(rows) => self.predict_from(rows, thickness, pixels, x),
-        }
-    }
-
-    fn predict_from<R: Rows>(
-        &self,
-        rows: &R,
-        thickness: usize,
-        pixels: std::ops::Range<usize>,
-        x: Coordinates,
-    ) -> Prediction {
+        let records = self.dictionary.records(self.channel);
+        let coefficients = self.dictionary.coefficients(self.channel);
+        let count = coefficients.count();
         let s = self.sigma_t.weights(x[SIGMA_T]);
         let a = interpolation(&self.albedo, x[ALBEDO]);
         let g = self.g.weights(x[G]);
-        let zero = || vec![0.0; pixels.len()];
-        let mut values = zero();
-        let mut slopes = [zero(), zero(), zero()];
         // At most four weights; the others are 0.
         let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
         let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
-        let mut sums = NodeSums::new(pixels.len());
-        let mut nodes = Vec::with_capacity(g.values.len());
+        let mut sums = NodeSums::new(count);
+        let mut whole =
+            Prediction { values: vec![0.0; count], slopes: std::array::from_fn(|_| vec![0.0; count]) };
         for i in 0..s.values.len() {
-            nodes.clear();
-            nodes.extend((0..g.values.len()).map(|k| {
-                let row = |j: usize| {
-                    let albedo = a.first + j.min(a.values.len() - 1);
-                    rows.row(self.record([s.first + i, g.first + k, thickness, albedo]), pixels.clone())
-                };
+            let node = |k: usize| {
+                let first = self.record([s.first + i, g.first + k, thickness, 0]);
+                let node = coefficients.node(records, first / self.albedo.len());
+                let row = |j: usize| &node[(a.first + j.min(a.values.len() - 1)) * count..][..count];
                 Node { rows: std::array::from_fn(row), weight: g.values[k], slope: g.slopes[k] }
-            }));
+            };
+            let nodes: Vec<Node> = (0..g.values.len()).map(node).collect();
             let (weight, slope) = (s.values[i], s.slopes[i]);
             wide(
                 #[inline(always)]
                 || {
                     sums.sum(&nodes, &albedos);
-                    add_scaled(&mut values, weight, &sums.value);
-                    add_scaled(&mut slopes[SIGMA_T], slope, &sums.value);
-                    add_scaled(&mut slopes[ALBEDO], weight, &sums.by_albedo);
-                    add_scaled(&mut slopes[G], weight, &sums.by_g);
+                    add_scaled(&mut whole.values, weight, &sums.value);
+                    add_scaled(&mut whole.slopes[SIGMA_T], slope, &sums.value);
+                    add_scaled(&mut whole.slopes[ALBEDO], weight, &sums.by_albedo);
+                    add_scaled(&mut whole.slopes[G], weight, &sums.by_g);
                 },
             );
         }
+        let [by_s, by_a, by_g] = &whole.slopes;
+        let [values, slopes @ ..] = coefficients.profiles([&whole.values, by_s, by_a, by_g]);
         Prediction { values, slopes }
     }
 
@@ -238,16 +217,16 @@ struct AlbedoWeights {
 }
 
 /// Records of one σ_t and g at four albedos, the weight of this g and its derivative.
-struct Node<R> {
-    rows: [R; 4],
+struct Node<'a> {
+    rows: [&'a [f32]; 4],
     weight: f64,
     slope: f64,
 }
 
-/// Number of pixels that are summed at a time: as many as vector registers hold.
+/// Number of coefficients that are summed at a time: as many as vector registers hold.
 const BLOCK: usize = 8;
 
-/// Sums over the records of one σ_t: the value, and its derivatives by √(1 − α) and ln(1 − g).
+/// Sums over the records of one σ_t: the coefficients, and their derivatives by √(1 − α) and ln(1 − g).
 struct NodeSums {
     value: Vec<f64>,
     by_albedo: Vec<f64>,
@@ -255,56 +234,51 @@ struct NodeSums {
 }
 
 impl NodeSums {
-    fn new(pixels: usize) -> Self {
-        let zero = || vec![0.0; pixels];
+    fn new(count: usize) -> Self {
+        let zero = || vec![0.0; count];
         Self { value: zero(), by_albedo: zero(), by_g: zero() }
     }
 
-    /// Sums up records, one anisotropy after the other: its four records are one piece of memory, and processors fetch few
-    /// pieces ahead at a time.
     #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
     #[inline(always)]
-    fn sum<R: Row>(&mut self, nodes: &[Node<R>], albedos: &AlbedoWeights) {
-        let pixels = self.value.len();
-        for sums in [&mut self.value, &mut self.by_albedo, &mut self.by_g] {
-            sums.fill(0.0);
+    fn sum(&mut self, nodes: &[Node], albedos: &AlbedoWeights) {
+        let count = self.value.len();
+        let whole = count / BLOCK * BLOCK;
+        for at in (0..whole).step_by(BLOCK) {
+            self.sum_block::<BLOCK>(nodes, albedos, at);
         }
-        let whole = pixels / BLOCK * BLOCK;
-        for node in nodes {
-            for at in (0..whole).step_by(BLOCK) {
-                self.add_block::<R, BLOCK>(node, albedos, at);
-            }
-            for at in whole..pixels {
-                self.add_block::<R, 1>(node, albedos, at);
-            }
+        for at in whole..count {
+            self.sum_block::<1>(nodes, albedos, at);
         }
     }
 
-    /// Adds the records of one anisotropy to the pixels of one block.
     #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
     #[inline(always)]
-    fn add_block<R: Row, const N: usize>(&mut self, node: &Node<R>, albedos: &AlbedoWeights, at: usize) {
+    fn sum_block<const N: usize>(&mut self, nodes: &[Node], albedos: &AlbedoWeights, at: usize) {
         let mix = |v: [f64; 4], w: &[f64; 4]| v[0] * w[0] + v[1] * w[1] + v[2] * w[2] + v[3] * w[3];
-        // One by one: calls of closures by `map` are not all vectorised.
-        let [a, b, c, d] = node.rows;
-        let rows: [[f32; N]; 4] = [a.block(at), b.block(at), c.block(at), d.block(at)];
-        let value = block_mut::<N>(&mut self.value, at);
-        let by_albedo = block_mut::<N>(&mut self.by_albedo, at);
-        let by_g = block_mut::<N>(&mut self.by_g, at);
-        for p in 0..N {
-            let v = [rows[0][p].into(), rows[1][p].into(), rows[2][p].into(), rows[3][p].into()];
-            let mixed = mix(v, &albedos.values);
-            value[p] += node.weight * mixed;
-            by_albedo[p] += node.weight * mix(v, &albedos.slopes);
-            by_g[p] += node.slope * mixed;
+        let [mut value, mut by_albedo, mut by_g] = [[0.0; N]; 3];
+        for node in nodes {
+            // One by one: calls of closures by `map` are not all vectorised.
+            let [a, b, c, d] = node.rows;
+            let rows: [&[f32; N]; 4] = [block(a, at), block(b, at), block(c, at), block(d, at)];
+            for p in 0..N {
+                let v = [rows[0][p].into(), rows[1][p].into(), rows[2][p].into(), rows[3][p].into()];
+                let mixed = mix(v, &albedos.values);
+                value[p] += node.weight * mixed;
+                by_albedo[p] += node.weight * mix(v, &albedos.slopes);
+                by_g[p] += node.slope * mixed;
+            }
         }
+        self.value[at..at + N].copy_from_slice(&value);
+        self.by_albedo[at..at + N].copy_from_slice(&by_albedo);
+        self.by_g[at..at + N].copy_from_slice(&by_g);
     }
 }
 
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
 #[inline(always)]
-fn block_mut<const N: usize>(sums: &mut [f64], at: usize) -> &mut [f64; N] {
-    sums[at..].first_chunk_mut().expect("the block is whole")
+fn block<const N: usize>(row: &[f32], at: usize) -> &[f32; N] {
+    row[at..].first_chunk().expect("the block is whole")
 }
 
 /// Adds factor · v.

@@ -133,6 +133,7 @@ impl Grid {
         self.responses.as_deref()
     }
 
+    #[must_use]
     pub fn without_responses(self) -> Self {
         Self { responses: None, ..self }
     }

@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use crate::dictionary::coefficients::Coefficients;
 use crate::dictionary::records::Records;
 use crate::dictionary::responses::ResponseRecords;
 use crate::dictionary::view::{View, ViewKey, made_once};
@@ -15,13 +16,15 @@ type Slot = Arc<OnceLock<Arc<View>>>;
 pub(crate) struct ChannelRecords {
     records: Arc<Records>,
     responses: Option<ResponseRecords>,
+    /// Made for the first prediction.
+    coefficients: OnceLock<Coefficients>,
     /// The default view first, then the latest other one.
     views: Mutex<Vec<(ViewKey, Slot)>>,
 }
 
 impl ChannelRecords {
     pub(crate) fn new(records: Records, responses: Option<ResponseRecords>) -> Self {
-        Self { records: Arc::new(records), responses, views: Mutex::default() }
+        Self { records: Arc::new(records), responses, coefficients: OnceLock::new(), views: Mutex::default() }
     }
 
     pub(crate) fn responses(&self) -> Option<&ResponseRecords> {
@@ -30,6 +33,10 @@ impl ChannelRecords {
 
     pub(crate) fn records(&self) -> &Records {
         &self.records
+    }
+
+    pub(crate) fn coefficients(&self) -> &Coefficients {
+        self.coefficients.get_or_init(|| Coefficients::of(&self.records))
     }
 
     /// The view over all pixels, which stays cached once it was made.

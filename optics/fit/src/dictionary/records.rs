@@ -43,84 +43,22 @@ pub(crate) struct Records {
 }
 
 #[derive(Debug)]
-pub(crate) enum Stored {
+enum Stored {
     Exact(Exact),
     Rounded(Rounded),
 }
 
 /// Values as `[record][pixel]`.
 #[derive(Debug)]
-pub(crate) struct Exact {
-    pixels: usize,
+struct Exact {
     values: Vec<f32>,
 }
 
 /// Roots in steps as `[record][pixel]`, and the square of a step by record.
 #[derive(Debug)]
-pub(crate) struct Rounded {
-    pixels: usize,
+struct Rounded {
     roots: Vec<u16>,
     units: Vec<f32>,
-}
-
-/// Records whose values are read in place.
-pub(crate) trait Rows {
-    type Row<'a>: Row
-    where
-        Self: 'a;
-
-    /// A record's values on some of the pixels.
-    fn row(&self, record: usize, pixels: Range<usize>) -> Self::Row<'_>;
-}
-
-/// The values of one record.
-pub(crate) trait Row: Copy {
-    /// The values of `N` pixels, from `first` on.
-    fn block<const N: usize>(self, first: usize) -> [f32; N];
-}
-
-impl Rows for Exact {
-    type Row<'a> = &'a [f32];
-
-    fn row(&self, record: usize, pixels: Range<usize>) -> &[f32] {
-        &self.values[record * self.pixels..][pixels]
-    }
-}
-
-impl Row for &[f32] {
-    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
-    #[inline(always)]
-    fn block<const N: usize>(self, first: usize) -> [f32; N] {
-        *self[first..].first_chunk().expect("the row is long enough")
-    }
-}
-
-/// A record of [`Rounded`].
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct RoundedRow<'a> {
-    roots: &'a [u16],
-    unit: f32,
-}
-
-impl Rows for Rounded {
-    type Row<'a> = RoundedRow<'a>;
-
-    fn row(&self, record: usize, pixels: Range<usize>) -> RoundedRow<'_> {
-        RoundedRow { roots: &self.roots[record * self.pixels..][pixels], unit: self.units[record] }
-    }
-}
-
-impl Row for RoundedRow<'_> {
-    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
-    #[inline(always)]
-    fn block<const N: usize>(self, first: usize) -> [f32; N] {
-        let roots: &[u16; N] = self.roots[first..].first_chunk().expect("the row is long enough");
-        let mut values = [0.0; N];
-        for i in 0..N {
-            values[i] = square(roots[i], self.unit);
-        }
-        values
-    }
 }
 
 #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
@@ -140,9 +78,9 @@ impl Records {
     pub(crate) fn kept(grid: Arc<Grid>, exactly: bool) -> Self {
         let (records, pixels) = (grid.record_count(), grid.scene().sensor().pixels());
         let stored = if exactly {
-            Stored::Exact(Exact { pixels, values: vec![0.0; records * pixels] })
+            Stored::Exact(Exact { values: vec![0.0; records * pixels] })
         } else {
-            Stored::Rounded(Rounded { pixels, roots: vec![0; records * pixels], units: vec![0.0; records] })
+            Stored::Rounded(Rounded { roots: vec![0; records * pixels], units: vec![0.0; records] })
         };
         Self { grid, stored }
     }
@@ -155,16 +93,12 @@ impl Records {
         matches!(self.stored, Stored::Exact(_))
     }
 
-    pub(crate) fn stored(&self) -> &Stored {
-        &self.stored
-    }
-
     /// The values of a record on some of the pixels.
     pub(crate) fn values(&self, record: usize, pixels: Range<usize>) -> Cow<'_, [f32]> {
         match &self.stored {
-            Stored::Exact(exact) => Cow::Borrowed(exact.row(record, pixels)),
-            Stored::Rounded(rounded) => {
-                let RoundedRow { roots, unit } = rounded.row(record, pixels);
+            Stored::Exact(Exact { values }) => Cow::Borrowed(&values[record * self.pixels()..][pixels]),
+            Stored::Rounded(Rounded { roots, units }) => {
+                let (roots, unit) = (&roots[record * self.pixels()..][pixels], units[record]);
                 let mut values = vec![0.0; roots.len()];
                 wide(
                     #[inline(always)]
@@ -180,10 +114,10 @@ impl Records {
         let pixels = self.pixels();
         let numbers = record * pixels..(record + 1) * pixels;
         match &mut self.stored {
-            Stored::Exact(Exact { values, .. }) => {
+            Stored::Exact(Exact { values }) => {
                 values[numbers].iter_mut().zip(new).for_each(|(value, new)| *value = new);
             }
-            Stored::Rounded(Rounded { roots, units, .. }) => {
+            Stored::Rounded(Rounded { roots, units }) => {
                 let new: Vec<f32> = new.collect();
                 debug_assert!(new.iter().all(|value| *value >= 0.0), "radiance factors are not negative");
                 units[record] = round(&new, &mut roots[numbers]);
@@ -244,8 +178,6 @@ mod tests {
                 assert!((found - given).abs() <= most, "{found} {given} {most}");
             }
             assert_eq!(*records.values(record, 3..9), found[3..9]);
-            let Stored::Rounded(rounded) = records.stored() else { panic!("{records:?}") };
-            assert_eq!(rounded.row(record, 2..21).block::<8>(3), found[5..13]);
         }
     }
 }

@@ -232,7 +232,7 @@ impl Term {
         let (thickness_mm, medium) = (shared.thickness_mm(), shared.medium());
         let mut predicted = match &self.near {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
-            None => surrogate.predict_at(thickness_mm, 0..surrogate.pixels(), medium),
+            None => surrogate.predict_at(thickness_mm, medium),
         };
         let change = self.responses.as_ref().map(|r| r.change(thickness_mm, medium, shared.scene()));
         if let Some(change) = &change {
@@ -263,30 +263,37 @@ impl Term {
             model.iter_mut().zip(mode).for_each(|(m, v)| *m += c * v);
         }
         let inverse: Line = (0..n).map(|i| 1.0 / self.deviation(i)).collect();
-        let over_noise = |f: &dyn Fn(usize) -> f64| -> Line { (0..n).map(|i| f(i) * inverse[i]).collect() };
+        let over_factors: Line = factors.iter().zip(&inverse).map(|(f, i)| f * i).collect();
+        let times = |by: &[f64], with: &[f64]| -> Line { by.iter().zip(with).map(|(a, b)| a * b).collect() };
         let mut columns = Vec::with_capacity(self.shared_count() + self.own_count());
         let [by_sigma_t, by_albedo, by_g, by_thickness, by_scene @ ..] = &seen.slopes[..] else {
             unreachable!("four slopes at least")
         };
         for by in [by_sigma_t, by_albedo, by_g] {
-            columns.push(over_noise(&|i| by[i] * factors[i]));
+            columns.push(times(by, &over_factors));
         }
-        let through_rho = |i: usize| by_white.as_ref().map_or(0.0, |by| by[i] * factors[i]);
-        columns.push(over_noise(&|i| through_rho(i) - scale * seen.values[i]));
-        let by_own = |own: Own, sd: f64| match own {
-            Own::Origin => over_noise(&|i| sd * seen.by_origin[i] * factors[i]),
-            Own::Gain => over_noise(&|i| sd * seen.values[i]),
-            Own::Zero => over_noise(&|_| sd),
-            Own::Slope => over_noise(&|i| sd * seen.values[i] * self.x_mm[i] / 10.0),
+        let values = times(&seen.values, &inverse);
+        let mut by_scale: Line = values.iter().map(|v| -scale * v).collect();
+        if let Some(by) = &by_white {
+            add_scaled(&mut by_scale, 1.0, &times(by, &over_factors));
+        }
+        columns.push(by_scale);
+        let by_own = |own: Own, sd: f64| -> Line {
+            match own {
+                Own::Origin => times(&seen.by_origin, &over_factors).iter().map(|v| sd * v).collect(),
+                Own::Gain => values.iter().map(|v| sd * v).collect(),
+                Own::Zero => inverse.iter().map(|v| sd * v).collect(),
+                Own::Slope => values.iter().zip(&self.x_mm).map(|(v, x)| sd * v * x / 10.0).collect(),
+            }
         };
         columns
             .extend(OF_SLABS.map(|own| by_own(own, self.prior(own).map_or(0.0, |(_, p)| p.slab_std_error))));
         let by_blur = blur::slope(shared.blur());
-        columns.push(over_noise(&|i| by_blur * seen.by_blur[i] * factors[i]));
-        columns.push(over_noise(&|i| by_thickness[i] * factors[i]));
-        columns.extend(by_scene.iter().map(|by| over_noise(&|i| by[i] * factors[i])));
+        columns.push(times(&seen.by_blur, &over_factors).iter().map(|v| by_blur * v).collect());
+        columns.push(times(by_thickness, &over_factors));
+        columns.extend(by_scene.iter().map(|by| times(by, &over_factors)));
         columns.extend(self.priors.iter().map(|prior| by_own(prior.own, prior.std_error)));
-        columns.extend(self.modes.iter().map(|mode| over_noise(&|i| mode[i])));
+        columns.extend(self.modes.iter().map(|mode| times(mode, &inverse)));
         let residuals: Line = (0..n).map(|i| (self.values[i] - model[i]) * inverse[i]).collect();
         let kept = residuals.iter().zip(&self.left_out).filter(|(_, out)| !**out);
         let squares = kept

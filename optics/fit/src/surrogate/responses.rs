@@ -8,7 +8,7 @@
 
 use noise::Stencil;
 
-use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
+use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, add_scaled};
 use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 
 pub(crate) mod noise;
@@ -60,12 +60,18 @@ impl LocalResponses {
         for (response, u) in self.each.iter().zip(quantities) {
             let (height, slope) = response.curve.at(response.in_channel + u);
             let [linear, by_s, by_a, by_g] = &response.linear;
-            let there = |p: usize| linear[p] + off[0] * by_s[p] + off[1] * by_a[p] + off[2] * by_g[p];
-            change.values.iter_mut().enumerate().for_each(|(p, value)| *value += height * there(p));
-            for (slopes, by) in change.slopes.iter_mut().zip([by_s, by_a, by_g]) {
-                slopes.iter_mut().zip(by).for_each(|(s, v)| *s += height * v);
+            let mut there = linear.clone();
+            for (off, by) in off.iter().zip([by_s, by_a, by_g]) {
+                add_scaled(&mut there, *off, by);
             }
-            change.by_quantity.push((0..pixels).map(|p| slope * there(p)).collect());
+            add_scaled(&mut change.values, height, &there);
+            for (slopes, by) in change.slopes.iter_mut().zip([by_s, by_a, by_g]) {
+                add_scaled(slopes, height, by);
+            }
+            for v in &mut there {
+                *v *= slope;
+            }
+            change.by_quantity.push(there);
         }
         change
     }

@@ -10,8 +10,6 @@ mod stretch;
 #[cfg(test)]
 mod tests;
 
-use std::ops::Range;
-
 use optics_model::scene::LayerMedium;
 use optics_model::{Grid, Invalid};
 
@@ -106,16 +104,10 @@ impl Surrogate<'_> {
 
     /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but is
     /// unreliable there.
-    pub(crate) fn predict_at(&self, thickness_mm: f64, pixels: Range<usize>, x: Coordinates) -> PredictionAt {
-        let whole = match ThicknessBasis::of(self.grid(), thickness_mm) {
+    pub(crate) fn predict_at(&self, thickness_mm: f64, x: Coordinates) -> PredictionAt {
+        match ThicknessBasis::of(self.grid(), thickness_mm) {
             ThicknessBasis::One(thickness) => self.scaled(thickness, thickness_mm, x),
             ThicknessBasis::Two { thin, thick } => self.interpolated(thin, thick, thickness_mm, x),
-        };
-        let cut = |v: Vec<f64>| v[pixels.clone()].to_vec();
-        PredictionAt {
-            values: cut(whole.values),
-            slopes: whole.slopes.map(cut),
-            by_ln_thickness: cut(whole.by_ln_thickness),
         }
     }
 
@@ -234,8 +226,7 @@ impl Surrogate<'_> {
     fn at_optical_thickness(&self, thickness: usize, ln_optical: f64, x: Coordinates) -> Prediction {
         let grid = self.grid();
         let ln_sigma_t = ln_optical - grid.thickness_mm()[thickness].ln();
-        let pixels = 0..grid.scene().sensor().pixels();
-        self.predict(thickness, pixels, [ln_sigma_t, x[ALBEDO], x[G]])
+        self.predict(thickness, [ln_sigma_t, x[ALBEDO], x[G]])
     }
 
     fn stretched(

@@ -22,7 +22,7 @@ impl White {
         medium: Coordinates,
         ln_mu: f64,
     ) -> Option<Self> {
-        let values = |of: &Surrogate| of.predict_at(thickness_mm, 0..of.pixels(), medium).values;
+        let values = |of: &Surrogate| of.predict_at(thickness_mm, medium).values;
         let darker = values(&surrogate.under_darker_white()?);
         let pairs = values(surrogate).into_iter().zip(darker);
         let slope = pairs.map(|(stated, darker)| (stated - darker) / -DARKER_WHITE.ln()).collect();

@@ -64,8 +64,8 @@ fn dictionary_thicknesses_are_predicted_from_records() {
         let ends = [1.0, 1.11_f64.powi(29)];
         for sigma_t in SIGMA_T_PER_MM.into_iter().chain(ends) {
             let x = medium(sigma_t);
-            let from_records = surrogate.predict(thickness, 7..90, x);
-            let at = surrogate.predict_at(mm, 7..90, x);
+            let from_records = surrogate.predict(thickness, x);
+            let at = surrogate.predict_at(mm, x);
             assert!(rms(&at.values, &from_records.values) < 1e-12, "{mm} mm, {sigma_t}");
             for (a, b) in at.slopes.iter().zip(&from_records.slopes) {
                 assert!(rms(a, b) < 1e-10, "{mm} mm, {sigma_t}: {}", rms(a, b));
@@ -86,7 +86,7 @@ fn slopes_match_difference_quotients() {
     };
     for mm in [0.46, 0.53, 0.71, 0.97, 1.06] {
         for sigma_t in SIGMA_T_PER_MM {
-            let at = |mm: f64, x: Coordinates| surrogate.predict_at(mm, 0..PIXELS, x);
+            let at = |mm: f64, x: Coordinates| surrogate.predict_at(mm, x);
             let here = at(mm, medium(sigma_t));
             for c in [SIGMA_T, ALBEDO, G] {
                 let moved = |by: f64| {
@@ -117,7 +117,7 @@ fn slabs_of_any_thickness_are_predicted() {
     let error = |surrogate: &Surrogate, mm: f64, sigma_t: f64| {
         let exact = Medium::new(sigma_t, 0.92, 0.33).unwrap();
         let truth: Vec<f64> = (0..PIXELS).map(|i| slab(sensor.centre_mm(i), &exact, mm)).collect();
-        rms(&surrogate.predict_at(mm, 0..PIXELS, medium(sigma_t)).values, &truth)
+        rms(&surrogate.predict_at(mm, medium(sigma_t)).values, &truth)
     };
     for sigma_t in [2.5, 4.0] {
         let model = 1.2e-4;
@@ -138,7 +138,7 @@ fn predictions_are_continuous() {
     let greatest_jump = |at: &dyn Fn(f64) -> (f64, f64)| {
         let profile = |share: f64| {
             let (mm, sigma_t) = at(share);
-            surrogate.predict_at(mm, 0..PIXELS, medium(sigma_t)).values
+            surrogate.predict_at(mm, medium(sigma_t)).values
         };
         let steps = (0..=400).map(|i| profile(f64::from(i) / 400.0)).collect::<Vec<_>>();
         steps.windows(2).map(|w| rms(&w[0], &w[1])).fold(0.0, f64::max)
@@ -312,7 +312,7 @@ fn error_stays_below_allowed_noise_share() {
         let dictionary = traced.dictionary(tau, &[0.5, 1.0]);
         let surrogate = Surrogate::new(&dictionary, 0, 0);
         for mm in thicknesses_mm {
-            let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, 0..360, x));
+            let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, x));
             assert!(greatest(&errors) < allowed(mm), "{tau}, {mm} mm: {errors:.3?}");
         }
     }
@@ -326,7 +326,7 @@ fn one_thickness_serves_similar_slabs() {
         let dictionary = traced.dictionary(1.0, &[only]);
         let surrogate = Surrogate::new(&dictionary, 0, 0);
         let (low, high) = ranges(surrogate.grid())[0];
-        let error = |mm: f64| greatest(&traced.errors(1.0, mm, |x| surrogate.predict_at(mm, 0..360, x)));
+        let error = |mm: f64| greatest(&traced.errors(1.0, mm, |x| surrogate.predict_at(mm, x)));
         for (mm, beyond) in [(low, only * 0.8), (high, only * 1.2)] {
             assert!(error(mm) < 0.2, "{mm} mm: {}", error(mm));
             assert!(error(beyond) > 0.2, "{beyond} mm: {}", error(beyond));
@@ -353,7 +353,7 @@ fn error_over_the_grid_stays_small() {
                     continue;
                 }
                 let nearest = usize::from(mm > 0.71);
-                let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, 0..360, x));
+                let errors = traced.errors(tau, mm, |x| surrogate.predict_at(mm, x));
                 let scaled = traced.errors(tau, mm, |x| surrogate.scaled(nearest, mm, x));
                 println!("τ {tau} g {g} {mm} mm: {errors:.3?}, scaled {scaled:.3?}");
                 worst = worst.max(greatest(&errors) / allowed(mm));

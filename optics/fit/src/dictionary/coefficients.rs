@@ -1,0 +1,160 @@
+//! Holds records as coefficients in a basis of profiles, from which predictions are summed: they are a sixth of the numbers.
+//!
+//! The basis is nearly that of the largest principal components of the records, each over its size. One multiplication with
+//! their second moments turns the span of a few records into nearly that of the components (Halko, Martinsson and Tropp
+//! 2011, "Finding structure with randomness").
+
+use std::sync::OnceLock;
+
+use crate::dictionary::records::Records;
+use crate::dictionary::sketch::orthonormal;
+use crate::dictionary::sum::{dot, dots};
+use crate::dictionary::wide::wide;
+
+/// Number of profiles in the basis.
+const DIRECTIONS: usize = 64;
+/// Number of records, at even distances, from which the basis is computed.
+const SAMPLES: usize = 1024;
+
+/// Number of pixels that are summed at a time: as many as vector registers hold.
+const BLOCK: usize = 8;
+
+/// The records of a channel in an orthonormal basis.
+#[derive(Debug)]
+pub(crate) struct Coefficients {
+    pixels: usize,
+    basis: Vec<Vec<f64>>,
+    /// The basis as `[block of pixels][direction]`; zeros fill the last block.
+    blocks: Vec<[f64; BLOCK]>,
+    /// By job, as `[albedo][direction]`, computed when they are needed first.
+    nodes: Vec<OnceLock<Box<[f32]>>>,
+}
+
+impl Coefficients {
+    pub(crate) fn of(records: &Records) -> Self {
+        let count = records.grid().record_count();
+        let sampled = (0..count).step_by(count.div_ceil(SAMPLES));
+        let samples: Vec<Vec<f64>> = sampled.map(|record| over_size(profile(records, record))).collect();
+        let most = DIRECTIONS.min(records.pixels());
+        let first = orthonormalised(samples.iter().step_by(samples.len().div_ceil(most)).cloned());
+        let mut sums = vec![vec![0.0; records.pixels()]; first.len()];
+        let mut along = Vec::new();
+        for sample in &samples {
+            along.clear();
+            wide(
+                #[inline(always)]
+                || {
+                    describe(&first, sample, |c| along.push(c));
+                    for (sum, c) in sums.iter_mut().zip(&along) {
+                        sum.iter_mut().zip(sample).for_each(|(sum, v)| *sum += c * v);
+                    }
+                },
+            );
+        }
+        let basis = orthonormalised(sums.into_iter());
+        let pixels = records.pixels();
+        let at = |direction: &[f64], pixel: usize| direction.get(pixel).copied().unwrap_or(0.0);
+        let block = |first: usize| {
+            basis.iter().map(move |direction| std::array::from_fn(|i| at(direction, first + i)))
+        };
+        let blocks = (0..pixels).step_by(BLOCK).flat_map(block).collect();
+        let nodes = (0..records.grid().nominal_jobs()).map(|_| OnceLock::new()).collect();
+        Self { pixels, basis, blocks, nodes }
+    }
+
+    /// Bytes of a grid's records in one channel.
+    pub(crate) fn bytes_of(grid: &optics_model::Grid) -> usize {
+        grid.record_count().saturating_mul(DIRECTIONS * size_of::<f32>())
+    }
+
+    /// Number of coefficients.
+    pub(crate) fn count(&self) -> usize {
+        self.basis.len()
+    }
+
+    /// The coefficients of a job's records, as `[albedo][direction]`.
+    pub(crate) fn node(&self, records: &Records, job: usize) -> &[f32] {
+        self.nodes[job].get_or_init(|| {
+            let albedos = records.grid().albedo().len();
+            let mut node = Vec::with_capacity(albedos * self.count());
+            for record in job * albedos..(job + 1) * albedos {
+                let values = profile(records, record);
+                wide(
+                    #[inline(always)]
+                    || describe(&self.basis, &values, |c| node.push(c as f32)),
+                );
+            }
+            node.into()
+        })
+    }
+
+    /// The profiles with these coefficients.
+    pub(crate) fn profiles<const N: usize>(&self, coefficients: [&[f64]; N]) -> [Vec<f64>; N] {
+        let mut profiles = std::array::from_fn(|_| Vec::with_capacity(self.pixels.next_multiple_of(BLOCK)));
+        wide(
+            #[inline(always)]
+            || {
+                for block in self.blocks.chunks_exact(self.count().max(1)) {
+                    let mut sums = [[0.0; BLOCK]; N];
+                    for (d, direction) in block.iter().enumerate() {
+                        for (sum, c) in sums.iter_mut().zip(&coefficients) {
+                            for p in 0..BLOCK {
+                                sum[p] += c[d] * direction[p];
+                            }
+                        }
+                    }
+                    profiles.iter_mut().zip(&sums).for_each(|(profile, sum)| profile.extend_from_slice(sum));
+                }
+            },
+        );
+        for profile in &mut profiles {
+            profile.resize(self.pixels, 0.0);
+        }
+        profiles
+    }
+}
+
+fn profile(records: &Records, record: usize) -> Vec<f64> {
+    records.values(record, 0..records.pixels()).iter().map(|v| f64::from(*v)).collect()
+}
+
+/// A profile over its root sum of squares, so that dark records are described as well as bright ones.
+fn over_size(mut values: Vec<f64>) -> Vec<f64> {
+    let size = dot(&values, &values).sqrt();
+    if size > 0.0 {
+        for v in &mut values {
+            *v /= size;
+        }
+    }
+    values
+}
+
+/// An orthonormal basis of the span of profiles.
+fn orthonormalised(profiles: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
+    let mut basis: Vec<Vec<f64>> = Vec::new();
+    for mut profile in profiles {
+        for direction in &basis {
+            subtract_along(&mut profile, direction);
+        }
+        basis.extend(orthonormal(&profile, &basis));
+    }
+    basis
+}
+
+fn subtract_along(from: &mut [f64], direction: &[f64]) {
+    let along = dot(from, direction);
+    from.iter_mut().zip(direction).for_each(|(v, d)| *v -= along * d);
+}
+
+/// The coefficients of a profile in an orthonormal basis, in order.
+#[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+#[inline(always)]
+fn describe(basis: &[Vec<f64>], values: &[f64], mut add: impl FnMut(f64)) {
+    let (fours, others) = basis.as_chunks::<4>();
+    for four in fours {
+        dots(values, four.each_ref().map(Vec::as_slice)).into_iter().for_each(&mut add);
+    }
+    for direction in others {
+        add(dot(values, direction));
+    }
+}
