@@ -24,7 +24,9 @@ use channel::ChannelRecords;
 use coefficients::Coefficients;
 use records::Records;
 use responses::{ResponseRecords, VariedRecords};
+use sum::add_multiple;
 use view::{View, ViewKey};
+use wide::wide;
 
 /// Collects the records of jobs, which may come in any order.
 #[derive(Debug)]
@@ -86,39 +88,38 @@ impl DictionaryBuilder {
         for number in records.numbers() {
             let before = std::mem::replace(&mut self.present[number], true);
             assert!(!before, "record {number} comes once");
-            if self.weights.is_empty() {
-                for (index, channel, varied) in &mut self.channels {
+        }
+        let nominal = self.grid.record_count();
+        if self.weights.is_empty() {
+            self.channels.par_iter_mut().for_each(|(index, channel, varied)| {
+                for number in records.numbers() {
                     let values = records.radiance_factors(number, *index);
-                    if number < self.grid.record_count() {
-                        channel.set(number, values);
-                    } else if let Some(varied) = varied {
-                        varied.set(number, values);
+                    match varied {
+                        _ if number < nominal => channel.set(number, values),
+                        Some(varied) => varied.set(number, values),
+                        None => {}
                     }
                 }
-            } else {
-                self.add_over_boards(records, number);
-            }
+            });
+            return;
         }
-    }
-
-    /// Adds a record whose channels are interpolated between boards.
-    fn add_over_boards(&mut self, records: &PackedRecords, number: usize) {
-        let boards = 0..self.stored.scene().channels().len();
-        let boards: Vec<Vec<f32>> =
-            boards.map(|board| records.radiance_factors(number, board).collect()).collect();
-        for ((_, channel, varied), weights) in self.channels.iter_mut().zip(&self.weights) {
-            let mut sums = vec![0.0; boards[0].len()];
-            for (board, weight) in boards.iter().zip(weights) {
-                sums.iter_mut().zip(board).for_each(|(sum, v)| *sum += weight * f64::from(*v));
+        let boards: Vec<Vec<Vec<f32>>> = records
+            .numbers()
+            .map(|number| {
+                let boards = 0..self.stored.scene().channels().len();
+                boards.map(|board| records.radiance_factors(number, board).collect()).collect()
+            })
+            .collect();
+        let weighted = self.channels.par_iter_mut().zip(&self.weights);
+        weighted.for_each(|((_, channel, varied), weights)| {
+            for (number, boards) in records.numbers().zip(&boards) {
+                match varied {
+                    _ if number < nominal => channel.set(number, over_board(boards, weights).into_iter()),
+                    Some(varied) => varied.set(number, over_board(boards, weights).into_iter()),
+                    None => {}
+                }
             }
-            // Interpolation leaves rounding errors where all boards are dark.
-            let values = sums.iter().map(|sum| sum.max(0.0) as f32);
-            if number < self.grid.record_count() {
-                channel.set(number, values);
-            } else if let Some(varied) = varied {
-                varied.set(number, values);
-            }
-        }
+        });
     }
 
     /// Describes all records, so that the first question is as fast as the others. Gradients are computed at the first
@@ -140,6 +141,21 @@ impl DictionaryBuilder {
         let channels = self.channels.into_par_iter().map(described).collect::<Vec<_>>();
         FitDictionary::of_channels(self.grid, channels)
     }
+}
+
+/// The profile over another board: a weighted sum of those over a dictionary's boards.
+fn over_board(boards: &[Vec<f32>], weights: &[f64]) -> Vec<f32> {
+    let mut sums = vec![0.0; boards[0].len()];
+    wide(
+        #[inline(always)]
+        || {
+            for (board, weight) in boards.iter().zip(weights) {
+                add_multiple(&mut sums, *weight, board);
+            }
+        },
+    );
+    // Interpolation leaves rounding errors where all boards are dark.
+    sums.iter().map(|sum| sum.max(0.0) as f32).collect()
 }
 
 /// One channel of a dictionary in memory; cheap to copy.

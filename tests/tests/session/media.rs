@@ -2,8 +2,8 @@
 //!
 //! Media between the grid points are traced with the board's true ρ and the slabs' true thicknesses. The simulated
 //! photographs have flicker, drift, blur, vignetting, glare and dust; the white reference, squares and thicknesses are off
-//! by their stated errors, and so are the uncertain quantities of the scene `lab`. With `FARM_TEST_EFFORT=10` there are
-//! seven sessions of three media with the paper's whole grid. Then these may be set:
+//! by their stated errors, and so are the uncertain quantities of the scene `lab`. The dictionary is that of the plain
+//! command. With `FARM_TEST_EFFORT=10` there are seven sessions of three media. Then these may be set:
 //!
 //! | variable | meaning |
 //! |---|---|
@@ -52,8 +52,7 @@ struct Trial {
 
 impl Trial {
     fn normal() -> Self {
-        let axes = "g = [0.3, 0.4, 0.5]\nwalks = 100000\n".to_owned();
-        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 4_000_000 }
+        Self { sessions: 0..1, without: Vec::new(), axes: String::new(), g: (0.3, 0.5), walks: 4_000_000 }
     }
 
     fn long() -> Self {
@@ -73,11 +72,13 @@ impl Trial {
     }
 
     fn answers(&self) -> Vec<Answer> {
-        self.sessions.clone().flat_map(|number| self.session(number)).collect()
+        // Sessions of one set-up share its dictionary.
+        let data = folder();
+        self.sessions.clone().flat_map(|number| self.session(number, data.path())).collect()
     }
 
     /// Runs one session from photographs to media.
-    fn session(&self, number: u64) -> Vec<Answer> {
+    fn session(&self, number: u64, data: &Path) -> Vec<Answer> {
         let laboratory = Laboratory::draw(number, self.g, &self.without);
         let folder = folder();
         laboratory.photograph(folder.path(), self.walks);
@@ -89,9 +90,10 @@ impl Trial {
             std::fs::write(&grid, text).unwrap();
         }
         let g = laboratory.g().to_string();
-        let measured = run(folder.path(), &["measure", "out", "--g", &g, "--json"]);
+        let data = data.to_str().unwrap();
+        let measured = run(folder.path(), &["measure", "out", "--g", &g, "--json", "--data", data]);
         assert_eq!(measured.code, 0, "session {number}: {}", measured.stderr);
-        let data = json(&measured, "measure");
+        let materials = &json(&measured, "measure")["materials"];
         println!(
             "session {number}: g {:.3}, white reference off by {:+.2} %",
             laboratory.g(),
@@ -99,8 +101,8 @@ impl Trial {
         );
         let of_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
         captured.stdout.lines().filter(of_set_up).for_each(|line| println!("{line}"));
-        let channels = data["materials"][0]["channels"].as_array().unwrap().iter();
-        println!("{}", scene_table(&laboratory, &data["materials"][0]["channels"][0]));
+        let channels = materials[0]["channels"].as_array().unwrap().iter();
+        println!("{}", scene_table(&laboratory, &materials[0]["channels"][0]));
         let answer = |(medium, channel): (_, &serde_json::Value)| {
             Answer::new(format!("{number} {}", channel["channel"].as_str().unwrap()), medium, channel)
         };

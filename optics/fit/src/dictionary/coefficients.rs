@@ -158,3 +158,54 @@ fn describe(basis: &[Vec<f64>], values: &[f64], mut add: impl FnMut(f64)) {
         add(dot(values, direction));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicBool;
+
+    use optics_model::grid::{Axes, NoiseLevel};
+    use optics_model::job::JobSpec;
+    use optics_model::{Grid, PackedRecords, Scene};
+    use optics_tracer::trace;
+
+    use crate::DictionaryBuilder;
+
+    /// What the basis leaves of traced records is below a fifth of their noise, and mostly far below.
+    #[test]
+    fn basis_leaves_less_than_the_noise() {
+        let scene = Scene::paper();
+        let scene = scene.clone().with_channels(scene.channels()[..1].to_vec()).unwrap();
+        let paper = Grid::paper().axes().clone();
+        let every = |axis: &[f64], n: usize| axis.iter().step_by(n).copied().collect();
+        let axes = Axes { sigma_t_per_mm: every(&paper.sigma_t_per_mm, 6), g: every(&paper.g, 5), ..paper };
+        let grid = Grid::new(scene, axes, NoiseLevel::Paper, 1, false).unwrap();
+        let mut builder = DictionaryBuilder::new(grid.clone());
+        let mut noise = Vec::new();
+        for job in (0..grid.job_count()).map(|job| JobSpec::of(&grid, job)) {
+            let records = trace(&job, &AtomicBool::new(false)).unwrap();
+            noise.extend(
+                records.iter().map(|record| record.profiles[0].radiance_factor.std_errors().to_vec()),
+            );
+            builder.add(&PackedRecords::pack(&job, &records));
+        }
+        let dictionary = builder.build();
+        let (records, found) = (dictionary.records(0), dictionary.coefficients(0));
+        let albedos = grid.albedo().len();
+        let mut left: Vec<f64> = Vec::new();
+        for (index, errors) in noise.iter().enumerate() {
+            let node = found.node(records, index / albedos);
+            let row: Vec<f64> = node[index % albedos * found.count()..][..found.count()]
+                .iter()
+                .map(|c| f64::from(*c))
+                .collect();
+            let [profile] = found.profiles([&row]);
+            let values = records.values(index, 0..records.pixels());
+            let square = |((p, v), s): ((&f64, &f32), &f32)| ((p - f64::from(*v)) / f64::from(*s)).powi(2);
+            let squares = profile.iter().zip(&*values).zip(errors).map(square).sum::<f64>();
+            left.push((squares / profile.len() as f64).sqrt());
+        }
+        left.sort_by(f64::total_cmp);
+        let [median, most] = [left[left.len() / 2], left[left.len() - 1]];
+        assert!(median < 0.02 && most < 0.2, "{median} {most}");
+    }
+}
