@@ -163,8 +163,9 @@ fn over_board(boards: &[Vec<f32>], weights: &[f64]) -> Vec<f32> {
 pub struct FitChannel(Arc<ChannelRecords>);
 
 impl FitChannel {
-    /// Maximum bytes of a channel of a grid: values and coefficients; and unless it is one under a darker white reference, responses, and
-    /// descriptions (in small dictionaries gradients, too) for the whole profiles and for one other range of pixels.
+    /// Maximum bytes of a channel of a grid: values and coefficients; and unless it is one under a darker white reference,
+    /// responses, and descriptions (in small dictionaries gradients, too) for the whole profiles and for one other range of
+    /// pixels.
     pub fn bytes_of(grid: &Grid, channel: usize) -> usize {
         let is_seen = grid.scene().seen_channels().any(|seen| seen == channel);
         let beyond = || responses::bytes_of(grid).saturating_add(2 * view::bytes_of(grid));

@@ -111,11 +111,7 @@ pub(crate) async fn ensure(
         Some(d) if d.state() == DictionaryState::Paused => {
             bail!("dictionary {name} is paused: `farmctl resume {name}` continues it");
         }
-        Some(d) if lacks_responses && d.state() == DictionaryState::Done => {
-            if d.grid.without_responses() == *grid {
-                return Ok(());
-            }
-        }
+        Some(d) if lacks_responses && is_done(&d, grid) => return Ok(()),
         _ => {}
     }
     let planned = if lacks_responses { Some(with_responses(grid.clone())?) } else { None };
@@ -127,6 +123,11 @@ pub(crate) async fn ensure(
         }
         _ => bail!("the dictionary was not computed: {}", text(&status, &end)),
     }
+}
+
+/// Whether a dictionary is complete and has this grid, apart from responses.
+fn is_done(known: &DictionaryStatus, grid: &Grid) -> bool {
+    known.state() == DictionaryState::Done && known.grid.clone().without_responses() == *grid
 }
 
 async fn submit(

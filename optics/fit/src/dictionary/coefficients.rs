@@ -170,7 +170,7 @@ mod tests {
 
     use crate::DictionaryBuilder;
 
-    /// What the basis leaves of traced records is below a fifth of their noise, and mostly far below.
+    /// Traced records differ from their profiles in the basis by less than a fifth of their noise, and mostly far less.
     #[test]
     fn basis_leaves_less_than_the_noise() {
         let scene = Scene::paper();

@@ -12,15 +12,15 @@ use super::{Channel, Scene};
 use crate::invalid::{Invalid, Result};
 
 /// Reflectances of one side, in the order in which they refine the interpolation, each from the second on with R_k.
-struct Side<const N: usize> {
+struct SideNodes<const N: usize> {
     nodes: [f64; N],
     returned: [f64; N],
 }
 
 /// With these, ρ/(1 − Rρ) has its least error for R from 0 to 0.97, weighted with the light that reaches the base.
-const LIGHT: Side<5> =
-    Side { nodes: [0.956, 0.866, 0.9985, 0.907, 0.986], returned: [0.0, 0.925, 0.28, 0.966, 0.785] };
-const DARK: Side<3> = Side { nodes: [0.03, 0.0, 0.06], returned: [0.0; 3] };
+const LIGHT: SideNodes<5> =
+    SideNodes { nodes: [0.956, 0.866, 0.9985, 0.907, 0.986], returned: [0.0, 0.925, 0.28, 0.966, 0.785] };
+const DARK: SideNodes<3> = SideNodes { nodes: [0.03, 0.0, 0.06], returned: [0.0; 3] };
 /// The number of light nodes at each dark one.
 const LIGHT_NODES: [usize; 3] = [5, 3, 1];
 /// Reflectances that are served.
@@ -92,7 +92,7 @@ pub(crate) fn check_boards(field: &str, channels: &[Channel]) -> Result<()> {
     channels.iter().enumerate().try_for_each(check)
 }
 
-impl<const N: usize> Side<N> {
+impl<const N: usize> SideNodes<N> {
     /// Weight of a node in the difference that the node `last` makes to the interpolation by those before it.
     fn increment(&self, last: usize, node: usize, rho: f64) -> f64 {
         let before = if node < last { self.weight(last, node, rho) } else { 0.0 };
