@@ -97,7 +97,8 @@ async fn every_schema_can_be_read_and_fitted() {
             let fit = optics_fit::fit(&loaded, &measurement(&loaded), &FitOptions::default()).unwrap();
             let best = &fit.channels[0].candidates[0];
             assert_eq!(best.thicknesses[0].record, Some(4), "schema {schema}");
-            assert!(best.error < 1e-6, "schema {schema}: {}", best.error);
+            // In standard errors of a pixel; predictions have coefficients in single precision.
+            assert!(best.error < 1e-5, "schema {schema}: {}", best.error);
             store.close().await;
         }
     }

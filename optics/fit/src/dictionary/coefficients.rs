@@ -51,7 +51,7 @@ impl Coefficients {
                 },
             );
         }
-        let basis = orthonormalised(sums.into_iter());
+        let basis = orthonormalised(sums.into_iter().map(over_size));
         let pixels = records.pixels();
         let at = |direction: &[f64], pixel: usize| direction.get(pixel).copied().unwrap_or(0.0);
         let block = |first: usize| {
