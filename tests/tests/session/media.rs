@@ -30,10 +30,11 @@ use laboratory::{DEFECTS, Laboratory, STATED_MM};
 /// Largest median error of σ_t in several sessions. In a single one the errors of the channels are nearly the same, so the
 /// median is one error of a material whose second lobe is unknown: its intervals are checked instead.
 const MEDIAN_ERROR: f64 = 0.01;
-/// Smallest share of intervals that contain the truth. Of the six of one session, one misses by chance in one run of
-/// four, and misses of a session are correlated; more than two independent misses happen once in 450 runs.
+/// Smallest share of intervals that contain the truth, in several sessions.
 const HELD: f64 = 0.9;
-const HELD_OF_SIX: f64 = 0.6;
+/// Largest error in a single session, in half-widths of its interval: three standard errors. How many of its six intervals
+/// hold is no test of one session: its errors are correlated, and with other seeds of the dictionary 3 to 5 hold.
+const FARTHEST: f64 = 1.53;
 
 /// Walks of a truth. Their noise is common to all pixels, like an error of the profile's gain, which the session states
 /// as 0.04 to 0.12 %. A million walks leave about 0.11 %, these 0.03 %.
@@ -147,7 +148,12 @@ fn photographs_become_media() {
     let median = quantile(answers.iter().map(|a| a.error(0).abs()).collect(), 0.5);
     let is_one_session = answers.len() <= 3;
     assert!(is_one_session || median <= MEDIAN_ERROR, "the median error of σ_t is {median}");
-    let held = Share::of([0, 1].into_iter().flat_map(|q| answers.iter().map(move |a| a.holds(q)))).unwrap();
-    let least = if is_one_session { HELD_OF_SIX } else { HELD };
-    assert!(held.share >= least, "{held} % of the intervals of σ_t and α hold");
+    let both = || [0, 1].into_iter().flat_map(|q| answers.iter().map(move |a| (a, q)));
+    if is_one_session {
+        let farthest = both().map(|(a, q)| a.off(q).abs()).fold(0.0, f64::max);
+        assert!(farthest <= FARTHEST, "an estimate is off by {farthest} half-widths of its interval");
+    } else {
+        let held = Share::of(both().map(|(a, q)| a.holds(q))).unwrap();
+        assert!(held.share >= HELD, "{held} % of the intervals of σ_t and α hold");
+    }
 }

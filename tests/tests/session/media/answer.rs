@@ -66,7 +66,7 @@ impl Answer {
     }
 
     /// The error in half-widths of the interval, which are 1.96 standard errors.
-    fn off(&self, quantity: usize) -> f64 {
+    pub(super) fn off(&self, quantity: usize) -> f64 {
         let i = &self.intervals[quantity];
         (self.found[quantity] - self.truth[quantity]) / (0.5 * (i.high - i.low))
     }
