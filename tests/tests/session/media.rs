@@ -28,7 +28,7 @@ use answer::{Answer, QUANTITIES, table};
 use laboratory::{DEFECTS, Laboratory, STATED_MM};
 
 /// Largest median error of σ_t in several sessions. In a single one the errors of the channels are nearly the same, so the
-/// median is one error of a material whose second lobe is unknown: its intervals are checked instead.
+/// median is one error of a material whose second lobe is unknown: errors over their intervals are checked instead.
 const MEDIAN_ERROR: f64 = 0.01;
 /// Smallest share of intervals that contain the truth, in several sessions.
 const HELD: f64 = 0.9;

@@ -157,8 +157,8 @@ fn scene(captured: &Captured) -> Result<String> {
     let scene = captured.session.scene.clone().with_channels(channels)?;
     Ok(format!(
         "# The scene of a session: `rho_light` and `rho_dark` are what its bare board shows. The channels called\n\
-         # \"(white -1 %)\" have the board as it would be, were the white reference darker by 1 %: so the fit knows\n\
-         # what an error of the reference does.\n\n{}",
+         # \"(white -1 %)\" have the board as it would be, were the white reference darker by 1 %: from these the fit\n\
+         # computes the effect of an error of the reference.\n\n{}",
         toml::to_string(&SceneFile::from(&scene))?.trim_end()
     ))
 }
@@ -179,8 +179,8 @@ fn grid(captured: &Captured) -> Result<String> {
         quality: None,
     };
     Ok(format!(
-        "# The dictionary of a session: axes that are left out are the paper's. Slabs that are nearly alike share a\n\
-         # thickness; the fit knows the difference.\n\n{}",
+        "# The dictionary of a session: axes that are left out are the paper's. Slabs that are nearly alike, or\n\
+         # near a nominal thickness, share one; the fit uses the measured thicknesses.\n\n{}",
         toml::to_string(&file)?.trim_end()
     ))
 }

@@ -2,7 +2,7 @@
 
 use farm_lab::measurement_file::Note;
 use optics_model::grid::NoiseLevel;
-use optics_model::{Grid, Scene, TransportPoint};
+use optics_model::{Grid, Scene};
 
 /// Least share of the walks of the paper's quality with which intervals of estimated set-ups hold.
 const ENOUGH_WALKS: f64 = 0.9;
@@ -10,12 +10,8 @@ const ENOUGH_WALKS: f64 = 0.9;
 /// A note if a dictionary whose scene is estimated has fewer walks than the paper's quality: −2 ln L then has several
 /// minima, and an interval is about one of them.
 pub(super) fn few_walks(dictionary: &str, grid: &Grid) -> Option<Note> {
-    let point = |sigma_t: &f64, thickness_mm: &f64| {
-        TransportPoint::new(*sigma_t, grid.g()[0], *thickness_mm, grid.sample_ior()[0]).ok()
-    };
-    let thickest = point(grid.sigma_t_per_mm().last()?, grid.thickness_mm().last()?)?;
-    let walks = |effort: optics_model::grid::Effort| effort.walks(&thickest).get();
-    let [own, enough] = [walks(grid.effort()), walks(NoiseLevel::Paper.into())];
+    let paper = grid.clone().with_effort(NoiseLevel::Paper).ok()?;
+    let [own, enough] = [grid, &paper].map(|grid| grid.least_and_most_walks()[1].get());
     let few = (own as f64) < ENOUGH_WALKS * enough as f64;
     (few && grid.quality().is_none() && grid.responses().is_some()).then(|| Note {
         code: "FEW_WALKS",
@@ -34,7 +30,7 @@ pub(super) fn other_scene(dictionary: &str, session: &Scene, other: &Scene) -> O
     (!list.is_empty()).then(|| Note {
         code: "SCENE_DIFFERS",
         text: format!(
-            "dictionary {dictionary} has another scene than the session: {}; without --dictionary the session's own is \
+            "dictionary {dictionary} has another scene than the session: {}; without --dictionary that of its set-up is \
              used",
             list.join("; ")
         ),
@@ -75,7 +71,7 @@ mod tests {
         assert_eq!(
             found.text,
             "dictionary lab has another scene than the session: gel thickness 0.02 ± 0.02 mm per slab instead of 0.02 ± \
-             0.01 mm per slab; without --dictionary the session's own is used"
+             0.01 mm per slab; without --dictionary that of its set-up is used"
         );
         assert_eq!(other_scene("lab", &lab, &lab), None);
     }

@@ -6,8 +6,8 @@
 
 use std::sync::OnceLock;
 
+use crate::bases::orthonormal;
 use crate::dictionary::records::Records;
-use crate::dictionary::sketch::orthonormal;
 use crate::dictionary::sum::{dot, dots};
 use crate::dictionary::wide::wide;
 
@@ -36,8 +36,11 @@ impl Coefficients {
         let sampled = (0..count).step_by(count.div_ceil(SAMPLES));
         let samples: Vec<Vec<f64>> = sampled.map(|record| over_size(profile(records, record))).collect();
         let most = DIRECTIONS.min(records.pixels());
-        let first = orthonormalised(samples.iter().step_by(samples.len().div_ceil(most)).cloned());
-        let mut sums = vec![vec![0.0; records.pixels()]; first.len()];
+        let pixels = records.pixels();
+        let every = vec![1.0; pixels];
+        let first = samples.iter().step_by(samples.len().div_ceil(most)).cloned().collect();
+        let first = orthonormal(first, &every);
+        let mut sums = vec![vec![0.0; pixels]; first.len()];
         let mut along = Vec::new();
         for sample in &samples {
             along.clear();
@@ -51,8 +54,7 @@ impl Coefficients {
                 },
             );
         }
-        let basis = orthonormalised(sums.into_iter().map(over_size));
-        let pixels = records.pixels();
+        let basis = orthonormal(sums, &every);
         let at = |direction: &[f64], pixel: usize| direction.get(pixel).copied().unwrap_or(0.0);
         let block = |first: usize| {
             basis.iter().map(move |direction| std::array::from_fn(|i| at(direction, first + i)))
@@ -127,23 +129,6 @@ fn over_size(mut values: Vec<f64>) -> Vec<f64> {
         }
     }
     values
-}
-
-/// An orthonormal basis of the span of profiles.
-fn orthonormalised(profiles: impl Iterator<Item = Vec<f64>>) -> Vec<Vec<f64>> {
-    let mut basis: Vec<Vec<f64>> = Vec::new();
-    for mut profile in profiles {
-        for direction in &basis {
-            subtract_along(&mut profile, direction);
-        }
-        basis.extend(orthonormal(&profile, &basis));
-    }
-    basis
-}
-
-fn subtract_along(from: &mut [f64], direction: &[f64]) {
-    let along = dot(from, direction);
-    from.iter_mut().zip(direction).for_each(|(v, d)| *v -= along * d);
 }
 
 /// The coefficients of a profile in an orthonormal basis, in order.

@@ -103,7 +103,7 @@ impl Basis {
 }
 
 /// A unit vector along the component of `v` that is orthogonal to the directions; none if `v` vanishes.
-pub(crate) fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
+fn orthonormal(v: &[f64], directions: &[Vec<f64>]) -> Option<Vec<f64>> {
     let mut unit = v.to_vec();
     let norm = dot(&unit, &unit).sqrt();
     if norm < 1e-9 {
