@@ -10,7 +10,7 @@ use optics_model::{Digest, Grid, Scene};
 use serde::Serialize;
 
 use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
-use crate::grid_file::{read_grid, read_grid_without_responses};
+use crate::grid_file::read_grid_without_responses;
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
 
@@ -46,25 +46,22 @@ impl SessionFolder {
         Some(self.path.join("session.json")).filter(|path| path.exists())
     }
 
-    /// The session's dictionary. Its name contains a digest of grid and scene, so that sessions do not share names.
+    /// Name and grid of the dictionary for the session's set-up, without responses. It is for all boards and shared with
+    /// other sessions, or for the session's own board if no such dictionary serves that. The name contains a digest, so that
+    /// other set-ups have other names.
     pub fn dictionary(&self) -> Result<(String, Grid)> {
-        let grid = read_grid(&self.path.join("grid.toml"))?;
+        let own = read_grid_without_responses(&self.path.join("grid.toml"))?;
+        if let Ok(shared) = own.for_all_boards() {
+            let digest = Digest::of_grid(&shared).to_string();
+            return Ok((format!("boards-{}", &digest[..12]), shared));
+        }
         let mut hasher = blake3::Hasher::new();
         for name in ["grid.toml", "scene.toml"] {
             // The grid file may contain its scene, so that scene.toml may be absent.
             hasher.update(&std::fs::read(self.path.join(name)).unwrap_or_default());
         }
         let digest = hasher.finalize().to_hex();
-        Ok((format!("session-{}", &digest[..12]), grid))
-    }
-
-    /// A dictionary of the session's set-up for all boards, which other sessions share, without its responses. `None` if it
-    /// does not serve the session's board. Its name contains a digest of this grid.
-    pub fn dictionary_for_all_boards(&self) -> Result<Option<(String, Grid)>> {
-        let own = read_grid_without_responses(&self.path.join("grid.toml"))?;
-        let Ok(grid) = own.for_all_boards() else { return Ok(None) };
-        let digest = Digest::of_grid(&grid).to_string();
-        Ok(Some((format!("boards-{}", &digest[..12]), grid)))
+        Ok((format!("session-{}", &digest[..12]), own))
     }
 
     /// The scene of the session, with its board; `None` without a grid file.

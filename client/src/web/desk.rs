@@ -29,15 +29,16 @@ use super::api::{
     CompleteCaptureResponse, FigureFormat, FiguresRequest, File, Files, ListCapturesRequest,
     ListCapturesResponse, ListSessionsRequest, ListSessionsResponse, ListSetUpQuantitiesRequest,
     ListSetUpQuantitiesResponse, MediaRequest, Note, NumberWithInterval, OpenCaptureRequest,
-    OpenCaptureResponse, PredictPrintRequest, PredictPrintResponse, ReadGridRequest, ReadGridResponse,
-    ReadMeasurementsRequest, ReadMeasurementsResponse, ReadMixturesRequest, ReadMixturesResponse, Remark,
-    SetUpQuantity, SimulateRequest, SimulateResponse, StartCaptureRequest, StartCaptureResponse,
-    SummarizeRequest, SummarizeResponse,
+    OpenCaptureResponse, PlanResponsesRequest, PlanResponsesResponse, PredictPrintRequest,
+    PredictPrintResponse, ReadGridRequest, ReadGridResponse, ReadMeasurementsRequest,
+    ReadMeasurementsResponse, ReadMixturesRequest, ReadMixturesResponse, Remark, SetUpQuantity,
+    SimulateRequest, SimulateResponse, StartCaptureRequest, StartCaptureResponse, SummarizeRequest,
+    SummarizeResponse,
 };
 use super::capture_run::CaptureRun;
 use super::captures::{Captures, session_files};
 use crate::answers::{self, MeasureAnswer, all_remarks, common_text, low_scale, media_files, objective};
-use farm_lab::grid_file::{grid_of, named_grid};
+use farm_lab::grid_file::{grid_of, named_grid, with_responses};
 use farm_lab::measurement_file::{self, MeasurementFile};
 use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::mixture_file::mixtures_in;
@@ -263,6 +264,19 @@ impl Desk for DeskService {
     ) -> Result<Response<OpenCaptureResponse>, Status> {
         let folder = self.captures.folder(&request.into_inner().folder)?;
         answer(move || session::open(&folder)).await
+    }
+
+    async fn plan_responses(
+        &self,
+        request: Request<PlanResponsesRequest>,
+    ) -> Result<Response<PlanResponsesResponse>, Status> {
+        let grid = request.into_inner().grid;
+        answer(move || {
+            let grid = grid.ok_or_else(|| Invalid::new("grid", "nothing", "a grid is needed"))?;
+            let grid = Grid::try_from(grid).map_err(|e| e.within("grid"))?;
+            Ok(PlanResponsesResponse { grid: Some((&with_responses(grid)?).into()) })
+        })
+        .await
     }
 }
 

@@ -91,9 +91,10 @@ impl Fits for Context {
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let measurement = self.measurement(request.measurement)?;
+        let boards = boards(request.board).or_status()?;
         let channels = channels([&measurement]);
-        let maps =
-            self.ask(&by, &name, &channels, move |d| fit::distance_map(d, &measurement, &options)).await?;
+        let question = move |d: &FitDictionary| fit::distance_map(d, &measurement, &options);
+        let maps = self.ask_over(&by, &name, (&channels, boards), question).await?;
         Ok(Response::new(MapResponse { maps: maps.into_iter().map(Into::into).collect() }))
     }
 
@@ -159,9 +160,11 @@ impl Fits for Context {
         let by = actor(request.extensions());
         let mut request = request.into_inner();
         let name = dictionary_name(std::mem::take(&mut request.dictionary)).or_status()?;
+        let boards = boards(std::mem::take(&mut request.board)).or_status()?;
         let question = ProfileQuestion::try_from(request).or_status()?;
         let channels = question.channels().to_vec();
-        let answer = self.ask(&by, &name, &channels, move |d| fit::profile(d, &question)).await?;
+        let answer =
+            self.ask_over(&by, &name, (&channels, boards), move |d| fit::profile(d, &question)).await?;
         Ok(Response::new(answer.into()))
     }
 }

@@ -16,7 +16,7 @@ impl TryFrom<wire::ProfileRequest> for ProfileQuestion {
 }
 
 impl From<&ProfileQuestion> for wire::ProfileRequest {
-    /// The dictionary is not part of the question.
+    /// Dictionary and board are not part of the question.
     fn from(question: &ProfileQuestion) -> Self {
         Self {
             dictionary: String::new(),
@@ -24,6 +24,7 @@ impl From<&ProfileQuestion> for wire::ProfileRequest {
             thickness_mm: question.thickness_mm(),
             sample_ior: question.sample_ior(),
             channels: question.channels().to_vec(),
+            board: Vec::new(),
         }
     }
 }

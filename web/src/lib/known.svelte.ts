@@ -1,6 +1,6 @@
 // The farm's dictionaries, shared by the tabs.
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
-import { PriorKind } from '../gen/farm/v1/model_pb';
+import { PriorKind, type Channel, type Grid } from '../gen/farm/v1/model_pb';
 import { dictionaries } from './api';
 
 export const STATES: Record<DictionaryState, string> = {
@@ -25,9 +25,15 @@ export async function listDictionaries(): Promise<Dictionary[]> {
   return all;
 }
 
-// Whether a dictionary is for all boards: it is asked with the board of a session, by `farmctl measure FOLDER`.
+// Whether a dictionary is for all boards: questions about it need the board of a session.
 export function isForAllBoards(dictionary: Dictionary): boolean {
   return dictionary.grid?.scene?.channels[0]?.name === 'board 1';
+}
+
+// The grid of a question: that of its dictionary, over the board of the question if there is one.
+export function gridOver(grid: Grid | undefined, board: Channel[]): Grid | undefined {
+  if (!grid?.scene || board.length === 0) return grid;
+  return { ...grid, scene: { ...grid.scene, channels: board }, responses: grid.responses.map((r) => ({ ...r, channels: board })) };
 }
 
 // The dictionary that `farmctl` uses without --dictionary: the only one, or the first of the usual ones.

@@ -3,9 +3,10 @@
 import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v1/desk_pb';
 import { Objective, type MaterialFit, type MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { KeptMeasurement, MeasurementSummary } from '../gen/farm/v1/measurements_pb';
-import type { Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
+import type { Channel, Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
 import { desk, fits, isOfStore, kept, text } from './api';
 import { dropped, keep, type Dropped } from './dropped';
+import { gridOver } from './known.svelte';
 import { parametersOf, type MeasureQuestion, type Options } from './request';
 import { route } from './route.svelte';
 
@@ -15,6 +16,8 @@ export type Answer = {
   summary: SummarizeResponse;
   colors: Map<string, [number, number, number]>;
   dictionary: string;
+  // As in the question.
+  board: Channel[];
   grid: Grid | undefined;
   options: Options;
   line: string;
@@ -29,6 +32,8 @@ class Measured {
   // Name of the file, or of the capture's folder.
   name = $state('');
   capture = $state.raw<OpenCaptureResponse | null>(null);
+  // The board of the capture, for dictionaries for all boards.
+  board = $state.raw<Channel[]>([]);
   // Whether it is the documentation's example.
   example = $state(false);
   materials = $state.raw<Measurement[]>([]);
@@ -83,12 +88,12 @@ class Measured {
   // Measures, and keeps the answer with the farm if wanted.
   async ask(request: MeasureQuestion, line: string, grid: Grid | undefined, isKept: boolean): Promise<void> {
     this.#asking?.abort();
-    const [own, asking] = [this.turn, new AbortController()];
+    const [own, asking, board] = [this.turn, new AbortController(), request.board];
     [this.busy, this.wrong, this.#asking] = ['Measuring…', '', asking];
     try {
       const { found, why } = await measure(request, asking.signal, isKept ? { source: this.name, command: line, title: titleOf(request, line), note: '' } : null);
       const [answer, summary] = await Promise.all([
-        this.#answer(found, request.options, { dictionary: request.dictionary, grid, line }),
+        this.#answer(found, request.options, { dictionary: request.dictionary, board, grid: gridOver(grid, board), line }),
         found.keptId ? kept.get({ id: found.keptId }).then((k) => k.summary ?? null) : null,
       ]);
       if (own !== this.turn || asking.signal.aborted) return;
@@ -111,7 +116,7 @@ class Measured {
     await desk.completeCapture({ media, materials: this.materials, options });
   }
 
-  async #answer(found: MeasureResponse, options: Options, asked: { dictionary: string; grid: Grid | undefined; line: string }): Promise<Omit<Answer, 'kept'>> {
+  async #answer(found: MeasureResponse, options: Options, asked: Pick<Answer, 'dictionary' | 'board' | 'grid' | 'line'>): Promise<Omit<Answer, 'kept'>> {
     const mu = found.common?.mu ?? found.mu;
     const muStdError = Math.min(1, found.common?.muStdError ?? found.muStdError);
     const folder = this.capture ? { capture: this.name } : {};
@@ -132,7 +137,7 @@ class Measured {
   async #load(ask: () => Promise<() => void>): Promise<void> {
     const own = (this.turn += 1);
     [this.busy, this.wrong] = ['Reading…', ''];
-    [this.answer, this.name, this.capture, this.materials, this.notes] = [null, '', null, [], []];
+    [this.answer, this.name, this.capture, this.board, this.materials, this.notes] = [null, '', null, [], [], []];
     this.example = false;
     try {
       const take = await ask();
@@ -161,7 +166,7 @@ class Measured {
     return this.#load(async () => {
       const capture = await desk.openCapture({ folder });
       return () => {
-        [this.name, this.materials, this.notes, this.capture] = [folder, capture.materials, capture.notes, capture];
+        [this.name, this.materials, this.notes, this.capture, this.board] = [folder, capture.materials, capture.notes, capture, capture.board];
         keep(null);
       };
     });
@@ -175,9 +180,9 @@ class Measured {
       const { quantities } = await desk.listSetUpQuantities({});
       const { request, answer: found, summary, grid } = one;
       if (!request || !found || !summary) throw new Error(`measurement ${id} is not whole`);
-      [this.materials, this.capture, this.name] = [request.materials, capture, summary.source || summary.title];
+      [this.materials, this.capture, this.board, this.name] = [request.materials, capture, request.board, summary.source || summary.title];
       const { $typeName: _t, $unknown: _u, ...options } = request.options ?? {};
-      const answer = await this.#answer(found, options, { dictionary: request.dictionary, grid, line: summary.command });
+      const answer = await this.#answer(found, options, { dictionary: request.dictionary, board: request.board, grid, line: summary.command });
       return () => {
         this.answer = { ...answer, kept: summary };
         this.#asked.capture = capture ? summary.source : null;

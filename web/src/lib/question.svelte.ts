@@ -15,9 +15,11 @@ class Question {
   // The file of mixtures, with its contents.
   mixtures = $state.raw<{ name: string; list: Mixture[] } | null>(null);
 
-  readonly ready = $derived(this.all?.filter((d) => d.state === DictionaryState.DONE && !isForAllBoards(d)) ?? []);
+  readonly #done = $derived(this.all?.filter((d) => d.state === DictionaryState.DONE) ?? []);
+  // Dictionaries with boards of their own.
+  readonly ready = $derived(this.#done.filter((d) => !isForAllBoards(d)));
   readonly dictionary = $derived.by(() => {
-    const named = (name: string | null): Dictionary | undefined => this.ready.find((d) => d.name === name);
+    const named = (name: string | null): Dictionary | undefined => this.#done.find((d) => d.name === name && (!isForAllBoards(d) || measured.board.length > 0));
     return measured.capture ? named(measured.capture.dictionary) : (named(route.get('dictionary')) ?? preset(this.ready, measured.example));
   });
   // Links may come from anywhere, so only numbers and allowed words are accepted.
@@ -63,9 +65,10 @@ class Question {
     };
   }
 
-  request(dictionary: string): MeasureQuestion {
+  request(dictionary: Dictionary): MeasureQuestion {
     return {
-      dictionary,
+      dictionary: dictionary.name,
+      board: isForAllBoards(dictionary) ? measured.board : [],
       materials: measured.materials,
       options: this.options(),
       commonG: this.anisotropy !== 'free',

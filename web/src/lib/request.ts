@@ -2,12 +2,14 @@
 import type { MessageInitShape } from '@bufbuild/protobuf';
 import type { SetUpQuantity } from '../gen/desk/v1/desk_pb';
 import { Objective, PhaseModel, type Bounds, type FitOptions, type FitOptionsSchema, type MeasureRequest, type Mixture } from '../gen/farm/v1/fits_pb';
-import type { Measurement } from '../gen/farm/v1/model_pb';
+import type { Channel, Measurement } from '../gen/farm/v1/model_pb';
 
 export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;
 // The question of a measurement; the scale factor is searched for with `searchMu`.
 export type MeasureQuestion = {
   dictionary: string;
+  // Empty, unless the dictionary is for all boards.
+  board: Channel[];
   materials: Measurement[];
   options: Options;
   commonG: boolean;

@@ -111,6 +111,7 @@ async fn map_all(
             dictionary: dictionary.to_owned(),
             measurement: Some(measurement.into()),
             options: Some(options.into()),
+            board: Vec::new(),
         };
         let material = || format!("material {}", measurement.material());
         let client = connection.fits_of("measurement", request.measurement.as_slice());

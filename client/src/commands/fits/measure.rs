@@ -175,8 +175,7 @@ impl Inputs {
         let keep = args.keep.map(|title| kept_as(title, &args.measurements));
         let own = match &folder {
             Some(folder) if args.options.dictionary.is_none() => {
-                let shared = folder.dictionary_for_all_boards()?;
-                let (name, grid) = shared.map_or_else(|| folder.dictionary(), Ok)?;
+                let (name, grid) = folder.dictionary()?;
                 Some(WantedDictionary::new(DictionaryName::new(name)?, grid))
             }
             _ => None,

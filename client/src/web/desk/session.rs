@@ -7,7 +7,7 @@ use farm_lab::measurement_file::{MeasurementFile, read_measurements};
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::{Session, SetUp};
 use optics_model::fit::{FitOptions, FitSettings};
-use optics_model::{Invalid, Measurement};
+use optics_model::{Invalid, Measurement, Scene};
 
 use super::api::{CompleteCaptureRequest, CompleteCaptureResponse, OpenCaptureResponse};
 use super::note;
@@ -28,7 +28,9 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
     let known = set_up.mu_std_error();
     let settings = FitSettings { mu_std_error: known.unwrap_or_default(), ..FitSettings::default() };
     let options = FitOptions::new(FitSettings { curves: true, ..set_up.settings(settings) })?;
-    let (dictionary, grid) = SessionFolder::open(folder)?.dictionary()?;
+    let session = SessionFolder::open(folder)?;
+    let (dictionary, grid) = session.dictionary()?;
+    let scene = session.scene()?.filter(|_| grid.scene().is_for_all_boards());
     Ok(OpenCaptureResponse {
         materials: materials.iter().map(Into::into).collect(),
         notes: notes.into_iter().map(note).collect(),
@@ -37,6 +39,7 @@ pub(super) fn open(folder: &Path) -> Result<OpenCaptureResponse> {
         dictionary,
         records: grid.stored_records() as u64,
         grid: Some((&grid).into()),
+        board: scene.iter().flat_map(Scene::channels).map(Into::into).collect(),
     })
 }
 

@@ -231,9 +231,9 @@ async fn chosen(browser: &Browser, name: &str) {
     assert_eq!(line.contains("--dictionary paper"), name == "paper", "{line}");
 }
 
-/// A capture is measured with a dictionary of its own grid.
+/// A capture is measured with the dictionary of the command, and has the command's answer.
 #[tokio::test(flavor = "multi_thread")]
-async fn capture_is_measured_with_its_own_grid() {
+async fn capture_is_measured_as_by_the_command() {
     if !browser::is_there() {
         return;
     }
@@ -252,7 +252,7 @@ async fn capture_is_measured_with_its_own_grid() {
     go_to(&browser, "Capture").await;
     browser.element(By::LinkText("measure it")).await.click().await.unwrap();
     browser.shows("white (R, G, B at 0.512, 1.006 mm)").await;
-    browser.shows("a dictionary of its own, for its board and its thicknesses: 1,392 records").await;
+    browser.shows("is to be computed: 168 records, which sessions with other boards share").await;
     browser.press("Compute it").await;
     browser
         .wait("it can be measured", LONG, async |browser| {
@@ -268,6 +268,8 @@ async fn capture_is_measured_with_its_own_grid() {
     assert_eq!(line, "farmctl measure session");
     let measured = run(folder.path(), &["measure", "session", "--json"]);
     assert_eq!(measured.code, 0, "{}", measured.stderr);
+    // No other dictionary was computed.
+    assert!(!measured.stderr.contains("records"), "{}", measured.stderr);
     same_numbers(&browser, &serde_json::from_str(&measured.stdout).unwrap()).await;
     same_tables_as_the_report(&browser, &folder.path().join("session/report.html")).await;
     // A link restores the view, also after a reload and from another tab.
