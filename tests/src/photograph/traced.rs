@@ -9,9 +9,10 @@ use rayon::prelude::*;
 
 use super::subject::Edge;
 
-/// Pixels of the traced profiles: a quarter of the paper's, which lens and bins do not resolve.
+/// Pixels of the traced profiles, of 2.3 µm: a linear course between the centres of pixels four times as wide would add
+/// 0.6 % to the variance of a lens of 36 µm, more than the error that sessions state for it.
 const WIDTH_MM: f64 = 12.0;
-const PIXELS: u32 = 1728;
+const PIXELS: u32 = 5184;
 
 const SAMPLE_IOR: f64 = 1.53;
 

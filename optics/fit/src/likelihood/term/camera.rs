@@ -4,11 +4,15 @@
 //! edges. Measured pixels take differences of that integral: pixels of any size and position are treated alike, and the
 //! measured values are not resampled, so their noise stays independent.
 
+mod edge;
+
 use std::f64::consts::PI;
 
 use crate::dictionary::wide::wide;
 use crate::likelihood::point::Line;
 use crate::surrogate::interpolation::Place;
+
+use edge::EdgeBlur;
 
 /// Number of pixels by which a profile is continued beyond each end.
 const PADDING: usize = 40;
@@ -62,17 +66,17 @@ impl Camera {
         origin_mm: f64,
         blur_mm2: f64,
     ) -> ExposedProfile {
-        let kernel = BlurKernel::new(blur_mm2 / self.pitch_mm.powi(2));
+        let blur = self.blur(blur_mm2);
         let places = self.places(origin_mm);
         let seen = |padded: &[f64]| average(&places, &integral(padded));
         let padded = pad(values);
-        let blurred = kernel.blur(&padded);
-        let mut by_blur = seen(&kernel.by_variance(&padded));
+        let blurred = blur.blurred(&padded);
+        let mut by_blur = seen(&blur.by_variance(&padded));
         for v in &mut by_blur {
             *v /= self.pitch_mm.powi(2);
         }
         let by_origin = self.by_origin(&places, &integral(&blurred));
-        let slopes = slopes.iter().map(|s| seen(&kernel.blur(&pad(s)))).collect();
+        let slopes = slopes.iter().map(|s| seen(&blur.blurred(&pad(s)))).collect();
         ExposedProfile { values: seen(&blurred), slopes, by_blur, by_origin }
     }
 
@@ -85,8 +89,19 @@ impl Camera {
     /// The values alone.
     #[cfg(test)]
     fn values(&self, values: &[f64], origin_mm: f64, blur_mm2: f64) -> Line {
-        let kernel = BlurKernel::new(blur_mm2 / self.pitch_mm.powi(2));
-        average(&self.places(origin_mm), &integral(&kernel.blur(&pad(values))))
+        average(&self.places(origin_mm), &integral(&self.blur(blur_mm2).blurred(&pad(values))))
+    }
+
+    fn blur(&self, blur_mm2: f64) -> Blur {
+        let variance = blur_mm2 / self.pitch_mm.powi(2);
+        let kernel = BlurKernel::new(variance);
+        let edge = self.step().map(|at| (at, EdgeBlur::new(variance, &kernel)));
+        Blur { kernel, edge }
+    }
+
+    /// The first pixel after the edge between black and white in a padded profile, if the edge lies between pixels.
+    fn step(&self) -> Option<usize> {
+        self.pixels.is_multiple_of(2).then_some(self.pixels / 2 + PADDING)
     }
 
     /// The edges of the measured pixels in a padded profile whose step between black and white lies at `origin_mm` of the
@@ -99,11 +114,11 @@ impl Camera {
     /// `at` counts pixels from the first node of the padded profile.
     fn edge(&self, at: f64) -> Edge {
         let cells = self.pixels + 2 * PADDING;
-        let place = match cells / 2 {
-            _ if !self.pixels.is_multiple_of(2) => Place::new(at, 0..cells),
-            step if (at - step as f64).abs() < AT_STEP => Place::at_step(step, at),
-            step if at < step as f64 => Place::new(at, 0..step),
-            step => Place::new(at, step..cells),
+        let place = match self.step() {
+            None => Place::new(at, 0..cells),
+            Some(step) if (at - step as f64).abs() < AT_STEP => Place::at_step(step, at),
+            Some(step) if at < step as f64 => Place::new(at, 0..step),
+            Some(step) => Place::new(at, step..cells),
         };
         Edge { at, place }
     }
@@ -176,7 +191,9 @@ fn average(edges: &[Edge], integral: &[f64]) -> Line {
     up_to.windows(2).zip(edges.windows(2)).map(|(v, e)| (v[1] - v[0]) / (e[1].at - e[0].at)).collect()
 }
 
-/// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for every variance, down to 0.
+/// A Gaussian in the frequencies that pixels can carry, as a circular kernel: exact for profiles that change over several
+/// pixels, for every variance down to 0.
+#[derive(Debug)]
 struct BlurKernel {
     taps: [f64; TAPS],
     by_variance: [f64; TAPS],
@@ -205,13 +222,30 @@ impl BlurKernel {
         kernel.by_variance[TAPS - 1] *= 0.5;
         kernel
     }
+}
 
-    fn blur(&self, padded: &[f64]) -> Line {
-        convolve(&self.taps, padded)
+/// The camera's blur over pixels.
+struct Blur {
+    kernel: BlurKernel,
+    /// The first pixel after the edge between black and white, and what the kernel lacks there.
+    edge: Option<(usize, EdgeBlur)>,
+}
+
+impl Blur {
+    fn blurred(&self, padded: &[f64]) -> Line {
+        let mut blurred = convolve(&self.kernel.taps, padded);
+        if let Some((at, edge)) = &self.edge {
+            edge.complete(padded, *at, &mut blurred);
+        }
+        blurred
     }
 
     fn by_variance(&self, padded: &[f64]) -> Line {
-        convolve(&self.by_variance, padded)
+        let mut by_variance = convolve(&self.kernel.by_variance, padded);
+        if let Some((at, edge)) = &self.edge {
+            edge.complete_by_variance(padded, *at, &mut by_variance);
+        }
+        by_variance
     }
 }
 
@@ -293,6 +327,10 @@ mod tests {
             let (h, w) = (WIDTH_MM / PIXELS as f64, 0.12_f64.hypot(blur));
             let fifth = 3.0 * 0.8 / (2.0 * PI).sqrt() / w.powi(5);
             let bound = 2.0 * 17.0 / 720.0 * h.powi(6) * fifth * pixels as f64 / WIDTH_MM;
+            // The completion at the edge counts fifth derivatives as a step: Σ w_k (2k + 1)⁵/1,920 of them, of which a
+            // blurred pixel has at most 1/60.
+            let sharp = 3.0 * 0.8 / (2.0 * PI).sqrt() / 0.12_f64.powi(5);
+            let bound = bound + if blur > 0.0 { 4875.0 / 1920.0 * h.powi(5) * sharp / 60.0 } else { 0.0 };
             assert!(off < bound, "{pixels} pixels, origin {origin}, blur {blur}: {off} {bound}");
         }
     }
