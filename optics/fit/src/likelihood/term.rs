@@ -191,6 +191,11 @@ impl Term {
         own[self.priors.len()..].iter_mut().for_each(|c| *c /= factor.sqrt());
     }
 
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance of the error of the scene's responses.
+    pub(crate) fn model_errors(&self, shared: &Point, width_mm: f64) -> Vec<Line> {
+        self.responses.as_ref().map_or(Vec::new(), |r| r.model_errors(shared.scene(), width_mm))
+    }
+
     /// Unknowns that the profile may share with others.
     fn shared_count(&self) -> usize {
         SHARED + self.responses.as_ref().map_or(0, LocalResponses::count)

@@ -6,6 +6,8 @@
 //! in ln(1 − g): responses are smooth, and a few per cent of a profile. Those to a second lobe of the phase function grow
 //! as (1 − g)⁻³ in bright media, so there the parabola is one in (1 − g)^{−3/2}.
 
+use std::f64::consts::PI;
+
 use noise::Stencil;
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, add_scaled};
@@ -74,6 +76,37 @@ impl LocalResponses {
             change.by_quantity.push(there);
         }
         change
+    }
+}
+
+/// Error of a profile's change by the scene's quantities, as a share of it: what is left by one curve for all media, by sums
+/// instead of joint effects, and by the interpolation between the nodes.
+const MODEL_ERROR: f64 = 0.1;
+/// Distance in mm over which such errors are alike.
+const ALIKE_MM: f64 = 0.7;
+
+impl LocalResponses {
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance of the model's error, with the quantities at these differences
+    /// from the scene: ε² s(x) s(x′) c(x − x′), with s² = Σ_q (h_q L_q)² and c a Gaussian.
+    pub(crate) fn model_errors(&self, quantities: &[f64], width_mm: f64) -> Vec<Vec<f64>> {
+        let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
+        let mut squares = vec![0.0; pixels];
+        for (response, u) in self.each.iter().zip(quantities) {
+            let (height, _) = response.curve.at(response.in_channel + u);
+            squares.iter_mut().zip(&response.linear[0]).for_each(|(s, l)| *s += (height * l).powi(2));
+        }
+        // The spectrum of c, by cosines over the width.
+        let frequency = |k: usize| PI * k as f64 * ALIKE_MM / width_mm;
+        let weights = (0..pixels).map(|k| (-0.5 * frequency(k).powi(2)).exp()).take_while(|w| *w > 0.01);
+        let weights: Vec<f64> = weights.collect();
+        let sum = weights.iter().sum::<f64>() - 0.5;
+        let mode = |(k, weight): (usize, &f64)| -> Vec<f64> {
+            let share = if k == 0 { *weight } else { 2.0 * weight };
+            let size = MODEL_ERROR * (share / sum).sqrt();
+            let wave = |i: usize| (PI * k as f64 * (i as f64 + 0.5) / pixels as f64).cos();
+            squares.iter().enumerate().map(|(i, s)| size * s.sqrt() * wave(i)).collect()
+        };
+        weights.iter().enumerate().map(mode).collect()
     }
 }
 

@@ -123,6 +123,9 @@ impl<'a> System<'a> {
             let (term, point) = (&self.terms[i], self.point(i, &state.x));
             let mut noise = self.surrogates[i].noise_factors_at(point.thickness_mm(), point.medium());
             noise.factors.extend(of_responses);
+            noise
+                .factors
+                .extend(term.model_errors(&point, self.surrogates[i].grid().scene().sensor().width_mm()));
             let origin = term.origin_mm(&state.own[i]);
             Modes::new(&noise, &term.camera, origin, &term.std_errors)
         };

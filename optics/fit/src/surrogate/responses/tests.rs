@@ -68,6 +68,26 @@ fn of_roughness(seed: u64) -> FitDictionary {
     traced(&grid.with_responses(responses).unwrap())
 }
 
+/// The model's error is a tenth of the change of a profile, alike at neighbouring pixels and different farther away.
+#[test]
+fn model_errors_are_shares_of_the_change() {
+    let dictionary = of_roughness(1);
+    let surrogate = Surrogate::new(&dictionary, 0, 0);
+    let x = coordinates(&Medium::new(4.0, 0.9, 0.4).unwrap());
+    let responses = surrogate.responses(1.0, x).unwrap();
+    let change = responses.change(1.0, x, &[1.5]).values;
+    let errors = responses.model_errors(&[1.5], 10.0);
+    let covariance = |i: usize, k: usize| -> f64 { errors.iter().map(|f| f[i] * f[k]).sum() };
+    let n = change.len();
+    for i in (n / 4..3 * n / 4).step_by(9) {
+        let [own, far] = [i, i + n / 4].map(|k| covariance(i, k) / (change[i] * change[k]).abs());
+        assert!((own.sqrt() - 0.1).abs() < 0.01, "pixel {i}: {}", own.sqrt());
+        assert!(far.abs() < 0.05 * own, "pixel {i}: {far} {own}");
+    }
+    let none = responses.model_errors(&[0.0], 10.0);
+    assert!(none.iter().flatten().all(|v| *v == 0.0));
+}
+
 /// The stated noise is the scatter of values and slopes between dictionaries of different seeds.
 #[test]
 fn noise_is_the_scatter_between_seeds() {
