@@ -47,7 +47,7 @@ impl EdgeBlur {
         Self::add(&self.missing, profile, at, blurred);
     }
 
-    /// The same for the derivative by the variance.
+    /// Adds what the derivative of the blur by its variance lacks.
     pub(super) fn complete_by_variance(&self, profile: &[f64], at: usize, by_variance: &mut [f64]) {
         Self::add(&self.by_variance, profile, at, by_variance);
     }
@@ -184,7 +184,7 @@ mod tests {
     ///
     /// Without the completion the largest errors have a root mean square of 0.4 % at 36 µm and 0.9 % at 20 µm.
     #[test]
-    fn blur_at_the_edge_agrees_with_finer_pixels() {
+    fn edge_is_blurred_as_by_finer_pixels() {
         for (blur_mm, most) in [(0.036, 0.0003), (0.02, 0.0014)] {
             let error = |number: u64| {
                 let [sharp, blurred] = TracedSlab::new(number).sharp_and_blurred(blur_mm);
