@@ -97,8 +97,9 @@ async fn every_schema_can_be_read_and_fitted() {
             let fit = optics_fit::fit(&loaded, &measurement(&loaded), &FitOptions::default()).unwrap();
             let best = &fit.channels[0].candidates[0];
             assert_eq!(best.thicknesses[0].record, Some(4), "schema {schema}");
-            // In standard errors of a pixel; predictions have coefficients in single precision.
-            assert!(best.error < 1e-5, "schema {schema}: {}", best.error);
+            // In standard errors of a pixel. A descent ends where −2 ln L would fall by less than 1e-4, which here is some
+            // blur of the step at the edge: its effect begins with an infinite slope.
+            assert!(best.error < 1e-3, "schema {schema}: {}", best.error);
             store.close().await;
         }
     }
