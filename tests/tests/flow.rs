@@ -86,7 +86,8 @@ async fn simulated_measurement_fits_its_own_record() -> Result<()> {
     let best = &fit.candidates[0];
     assert_eq!((answer.material.as_str(), fit.channel.as_str(), fit.candidates.len()), ("m", "G", 3));
     assert_eq!((best.medium.sigma_t_per_mm(), best.medium.albedo(), best.medium.g()), (4.0, 0.99, 0.4));
-    assert!(best.error < 1e-5 && fit.candidates[1].error > 10.0 * best.error, "{fit:?}");
+    // A descent ends where −2 ln L would fall by less than 1e-4.
+    assert!(best.error < 1e-3 && fit.candidates[1].error > 10.0 * best.error, "{fit:?}");
     assert_eq!(worker.terminate(SOON), 0);
     assert_eq!(farm.stop_coordinator(), 0);
     Ok(())
