@@ -12,8 +12,8 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 use super::{BlurKernel, TAPS};
 
 /// Weights of the differences of the first pixels of both sides, from the edge outwards. They have no effect on cubics, so
-/// profiles that are smooth across the edge are blurred as before; a step in the middle of much wider pixels would be
-/// completed by 88 %.
+/// profiles that are smooth across the edge are blurred by the kernel alone; a step between much wider pixels is completed
+/// by 88 %.
 const WEIGHTS: [f64; 4] = [2.806, -4.223, 3.1005, -0.8057];
 /// Least variance for derivatives, in squared pixels: that by the variance is infinite at 0.
 const LEAST_VARIANCE: f64 = 0.03;
