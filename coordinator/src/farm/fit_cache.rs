@@ -203,10 +203,10 @@ async fn load_channels(
     };
     while let Some(read) = reading.join_next().await {
         read_next(&mut reading);
-        for found in read.map_err(|error| ended_early(&error))?? {
-            let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };
-            builder.add(&found.map_err(damaged)?.records);
-        }
+        let damaged = |Damaged { job, what }| FarmError::Damaged { name: name.clone(), job, what };
+        let found = read.map_err(|error| ended_early(&error))??.into_iter();
+        let intact = found.map(|found| Ok(found.map_err(damaged)?.records)).collect::<Result<Vec<_>>>()?;
+        builder.add_all(&intact);
     }
     Ok(blocking(move || builder.build()).await)
 }

@@ -161,9 +161,8 @@ impl<'a> Surrogate<'a> {
             Prediction { values: vec![0.0; count], slopes: std::array::from_fn(|_| vec![0.0; count]) };
         for i in 0..s.values.len() {
             let node = |k: usize| {
-                let first = self.record([s.first + i, g.first + k, thickness, 0]);
-                let node = coefficients.node(records, first / self.albedo.len());
-                let row = |j: usize| &node[(a.first + j.min(a.values.len() - 1)) * count..][..count];
+                let first = self.record([s.first + i, g.first + k, thickness, a.first]);
+                let row = |j: usize| coefficients.row(records, first + j.min(a.values.len() - 1));
                 Node { rows: std::array::from_fn(row), weight: g.values[k], slope: g.slopes[k] }
             };
             let nodes: Vec<Node> = (0..g.values.len()).map(node).collect();
@@ -184,30 +183,53 @@ impl<'a> Surrogate<'a> {
         Prediction { values, slopes }
     }
 
-    /// The records that contribute to the prediction at `x`: number of the medium over all axes, weight, and the weight's
-    /// derivatives by the coordinates.
-    pub(crate) fn stencil(&self, x: Coordinates) -> Vec<(usize, f64, [f64; 3])> {
+    /// The media near a place, over whose records a prediction is a sum.
+    pub(crate) fn neighbours(&self, x: Coordinates) -> Neighbours {
         self.dictionary.stop.check();
-        let (s, g) = (self.sigma_t.weights(x[SIGMA_T]), self.g.weights(x[G]));
-        let a = interpolation(&self.albedo, x[ALBEDO]);
-        let grid = self.dictionary.grid();
-        let mut stencil = Vec::with_capacity(s.values.len() * g.values.len() * a.values.len());
-        for i in 0..s.values.len() {
-            let row = self.ior * grid.sigma_t_per_mm().len() + s.first + i;
-            for k in 0..g.values.len() {
-                let first = (row * grid.g().len() + g.first + k) * grid.albedo().len() + a.first;
-                for j in 0..a.values.len() {
-                    let by = [
-                        s.slopes[i] * a.values[j] * g.values[k],
-                        s.values[i] * a.slopes[j] * g.values[k],
-                        s.values[i] * a.values[j] * g.slopes[k],
-                    ];
-                    stencil.push((first + j, s.values[i] * a.values[j] * g.values[k], by));
-                }
-            }
-        }
-        stencil
+        let (sigma_t, g) = (self.sigma_t.weights(x[SIGMA_T]), self.g.weights(x[G]));
+        Neighbours { sigma_t, albedo: interpolation(&self.albedo, x[ALBEDO]), g }
     }
+
+    /// The neighbours at another extinction.
+    pub(crate) fn at_sigma_t(&self, near: &Neighbours, ln_sigma_t: f64) -> Neighbours {
+        Neighbours { sigma_t: self.sigma_t.weights(ln_sigma_t), ..near.clone() }
+    }
+
+    /// The sum of a number over media near by, which is given by their numbers over all axes; then its derivatives by the
+    /// coordinates.
+    pub(crate) fn sums(&self, near: &Neighbours, of_media: &[f32]) -> [f64; 4] {
+        let grid = self.dictionary.grid();
+        let (count, albedos) = (grid.g().len(), grid.albedo().len());
+        let Neighbours { sigma_t: s, albedo: a, g } = near;
+        let mut sums = [0.0; 4];
+        for (i, (weight, slope)) in s.values.iter().zip(&s.slopes).enumerate() {
+            let row = self.ior * grid.sigma_t_per_mm().len() + s.first + i;
+            let (mut value, mut by_albedo, mut by_g) = (0.0, 0.0, 0.0);
+            for (k, (of_g, slope_g)) in g.values.iter().zip(&g.slopes).enumerate() {
+                let first = (row * count + g.first + k) * albedos + a.first;
+                let media = &of_media[first..first + a.values.len()];
+                let along =
+                    |weights: &[f64]| media.iter().zip(weights).map(|(c, w)| f64::from(*c) * w).sum::<f64>();
+                let mixed = along(&a.values);
+                value += of_g * mixed;
+                by_albedo += of_g * along(&a.slopes);
+                by_g += slope_g * mixed;
+            }
+            sums[0] += weight * value;
+            sums[1] += slope * value;
+            sums[2] += weight * by_albedo;
+            sums[3] += weight * by_g;
+        }
+        sums
+    }
+}
+
+/// Weights of the nodes near a place, along each axis.
+#[derive(Debug, Clone)]
+pub(crate) struct Neighbours {
+    sigma_t: Weights,
+    albedo: Weights,
+    g: Weights,
 }
 
 /// Weights of four albedos, and their derivatives.

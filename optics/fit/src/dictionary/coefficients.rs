@@ -26,8 +26,8 @@ pub(crate) struct Coefficients {
     basis: Vec<Vec<f64>>,
     /// The basis as `[block of pixels][direction]`; zeros fill the last block.
     blocks: Vec<[f64; BLOCK]>,
-    /// By job, as `[albedo][direction]`, computed when they are needed first.
-    nodes: Vec<OnceLock<Box<[f32]>>>,
+    /// By record, computed when they are needed first.
+    rows: Vec<OnceLock<Box<[f32]>>>,
 }
 
 impl Coefficients {
@@ -60,13 +60,13 @@ impl Coefficients {
             basis.iter().map(move |direction| std::array::from_fn(|i| at(direction, first + i)))
         };
         let blocks = (0..pixels).step_by(BLOCK).flat_map(block).collect();
-        let nodes = (0..records.grid().nominal_jobs()).map(|_| OnceLock::new()).collect();
-        Self { pixels, basis, blocks, nodes }
+        let rows = (0..count).map(|_| OnceLock::new()).collect();
+        Self { pixels, basis, blocks, rows }
     }
 
     /// Bytes of a grid's records in one channel.
     pub(crate) fn bytes_of(grid: &optics_model::Grid) -> usize {
-        grid.record_count().saturating_mul(DIRECTIONS * size_of::<f32>())
+        grid.record_count().saturating_mul(DIRECTIONS * size_of::<f32>() + size_of::<OnceLock<Box<[f32]>>>())
     }
 
     /// Number of coefficients.
@@ -74,19 +74,16 @@ impl Coefficients {
         self.basis.len()
     }
 
-    /// The coefficients of a job's records, as `[albedo][direction]`.
-    pub(crate) fn node(&self, records: &Records, job: usize) -> &[f32] {
-        self.nodes[job].get_or_init(|| {
-            let albedos = records.grid().albedo().len();
-            let mut node = Vec::with_capacity(albedos * self.count());
-            for record in job * albedos..(job + 1) * albedos {
-                let values = profile(records, record);
-                wide(
-                    #[inline(always)]
-                    || describe(&self.basis, &values, |c| node.push(c as f32)),
-                );
-            }
-            node.into()
+    /// The coefficients of a record.
+    pub(crate) fn row(&self, records: &Records, record: usize) -> &[f32] {
+        self.rows[record].get_or_init(|| {
+            let mut row = Vec::with_capacity(self.count());
+            let values = profile(records, record);
+            wide(
+                #[inline(always)]
+                || describe(&self.basis, &values, |c| row.push(c as f32)),
+            );
+            row.into()
         })
     }
 
@@ -175,14 +172,9 @@ mod tests {
         }
         let dictionary = builder.build();
         let (records, found) = (dictionary.records(0), dictionary.coefficients(0));
-        let albedos = grid.albedo().len();
         let mut left: Vec<f64> = Vec::new();
         for (index, errors) in noise.iter().enumerate() {
-            let node = found.node(records, index / albedos);
-            let row: Vec<f64> = node[index % albedos * found.count()..][..found.count()]
-                .iter()
-                .map(|c| f64::from(*c))
-                .collect();
+            let row: Vec<f64> = found.row(records, index).iter().map(|c| f64::from(*c)).collect();
             let [profile] = found.profiles([&row]);
             let values = records.values(index, 0..records.pixels());
             let square = |((p, v), s): ((&f64, &f32), &f32)| ((p - f64::from(*v)) / f64::from(*s)).powi(2);

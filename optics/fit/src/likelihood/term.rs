@@ -24,7 +24,7 @@ pub(crate) mod white;
 use nalgebra::{DMatrix, DVector};
 use optics_model::fit::FitSettings;
 
-use crate::dictionary::sum::dot;
+use crate::dictionary::sum::{dot, dots};
 use crate::dictionary::wide::wide;
 use crate::likelihood::point::{Line, Point, SHARED, SLAB_FLAWS};
 use crate::surrogate::responses::LocalResponses;
@@ -329,10 +329,17 @@ impl Term {
             #[inline(always)]
             || {
                 for i in 0..n {
-                    for j in 0..=i {
-                        let product = dot(&weighted[i], &linear.columns[j]);
+                    let mut put = |j: usize, product: f64| {
                         all[(i, j)] = product;
                         all[(j, i)] = product;
+                    };
+                    let (fours, others) = linear.columns[..=i].as_chunks::<4>();
+                    for (k, four) in fours.iter().enumerate() {
+                        let products = dots(&weighted[i], four.each_ref().map(Vec::as_slice));
+                        (4 * k..).zip(products).for_each(|(j, product)| put(j, product));
+                    }
+                    for (k, column) in others.iter().enumerate() {
+                        put(4 * fours.len() + k, dot(&weighted[i], column));
                     }
                 }
             },

@@ -7,6 +7,10 @@ use std::ops::Range;
 
 /// Number of nodes that one polynomial passes through.
 pub(crate) const NODES: usize = 6;
+/// Number of integrals that are interpolated side by side.
+pub(crate) const LANES: usize = 8;
+
+const ENOUGH: &str = "there are as many nodes";
 
 /// A place between nodes.
 #[derive(Debug, Clone, Copy)]
@@ -60,14 +64,28 @@ impl Place {
         self.weigh(&self.integral, nodes)
     }
 
+    /// Several integrals at this place.
+    #[expect(clippy::inline_always, reason = "`wide` compiles what is inlined into it")]
+    #[inline(always)]
+    pub(crate) fn integrals(&self, nodes: &[[f64; LANES]]) -> [f64; LANES] {
+        let (w, n): (_, &[_; NODES]) = (&self.integral, nodes[self.first..].first_chunk().expect(ENOUGH));
+        let mut sums = [0.0; LANES];
+        for i in 0..LANES {
+            sums[i] = (w[0] * n[0][i] + w[1] * n[1][i])
+                + (w[2] * n[2][i] + w[3] * n[3][i])
+                + (w[4] * n[4][i] + w[5] * n[5][i]);
+        }
+        sums
+    }
+
     /// The integrand at this place, per cell.
     pub(crate) fn integrand(&self, nodes: &[f64]) -> f64 {
         self.weigh(&self.integrand, nodes)
     }
 
     fn weigh(&self, w: &[f64; NODES], nodes: &[f64]) -> f64 {
-        let n: &[f64; NODES] = nodes[self.first..].first_chunk().expect("there are as many nodes");
-        // In three independent sums, since most of a fit's time is spent here.
+        let n: &[f64; NODES] = nodes[self.first..].first_chunk().expect(ENOUGH);
+        // In three independent sums, since much of a fit's time is spent here.
         (w[0] * n[0] + w[1] * n[1]) + (w[2] * n[2] + w[3] * n[3]) + (w[4] * n[4] + w[5] * n[5])
     }
 }

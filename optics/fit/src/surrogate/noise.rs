@@ -1,6 +1,7 @@
 //! Estimates the noise of the records in predictions from the residuals of the neighbouring records.
 
-use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, albedo, interpolation};
+use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, add_scaled, albedo, interpolation};
+use crate::dictionary::wide::wide;
 use crate::surrogate::local_axis::{Direction, Weights};
 
 /// Assumed share of walks that are scattered again, q: it is lower in thin slabs and higher in thick ones.
@@ -95,7 +96,10 @@ impl Surrogate<'_> {
         };
         let images: Vec<Vec<f64>> = (0..ns * ng).map(image).collect();
         let add = |into: &mut [f64], factor: f64, of: &[f64]| {
-            into.iter_mut().zip(of).for_each(|(v, o)| *v += factor * o);
+            wide(
+                #[inline(always)]
+                || add_scaled(into, factor, of),
+            );
         };
         // The models along both axes, one after the other.
         let along_s: Vec<Vec<f64>> = (0..ns * ng)

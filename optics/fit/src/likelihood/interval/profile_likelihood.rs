@@ -23,6 +23,9 @@ const STIFF: f64 = 1e6;
 const LOOKS: usize = 40;
 /// Steps may grow by this factor.
 const LONGER: f64 = 1.5;
+/// An end that the quadratic at the optimum predicts is certain if the quadratic there agrees to this share of the way, and
+/// promises no larger fall of −2 ln L than this by other unknowns.
+const CERTAIN: (f64, f64) = (0.03, 0.01);
 /// An end by the quadratic is accepted after a step of at most this share of the way, if no other unknowns would lower
 /// −2 ln L by more than this.
 const GOOD: (f64, f64) = (0.1, 0.3);
@@ -70,7 +73,12 @@ impl ProfileLikelihood<'_> {
         let wanted = Z * self.inflation.sqrt();
         let stiffness = STIFF / (deviation * deviation);
         let found = self.by_parabolas(quantity, wanted, side, furthest);
-        let confirm = |(state, at)| self.confirmed(state, &HeldQuantity { quantity, at, stiffness }, wanted);
+        let confirm = |found: EndByParabolas| match found {
+            EndByParabolas { at, certain: true, .. } => Some(IntervalEnd { value: at, open: false }),
+            EndByParabolas { state, at, .. } => {
+                self.confirmed(state, &HeldQuantity { quantity, at, stiffness }, wanted)
+            }
+        };
         if let Some(end) = found.and_then(confirm) {
             return end;
         }
@@ -94,17 +102,16 @@ impl ProfileLikelihood<'_> {
         }
     }
 
-    /// A state at the end, and the quantity there, where −2 ln L is close to a quadratic, as it mostly is: each
-    /// evaluation predicts the distance at which the minimum with the quantity held has the required rise, and the next
-    /// one is made there (Venzon and Moolgavkar 1988). None if that does not converge, or if it leads beyond the
-    /// furthest.
+    /// The end where −2 ln L is close to a quadratic, as it mostly is: each evaluation predicts the distance at which the
+    /// minimum with the quantity held has the required rise, and the next one is made there (Venzon and Moolgavkar 1988).
+    /// None if that does not converge, or if it leads beyond the furthest.
     fn by_parabolas(
         &self,
         quantity: Quantity,
         wanted: f64,
         side: f64,
         furthest: f64,
-    ) -> Option<(State, f64)> {
+    ) -> Option<EndByParabolas> {
         let (from, unknowns) = (quantity.value(&self.optimum.x), &self.system.unknowns);
         let gradient = quantity.gradient(&self.optimum.x);
         let rise = wanted * wanted;
@@ -114,7 +121,7 @@ impl ProfileLikelihood<'_> {
         // Greatest step of the quantity: where a valley bends, the quadratic is good for a part of the way only.
         let mut furthest_step = f64::INFINITY;
         self.system.advance(&mut state, self.normal, &first.whole);
-        for _ in 0..LOOKS {
+        for look in 0..LOOKS {
             let (cost, normal) = self.system.look(&state);
             let gradient = quantity.gradient(&state.x);
             let room = self.optimum.cost + rise - cost;
@@ -132,7 +139,9 @@ impl ProfileLikelihood<'_> {
             inside = state.clone();
             self.system.advance(&mut state, &normal, &(step.whole * share));
             if share == 1.0 && moved.abs() < GOOD.0 * distance && step.slack < GOOD.1 {
-                return Some((state, from + side * distance));
+                let agrees = moved.abs() < CERTAIN.0 * distance && step.slack < CERTAIN.1;
+                let certain = look == 0 && agrees && is_inside(unknowns, &state.x);
+                return Some(EndByParabolas { state, at: from + side * distance, certain });
             }
             furthest_step *= LONGER;
         }
@@ -158,6 +167,21 @@ impl ProfileLikelihood<'_> {
         self.system.advance(&mut state, self.normal, &step);
         state
     }
+}
+
+/// An end to which quadratics have led.
+struct EndByParabolas {
+    state: State,
+    /// The quantity there.
+    at: f64,
+    /// Whether no descent has to confirm it.
+    certain: bool,
+}
+
+/// Whether no unknown that can move is at a limit.
+fn is_inside(unknowns: &[Unknown], x: &DVector<f64>) -> bool {
+    let inside = |i: usize| unknowns[i].limits.0 < x[i] && x[i] < unknowns[i].limits.1;
+    free(unknowns).into_iter().all(inside)
 }
 
 /// The middle between a state and one to which its quadratic has led too far.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use optics_model::fit::PhaseModel;
 use optics_model::scene::{Prior, PriorKind, Scope};
+use rayon::prelude::*;
 
 use crate::dictionary::axes::held;
 use crate::likelihood::problem::anisotropies::Anisotropies;
@@ -12,7 +13,7 @@ use crate::likelihood::system::unknowns::{
     ANYWHERE, OF_MEAN, SceneUnknown, Unknown, Unknowns, thickness_prior,
 };
 use crate::likelihood::system::{State, System};
-use crate::likelihood::term::{OF_SLABS, Own, blur};
+use crate::likelihood::term::{OF_SLABS, Own, Term, blur};
 use crate::surrogate::Surrogate;
 
 /// Greatest change of the logarithm of a slab's thickness by a fit.
@@ -155,7 +156,12 @@ pub(crate) fn assemble<'a>(
     };
     let mut anisotropies = Anisotropies::new(channels, sharing.g, sharing.g_change);
     let (mut profiles, mut terms) = (Vec::new(), Vec::new());
-    for ((data, surrogate), medium) in channels.iter().zip(surrogates).zip(media) {
+    let starts = channels.par_iter().zip(surrogates).zip(media);
+    let at_start = starts.map(|((data, surrogate), medium)| {
+        data.profiles.iter().map(|profile| profile.term(surrogate, *medium)).collect()
+    });
+    let at_start: Vec<Vec<Term>> = at_start.collect();
+    for (((data, surrogate), medium), at_start) in channels.iter().zip(surrogates).zip(media).zip(at_start) {
         let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
         let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
@@ -163,8 +169,7 @@ pub(crate) fn assemble<'a>(
         let own_g = Unknown { prior: None, about: None, limits: limits[2], held: held[2].is_some() };
         let g = anisotropies.slot(data.name, &mut builder.unknowns, own_g, medium[2]);
         let first = profiles.len();
-        for profile in &data.profiles {
-            let mut term = profile.term(surrogate, *medium);
+        for (profile, mut term) in data.profiles.iter().zip(at_start) {
             let is_shared = others_have(channels, data, profile);
             if is_shared {
                 term.share_flaws(OF_MEAN);

@@ -19,8 +19,8 @@ use crate::likelihood::point::Line;
 use crate::likelihood::problem::form::{QuadraticForm, loose_columns, smoothed};
 use crate::likelihood::system::descent::{Descent, DescentStep};
 use crate::likelihood::term::robust::without_specks;
-use crate::surrogate::Surrogate;
 use crate::surrogate::resample::resample;
+use crate::surrogate::{Neighbours, Surrogate};
 
 /// Least relative error of the basis and of the records.
 const FLOOR: f64 = 0.003;
@@ -161,24 +161,14 @@ impl Compressed {
         &self,
         view: &View,
         surrogate: &Surrogate,
-        x: [f64; 3],
+        near: &Neighbours,
         scale: f64,
     ) -> (DVector<f64>, DMatrix<f64>) {
         let sketch = view.value_sketch(self.thickness);
         let n = self.data.len();
         let mut all = DMatrix::zeros(n, 4);
-        let stencil = surrogate.stencil([x[0] + self.ln_ratio, x[1], x[2]]);
         for k in 0..n {
-            let row = sketch.row(k);
-            let mut sums = [0.0; 4];
-            for (medium, weight, by) in &stencil {
-                let c = f64::from(row[*medium]);
-                sums[0] += weight * c;
-                sums[1] += by[0] * c;
-                sums[2] += by[1] * c;
-                sums[3] += by[2] * c;
-            }
-            all.row_mut(k).copy_from_slice(&sums);
+            all.row_mut(k).copy_from_slice(&surrogate.sums(near, sketch.row(k)));
         }
         let through = &self.root * all * (scale * view.sketch_scale());
         let residuals = through.column(0) + scale * &self.mean - &self.data;
@@ -229,8 +219,14 @@ impl Scan<'_> {
     /// Admissible media, best first, at most `count`.
     pub(crate) fn best(&self, costs: &[f32], count: usize) -> Vec<[usize; 4]> {
         let mut media = self.media(0..self.dictionary.grid().sample_ior().len());
-        media.sort_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]));
+        let better = |a: &[usize; 4], b: &[usize; 4]| {
+            costs[self.number(*a)].total_cmp(&costs[self.number(*b)]).then(a.cmp(b))
+        };
+        if (1..media.len()).contains(&count) {
+            media.select_nth_unstable_by(count - 1, better);
+        }
         media.truncate(count);
+        media.sort_unstable_by(better);
         media
     }
 
@@ -303,8 +299,12 @@ impl Scan<'_> {
     pub(crate) fn by_anisotropy(&self, surrogates: &[Surrogate], costs: &[f32], scale: f64) -> Vec<Start> {
         let region = &self.region.admissible;
         let best = |g: usize| {
-            let media = self.media(0..1).into_iter().filter(|m| m[2] == g);
-            media.min_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]))
+            let row = |s: usize| region.albedo.clone().map(move |a| [0, s, g, a]);
+            region
+                .sigma_t
+                .clone()
+                .flat_map(row)
+                .min_by(|a, b| costs[self.number(*a)].total_cmp(&costs[self.number(*b)]))
         };
         let held = [self.region.held[0], self.region.held[1], true];
         let start = |m: [usize; 4]| self.descend(&surrogates[m[0]], m[0], self.coordinates(m), held, scale);
@@ -327,8 +327,11 @@ impl Scan<'_> {
     fn parabola(&self, surrogate: &Surrogate, x: [f64; 3], scale: f64) -> Parabola {
         let cost = self.terms.iter().map(|t| t.left(scale)).sum();
         let mut all = Parabola { x, cost, downhill: Vector3::zeros(), normal: Matrix3::zeros() };
+        let near = surrogate.neighbours(x);
         for term in &self.terms {
-            let (residuals, slopes) = term.residuals(&self.view, surrogate, x, scale);
+            let moved = (term.ln_ratio != 0.0).then(|| surrogate.at_sigma_t(&near, x[0] + term.ln_ratio));
+            let (residuals, slopes) =
+                term.residuals(&self.view, surrogate, moved.as_ref().unwrap_or(&near), scale);
             all.cost += residuals.dot(&residuals);
             all.downhill -= Vector3::from_iterator((slopes.transpose() * &residuals).iter().copied());
             let square = slopes.transpose() * &slopes;

@@ -2,6 +2,7 @@
 //! walk contributes to many of them.
 
 use crate::dictionary::sum::dot;
+use crate::dictionary::wide::wide;
 use crate::likelihood::point::Line;
 use crate::likelihood::term::camera::Camera;
 use crate::surrogate::NoiseFactors;
@@ -41,11 +42,13 @@ impl Modes {
             }
             let Some(pivot) = (0..n).max_by(|a, b| share(a).total_cmp(&share(b))) else { break };
             let size = rest_variances[pivot].sqrt();
-            let of = |i: usize| {
-                let known: f64 = modes.iter().map(|m: &Line| m[i] * m[pivot]).sum();
-                (dot(&at_pixel[i], &at_pixel[pivot]) - known) / size
-            };
-            let mode: Line = (0..n).map(of).collect();
+            let products: Line = wide(
+                #[inline(always)]
+                || at_pixel.iter().map(|f| dot(f, &at_pixel[pivot])).collect(),
+            );
+            let known = |i: usize| modes.iter().map(|m: &Line| m[i] * m[pivot]).sum::<f64>();
+            let mode: Line =
+                products.iter().enumerate().map(|(i, product)| (product - known(i)) / size).collect();
             rest_variances.iter_mut().zip(&mode).for_each(|(v, m)| *v = (*v - m * m).max(0.0));
             modes.push(mode);
         }
