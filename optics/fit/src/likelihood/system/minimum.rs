@@ -47,7 +47,11 @@ impl System<'_> {
             let predicted = fall + known(&state.x) - known(&there.x);
             Some(DescentStep { to: self.evaluate(there), predicted })
         };
-        let decrement = |place: &Evaluation| self.decrement(&place.state.x, place.normal(self), held);
+        let decrement = |place: &Evaluation| {
+            let normal = place.normal(self);
+            let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
+            own + self.shared_decrement(&place.state.x, normal, held)
+        };
         let descent = Descent { most_steps: MOST_STEPS, tolerance };
         descent.run(self.evaluate(from), total, decrement, step).state
     }
@@ -93,18 +97,11 @@ impl System<'_> {
         limited_step(&self.unknowns, x, &information, &downhill)
     }
 
-    /// The minimum of −2 ln L that the quadratic at a state predicts.
-    pub(crate) fn predicted_minimum(&self, state: &State) -> f64 {
-        let (cost, normal) = self.look(state);
-        cost - self.decrement(&state.x, &normal, None)
-    }
-
-    /// The fall of −2 ln L that is predicted for an undamped step.
-    fn decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
-        let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
+    /// The fall of −2 ln L that is predicted for an undamped step of the shared unknowns.
+    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
         let (information, downhill) = with_spring(x, normal, held);
         let step = limited_step(&self.unknowns, x, &information, &downhill);
-        own + step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
+        step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
     }
 }
 
