@@ -104,7 +104,9 @@ impl DictionaryBuilder {
         if self.weights.is_empty() {
             self.add_as_stored(jobs);
         } else {
-            jobs.iter().for_each(|records| self.add_over_boards(records));
+            for records in jobs {
+                self.add_over_boards(records);
+            }
         }
     }
 

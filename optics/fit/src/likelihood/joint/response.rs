@@ -41,7 +41,7 @@ impl Response {
         let system = with_terms(joint, Term::clone);
         let given = system.descend(joint.state.clone(), None, FINE);
         let factor = if scale_is_free { None } else { factor(joint, system, &given) };
-        [exponent(joint, given), factor].into_iter().flatten().max_by(|a, b| a.fall.total_cmp(&b.fall))
+        [exponent(joint, &given), factor].into_iter().flatten().max_by(|a, b| a.fall.total_cmp(&b.fall))
     }
 
     pub(super) fn suspicion(&self, channel: usize) -> Suspicion {
@@ -57,14 +57,14 @@ struct Tried {
 }
 
 /// The exponent with the lowest minimum, from the minimum of the values as they were given.
-fn exponent(joint: &Joint, given: State) -> Option<Response> {
+fn exponent(joint: &Joint, given: &State) -> Option<Response> {
     let with_power = |ln_power: f64| with_terms(joint, |term| raised(term, f64::exp(ln_power)));
     let at = |ln_power: f64, from: &State, tolerance: f64| {
         let state = with_power(ln_power).descend(from.clone(), None, tolerance);
         Tried { ln_power, state }
     };
     // Rough minima show whether a fall of the required size can be expected.
-    let [below, above] = [-STEP, STEP].map(|ln_power| at(ln_power, &given, COARSE));
+    let [below, above] = [-STEP, STEP].map(|ln_power| at(ln_power, given, COARSE));
     let first = given.cost;
     let curvature = below.state.cost - 2.0 * first + above.state.cost;
     let slope = below.state.cost - above.state.cost;
