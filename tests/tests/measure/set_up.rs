@@ -76,8 +76,10 @@ fn coverage_of(groups: &[Vec<bool>]) -> Share {
     Share::of_groups(groups).unwrap()
 }
 
-/// Coverage and widths of set-ups whose quantities are all drawn from their priors.
-fn random(sets: u64, materials: usize) {
+/// Coverage and widths of set-ups whose quantities are all drawn from their priors: 40, or `FARM_TEST_SET_UPS`.
+fn random(materials: usize) {
+    let given = std::env::var("FARM_TEST_SET_UPS");
+    let sets = given.map_or(40 * effort(), |v| v.parse().expect("FARM_TEST_SET_UPS is a whole number"));
     let fitted = |number, changed| {
         SetUpSession::random(number, materials, changed).measured(dictionary(Nodes::Paper, changed))
     };
@@ -134,11 +136,11 @@ fn print_scene(found: &Sessions) {
 #[test]
 #[ignore = "long form"]
 fn random_set_ups_keep_their_coverage() {
-    random(40 * effort(), 6);
+    random(6);
 }
 
 #[test]
 #[ignore = "long form"]
 fn one_material_keeps_its_coverage() {
-    random(40 * effort(), 1);
+    random(1);
 }
