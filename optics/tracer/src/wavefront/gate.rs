@@ -102,8 +102,10 @@ fn route(stack: &Stack, slab: usize, down: bool) -> Route {
 
 /// The gate that a walk in the slab reaches.
 pub fn gate_at_end(stack: &Stack, slab: usize, down: bool) -> usize {
-    // The base has the number that the next interface would have.
-    debug_assert!(slab <= stack.interfaces.len());
+    if cfg!(test) {
+        // The base has the number that the next interface would have.
+        assert!(slab <= stack.interfaces.len());
+    }
     if down { 2 * slab } else { 2 * slab - 1 }
 }
 
