@@ -119,7 +119,7 @@ fn tables_agree_with_adding_doubling() {
     check_uniform_bases(&reference::tabulated().unwrap());
 }
 
-/// 16 × 500,000 walks and 16,384 samples per pixel, so that nearly all noise is the reference's, whose pixels are
+/// 16 × 125,000 walks and 16,384 samples per pixel, so that most noise is the reference's, whose pixels are
 /// independent: χ²/n is 1 ± 0.14. Pixels of the tracer's profile share their walks, so the error of a side's mean comes
 /// from the spread between the 16 seeds.
 #[test]
@@ -130,7 +130,7 @@ fn edge_profiles_agree_with_mitsuba() {
         let scene = pixels(Scene::paper(), reference.width_mm, n as u32).with_phase(reference.phase.clone());
         let scene = channels(scene, &[(reference.rho_light, reference.rho_dark)]);
         let point = [reference.sigma_t_per_mm, reference.g, reference.thickness_mm, reference.sample_ior];
-        let run = Run::new(scene, point, &[reference.albedo], 500_000);
+        let run = Run::new(scene, point, &[reference.albedo], effort() * 125_000);
         let profiles: Vec<_> = (0..SEEDS).map(|seed| values(&run.profile(seed))).collect();
         let ours: Vec<_> =
             (0..n).map(|pixel| Mean::of(&profiles.iter().map(|p| p[pixel]).collect::<Vec<_>>())).collect();

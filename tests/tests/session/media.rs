@@ -2,8 +2,9 @@
 //!
 //! Media between the grid points are traced with the board's true ρ and the slabs' true thicknesses. The simulated
 //! photographs have flicker, drift, blur, vignetting, glare and dust; the white reference, squares and thicknesses are off
-//! by their stated errors, and so are the uncertain quantities of the scene `lab`. The dictionary is that of the plain
-//! command. With `FARM_TEST_EFFORT=10` there are seven sessions of three media. Then these may be set:
+//! by their stated errors, and so are the uncertain quantities of the scene `lab`. The normal run is one session, with a
+//! dictionary of five anisotropies. With `FARM_TEST_EFFORT=10` there are seven sessions of three media, with the
+//! dictionary of the plain command. Then these may be set:
 //!
 //! | variable | meaning |
 //! |---|---|
@@ -53,7 +54,8 @@ struct Trial {
 
 impl Trial {
     fn normal() -> Self {
-        Self { sessions: 0..1, without: Vec::new(), axes: String::new(), g: (0.3, 0.5), walks: 4_000_000 }
+        let axes = "g = [0.2, 0.3, 0.4, 0.5, 0.6]\n".to_owned();
+        Self { sessions: 0..1, without: Vec::new(), axes, g: (0.3, 0.5), walks: 4_000_000 }
     }
 
     fn long() -> Self {

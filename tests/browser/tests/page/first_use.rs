@@ -244,7 +244,7 @@ async fn capture_is_measured_as_by_the_command() {
     // The axes of the session's grid are the paper's; the test uses coarser ones to save time.
     let grid = folder.path().join("session/grid.toml");
     let axes = "sigma_t_per_mm = [5, 6, 8, 10, 14, 20, 26]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n\
-                g = [0.2, 0.4, 0.6]\nwalks = 20000\n";
+                g = [0.2, 0.4, 0.6]\nwalks = 5000\n";
     let text = std::fs::read_to_string(&grid).unwrap();
     std::fs::write(&grid, format!("{axes}{text}")).unwrap();
     let page = Page::start(folder.path(), &[]);

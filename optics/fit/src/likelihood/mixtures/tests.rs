@@ -1,10 +1,12 @@
 //! Tests inks from mixtures, with a dictionary from a formula and noise of the pixels alone.
 
+use std::sync::LazyLock;
+
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Mixture, Mixtures, Unmixed};
 use optics_model::{Invalid, MeasuredProfile, Measurement};
 
 use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
-use crate::{measure, unmix};
+use crate::{FitDictionary, measure, unmix};
 use optics_model::fit::MeasurePlan;
 
 const G: f64 = 0.3;
@@ -31,8 +33,10 @@ fn slabs(material: &str, parts: &[(&str, f64)], seed: u64) -> Measurement {
 /// Name, stated fractions, and true ones.
 type Recipe<'a> = (&'a str, &'a [(&'a str, f64)], &'a [(&'a str, f64)]);
 
+static DICTIONARY: LazyLock<FitDictionary> = LazyLock::new(|| noisy_dictionary(dense_axes(), 180, 0.0));
+
 fn unmixed(recipes: &[Recipe], seed: u64) -> Result<Unmixed, Invalid> {
-    let dictionary = noisy_dictionary(dense_axes(), 180, 0.0);
+    let dictionary = &*DICTIONARY;
     let settings = FitSettings { g: Bounds::fixed(G), ..FitSettings::default() };
     let options = FitOptions::new(settings).unwrap();
     let plan = MeasurePlan { search_mu: None, ..MeasurePlan::default() };
@@ -43,8 +47,8 @@ fn unmixed(recipes: &[Recipe], seed: u64) -> Result<Unmixed, Invalid> {
         Mixture::new(*name, told.iter().map(|(ink, f)| ((*ink).to_owned(), *f))).unwrap()
     };
     let mixtures = Mixtures::new(several.map(mixture).collect()).unwrap();
-    let measured = measure(&dictionary, &materials, &options, &plan).unwrap();
-    unmix(&dictionary, &materials, &mixtures, &measured, &options, &plan)
+    let measured = measure(dictionary, &materials, &options, &plan).unwrap();
+    unmix(dictionary, &materials, &mixtures, &measured, &options, &plan)
 }
 
 const WHITE: Recipe = ("white", &[("white", 1.0)], &[("white", 1.0)]);
