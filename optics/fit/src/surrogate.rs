@@ -146,13 +146,10 @@ impl<'a> Surrogate<'a> {
 
     /// The profile at one of the dictionary's thicknesses.
     pub(crate) fn predict(&self, thickness: usize, x: Coordinates) -> Prediction {
-        self.dictionary.stop.check();
+        let Neighbours { sigma_t: s, albedo: a, g } = self.neighbours(x);
         let records = self.dictionary.records(self.channel);
         let coefficients = self.dictionary.coefficients(self.channel);
         let count = coefficients.count();
-        let s = self.sigma_t.weights(x[SIGMA_T]);
-        let a = interpolation(&self.albedo, x[ALBEDO]);
-        let g = self.g.weights(x[G]);
         // At most four weights; the others are 0.
         let weights_of = |weights: &[f64]| std::array::from_fn(|j| weights.get(j).copied().unwrap_or(0.0));
         let albedos = AlbedoWeights { values: weights_of(&a.values), slopes: weights_of(&a.slopes) };
