@@ -18,7 +18,7 @@ from resin_farm import _programs
 
 # Some seconds of work.
 SLOW = resin_farm.Grid(
-    sigma_t_per_mm=[4, 8, 16, 24], albedo=[0.9], g=[0.0, 0.2, 0.4, 0.6], thickness_mm=[0.5, 1], walks=200_000
+    sigma_t_per_mm=[4, 8, 16, 24], albedo=[0.9], g=[0.0, 0.2, 0.4, 0.6], thickness_mm=[0.5, 1], walks=400_000
 )
 SMALL = resin_farm.Grid(sigma_t_per_mm=[4, 8], albedo=[0.9], g=[0.0], thickness_mm=[1], walks=5000)
 

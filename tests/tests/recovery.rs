@@ -20,7 +20,7 @@ const GRID: &str = "\
 sigma_t_per_mm = [1, 2, 4, 8, 16, 24]
 albedo = [0.5, 0.9, 0.99]
 g = [0.0, 0.4]
-walks = 400000
+walks = 800000
 ";
 
 fn rounds() -> u64 {

@@ -267,7 +267,7 @@ fn explain_suggests_submit_in_an_idle_folder() {
 /// A folder with the dictionary `long`, which was interrupted.
 fn unfinished() -> tempfile::TempDir {
     let dir = folder();
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 25000000"));
+    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 50000000"));
     let mut submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
         .stderr(Stdio::piped())

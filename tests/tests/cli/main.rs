@@ -157,7 +157,7 @@ fn commands_that_only_ask_leave_no_events() {
 fn second_command_joins_the_running_farm() {
     let dir = folder();
     // Some seconds of work, so that the farm still runs.
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 2500000"));
+    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 5000000"));
     let mut submit = farmctl(dir.path());
     submit.args(["submit", "long.toml", "-q"]);
     let mut submit = Process::spawn("farmctl", &mut submit, &dir.path().join("farmctl.log"));
@@ -202,7 +202,7 @@ fn commands_in_one_folder_do_not_interfere() {
 #[test]
 fn interrupted_submission_can_continue_later() {
     let dir = folder();
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 1500000"));
+    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 3000000"));
     let mut submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
         .stdout(std::process::Stdio::piped())

@@ -103,7 +103,7 @@ fn other_priors_need_another_name() {
 #[test]
 fn fits_need_all_responses() {
     let dir = folder();
-    let grid = GRID.replace("walks = 1000", "walks = 4000000");
+    let grid = GRID.replace("walks = 1000", "walks = 8000000");
     write_files(dir.path(), &scene("1.33", "0.02", "0", "ring_deg = [40, 50]"), &grid);
     assert_eq!(run(dir.path(), &["submit", "varied.toml", "--name", "exact", "-q"]).code, 0);
     // The records of the axes are reused.

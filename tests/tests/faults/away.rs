@@ -13,7 +13,7 @@ const GRID: &str = "\
 sigma_t_per_mm = [6, 7, 8, 9]
 albedo = [0.5, 0.99]
 g = [0.0, 0.2, 0.4]
-walks = 300000
+walks = 600000
 ";
 const JOBS: u64 = 24;
 

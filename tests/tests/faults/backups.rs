@@ -13,7 +13,7 @@ const LONGER: &str = "\
 sigma_t_per_mm = [2, 8]
 albedo = [0.5, 0.9, 0.99]
 g = [0.0, 0.4, 0.8]
-walks = 400000
+walks = 800000
 ";
 
 /// Finished backups of a folder, the oldest first.

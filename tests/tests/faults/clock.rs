@@ -15,7 +15,7 @@ sigma_t_per_mm = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18,
 albedo = [0.5, 0.9]
 g = [0.0, 0.4]
 thickness_mm = [0.5]
-walks = 300000
+walks = 600000
 ";
 
 /// After any jump, no lease ends early or late, no worker counts as lost, nothing is computed twice, and backups are

@@ -37,7 +37,7 @@ const GRID: &str = "\
 sigma_t_per_mm = [2, 8]
 albedo = [0.5, 0.9, 0.99]
 g = [0.0, 0.4, 0.8]
-walks = 100000
+walks = 200000
 ";
 const JOBS: u64 = 12;
 const RECORDS: u64 = 36;
@@ -48,7 +48,7 @@ sigma_t_per_mm = [8, 9]
 albedo = [0.9, 0.999]
 g = [0.4]
 thickness_mm = [1.0]
-walks = 1000000
+walks = 2000000
 ";
 
 /// A short pause in the short form, a long one in the long form.

@@ -89,14 +89,14 @@ fn example_session_gives_the_true_profiles() {
     }
 }
 
-/// σ_t within 5 % and inside its interval, with ten nodes of σ_t, one of g and 100,000 walks: the error of the whole
+/// σ_t within 5 % and inside its interval, with ten nodes of σ_t, one of g and 60,000 walks: the error of the whole
 /// chain.
 #[test]
 fn captured_folder_is_measured_and_reported() {
     let folder = folder();
     assert_eq!(run(folder.path(), &["capture", text(&session()), "-o", "white", "-q"]).code, 0);
     let grid = folder.path().join("white/grid.toml");
-    let axes = "sigma_t_per_mm = [4, 5, 6.5, 8, 10, 13, 16, 20, 25, 30]\ng = [0.4]\nwalks = 100000\n";
+    let axes = "sigma_t_per_mm = [4, 5, 6.5, 8, 10, 13, 16, 20, 25, 30]\ng = [0.4]\nwalks = 60000\n";
     std::fs::write(&grid, std::fs::read_to_string(&grid).unwrap() + axes).unwrap();
     let measured = run(folder.path(), &["measure", "white", "--json"]);
     assert_eq!(measured.code, 0, "{}", measured.stderr);

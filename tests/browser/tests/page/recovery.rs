@@ -10,7 +10,7 @@ use super::{go_to, let_in};
 
 /// Enough jobs to watch: some 10 s of one core.
 const LONG_GRID: &str = "sigma_t_per_mm = [2, 3, 4, 6, 8, 12, 16, 24]\nalbedo = [0.9, 0.99, 0.999]\n\
-                         g = [0.0, 0.2, 0.4, 0.6]\nwalks = 100000\n";
+                         g = [0.0, 0.2, 0.4, 0.6]\nwalks = 200000\n";
 
 /// A killed worker and a restarted coordinator are shown, and the page continues without a reload.
 #[tokio::test(flavor = "multi_thread")]
