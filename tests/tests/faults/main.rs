@@ -48,7 +48,7 @@ sigma_t_per_mm = [8, 9]
 albedo = [0.9, 0.999]
 g = [0.4]
 thickness_mm = [1.0]
-walks = 2000000
+walks = 1000000
 ";
 
 /// A short pause in the short form, a long one in the long form.
