@@ -42,7 +42,7 @@ walks = 200000
 const JOBS: u64 = 12;
 const RECORDS: u64 = 36;
 
-/// Jobs of some seconds each.
+/// Jobs of some seconds each, with so few walks that none is divided.
 const LONG_JOBS: &str = "\
 sigma_t_per_mm = [8, 9]
 albedo = [0.9, 0.999]

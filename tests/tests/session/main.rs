@@ -89,8 +89,7 @@ fn example_session_gives_the_true_profiles() {
     }
 }
 
-/// σ_t within 5 % and inside its interval, with ten nodes of σ_t, one of g and 60,000 walks: the error of the whole
-/// chain.
+/// σ_t is within 5 %, with ten nodes of σ_t, one of g and 60,000 walks: the error of the whole chain.
 #[test]
 fn captured_folder_is_measured_and_reported() {
     let folder = folder();
