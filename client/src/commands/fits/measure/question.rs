@@ -1,0 +1,133 @@
+//! Asks a farm for the fit of a measurement, and computes the dictionary that it needs first if that is missing.
+
+use anyhow::{Result, bail};
+use farm_lab::measurement_file::Note;
+use farm_link::logs::to_stderr;
+use farm_proto::status::DictionaryStatus;
+use farm_proto::wire::{GetRequest, MeasureRequest};
+use optics_model::scene::Channel;
+use optics_model::{Grid, Scene};
+
+use crate::answers::MeasureAnswer;
+use crate::cli::Global;
+use crate::commands::dictionaries::submit;
+use crate::commands::fits::chosen_dictionary::{self, Chosen, WantedDictionary};
+use crate::commands::fits::dictionary_notes;
+use crate::connection::{Purpose, patient, with_farm};
+use crate::interrupt::{Interrupted, interrupted};
+use crate::output::grouped;
+
+/// A measurement to fit, and the dictionary it is fitted with.
+pub(super) struct Question<'a> {
+    /// The named dictionary.
+    pub given: Option<&'a String>,
+    /// The session's scene, to compare with that of a named dictionary, and with its board.
+    pub session: Option<&'a Scene>,
+    /// The request; the dictionary's name and the board are set later.
+    pub request: MeasureRequest,
+}
+
+impl Question<'_> {
+    /// The session's board, if a dictionary is for all boards.
+    fn board(&self, dictionary: &str, grid: &Grid) -> Result<Vec<Channel>> {
+        if !grid.scene().is_for_all_boards() {
+            return Ok(Vec::new());
+        }
+        let Some(session) = self.session else {
+            bail!(
+                "dictionary {dictionary} is for all boards, and a measurement file has none: measure the folder of a \
+                 session, or name another dictionary with --dictionary"
+            );
+        };
+        Ok(session.channels().to_vec())
+    }
+}
+
+pub(super) struct Answer {
+    pub dictionary: String,
+    pub grid: Grid,
+    pub found: Box<MeasureAnswer>,
+    /// On the dictionary.
+    pub notes: Vec<Note>,
+}
+
+/// Computes the dictionary if it is missing, and measures.
+pub(super) async fn ask(
+    global: &Global,
+    own: Option<WantedDictionary>,
+    question: &Question<'_>,
+) -> Result<Answer> {
+    let mut wanted = own;
+    if wanted.is_none() {
+        wanted = chosen_dictionary::of_an_empty_folder(global, question.given)
+            .inspect(|wanted| announce(global, wanted));
+    }
+    loop {
+        match ask_once(global, wanted.as_ref(), question).await? {
+            Asked::Answered(answer) => return Ok(answer),
+            Asked::Lacks(lacking) => {
+                announce(global, &lacking);
+                wanted = Some(lacking);
+            }
+        }
+    }
+}
+
+enum Asked {
+    Answered(Answer),
+    Lacks(WantedDictionary),
+}
+
+async fn ask_once(
+    global: &Global,
+    wanted: Option<&WantedDictionary>,
+    question: &Question<'_>,
+) -> Result<Asked> {
+    let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
+    with_farm(global, purpose, async |connection| {
+        let dictionary = if let Some(WantedDictionary { name, grid, .. }) = wanted {
+            submit::ensure(connection, name, grid, global.quiet).await?;
+            name.to_string()
+        } else {
+            match chosen_dictionary::or_lacking(connection, question.given).await? {
+                Chosen::Complete(name) => name,
+                Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
+            }
+        };
+        let get = GetRequest { name: dictionary.clone() };
+        let status = connection.dictionaries().get(get).await?.into_inner();
+        let stored = DictionaryStatus::try_from(status)?.grid;
+        let board = question.board(&dictionary, &stored)?;
+        let request = MeasureRequest {
+            dictionary: dictionary.clone(),
+            board: board.iter().map(Into::into).collect(),
+            ..question.request.clone()
+        };
+        let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
+        let named = question.session.filter(|_| question.given.is_some());
+        let other = named.and_then(|s| dictionary_notes::other_scene(&dictionary, s, grid.scene()));
+        let notes = other.into_iter().chain(dictionary_notes::few_walks(&dictionary, &grid)).collect();
+        let mut fits = connection.fits_of("materials", &request.materials)?;
+        let found = tokio::select! {
+            biased;
+            // The computation has installed signal handlers, so signals do not end the process by themselves any more.
+            () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
+            found = fits.measure(patient(request)) => found?.into_inner(),
+        };
+        Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), notes }))
+    })
+    .await
+}
+
+fn announce(global: &Global, wanted: &WantedDictionary) {
+    let WantedDictionary { name, grid, records_done } = wanted;
+    let total = grid.stored_records();
+    if !global.quiet {
+        to_stderr(format_args!(
+            "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",
+            global.data.display(),
+            grouped(total.saturating_sub(*records_done) as u64),
+            grouped(total as u64)
+        ));
+    }
+}
