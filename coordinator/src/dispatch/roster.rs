@@ -146,7 +146,7 @@ impl Roster {
         // A worker that is fenced off withdraws no blame.
         let heard = self.seen(last_seen, id).ok();
         let worker = self.remove(id)?;
-        let message = format!("{} jobs done", worker.jobs_done);
+        let message = format!("{} results delivered", worker.jobs_done);
         outbox.changed = true;
         outbox.events.push(Event::of_worker(EventKind::WorkerLeft, worker.about.label, message));
         heard

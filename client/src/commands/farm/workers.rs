@@ -149,7 +149,7 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
             w.version.clone(),
         ]
     };
-    let head = ["worker", "id", "state", "threads", "leases", "jobs done", "heard of", "machine", "version"];
+    let head = ["worker", "id", "state", "threads", "leases", "results", "heard of", "machine", "version"];
     table(&head, &[3, 4, 5, 6], workers.iter().map(row))
 }
 
