@@ -65,22 +65,14 @@ impl Responses {
         Self::new(scene, axes, variants, WALKS_FACTOR).map(Some)
     }
 
-    /// From variants: every step of every prior of the scene, in their order. A factor of 1 needs no baseline.
+    /// From variants: one or two steps of every prior of the scene, in their order. They need not be those of
+    /// [`crate::scene::Prior::steps`], since dictionaries of earlier versions have others. A factor of 1 needs no baseline.
     pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>, walks_factor: u32) -> Result<Self> {
         if !(1..=MOST_WALKS_FACTOR).contains(&walks_factor) {
             let allowed = format!("allowed are 1 to {MOST_WALKS_FACTOR}");
             return Err(Invalid::new("response_walks_factor", walks_factor, allowed));
         }
-        let steps = |(i, prior): (usize, &crate::scene::Prior)| -> Vec<(usize, f64)> {
-            prior.steps(scene).into_iter().map(|step| (i, step)).collect()
-        };
-        let wanted: Vec<_> = scene.priors().iter().enumerate().flat_map(steps).collect();
-        let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
-        if wanted != given {
-            let steps = |of: &[(usize, f64)]| format!("{of:?}");
-            let allowed = format!("the scene's priors need the (prior, step) {}", steps(&wanted));
-            return Err(Invalid::new("responses", steps(&given), allowed));
-        }
+        check_steps(scene.priors().len(), &variants)?;
         let names = |channels: &[Channel]| channels.iter().map(|c| c.name().to_owned()).collect::<Vec<_>>();
         let scene_of = |(i, variant): (usize, &Variant)| {
             let at = |e: Invalid| e.within(format_args!("responses[{i}]"));
@@ -154,6 +146,24 @@ impl Responses {
     }
 }
 
+fn check_steps(priors: usize, variants: &[Variant]) -> Result<()> {
+    let steps = |prior| variants.iter().filter(move |v| v.prior == prior).map(|v| v.step).collect::<Vec<_>>();
+    let is_allowed = |steps: Vec<f64>| {
+        (1..=2).contains(&steps.len())
+            && steps.iter().all(|step| step.is_finite() && *step != 0.0)
+            && steps.is_sorted_by(|a, b| a < b)
+    };
+    let in_order = variants.is_sorted_by_key(|v| v.prior) && variants.iter().all(|v| v.prior < priors);
+    if in_order && (0..priors).all(|prior| is_allowed(steps(prior))) {
+        return Ok(());
+    }
+    let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
+    let allowed = format!(
+        "each of the scene's {priors} priors needs (prior, step) with one step or two that rise, none of them 0"
+    );
+    Err(Invalid::new("responses", format!("{given:?}"), allowed))
+}
+
 /// The nodes next to evenly spread logarithms, both ends included.
 fn spread_extinctions(axis: &[f64]) -> Vec<usize> {
     let logs: Vec<f64> = axis.iter().map(|v| v.ln()).collect();
@@ -211,9 +221,9 @@ mod tests {
         let sigma_t: Vec<f64> = responses.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i]).collect();
         assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
         assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
-        assert_eq!(responses.variants().len(), 16);
+        assert_eq!(responses.variants().len(), 18);
         // The variants and the baseline.
-        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 17 * 6 * 3 * 2));
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 19 * 6 * 3 * 2));
         assert_eq!(spread(&[1.0], 3), [0]);
         assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
     }
@@ -238,8 +248,8 @@ mod tests {
             assert!(seen.insert((place.variant, place.nominal_job)), "each once");
         }
         // Roughnesses, indices and the second lobe, and the baseline.
-        let more = (0..16).filter(|v| responses.is_by_baseline(*v)).count();
-        assert_eq!((more, seen.len()), (12, 17 * 36));
+        let more = (0..18).filter(|v| responses.is_by_baseline(*v)).count();
+        assert_eq!((more, seen.len()), (12, 19 * 36));
         assert_eq!(grid.response_of(5), None);
         assert_eq!(
             grid.response_job(Some(0), grid.job_at(&grid.point(3)).unwrap()),
@@ -257,7 +267,7 @@ mod tests {
         };
         let plain = Grid { responses: None, ..grid.clone() };
         let single = plain.with_responses(with_factor(1).unwrap()).unwrap();
-        assert_eq!(single.job_count(), 836 + 16 * 36);
+        assert_eq!(single.job_count(), 836 + 18 * 36);
         assert!((836..single.job_count()).all(|job| single.walks_of(job).get() == 1000));
         assert_eq!(single.response_job(None, 0), None);
         for bad in [0, 101] {
@@ -284,17 +294,36 @@ mod tests {
         assert!(error.starts_with("g[1] = 0.95 is not valid: with a second lobe of weight 0.05"), "{error}");
     }
 
-    /// Variants of another prior are refused, and so is a varied scene that is out of range.
+    /// Every prior has one or two steps, which need not be those that a plan has today.
     #[test]
-    fn responses_of_other_priors_are_refused() {
+    fn every_prior_has_its_steps() {
         let grid = lab();
-        let mut variants = grid.responses().unwrap().variants().to_vec();
-        variants[0].step *= 2.0;
-        let error = Responses::new(grid.scene(), grid.axes(), variants, 3).unwrap_err();
-        assert_eq!(error.field(), "responses");
-        // The index of the sample would be 0.995.
-        let axes = Axes { sample_ior: vec![1.02], ..grid.axes().clone() };
+        let variants = grid.responses().unwrap().variants().to_vec();
+        let last = variants.len() - 1;
+        let with = |change: fn(&mut Vec<Variant>, usize)| {
+            let mut changed = variants.clone();
+            change(&mut changed, last);
+            Responses::new(grid.scene(), grid.axes(), changed, 3)
+        };
+        let refused = |change| assert_eq!(with(change).unwrap_err().field(), "responses");
+        assert!(with(|v, last| v[last].step = 2.0).is_ok());
+        assert!(with(Vec::truncate).is_ok());
+        refused(|v, last| v.truncate(last - 1));
+        refused(|v, _| v.swap(1, 2));
+        refused(|v, last| v[last].prior += 1);
+        refused(|v, last| v[last].step = v[last - 1].step);
+        refused(|v, last| v[last].step = 0.0);
+        refused(|v, last| v[last].step = f64::NAN);
+        refused(|v, last| v.push(Variant { step: 5.0, ..v[last].clone() }));
+    }
+
+    /// A varied scene that is out of range is refused.
+    #[test]
+    fn impossible_responses_are_refused() {
+        let grid = lab();
+        // The index of the sample would be 0.99.
+        let axes = Axes { sample_ior: vec![1.03], ..grid.axes().clone() };
         let error = Responses::of(grid.scene(), &axes, |s| Ok(s.channels().to_vec())).unwrap_err();
-        assert!(error.to_string().contains("sample_ior = 0.995 is not valid: allowed are 1 to 4"), "{error}");
+        assert!(error.to_string().contains("sample_ior = 0.99 is not valid: allowed are 1 to 4"), "{error}");
     }
 }

@@ -2,17 +2,16 @@
 //!
 //! A fit estimates them together with the medium. Each belongs to a session, to a slab or to a material.
 
+mod steps;
+
 use serde::Serialize;
 
 use super::{Channel, Dispersion, Layer, LayerMedium, RingLight, Scene, Sensor};
 use crate::invalid::{Invalid, Result};
-use crate::phase::{MOST_G, MOST_SECOND_WEIGHT, PhaseShape, SecondLobe};
+use crate::phase::{PhaseShape, SecondLobe};
 
 /// Most uncertain quantities of a scene.
 pub const MAX_PRIORS: usize = 32;
-
-/// Standard deviations over which responses with little or no bend hold.
-const FAR: f64 = 5.0;
 
 /// The kind of number of an uncertain quantity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -172,61 +171,6 @@ impl Prior {
     /// Whether it is the refractive index of the sample, which belongs to the grid, not to the scene.
     pub fn is_sample_index(&self, scene: &Scene) -> bool {
         self.kind == PriorKind::Index && self.layers.iter().all(|i| *i == scene.sample_layer())
-    }
-
-    /// Differences from the scene's value at which profiles are traced: two for a second-order response, or one for a
-    /// first-order response where profiles are nearly linear in the quantity.
-    ///
-    /// Roughnesses and thicknesses above 0 stay above 0.
-    pub fn steps(&self, scene: &Scene) -> Vec<f64> {
-        /// Share of the value from which on a prior is wide.
-        const WIDE: f64 = 0.2;
-        /// Least share of the value that the lower step leaves.
-        const LEAST: f64 = 0.25;
-        let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
-        match self.kind {
-            PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
-            // A higher weight would leave too little of the first lobe where the mean cosine is large.
-            PriorKind::SecondLobeWeight => {
-                let low = if value <= FAR * sd { value } else { 2.0 * sd };
-                vec![-low, (1.4 * sd).min(MOST_SECOND_WEIGHT - value)]
-            }
-            PriorKind::Roughness | PriorKind::Thickness if sd > WIDE * value => {
-                // The responses hold over a wider range of thickness than of roughness.
-                let most =
-                    if self.kind == PriorKind::Roughness { (2.0 * sd).min(1.0 - value) } else { 4.0 * sd };
-                vec![-(2.0 * sd).min((1.0 - LEAST) * value), most]
-            }
-            PriorKind::Index => vec![-2.5 * sd, 2.5 * sd],
-            PriorKind::RingAngle if scene.light().outer_deg() + 2.0 * sd > 90.0 => vec![-2.0 * sd],
-            _ => vec![2.0 * sd],
-        }
-    }
-
-    /// b such that profiles change with u (1 + b u), u being the difference from the scene's value in standard deviations.
-    /// A face's slopes have a variance proportional to α², so b is σ/2α for roughnesses and 0 for all else.
-    pub fn bend(&self, scene: &Scene) -> f64 {
-        match (self.kind, scene.value_of(self)) {
-            (PriorKind::Roughness, Some(value)) => 0.5 * self.std_error / value,
-            _ => 0.0,
-        }
-    }
-
-    /// Least and greatest difference from the scene's value for which the responses hold.
-    pub fn range(&self, scene: &Scene) -> (f64, f64) {
-        match (self.kind, &self.steps(scene)[..]) {
-            (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
-            (PriorKind::SecondLobeWeight, _) => {
-                let value = scene.value_of(self).unwrap_or_default();
-                let far = FAR * self.std_error;
-                (-far.min(value), far.min(MOST_SECOND_WEIGHT - value))
-            }
-            (PriorKind::SecondLobeG, _) => {
-                let (far, value) = (FAR * self.std_error, scene.value_of(self).unwrap_or_default());
-                (-far.min(MOST_G + value), far.min(MOST_G - value))
-            }
-            _ => (-FAR * self.std_error, FAR * self.std_error),
-        }
     }
 }
 

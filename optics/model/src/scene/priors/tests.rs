@@ -6,14 +6,19 @@ fn prior(kind: PriorKind, layers: &[usize], std_error: f64) -> Prior {
     Prior::new(kind, layers.to_vec(), std_error, Scope::Session).unwrap()
 }
 
-/// One step where a response of first order will do, two where the prior is wide.
+/// Steps are large where profiles are nearly linear, and stay among the possible values.
 #[test]
-fn wide_priors_have_two_steps() {
+fn steps_follow_value_and_prior() {
     let scene = Scene::paper();
     let steps = |kind, layers: &[usize], sd| prior(kind, layers, sd).steps(&scene);
-    assert_eq!(steps(PriorKind::Index, &[1, 3], 0.01), [-0.025, 0.025]);
-    assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [2.0]);
-    assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [0.04]);
+    for (sd, step) in [(0.01, 0.04), (0.015, 0.05), (0.03, 0.075)] {
+        assert_eq!(steps(PriorKind::Index, &[1, 3], sd), [-step, step]);
+    }
+    // The ring is from 40 to 50°.
+    assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [-4.0, 4.0]);
+    assert_eq!(steps(PriorKind::RingAngle, &[], 11.0), [22.0]);
+    assert_eq!(steps(PriorKind::RingAngle, &[], 21.0), [-42.0]);
+    assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [-0.08, 0.08]);
     let gel = prior(PriorKind::Thickness, &[1, 3], 0.02);
     assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
     let (low, high) = gel.range(&scene);

@@ -1,0 +1,77 @@
+//! Where the response to an uncertain quantity is traced, and the range in which it holds.
+
+use super::{Prior, PriorKind};
+use crate::phase::{MOST_G, MOST_SECOND_WEIGHT};
+use crate::scene::Scene;
+
+/// Standard deviations over which responses with little or no bend hold.
+const FAR: f64 = 5.0;
+
+impl Prior {
+    /// Differences from the scene's value at which profiles are traced: two for a second-order response, or one for a
+    /// first-order response.
+    ///
+    /// A response is the slope of the differences, so its noise falls as they grow: where profiles are nearly linear in the
+    /// quantity, they are as large as its range allows. Roughnesses and thicknesses above 0 stay above 0.
+    pub fn steps(&self, scene: &Scene) -> Vec<f64> {
+        /// Share of the value from which on a prior is wide.
+        const WIDE: f64 = 0.2;
+        /// Least share of the value that the lower step leaves.
+        const LEAST: f64 = 0.25;
+        /// Change of an index in which profiles are nearly linear.
+        const INDEX: f64 = 0.05;
+        let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
+        match self.kind {
+            PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
+            // A higher weight would leave too little of the first lobe where the mean cosine is large.
+            PriorKind::SecondLobeWeight => {
+                let low = if value <= FAR * sd { value } else { 2.0 * sd };
+                vec![-low, (1.4 * sd).min(MOST_SECOND_WEIGHT - value)]
+            }
+            PriorKind::Roughness if sd > WIDE * value => {
+                vec![-(2.0 * sd).min((1.0 - LEAST) * value), (2.0 * sd).min(1.0 - value)]
+            }
+            PriorKind::Thickness => vec![-(4.0 * sd).min((1.0 - LEAST) * value), 4.0 * sd],
+            PriorKind::Index => {
+                let step = (4.0 * sd).min(INDEX).max(2.5 * sd);
+                vec![-step, step]
+            }
+            PriorKind::RingAngle => {
+                let light = scene.light();
+                let [down, up] = [light.inner_deg(), 90.0 - light.outer_deg()];
+                match 4.0 * sd {
+                    step if step <= down.min(up) => vec![-step, step],
+                    _ if 2.0 * sd <= up => vec![2.0 * sd],
+                    _ => vec![-2.0 * sd],
+                }
+            }
+            _ => vec![2.0 * sd],
+        }
+    }
+
+    /// b such that profiles change with u (1 + b u), u being the difference from the scene's value in standard deviations.
+    /// A face's slopes have a variance proportional to α², so b is σ/2α for roughnesses and 0 for all else.
+    pub fn bend(&self, scene: &Scene) -> f64 {
+        match (self.kind, scene.value_of(self)) {
+            (PriorKind::Roughness, Some(value)) => 0.5 * self.std_error / value,
+            _ => 0.0,
+        }
+    }
+
+    /// Least and greatest difference from the scene's value for which the responses hold.
+    pub fn range(&self, scene: &Scene) -> (f64, f64) {
+        match (self.kind, &self.steps(scene)[..]) {
+            (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
+            (PriorKind::SecondLobeWeight, _) => {
+                let value = scene.value_of(self).unwrap_or_default();
+                let far = FAR * self.std_error;
+                (-far.min(value), far.min(MOST_SECOND_WEIGHT - value))
+            }
+            (PriorKind::SecondLobeG, _) => {
+                let (far, value) = (FAR * self.std_error, scene.value_of(self).unwrap_or_default());
+                (-far.min(MOST_G + value), far.min(MOST_G - value))
+            }
+            _ => (-FAR * self.std_error, FAR * self.std_error),
+        }
+    }
+}
