@@ -224,19 +224,19 @@ fn responses_are_exported_with_their_variant() {
     assert_eq!((ran.code, ran.stderr.as_str()), (0, ""));
     let rows: Vec<Vec<&str>> = ran.stdout.lines().map(|row| row.split(',').collect()).collect();
     assert_eq!(rows[0][..6], ["record", "quantity", "step", "unit", "sigma_t_per_mm", "albedo"]);
-    // Two steps of the gel and one of the ring, at 4 and 8 /mm; 6 records of the axes come before.
-    assert_eq!(rows.len(), 1 + 3 * 2 * 2 * 3 * 360);
+    // Two steps of the gel and of the ring, at 4 and 8 /mm; 6 records of the axes come before.
+    assert_eq!(rows.len(), 1 + 4 * 2 * 2 * 3 * 360);
     assert_eq!(rows[1][..6], ["6", "gel thickness", "-0.015", "mm", "4", "0.9"]);
-    assert_eq!(rows[rows.len() - 1][..6], ["17", "ring angle", "2", "°", "8", "0.99"]);
+    assert_eq!(rows[rows.len() - 1][..6], ["21", "ring angle", "4", "°", "8", "0.99"]);
 
     assert_eq!(run_line(dir.path(), "export varied --responses --albedo 0.9 --npz a.npz").code, 0);
     let mut archive = zip::ZipArchive::new(std::fs::File::open(dir.path().join("a.npz")).unwrap()).unwrap();
     let (shape, values) = array(&mut archive, "value.npy");
-    assert_eq!(shape, [3, 1, 2, 1, 1, 1, 3, 360]);
+    assert_eq!(shape, [4, 1, 2, 1, 1, 1, 3, 360]);
     let of_rows = rows[1..].iter().filter(|row| row[5] == "0.9").map(|row| row[11].parse::<f32>().unwrap());
     assert_eq!(values, of_rows.flat_map(f32::to_le_bytes).collect::<Vec<u8>>());
     let (shape, steps) = array(&mut archive, "step.npy");
-    assert_eq!((shape, steps), (vec![3], [-0.015, 0.08, 2.0_f64].map(f64::to_le_bytes).concat()));
+    assert_eq!((shape, steps), (vec![4], [-0.015, 0.08, -4.0, 4.0_f64].map(f64::to_le_bytes).concat()));
     let about: Value = serde_json::from_reader(archive.by_name("about.json").unwrap()).unwrap();
     assert_eq!((&about["axes"][0], &about["variants"][2]["unit"]), (&"variant".into(), &"°".into()));
 

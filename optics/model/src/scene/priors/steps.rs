@@ -33,7 +33,7 @@ impl Prior {
             }
             PriorKind::Thickness => vec![-(4.0 * sd).min((1.0 - LEAST) * value), 4.0 * sd],
             PriorKind::Index => {
-                let step = (4.0 * sd).min(INDEX).max(2.5 * sd);
+                let step = (4.0 * sd).min(INDEX).min(value - 1.0).max(2.5 * sd);
                 vec![-step, step]
             }
             PriorKind::RingAngle => {

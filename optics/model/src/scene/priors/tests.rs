@@ -14,6 +14,12 @@ fn steps_follow_value_and_prior() {
     for (sd, step) in [(0.01, 0.04), (0.015, 0.05), (0.03, 0.075)] {
         assert_eq!(steps(PriorKind::Index, &[1, 3], sd), [-step, step]);
     }
+    // An index is at least 1.
+    let thin = Layer::clear("gel", 1.03, 0.02, 0.0).unwrap();
+    let layers = vec![Layer::sample("sample", 0.05).unwrap(), thin];
+    let airy = Scene { layers, ..Scene::paper() };
+    let [low, high] = prior(PriorKind::Index, &[1], 0.01).steps(&airy)[..] else { panic!() };
+    assert!((low + 0.03).abs() < 1e-12 && (high - 0.03).abs() < 1e-12, "{low} {high}");
     // The ring is from 40 to 50°.
     assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [-4.0, 4.0]);
     assert_eq!(steps(PriorKind::RingAngle, &[], 11.0), [22.0]);
