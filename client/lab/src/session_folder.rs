@@ -47,21 +47,13 @@ impl SessionFolder {
     }
 
     /// Name and grid of the dictionary for the session's set-up, without responses. It is for all boards and shared with
-    /// other sessions, or for the session's own board if no such dictionary serves that. The name contains a digest, so that
-    /// other set-ups have other names.
+    /// other sessions, or for the session's own board if no such dictionary serves that. The name contains a digest of grid,
+    /// scene, and the steps of the responses, so that other set-ups have other names.
     pub fn dictionary(&self) -> Result<(String, Grid)> {
         let own = read_grid_without_responses(&self.path.join("grid.toml"))?;
-        if let Ok(shared) = own.for_all_boards() {
-            let digest = Digest::of_grid(&shared).to_string();
-            return Ok((format!("boards-{}", &digest[..12]), shared));
-        }
-        let mut hasher = blake3::Hasher::new();
-        for name in ["grid.toml", "scene.toml"] {
-            // The grid file may contain its scene, so that scene.toml may be absent.
-            hasher.update(&std::fs::read(self.path.join(name)).unwrap_or_default());
-        }
-        let digest = hasher.finalize().to_hex();
-        Ok((format!("session-{}", &digest[..12]), own))
+        let (kind, grid) = own.for_all_boards().map_or(("session", own), |shared| ("boards", shared));
+        let digest = Digest::of_plan(&grid).to_string();
+        Ok((format!("{kind}-{}", &digest[..12]), grid))
     }
 
     /// The scene of the session, with its board; `None` without a grid file.

@@ -39,6 +39,7 @@ pub struct Worker {
     /// The machine.
     pub origin: Origin,
     pub last_seen: Duration,
+    /// Results delivered: of whole jobs, and of the blocks of divided ones.
     pub jobs_done: u64,
     pub draining: bool,
     /// It was asked to stop, and may be killed at any moment.

@@ -7,7 +7,7 @@
 
 use crate::grid::{Effort, Grid, NoiseLevel, Responses};
 use crate::phase::PhaseShape;
-use crate::scene::{Channel, DispersionCurve, Layer, LayerMedium, Scene};
+use crate::scene::{Channel, DispersionCurve, Layer, LayerMedium, Prior, Scene};
 
 /// Protobuf's wire types.
 const VARINT: u32 = 0;
@@ -40,16 +40,7 @@ pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
 fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
     let mut bytes = Vec::new();
     for prior in scene.priors() {
-        let mut of_prior = Vec::new();
-        whole(&mut of_prior, 1, prior.kind() as u64 + 1);
-        let layers: Vec<u8> = prior.layers().iter().map(|l| *l as u8).collect();
-        message(&mut of_prior, 2, &layers);
-        number(&mut of_prior, 3, prior.std_error());
-        whole(&mut of_prior, 4, prior.scope() as u64 + 1);
-        if let Some(dispersion) = prior.dispersion() {
-            message(&mut of_prior, 5, &curve(dispersion.curve()));
-        }
-        message(&mut bytes, 1, &of_prior);
+        message(&mut bytes, 1, &self::prior(prior));
     }
     for variant in responses.variants() {
         let mut of_variant = Vec::new();
@@ -62,6 +53,19 @@ fn responses(scene: &Scene, responses: &Responses) -> Vec<u8> {
     }
     if responses.walks_factor() > 1 {
         whole(&mut bytes, 3, u64::from(responses.walks_factor()));
+    }
+    bytes
+}
+
+fn prior(prior: &Prior) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    whole(&mut bytes, 1, prior.kind() as u64 + 1);
+    let layers: Vec<u8> = prior.layers().iter().map(|l| *l as u8).collect();
+    message(&mut bytes, 2, &layers);
+    number(&mut bytes, 3, prior.std_error());
+    whole(&mut bytes, 4, prior.scope() as u64 + 1);
+    if let Some(dispersion) = prior.dispersion() {
+        message(&mut bytes, 5, &curve(dispersion.curve()));
     }
     bytes
 }
@@ -151,6 +155,16 @@ pub(crate) fn grid(grid: &Grid) -> Vec<u8> {
     whole(&mut bytes, 11, level);
     if let Some(responses) = grid.responses() {
         message(&mut bytes, 12, &self::responses(grid.scene(), responses));
+    }
+    bytes
+}
+
+/// Bytes of a grid, followed by the priors of its scene and their steps.
+pub(crate) fn plan(grid: &Grid) -> Vec<u8> {
+    let mut bytes = self::grid(grid);
+    for prior in grid.scene().priors() {
+        message(&mut bytes, 13, &self::prior(prior));
+        message(&mut bytes, 14, &packed(&prior.steps(grid.scene())));
     }
     bytes
 }

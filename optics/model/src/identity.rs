@@ -12,6 +12,11 @@ impl Digest {
         Self::of_grid_by(PHYSICS_VERSION, &canonical::grid(grid))
     }
 
+    /// Identity of a grid whose responses are not planned yet, with the priors and steps that they follow from.
+    pub fn of_plan(grid: &Grid) -> Self {
+        Self::of_grid_by(PHYSICS_VERSION, &canonical::plan(grid))
+    }
+
     fn of_grid_by(physics_version: u32, grid: &[u8]) -> Self {
         let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
         hasher.update(&physics_version.to_le_bytes());
@@ -106,6 +111,18 @@ mod tests {
         assert_ne!(base, Digest::of_grid(&grid(1, 7500, Scene::smooth())));
         assert_ne!(base, Digest::of_grid(&grid(1, 5000, Scene::paper())));
         assert_eq!(Digest::from_hex(&base.to_string()), Some(base));
+    }
+
+    /// Plans of grids whose priors differ have different digests; without priors they are those of the grids.
+    #[test]
+    fn plans_that_differ_in_priors_have_other_digests() {
+        let axes = Grid::paper().axes().clone();
+        let of = |scene: Scene| Grid::new(scene, axes.clone(), Walks::PAPER, 1, false).unwrap();
+        let lab = of(Scene::lab());
+        let fewer = of(Scene::lab().with_priors(Scene::lab().priors()[1..].to_vec()).unwrap());
+        assert_eq!(Digest::of_grid(&lab), Digest::of_grid(&fewer));
+        assert_ne!(Digest::of_plan(&lab), Digest::of_plan(&fewer));
+        assert_eq!(Digest::of_plan(&Grid::paper()), Digest::of_grid(&Grid::paper()));
     }
 
     /// Points with the same walks share a stream: of extinction and thickness, only the product counts.

@@ -328,17 +328,25 @@ mod tests {
 
     use super::*;
 
+    /// Grids are the same on the other side, those with responses of an earlier version among them, which have other steps.
     #[test]
     fn grid_survives_the_wire() {
         let paper = Grid::paper();
         let (scene, axes) = (Scene::lab(), paper.axes().clone());
         let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap();
         let lab = Grid::new(scene, axes, NoiseLevel::Draft, 1, false).unwrap();
+        let responses = responses.unwrap();
+        let (slip, mut earlier) = (2, responses.variants().to_vec());
+        earlier.retain(|v| v.prior != slip || v.step > 0.0);
+        earlier.iter_mut().filter(|v| v.prior == slip).for_each(|v| v.step = 0.04);
+        let earlier = Responses::new(lab.scene(), lab.axes(), earlier, 3).unwrap();
         let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
         let tabulated = Axes { g: vec![table.mean_cosine()], ..paper.axes().clone() };
         let scene = Scene::paper().with_phase(PhaseShape::Table(Arc::new(table)));
         let tabulated = Grid::new(scene, tabulated, NoiseLevel::Draft, 1, false).unwrap();
-        for grid in [paper, tabulated, lab.with_responses(responses.unwrap()).unwrap()] {
+        let [lab, earlier] = [responses, earlier].map(|with| lab.clone().with_responses(with).unwrap());
+        assert_eq!(earlier.responses().unwrap().steps_of(slip), [0.04]);
+        for grid in [paper, tabulated, lab, earlier] {
             assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
         }
     }

@@ -257,8 +257,8 @@ class Dictionary:
 
         The variables are those of `to_xarray`, over variant and the axes, at the nodes where they were traced. The
         coordinates `quantity`, `step` and `unit` are the varied quantity, its difference from the scene's value, and
-        the unit. The last variant is the baseline, the scene itself with the walks of the variants of roughnesses and
-        indices: the effect of a step on a profile is the difference from it.
+        the unit. The last variant is the baseline, the scene itself with the walks of the variants of roughnesses,
+        indices and the second lobe: the effect of a step on a profile is the difference from it.
 
         Raises:
             FarmError: if the scene is exact, or records are missing.

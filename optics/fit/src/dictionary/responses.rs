@@ -128,7 +128,8 @@ impl VariedRecords {
             }
         };
         self.each_row(steps, records, &mut add);
-        let (low, high) = prior.range(self.grid.scene());
+        let steps = steps.iter().map(|(_, u)| u * prior.std_error()).collect::<Vec<_>>();
+        let (low, high) = prior.range_of(self.grid.scene(), &steps);
         let ends = [low, high].map(|end| straight.bent(end / prior.std_error()));
         ResponseCurve { curvature: curvature(at, squares, product, ends), ..straight }
     }

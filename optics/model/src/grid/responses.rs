@@ -109,6 +109,11 @@ impl Responses {
         &self.variants
     }
 
+    /// Differences of a quantity from the scene's value at which it was traced.
+    pub fn steps_of(&self, prior: usize) -> Vec<f64> {
+        steps_of(&self.variants, prior)
+    }
+
     /// The scene of a variant.
     pub fn scene(&self, variant: usize) -> &Arc<Scene> {
         &self.scenes[variant]
@@ -146,20 +151,24 @@ impl Responses {
     }
 }
 
+fn steps_of(variants: &[Variant], prior: usize) -> Vec<f64> {
+    variants.iter().filter(|v| v.prior == prior).map(|v| v.step).collect()
+}
+
 fn check_steps(priors: usize, variants: &[Variant]) -> Result<()> {
-    let steps = |prior| variants.iter().filter(move |v| v.prior == prior).map(|v| v.step).collect::<Vec<_>>();
     let is_allowed = |steps: Vec<f64>| {
         (1..=2).contains(&steps.len())
-            && steps.iter().all(|step| step.is_finite() && *step != 0.0)
+            && steps.iter().all(|step| step.is_finite())
+            && steps.iter().any(|step| *step != 0.0)
             && steps.is_sorted_by(|a, b| a < b)
     };
     let in_order = variants.is_sorted_by_key(|v| v.prior) && variants.iter().all(|v| v.prior < priors);
-    if in_order && (0..priors).all(|prior| is_allowed(steps(prior))) {
+    if in_order && (0..priors).all(|prior| is_allowed(steps_of(variants, prior))) {
         return Ok(());
     }
     let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
     let allowed = format!(
-        "each of the scene's {priors} priors needs (prior, step) with one step or two that rise, none of them 0"
+        "each of the scene's {priors} priors needs (prior, step) with one step, not 0, or two that rise"
     );
     Err(Invalid::new("responses", format!("{given:?}"), allowed))
 }
@@ -312,7 +321,11 @@ mod tests {
         refused(|v, _| v.swap(1, 2));
         refused(|v, last| v[last].prior += 1);
         refused(|v, last| v[last].step = v[last - 1].step);
-        refused(|v, last| v[last].step = 0.0);
+        refused(|v, last| v[last].step = 2.0 * v[last - 1].step);
+        refused(|v, last| {
+            v.truncate(last);
+            v[last - 1].step = 0.0;
+        });
         refused(|v, last| v[last].step = f64::NAN);
         refused(|v, last| v.push(Variant { step: 5.0, ..v[last].clone() }));
     }

@@ -97,9 +97,7 @@ fn scope(prior: &Prior, phase: PhaseModel) -> Scope {
 /// Slots of a profile's unknowns for the uncertain quantities of the scene, in their order; none without responses.
 fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> Vec<usize> {
     let (grid, phase) = (data.dictionary.grid(), data.options.settings().phase);
-    if grid.responses().is_none() {
-        return Vec::new();
-    }
+    let Some(responses) = grid.responses() else { return Vec::new() };
     let slot = |(index, prior): (usize, &Prior)| {
         let (material, slab_mm, channel) = match scope(prior, phase) {
             Scope::Session => (None, None, None),
@@ -112,7 +110,7 @@ fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> 
         if let Some(known) = known {
             return known.slot;
         }
-        let (low, high) = prior.range(grid.scene());
+        let (low, high) = prior.range_of(grid.scene(), &responses.steps_of(index));
         let limits = (low / prior.std_error(), high / prior.std_error());
         // Without weight the second lobe's anisotropy has no effect.
         let without_lobe = phase == PhaseModel::HenyeyGreenstein && prior.kind().is_of_phase();

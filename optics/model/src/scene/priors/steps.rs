@@ -11,8 +11,9 @@ impl Prior {
     /// Differences from the scene's value at which profiles are traced: two for a second-order response, or one for a
     /// first-order response.
     ///
-    /// A response is the slope of the differences, so its noise falls as they grow: where profiles are nearly linear in the
-    /// quantity, they are as large as its range allows. Roughnesses and thicknesses above 0 stay above 0.
+    /// A response is the slope of the differences, so its noise falls as they grow: those of thicknesses, indices and the
+    /// ring, in which profiles are nearly linear, are up to four standard deviations. Roughnesses and thicknesses above 0
+    /// stay above 0, and the ring does not move over the direction from which smooth faces mirror light into the camera.
     pub fn steps(&self, scene: &Scene) -> Vec<f64> {
         /// Share of the value from which on a prior is wide.
         const WIDE: f64 = 0.2;
@@ -37,11 +38,13 @@ impl Prior {
                 vec![-step, step]
             }
             PriorKind::RingAngle => {
-                let light = scene.light();
-                let [down, up] = [light.inner_deg(), 90.0 - light.outer_deg()];
+                let [inner, outer] = [scene.light().inner_deg(), scene.light().outer_deg()];
+                let mirrored = scene.sensor().polar_deg();
+                let down = if mirrored < inner { inner - mirrored } else { inner };
+                let up = if mirrored > outer { mirrored - outer } else { 90.0 - outer };
                 match 4.0 * sd {
-                    step if step <= down.min(up) => vec![-step, step],
-                    _ if 2.0 * sd <= up => vec![2.0 * sd],
+                    step if step < down && step < up => vec![-step, step],
+                    _ if outer + 2.0 * sd <= 90.0 => vec![2.0 * sd],
                     _ => vec![-2.0 * sd],
                 }
             }
@@ -58,10 +61,15 @@ impl Prior {
         }
     }
 
-    /// Least and greatest difference from the scene's value for which the responses hold.
+    /// Least and greatest difference from the scene's value for which responses traced at [`Self::steps`] hold.
     pub fn range(&self, scene: &Scene) -> (f64, f64) {
-        match (self.kind, &self.steps(scene)[..]) {
-            (PriorKind::Roughness | PriorKind::Thickness, [low, high]) => (low.min(0.0), 1.1 * high),
+        self.range_of(scene, &self.steps(scene))
+    }
+
+    /// The same for responses traced at other steps, as those of an earlier version.
+    pub fn range_of(&self, scene: &Scene, steps: &[f64]) -> (f64, f64) {
+        match (self.kind, steps) {
+            (PriorKind::Roughness | PriorKind::Thickness, &[low, high]) => (low.min(0.0), 1.1 * high),
             (PriorKind::SecondLobeWeight, _) => {
                 let value = scene.value_of(self).unwrap_or_default();
                 let far = FAR * self.std_error;

@@ -14,16 +14,12 @@ fn steps_follow_value_and_prior() {
     for (sd, step) in [(0.01, 0.04), (0.015, 0.05), (0.03, 0.075)] {
         assert_eq!(steps(PriorKind::Index, &[1, 3], sd), [-step, step]);
     }
-    // An index is at least 1.
+    // The index of a layer is at least 1.
     let thin = Layer::clear("gel", 1.03, 0.02, 0.0).unwrap();
     let layers = vec![Layer::sample("sample", 0.05).unwrap(), thin];
     let airy = Scene { layers, ..Scene::paper() };
     let [low, high] = prior(PriorKind::Index, &[1], 0.01).steps(&airy)[..] else { panic!() };
     assert!((low + 0.03).abs() < 1e-12 && (high - 0.03).abs() < 1e-12, "{low} {high}");
-    // The ring is from 40 to 50°.
-    assert_eq!(steps(PriorKind::RingAngle, &[], 1.0), [-4.0, 4.0]);
-    assert_eq!(steps(PriorKind::RingAngle, &[], 11.0), [22.0]);
-    assert_eq!(steps(PriorKind::RingAngle, &[], 21.0), [-42.0]);
     assert_eq!(steps(PriorKind::Thickness, &[0], 0.02), [-0.08, 0.08]);
     let gel = prior(PriorKind::Thickness, &[1, 3], 0.02);
     assert_eq!(gel.steps(&scene), [-0.015, 0.08]);
@@ -32,6 +28,39 @@ fn steps_follow_value_and_prior() {
     // Two standard deviations down where there is room for them.
     assert_eq!(steps(PriorKind::Roughness, &[4], 0.05), [-0.1, 0.1]);
     assert_eq!(steps(PriorKind::Roughness, &[2], 0.03), [-0.037_500_000_000_000_006, 0.06]);
+}
+
+/// The ring moves both ways where it stays between the camera's mirror image and the horizon, otherwise to one side.
+#[test]
+fn ring_keeps_clear_of_the_mirror_image() {
+    let steps = |[inner, outer]: [f64; 2], sensor: f64, sd: f64| {
+        let light = RingLight::new(inner, outer).unwrap();
+        let sensor = Sensor::new(10.0, 360, sensor).unwrap();
+        let scene = Scene { light, sensor, ..Scene::paper() };
+        prior(PriorKind::RingAngle, &[], sd).steps(&scene)
+    };
+    for (ring, sensor, sd, expected) in [
+        ([40.0, 50.0], 0.0, 1.0, &[-4.0, 4.0][..]),
+        ([4.0, 50.0], 0.0, 1.0, &[2.0]),
+        ([8.0, 18.0], 5.0, 1.0, &[2.0]),
+        ([10.0, 20.0], 5.0, 1.0, &[-4.0, 4.0]),
+        ([40.0, 50.0], 53.0, 1.0, &[2.0]),
+        ([10.0, 50.0], 0.0, 3.0, &[6.0]),
+        ([40.0, 80.0], 0.0, 3.0, &[6.0]),
+        ([40.0, 80.0], 0.0, 6.0, &[-12.0]),
+    ] {
+        assert_eq!(steps(ring, sensor, sd), expected, "{ring:?} {sensor} {sd}");
+    }
+}
+
+/// Responses that were traced at one step of a thickness hold as far as those of any nearly linear quantity.
+#[test]
+fn ranges_follow_the_traced_steps() {
+    let scene = Scene::paper();
+    let slip = prior(PriorKind::Thickness, &[0], 0.02);
+    assert_eq!(slip.range_of(&scene, &[0.04]), (-0.1, 0.1));
+    assert_eq!(slip.range_of(&scene, &slip.steps(&scene)), slip.range(&scene));
+    assert_eq!(slip.range(&scene).0, -0.08);
 }
 
 /// With the bend, differences of a roughness are proportional to those of its square.
