@@ -115,7 +115,7 @@ mod tests {
 
     /// Plans of grids whose priors differ have different digests; without priors they are those of the grids.
     #[test]
-    fn plans_that_differ_in_priors_have_other_digests() {
+    fn plans_with_other_priors_differ() {
         let axes = Grid::paper().axes().clone();
         let of = |scene: Scene| Grid::new(scene, axes.clone(), Walks::PAPER, 1, false).unwrap();
         let lab = of(Scene::lab());

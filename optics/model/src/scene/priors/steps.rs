@@ -66,7 +66,7 @@ impl Prior {
         self.range_of(scene, &self.steps(scene))
     }
 
-    /// The same for responses traced at other steps, as those of an earlier version.
+    /// Least and greatest difference for responses traced at other steps, as those of an earlier version.
     pub fn range_of(&self, scene: &Scene, steps: &[f64]) -> (f64, f64) {
         match (self.kind, steps) {
             (PriorKind::Roughness | PriorKind::Thickness, &[low, high]) => (low.min(0.0), 1.1 * high),
