@@ -13,7 +13,8 @@ impl Prior {
     ///
     /// A response is the slope of the differences, so its noise falls as they grow: those of thicknesses, indices and the
     /// ring, in which profiles are nearly linear, are up to four standard deviations. Roughnesses and thicknesses above 0
-    /// stay above 0, and the ring does not move over the direction from which smooth faces mirror light into the camera.
+    /// stay above 0. The ring moves both ways only where neither way reaches the direction from which smooth faces mirror
+    /// light into the camera.
     pub fn steps(&self, scene: &Scene) -> Vec<f64> {
         /// Share of the value from which on a prior is wide.
         const WIDE: f64 = 0.2;
