@@ -10,15 +10,15 @@ test crate:
 
 # The physics with 50 times the walks: 100 million per row of the exact values.
 physics-long effort="50":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test physics uniform -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test science uniform -- --nocapture
 
 # kill -9 of a farm inside farmctl, in 60 rounds.
 recovery-long effort="10":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test recovery -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test whole recovery -- --nocapture
 
 # Faults of a farm of real processes, in the long form: 200 rounds of kill -9, an absence of a minute, real keepalives.
 faults-long effort="20":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test faults -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test whole faults -- --nocapture
 
 # The scheduler against its model, with as many random histories as you like.
 model-long cases="20000":
@@ -26,7 +26,7 @@ model-long cases="20000":
 
 # A farm under load with random faults for an hour: records stay correct; memory, files and database do not grow.
 soak minutes="60" seed="1":
-    FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test soak -- --nocapture
+    FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test whole soak -- --nocapture
 
 # The paper's dictionary, timed, in a separate folder.
 dictionary folder="/tmp/farm-dictionary":
@@ -53,7 +53,7 @@ bench-fit folder="/tmp/farm-dictionary" filter="":
 
 # 200 independently traced media, fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
 round-trip-long effort="8":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test measure -- --nocapture --test-threads 1
+    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test science measure -- --nocapture --test-threads 1
 
 # Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
 compare-mitsuba python="python3":
@@ -70,7 +70,7 @@ media-mitsuba data="farm-data" python="python3":
 
 # The documents as a book in target/book/html, with dead links reported; needs mdBook.
 book:
-    cargo test -p farm-tests --test documents
+    cargo test -p farm-house documents
     docs/build
 
 # Spelling, and licences, origins and duplicates of dependencies; needs typos and cargo-deny (see .ci/tools.txt).

@@ -9,7 +9,6 @@ pub mod dng;
 pub mod farm;
 pub mod grids;
 pub mod memory_group;
-pub mod modules;
 pub mod page;
 pub mod photograph;
 pub mod process;

@@ -1,8 +1,8 @@
 //! Checks for mistakes in measured profiles: units, encodings, places, swapped names.
 //!
 //! Each check works on plain arrays of numbers. It refuses only profiles that no medium can show, whatever its σ_t, α, g
-//! and thickness; a merely likely mistake is a warning. `tests/tests/physics/measurement_checks.rs` verifies the checks
-//! on traced media.
+//! and thickness; a merely likely mistake is a warning. `tests/tests/science/physics/measurement_checks.rs` verifies the
+//! checks on traced media.
 
 mod edge;
 mod errors;

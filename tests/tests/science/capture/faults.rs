@@ -1,0 +1,343 @@
+//! One of three shots deviates from the others: the effect on the profile and on its stated errors.
+
+use farm_tests::photograph::{Camera, Edge, Look, Session, Slab, What};
+use optics_capture::{
+    Calibration, Contribution, Frame, Mountings, Photo, Refusal, SampleProfile, Source, Warning,
+};
+
+use super::stage::{PLAIN, calibrate, find, session, slab};
+
+/// The plain session up to its bare board.
+struct SetUp {
+    calibration: Calibration,
+    board: optics_capture::Board,
+}
+
+fn set_up() -> &'static SetUp {
+    static PLAIN_SET_UP: std::sync::OnceLock<SetUp> = std::sync::OnceLock::new();
+    PLAIN_SET_UP.get_or_init(|| {
+        let calibration = calibrate(session(), &PLAIN).expect("the plain session is valid");
+        let board = find(session(), &calibration, &PLAIN).expect("its board is found");
+        SetUp { calibration, board }
+    })
+}
+
+/// Three shots of the slab, one of which is modified.
+fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
+    let shots = (0..3).map(|i| session().shoot(What::Slab, i, &PLAIN));
+    measured(shots.enumerate().map(|(i, photo)| if i == 1 { spoil(photo) } else { photo }))
+}
+
+fn measured(shots: impl Iterator<Item = Photo>) -> Result<SampleProfile, Refusal> {
+    let mut sample = Mountings::new(&set_up().calibration, &set_up().board, "white");
+    for photo in shots {
+        sample.add(photo)?;
+    }
+    sample.finish()
+}
+
+/// The photograph with each sample's light scaled by a factor of its column and row.
+fn dimmed(photo: Photo, factor: impl Fn(usize, usize) -> f64) -> Photo {
+    let (width, black) = (photo.frame.width(), session().camera.black);
+    let dim = |(i, s): (usize, &u16)| {
+        let light = (f64::from(*s) - black) * factor(i % width, i / width);
+        (black + light).round().clamp(0.0, 65_535.0) as u16
+    };
+    let samples = photo.frame.samples().iter().enumerate().map(dim).collect();
+    with_samples(photo, samples)
+}
+
+fn with_samples(photo: Photo, samples: Vec<u16>) -> Photo {
+    let frame = Frame::new(photo.frame.width(), photo.frame.height(), photo.frame.pattern(), samples);
+    Photo { frame: frame.expect("the size stays"), ..photo }
+}
+
+/// Relative mean and largest deviation of green from the clean session, the stated error of the gain, and the mean one
+/// of pixels.
+struct Off {
+    mean: f64,
+    worst: f64,
+    gain: f64,
+    pixel: f64,
+}
+
+impl std::fmt::Display for Off {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let percent = |v: f64| 100.0 * v;
+        let [mean, worst, gain] = [self.mean, self.worst, self.gain].map(percent);
+        write!(
+            f,
+            "off by {mean:+.4} %, at most {worst:+.3} %; gain ± {gain:.3} %, a pixel ± {:.5}",
+            self.pixel
+        )
+    }
+}
+
+impl Off {
+    fn of(found: &SampleProfile, clean: &SampleProfile) -> Self {
+        let (green, clean) = (&found.profiles[1], &clean.profiles[1]);
+        let off: Vec<f64> = green.values.iter().zip(&clean.values).map(|(a, b)| a / b - 1.0).collect();
+        let n = off.len() as f64;
+        Self {
+            mean: off.iter().sum::<f64>() / n,
+            worst: off
+                .iter()
+                .copied()
+                .max_by(|a, b| a.abs().total_cmp(&b.abs()))
+                .expect("profiles have pixels"),
+            gain: gain(&found.budget),
+            pixel: green.std_errors.iter().sum::<f64>() / n,
+        }
+    }
+}
+
+/// Standard error of green's gain, as in session files.
+fn gain(budget: &[Contribution]) -> f64 {
+    let sources = [Source::Drift, Source::Mounting, Source::Linearity];
+    budget
+        .iter()
+        .filter(|line| sources.contains(&line.source))
+        .map(|line| line.std_error[1])
+        .fold(0.0, f64::hypot)
+}
+
+fn noted(found: &SampleProfile, is: impl Fn(&Warning) -> bool) -> bool {
+    found.warnings.iter().any(is)
+}
+
+/// A change of the light in one shot is divided out.
+#[test]
+fn changed_light_is_divided_out() {
+    let clean = slabs(|photo| photo).unwrap();
+    assert!(clean.warnings.is_empty(), "{:?}", clean.warnings);
+    for factor in [0.99, 0.95, 1.045] {
+        let found = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap();
+        let off = Off::of(&found, &clean);
+        println!("light × {factor}: {off}");
+        let light = found.shots[1].light.unwrap()[1];
+        assert!((light.value / factor - 1.0).abs() < 3.0 * light.std_error + 2e-4, "{light:?}");
+        assert!(light.std_error < 1e-3, "{light:?}");
+        assert!(off.mean.abs() < 3e-4 && off.gain < 1e-3, "{off}");
+        assert!(noted(&found, |w| matches!(w, Warning::LightDividedOut { .. })), "{:?}", found.warnings);
+        assert!(!noted(&found, |w| matches!(w, Warning::Unchecked { .. })), "{:?}", found.warnings);
+    }
+}
+
+/// A large change of the light is refused.
+#[test]
+fn large_light_change_is_refused() {
+    for factor in [0.5, 0.7, 0.8, 0.92, 1.2] {
+        let refusal = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap_err();
+        let Refusal::LightChanged { label, percent, .. } = &refusal else { panic!("{factor}: {refusal}") };
+        assert_eq!(label, "slab_2");
+        assert!((percent / (100.0 * (factor - 1.0)) - 1.0).abs() < 0.03, "{factor}: {refusal}");
+    }
+}
+
+/// Lamps that flicker during a rolling shutter: the part of a band in the crop is random.
+#[test]
+fn flicker_bands_are_part_of_the_gain() {
+    let clean = slabs(|photo| photo).unwrap();
+    let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * (y as f64 / 40.0 + phase).sin();
+    let shots = (0..3).map(|i| dimmed(session().shoot(What::Slab, i, &PLAIN), banded(i as f64)));
+    let found = measured(shots).unwrap();
+    let off = Off::of(&found, &clean);
+    println!("bands of 1 %: {off}");
+    // A band's standard deviation is 0.7 %, the mean of three 0.4 %.
+    assert!((0.003..0.008).contains(&off.gain), "{off}");
+    assert!(off.mean.abs() < 2.0 * off.gain, "{off}");
+}
+
+/// A grain on the slab, blurred by the lens only.
+fn with_speck(photo: Photo, at_mm: [f64; 2], diameter_mm: f64) -> Photo {
+    let board = &set_up().board;
+    dimmed(photo, |x, y| {
+        let [dx, dy] = board.to_mm(x as f64 + 0.5, y as f64 + 0.5);
+        let beyond_mm = (dx - at_mm[0]).hypot(dy - at_mm[1]) - 0.5 * diameter_mm;
+        1.0 - 0.4 * libm::erfc(beyond_mm / (0.025 * std::f64::consts::SQRT_2))
+    })
+}
+
+#[test]
+fn clean_shot_is_not_masked() {
+    let clean = slabs(|photo| photo).unwrap();
+    assert!(!noted(&clean, |w| matches!(w, Warning::Masked { .. })), "{:?}", clean.warnings);
+    for shot in &clean.shots {
+        assert!(shot.rejected_share() < 1e-3, "{}", shot.rejected_share());
+    }
+}
+
+/// A speck in one shot is masked, and the session continues.
+#[test]
+fn speck_in_one_shot_is_masked() {
+    let clean = slabs(|photo| photo).unwrap();
+    for (diameter_mm, x_mm) in [(0.2, 2.0), (0.5, 2.0), (1.0, 2.0), (1.0, -3.0), (0.5, 0.1)] {
+        let found = slabs(|photo| with_speck(photo, [x_mm, 0.7], diameter_mm)).unwrap();
+        let off = Off::of(&found, &clean);
+        println!("speck of {diameter_mm} mm at {x_mm} mm: {off}; {:?}", found.warnings);
+        assert!(noted(&found, |w| matches!(w, Warning::Masked { label, .. } if label == "slab_2")));
+        assert_eq!(found.shots.len(), 3);
+        assert!(off.mean.abs() < 2e-4, "{off}");
+        let departures = found.profiles.iter().zip(&clean.profiles).flat_map(|(found, clean)| {
+            found.values.iter().zip(&clean.values).zip(&clean.std_errors).map(|((a, b), e)| (a - b) / e)
+        });
+        let worst = departures.map(f64::abs).fold(0.0, f64::max);
+        assert!(worst < 1.0, "{worst} standard errors");
+    }
+}
+
+#[test]
+fn scratch_across_the_edge_is_masked() {
+    let clean = slabs(|photo| photo).unwrap();
+    let board = &set_up().board;
+    let scratched = |photo| {
+        dimmed(photo, |x, y| {
+            let [dx, dy] = board.to_mm(x as f64 + 0.5, y as f64 + 0.5);
+            if (dy - 0.3 * dx + 1.0).abs() < 0.08 { 1.25 } else { 1.0 }
+        })
+    };
+    let found = slabs(scratched).unwrap();
+    let off = Off::of(&found, &clean);
+    assert!(noted(&found, |w| matches!(w, Warning::Masked { .. })), "{:?}", found.warnings);
+    assert!(off.mean.abs() < 2e-4 && off.worst.abs() < 3e-3, "{off}");
+}
+
+/// A shot with a feature too broad for dust is left out; with too few shots left, the sample is refused.
+#[test]
+fn shot_with_a_bubble_is_left_out() {
+    let clean = slabs(|photo| photo).unwrap();
+    let bubble = |photo| with_speck(photo, [2.5, 3.0], 3.0);
+    let found = slabs(bubble).unwrap();
+    assert_eq!(found.shots.iter().map(|s| s.label.as_str()).collect::<Vec<_>>(), ["slab_1", "slab_3"]);
+    let messages: Vec<String> = found.warnings.iter().map(ToString::to_string).collect();
+    assert!(
+        messages.iter().any(|t| t.starts_with("left out: slab_2: thirds of the crop disagree")),
+        "{messages:?}"
+    );
+    assert!(Off::of(&found, &clean).mean.abs() < 5e-4);
+    let two = (0..2).map(|i| bubble(session().shoot(What::Slab, i, &PLAIN)));
+    let good = std::iter::once(session().shoot(What::Slab, 2, &PLAIN));
+    let refusal = measured(two.chain(good)).unwrap_err();
+    assert!(matches!(refusal, Refusal::ThirdsDisagree { .. }), "{refusal}");
+}
+
+/// A session that uneven light spoils is refused, and the message mentions the missing flat shots.
+#[test]
+fn missing_flats_explain_a_refusal() {
+    let thirds = |session: &Session| {
+        let black = optics_capture::Darks::new().finish(&session.shoot(What::Bare, 0, &PLAIN))?;
+        let flat = optics_capture::Flats::new(&black).finish()?;
+        let mut patches = optics_capture::Patches::new(black, flat, session.neutral());
+        patches.add(session.shoot(What::Chart, 0, &PLAIN))?;
+        patches.add(session.shoot(What::Chart, 1, &PLAIN))?;
+        let calibration = patches.finish()?;
+        let board = find(session, &calibration, &PLAIN)?;
+        let mut sample = Mountings::new(&calibration, &board, "white");
+        for i in 0..2 {
+            sample.add(session.shoot(What::Slab, i, &PLAIN))?;
+        }
+        sample.finish()
+    };
+    let camera = Camera { slope: [0.0, 0.16], vignetting: 0.0, ..Camera::default() };
+    let refusal = thirds(&Session::new(camera, slab())).unwrap_err();
+    let text = refusal.to_string();
+    assert!(
+        matches!(refusal, Refusal::ThirdsDisagree { .. }) && text.contains("there are no flat shots"),
+        "{text}"
+    );
+}
+
+/// The photograph turned by 180° by a viewer, which does not change the mosaic's name in the file.
+fn turned(photo: Photo) -> Photo {
+    let samples = photo.frame.samples().iter().rev().copied().collect();
+    with_samples(photo, samples)
+}
+
+fn is_turned(refusal: &Refusal, of: &str) -> bool {
+    matches!(refusal, Refusal::Unlike { label, .. } if label == of) && refusal.to_string().contains("turned")
+}
+
+/// A shot with a turned slab is left out, or refused if too few are left.
+#[test]
+fn turned_slab_is_left_out_or_refused() {
+    let clean = slabs(|photo| photo).unwrap();
+    let found = slabs(turned).unwrap();
+    let off = Off::of(&found, &clean);
+    println!("one shot turned: {off}; {:?}", found.warnings);
+    assert_eq!(found.shots.len(), 2);
+    assert!(off.mean.abs() < 5e-4 && off.gain < 1e-3, "{off}");
+    let left_out = |w: &Warning| matches!(w, Warning::LeftOut { why } if is_turned(why, "slab_2"));
+    assert!(noted(&found, left_out), "{:?}", found.warnings);
+    let one = |i: u64| session().shoot(What::Slab, i, &PLAIN);
+    let refusal = measured([one(0), turned(one(1))].into_iter()).unwrap_err();
+    assert!(is_turned(&refusal, "slab_2"), "{refusal}");
+}
+
+/// Another slab was photographed: of three shots it is left out, with two shots the sample is refused.
+#[test]
+fn shot_of_another_slab_is_left_out() {
+    let mut others = session().clone();
+    let edge = Edge::new(|c, x| 0.8 * super::stage::white(c, x));
+    others.lay(&session().camera.clone(), &Slab { edge, ..slab() });
+    let other = |i: u64| others.shoot(What::Slab, i, &PLAIN);
+    let found = slabs(|_| other(1)).unwrap();
+    let left_out = |w: &Warning| w.to_string().starts_with("left out: slab_2: the profile differs");
+    assert!(noted(&found, left_out) && found.shots.len() == 2, "{:?}", found.warnings);
+    let two = [session().shoot(What::Slab, 0, &PLAIN), other(1)];
+    let refusal = measured(two.into_iter()).unwrap_err();
+    assert!(matches!(refusal, Refusal::Unlike { .. }), "{refusal}");
+}
+
+/// Turned bare shots, flats and patches are detected.
+#[test]
+fn turned_calibration_shots_are_detected() {
+    let shoot = |what, i| session().shoot(what, i, &PLAIN);
+    let target = optics_capture::Target { dark_side: None, ..session().target() };
+    let mut bare = optics_capture::BareShots::new(&set_up().calibration, target).unwrap();
+    bare.add(shoot(What::Bare, 0)).unwrap();
+    let refusal = bare.add(turned(shoot(What::Bare, 1))).unwrap_err();
+    assert!(
+        refusal.to_string().starts_with("board_2: ") && refusal.to_string().contains("turned"),
+        "{refusal}"
+    );
+
+    let black = set_up().calibration.black();
+    let flats = |count: u64| {
+        let mut flats = optics_capture::Flats::new(black);
+        for i in 0..count {
+            let photo = shoot(What::Sheet, i);
+            flats.add(if i == 1 { turned(photo) } else { photo }).unwrap();
+        }
+        flats
+    };
+    let refusal = flats(2).finish().unwrap_err();
+    assert!(refusal.to_string().contains("turned"), "{refusal}");
+    flats(4).finish().unwrap();
+
+    let mut patches =
+        optics_capture::Patches::new(black.clone(), set_up().calibration.flat().clone(), session().neutral());
+    patches.add(shoot(What::Chart, 0)).unwrap();
+    patches.add(turned(shoot(What::Chart, 1))).unwrap();
+    let refusal = patches.finish().unwrap_err();
+    assert!(is_turned(&refusal, "chart_2"), "{refusal}");
+}
+
+#[test]
+fn bare_shots_under_other_light_are_refused() {
+    let spoilt = |factor: f64| {
+        let mut session: Session = session().clone();
+        session.brightness = vec![(What::Bare, 1, factor)];
+        find(&session, &set_up().calibration, &PLAIN)
+    };
+    let refusal = spoilt(0.9).unwrap_err();
+    assert!(matches!(&refusal, Refusal::LightChanged { label, .. } if label == "board_2"), "{refusal}");
+    // With a difference of 2 %, each is 1 % off the mean, whose standard error is 1 %.
+    let board = spoilt(0.98).unwrap();
+    let look = Look { seed: 9, ..PLAIN };
+    let mut sample = Mountings::new(&set_up().calibration, &board, "white");
+    for i in 0..3 {
+        sample.add(session().shoot(What::Slab, i, &look)).unwrap();
+    }
+    let gain = gain(&sample.finish().unwrap().budget);
+    assert!((0.008..0.012).contains(&gain), "{gain}");
+}

@@ -1,0 +1,242 @@
+//! Photographs media in a set-up, and fits them.
+
+use std::sync::OnceLock;
+
+use farm_tests::statistics::Normal;
+use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
+use optics_model::fit::{FitOptions, FitSettings, Measured, MuRange, PhaseModel};
+use optics_model::grid::{Axes, NoiseLevel, Responses};
+use optics_model::job::JobSpec;
+use optics_model::phase::PhaseShape;
+use optics_model::scene::Scene;
+use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
+use optics_tracer::SeenBase;
+use rayon::prelude::*;
+
+use super::outcome::SetUpOutcome;
+use super::scenes::{ChangedSetUp, lab};
+use crate::measure::imperfect::truths::records;
+
+pub(super) const SLABS_MM: [f64; 2] = [0.5, 1.0];
+/// Noise of a pixel as a share of its value.
+pub(super) const NOISE: f64 = 0.004;
+/// Walks of a profile.
+pub(super) const WALKS: u64 = 2_000_000;
+/// Error of a level that these walks leave: with flaws it counts as one of the gain.
+const LEVEL: f64 = 0.0008;
+/// Refractive index of the samples in the scene.
+const IOR: f64 = 1.53;
+
+/// Nodes of a dictionary's axes.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Nodes {
+    Few,
+    Paper,
+}
+
+/// Dictionary of the scene with its responses, or with those to the phase function alone.
+pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionary {
+    static ALL: [OnceLock<FitDictionary>; 4] = [const { OnceLock::new() }; 4];
+    ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
+        let mut priors = lab().priors().to_vec();
+        priors.retain(|prior| uncertain || prior.kind().is_of_phase());
+        dictionary_of(&lab().with_priors(priors).unwrap(), nodes)
+    })
+}
+
+/// Dictionary of a scene with its responses.
+pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> FitDictionary {
+    let grid = match nodes {
+        Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
+        Nodes::Paper => Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false),
+    };
+    let (grid, base) = (grid.unwrap(), SeenBase::of(scene));
+    let responses = Responses::of(scene, grid.axes(), |varied| base.through(varied)).unwrap();
+    let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
+    let mut builder = DictionaryBuilder::new(grid.clone());
+    for job in 0..grid.job_count() {
+        builder.add(&records(&JobSpec::of(&grid, job)));
+    }
+    builder.build()
+}
+
+fn few_nodes() -> Axes {
+    Axes {
+        sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+        albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
+        g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
+        thickness_mm: SLABS_MM.to_vec(),
+        sample_ior: vec![IOR],
+    }
+}
+
+/// The values of a profile in a scene.
+pub(super) fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
+    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
+    let walks = Walks::new(walks).unwrap();
+    let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();
+    let record = records(&job).unpack().remove(0);
+    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
+}
+
+/// Materials in a set-up.
+#[derive(Debug)]
+pub(super) struct SetUpSession {
+    set_up: ChangedSetUp,
+    channels: Vec<String>,
+    /// By material and channel.
+    media: Vec<Vec<Medium>>,
+    /// Whether thicknesses, edges, gains, zeros and slopes have random errors according to their priors.
+    flawed: bool,
+    /// Whether gain, zero and slope of a slab are the same in all channels.
+    common: bool,
+    seed: u64,
+}
+
+impl SetUpSession {
+    /// The six media of the table.
+    pub(super) fn of_row(set_up: ChangedSetUp) -> Self {
+        let media = [(6.0, 0.9991), (4.5, 0.7), (7.5, 0.98), (2.5, 0.98), (3.75, 0.995), (5.5, 0.35)];
+        let media = media.map(|(s, a)| Medium::new(s, a, 0.4).unwrap()).to_vec();
+        Self { flawed: false, ..Self::of_one_channel(set_up, media, 0) }
+    }
+
+    fn of_one_channel(set_up: ChangedSetUp, media: Vec<Medium>, seed: u64) -> Self {
+        let media = media.into_iter().map(|medium| vec![medium]).collect();
+        Self { set_up, channels: vec!["R".to_owned()], media, flawed: true, common: false, seed }
+    }
+
+    /// The six media of the table with a mean cosine of their own, without errors of the set-up.
+    pub(super) fn of_row_at(set_up: ChangedSetUp, g: f64) -> Self {
+        let of_row = Self::of_row(set_up);
+        let at = |m: &Vec<Medium>| vec![Medium::new(m[0].sigma_t_per_mm(), m[0].albedo(), g).unwrap()];
+        Self { media: of_row.media.iter().map(at).collect(), ..of_row }
+    }
+
+    /// Random media with these phase functions, in the scene itself otherwise.
+    pub(super) fn of_phases(number: u64, phases: Vec<PhaseShape>) -> Self {
+        let materials = phases.len();
+        Self {
+            set_up: ChangedSetUp::none(materials).with_phases(phases),
+            ..Self::random(number, materials, false)
+        }
+    }
+
+    /// Random media within the dictionary, in a random set-up or in the scene itself.
+    pub(super) fn random(number: u64, materials: usize, changed: bool) -> Self {
+        let mut random = Normal::new(910_000 + number);
+        let g = 0.1 + 0.6 * random.uniform();
+        let mut medium = || {
+            let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+            let sigma_t = log(1.3, 8.0, random.uniform());
+            Medium::new(sigma_t, 1.0 - log(2e-3, 0.6, random.uniform()), g).unwrap()
+        };
+        let media: Vec<Medium> = (0..6).map(|_| medium()).take(materials).collect();
+        let drawn = ChangedSetUp::random(&mut random, materials);
+        let set_up = if changed { drawn } else { ChangedSetUp::none(materials) };
+        Self::of_one_channel(set_up, media, 1 + number)
+    }
+
+    /// Random inks with smooth spectra, in a random set-up: scattering falls with a power of the wavelength, and each
+    /// absorbs in one line. Flaws are those of photographs, or common to the channels of a slab.
+    pub(super) fn of_inks(number: u64, materials: usize, nm: &[f64], common: bool) -> Self {
+        let mut random = Normal::new(950_000 + number);
+        let g = 0.1 + 0.6 * random.uniform();
+        let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+        let mut ink = || {
+            let (scattering, power) = (log(1.5, 6.0, random.uniform()), 1.2 * random.uniform());
+            let (base, peak) = (log(0.003, 0.03, random.uniform()), log(0.05, 1.5, random.uniform()));
+            let (centre, width) = (430.0 + 240.0 * random.uniform(), 30.0 + 40.0 * random.uniform());
+            let at = |nm: &f64| {
+                let s = scattering * (550.0 / nm).powf(power);
+                let a = base + peak * (-0.5 * ((nm - centre) / width).powi(2)).exp();
+                Medium::new(s + a, s / (s + a), g).unwrap()
+            };
+            nm.iter().map(at).collect()
+        };
+        let media = (0..materials).map(|_| ink()).collect();
+        let set_up = ChangedSetUp::random(&mut random, materials);
+        let channels = nm.iter().map(ToString::to_string).collect();
+        Self { set_up, channels, media, flawed: true, common, seed: 10_001 + number }
+    }
+
+    fn measurement(&self, material: usize) -> Measurement {
+        let of_slab =
+            |slab| (0..self.channels.len()).map(move |channel| self.profile(material, slab, channel));
+        Measurement::new(format!("m{material}"), (0..2).flat_map(of_slab).collect()).unwrap()
+    }
+
+    /// A slab has one thickness in all channels; the other flaws are those of each photograph, if they are not common.
+    fn profile(&self, material: usize, slab: usize, channel: usize) -> MeasuredProfile {
+        let number = (self.seed * 6 + material as u64) * 2 + slab as u64;
+        let of_channel = number + 100_000 * channel as u64;
+        let [mut of_slab, mut random] = [number, of_channel].map(|n| Normal::new(920_000 + n));
+        let prior = FitSettings::default();
+        let off = |random: &mut Normal, std_error: f64| {
+            if self.flawed { std_error * random.normal() } else { 0.0 }
+        };
+        let thickness_mm = SLABS_MM[slab] + off(&mut of_slab, prior.thickness_std_error_mm);
+        // The other flaws of the first channel follow in the same stream.
+        off(&mut random, prior.thickness_std_error_mm);
+        let flaws = if self.common { &mut of_slab } else { &mut random };
+        let mut off = |std_error: f64| off(flaws, std_error);
+        let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
+        let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
+        let scene = self.set_up.scene(material, slab);
+        let sensor = scene.sensor();
+        let medium = &self.media[material][channel];
+        let values = traced(scene, medium, thickness_mm, WALKS, 930_000 + of_channel);
+        let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
+        let exact: Vec<f64> =
+            values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
+        let std_errors: Vec<f64> = exact.iter().map(|v| NOISE * v.abs()).collect();
+        let noisy = exact.iter().zip(&std_errors).map(|(v, e)| v + e * random.normal()).collect();
+        let x = x.iter().map(|x| x + origin_mm).collect();
+        let name = &self.channels[channel];
+        MeasuredProfile::new(name, SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
+    }
+
+    /// Fits like `farmctl measure` without further options.
+    pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<SetUpOutcome> {
+        self.measured_as(dictionary, PhaseModel::TwoLobes)
+    }
+
+    /// The same, with a phase function.
+    pub(super) fn measured_as(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Vec<SetUpOutcome> {
+        let found = self.fitted(dictionary, phase);
+        let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
+        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m][0], truth);
+        found.materials.iter().enumerate().map(outcome).collect()
+    }
+
+    /// The true media of a material by channel.
+    pub(super) fn media(&self, material: usize) -> &[Medium] {
+        &self.media[material]
+    }
+
+    pub(super) fn materials(&self) -> usize {
+        self.media.len()
+    }
+
+    /// The true scene of a material's first slab.
+    pub(super) fn scene(&self, material: usize) -> Scene {
+        self.set_up.scene(material, 0)
+    }
+
+    /// The true difference of a quantity of a material from the scene's value.
+    pub(super) fn difference(&self, material: usize, prior: usize) -> f64 {
+        self.set_up.difference(material, None, prior).unwrap_or(0.0)
+    }
+
+    pub(super) fn fitted(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Measured {
+        let count = self.media.len();
+        let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();
+        let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
+        let known = FitSettings::default().gain_std_error;
+        let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
+        let settings =
+            FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
+        let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
+        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap()
+    }
+}

@@ -1,0 +1,11 @@
+//! Tests the programs as people run them: commands, work, faults, access, sessions of photographs, and a soak.
+//!
+//! Most of these tests wait for processes, and run side by side.
+
+mod access;
+mod cli;
+mod faults;
+mod flow;
+mod recovery;
+mod session;
+mod soak;
