@@ -12,10 +12,6 @@ test crate:
 physics-long effort="50":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test science uniform -- --nocapture
 
-# kill -9 of a farm inside farmctl, in 60 rounds.
-recovery-long effort="10":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test whole recovery -- --nocapture
-
 # Faults of a farm of real processes, in the long form: 200 rounds of kill -9, an absence of a minute, real keepalives.
 faults-long effort="20":
     FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test whole faults -- --nocapture

@@ -120,6 +120,12 @@ pub(crate) fn kernel_name() -> Option<String> {
     std::env::var("FARM_KERNEL").ok().filter(|name| !name.is_empty())
 }
 
+/// The time in FARM_PACE_MS, as for `farm-worker`.
+fn pace() -> Duration {
+    let given = std::env::var("FARM_PACE_MS").ok().and_then(|text| text.parse().ok());
+    Duration::from_millis(given.unwrap_or(0))
+}
+
 /// Settings of the embedded coordinator.
 fn coordinator(data: &Path) -> Result<Config> {
     // No limit on a question's pixels: it would protect other users.
@@ -212,7 +218,7 @@ impl Connection {
 
     /// Settings of a worker on all cores.
     fn worker(coordinator: Target) -> farm_worker::Config {
-        farm_worker::Config { kernel: kernel_name(), ..farm_worker::Config::new(coordinator) }
+        farm_worker::Config { kernel: kernel_name(), pace: pace(), ..farm_worker::Config::new(coordinator) }
     }
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {

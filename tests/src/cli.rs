@@ -33,7 +33,7 @@ pub fn farm() -> tempfile::TempDir {
 pub fn json(ran: &Ran, kind: &str) -> Value {
     let value: Value = serde_json::from_str(&ran.stdout).unwrap_or_else(|e| panic!("{e}: {}", ran.stdout));
     assert_eq!(value["api"], "farmctl/1");
-    assert_eq!(value["kind"], kind);
+    assert_eq!(value["kind"], kind, "{}{}", ran.stdout, ran.stderr);
     value["data"].clone()
 }
 

@@ -53,48 +53,45 @@ pub fn free_port() -> u16 {
     panic!("there is no free port");
 }
 
-/// The program of this name, built by cargo in the profile of the tests.
+/// The program of this name that was built with the tests: `cargo test --workspace` builds all programs. With
+/// `FARM_TEST_PROGRAMS` it is one of that folder, so that long tests can continue while sources change.
 ///
 /// # Panics
-/// If it cannot be built.
+/// If it is missing, or older than a source file.
 pub fn program(name: &str) -> PathBuf {
-    static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    BUILT.get_or_init(|| build(&["--workspace", "--bins"])).join(name)
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(programs).join(name)
 }
 
-/// The coordinator alone: in the profile of benchmarks the others take long to build.
-///
-/// # Panics
-/// If it cannot be built.
-pub fn coordinator() -> PathBuf {
-    static BUILT: OnceLock<PathBuf> = OnceLock::new();
-    BUILT.get_or_init(|| build(&["--package", "farm-coordinator"])).join("farm-coordinator")
-}
-
-/// Builds the programs and returns their folder, or the one that `FARM_TEST_PROGRAMS` names, so that long tests can
-/// continue while sources change.
-fn build(what: &[&str]) -> PathBuf {
+fn programs() -> PathBuf {
     if let Some(folder) = std::env::var_os("FARM_TEST_PROGRAMS") {
         return folder.into();
     }
-    let mut build = Command::new(env!("CARGO"));
-    build.current_dir(crate::reference::root()).args(["build", "--quiet"]).args(what);
-    // Variables that `cargo test` sets for this package would count as a change for some crates, which would then be
-    // rebuilt each time with all their dependents.
-    for (name, _) in std::env::vars_os() {
-        let text = name.to_string_lossy();
-        if text.starts_with("CARGO_MANIFEST_") || text.starts_with("CARGO_PKG_") {
-            build.env_remove(name);
-        }
-    }
-    if !cfg!(debug_assertions) {
-        build.arg("--release");
-    }
-    let built = build.output().expect("cargo runs");
-    assert!(built.status.success(), "{}", String::from_utf8_lossy(&built.stderr));
     // The test's path is …/target/<profile>/deps/<name>.
     let test = std::env::current_exe().expect("the test knows its path");
-    test.ancestors().nth(2).expect("tests lie two folders deep").to_owned()
+    let folder = test.ancestors().nth(2).expect("tests lie two folders deep").to_owned();
+    for name in ["farmctl", "farm-coordinator", "farm-worker"] {
+        let state = stale(&folder.join(name));
+        let release = if cfg!(debug_assertions) { "" } else { " --release" };
+        assert!(
+            state.is_none(),
+            "{} {}: run `cargo build --workspace --bins{release}`",
+            name,
+            state.unwrap_or_default()
+        );
+    }
+    folder
+}
+
+/// The defect of a built program: it is missing, or one of its sources is newer. Cargo lists these next to it.
+fn stale(program: &Path) -> Option<String> {
+    let changed = |path: &Path| path.metadata().and_then(|data| data.modified()).ok();
+    let Some(built) = changed(program) else {
+        return Some(format!("is not in {}", program.parent()?.display()));
+    };
+    let list = std::fs::read_to_string(program.with_extension("d")).ok()?;
+    let newer = list.split_whitespace().skip(1).find(|source| changed(Path::new(source)) > Some(built))?;
+    Some(format!("is older than {newer}"))
 }
 
 /// `farmctl` in a folder, without settings from the environment.

@@ -71,7 +71,7 @@ async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> R
     let kernel = kernels::choose(config.kernel.as_deref())?;
     tracing::debug!(%kernel, threads = config.threads, "tracing");
     let limit = Instant::now() + working_time(&config);
-    let pool = Pool::new(config.threads)?;
+    let pool = Pool::new(config.threads, config.pace)?;
     let held: Arc<HeldLeases> = Arc::default();
     let url = config.coordinator.url();
     let introduction = Introduction {

@@ -42,6 +42,9 @@ pub struct Args {
     /// Memory in MiB for results that wait for a coordinator that is away; when it is full, tracing pauses.
     #[arg(long, value_name = "MIB", default_value_t = 256, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub buffer: u32,
+    /// Time to wait before each job is traced, for tests of a farm: jobs last without computing.
+    #[arg(long, value_name = "MS", env = "FARM_PACE_MS", default_value_t = 0, hide = true)]
+    pub pace_ms: u64,
     /// Log format: text, or one JSON object per line. FARM_LOG sets how much is logged, as in FARM_LOG=debug.
     #[arg(long, value_name = "FORMAT", env = "FARM_LOG_FORMAT", default_value = "text")]
     pub log_format: LogFormat,

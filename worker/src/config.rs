@@ -29,6 +29,8 @@ pub struct Config {
     pub idle_exit: Option<Duration>,
     /// Kernel to trace with; the fastest if None.
     pub kernel: Option<String>,
+    /// Time that a thread waits before it traces a job, so that jobs last without computing; for tests.
+    pub pace: Duration,
 }
 
 impl Config {
@@ -46,6 +48,7 @@ impl Config {
             time_limit: None,
             idle_exit: None,
             kernel: None,
+            pace: Duration::ZERO,
         }
     }
 }

@@ -146,7 +146,7 @@ mod tests {
         let coordinator = Coordinator::start();
         let (session, held) = session(&coordinator).await;
         let (finished, _queue) = mpsc::unbounded_channel();
-        let (pool, buffer) = (Pool::new(1).unwrap(), ResultBuffer::new(1));
+        let (pool, buffer) = (Pool::new(1, Duration::ZERO).unwrap(), ResultBuffer::new(1));
         let runner = JobRunner { session, held: held.clone(), pool, buffer, finished };
         let key = lease(4).key;
         held.add(key, job(4).identity(), SetSwitch::new(1));

@@ -3,6 +3,7 @@
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
 use std::process::ExitCode;
+use std::time::Duration;
 
 use farm_link::{AccessError, ClientAccess, Target, arguments, logs, signals};
 use farm_worker::cli::Args;
@@ -47,6 +48,7 @@ fn config(args: Args) -> Result<Config, AccessError> {
         host: config.host,
         log: farm_worker::log_place(),
         kernel: args.kernel,
+        pace: Duration::from_millis(args.pace_ms),
         time_limit: args.time_limit,
         grace: args.grace,
         idle_exit: args.idle_exit,

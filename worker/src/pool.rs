@@ -4,6 +4,8 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
 
 use farm_link::memory::usable_bytes;
 use optics_model::PackedRecords;
@@ -36,12 +38,17 @@ pub(crate) enum TraceEnd {
 }
 
 #[derive(Debug, Clone)]
-pub(crate) struct Pool(Arc<rayon::ThreadPool>);
+pub(crate) struct Pool {
+    threads: Arc<rayon::ThreadPool>,
+    /// Time that a thread waits before it traces.
+    pace: Duration,
+}
 
 impl Pool {
-    pub(crate) fn new(threads: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub(crate) fn new(threads: usize, pace: Duration) -> Result<Self, rayon::ThreadPoolBuildError> {
         let name = |i| format!("trace-{i}");
-        Ok(Self(Arc::new(rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?)))
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(name).build()?;
+        Ok(Self { threads: Arc::new(threads), pace })
     }
 
     /// Traces jobs that share their walks; their switches end it early. A thread that is about to begin announces it
@@ -53,9 +60,10 @@ impl Pool {
         begun: oneshot::Sender<StartSignal>,
     ) -> TraceEnd {
         let (sender, receiver) = oneshot::channel();
-        self.0.spawn(move || {
+        let pace = self.pace;
+        self.threads.spawn(move || {
             // The receiver is gone if the agent was dropped.
-            let _ = sender.send(trace_now(&jobs, &switches, begun));
+            let _ = sender.send(trace_now(&jobs, &switches, begun, pace));
         });
         receiver.await.unwrap_or(TraceEnd::Stopped)
     }
@@ -65,6 +73,7 @@ fn trace_now(
     jobs: &[JobSpec],
     switches: &[Arc<JobSwitches>],
     begun: oneshot::Sender<StartSignal>,
+    pace: Duration,
 ) -> TraceEnd {
     // `count` visits all switches, so that all jobs are marked as running.
     let started = switches.iter().filter(|switches| switches.start()).count();
@@ -80,6 +89,7 @@ fn trace_now(
         let _ = started.blocking_recv();
     }
     guarded(|| {
+        wait(pace, stop)?;
         if let Some(block) = jobs[0].block() {
             let sums = trace_set_block(jobs, block, stop)?;
             return Ok(sums.into_iter().map(TraceResult::Sums).collect());
@@ -88,6 +98,19 @@ fn trace_now(
         let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
         Ok(packed.map(TraceResult::Records).collect())
     })
+}
+
+/// Waits for a time, in short steps, so that a stop ends it soon.
+fn wait(mut left: Duration, stop: &AtomicBool) -> Result<(), Stopped> {
+    const STEP: Duration = Duration::from_millis(5);
+    while !left.is_zero() {
+        if stop.load(Ordering::Relaxed) {
+            return Err(Stopped);
+        }
+        std::thread::sleep(left.min(STEP));
+        left = left.saturating_sub(STEP);
+    }
+    Ok(())
 }
 
 /// Checks that this process may use the memory that jobs need. Otherwise it would be killed.
@@ -146,7 +169,7 @@ mod tests {
     /// A thread announces a job and waits for permission to start it.
     #[tokio::test]
     async fn announced_job_waits_for_its_start() {
-        let pool = Pool::new(1).unwrap();
+        let pool = Pool::new(1, Duration::ZERO).unwrap();
         let (begun, begins) = oneshot::channel();
         let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
         let start = begins.await.unwrap();
@@ -164,7 +187,7 @@ mod tests {
         let albedo = (1..=4_000_000).map(|i| f64::from(i) / 4_000_001.0).collect();
         let small = job(1);
         let large = JobSpec::new(scene, small.point(), albedo, small.walks(), 1, false).unwrap();
-        let pool = Pool::new(1).unwrap();
+        let pool = Pool::new(1, Duration::ZERO).unwrap();
         let end = pool.trace(vec![large], vec![Arc::default()], no_receiver()).await;
         let TraceEnd::Failed(text) = end else { panic!("{end:?}") };
         assert!(text.contains("MiB of memory, this worker may use"), "{text}");
@@ -173,7 +196,7 @@ mod tests {
     /// Jobs have the records that the tracer yields.
     #[tokio::test]
     async fn jobs_have_the_records_of_the_tracer() {
-        let pool = Pool::new(1).unwrap();
+        let pool = Pool::new(1, Duration::ZERO).unwrap();
         let jobs = [job(1), as_thick_as(1)];
         let end = pool.trace(jobs.to_vec(), vec![Arc::default(), Arc::default()], no_receiver()).await;
         let TraceEnd::Finished(results) = end else { panic!("{end:?}") };
@@ -188,7 +211,7 @@ mod tests {
     /// A job that is stopped does not begin, or ends early.
     #[tokio::test]
     async fn stopped_jobs_end_early() {
-        let pool = Pool::new(1).unwrap();
+        let pool = Pool::new(1, Duration::ZERO).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
         assert!(matches!(

@@ -26,7 +26,7 @@ use std::time::{Duration, Instant};
 
 use farm_proto::wire::SubmitRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
-use farm_tests::process::{Process, coordinator, free_port};
+use farm_tests::process::{Process, free_port, program};
 use farm_tests::usage::Usage;
 use optics_model::grid::Axes;
 use optics_model::scene::{Channel, Scene, Sensor};
@@ -106,7 +106,7 @@ async fn run(load: Load) {
         .map_or_else(|| PathBuf::from(env!("CARGO_TARGET_TMPDIR")), PathBuf::from);
     let data = tempfile::tempdir_in(&folder).unwrap();
     let (port, metrics) = (free_address(), free_address());
-    let mut command = Command::new(coordinator());
+    let mut command = Command::new(program("farm-coordinator"));
     command.env_clear().env("FARM_LOG", "warn");
     command
         .args(["--insecure", "--listen", &port.to_string(), "--metrics", &metrics.to_string(), "--data"])

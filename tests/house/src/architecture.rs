@@ -73,6 +73,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "farm-link",
             "farm-coordinator",
             "farm-worker",
+            "farm-figures",
             "farm-lab",
             "farmctl",
         ],

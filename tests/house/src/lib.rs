@@ -1,4 +1,4 @@
-//! Tests the sources and documents themselves: boundaries between crates, links, and language. It links none of the
+//! Tests the sources and documents themselves: boundaries between crates, links, language and size. It links none of the
 //! crates that it looks at, so it is built in seconds.
 
 #![cfg(test)]
@@ -8,3 +8,4 @@ mod documents;
 mod files;
 mod language;
 mod modules;
+mod size;

@@ -156,10 +156,10 @@ fn commands_that_only_ask_leave_no_events() {
 #[test]
 fn second_command_joins_the_running_farm() {
     let dir = folder();
-    // Some seconds of work, so that the farm still runs.
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 5000000"));
+    write(dir.path(), "long.toml", GRID);
     let mut submit = farmctl(dir.path());
-    submit.args(["submit", "long.toml", "-q"]);
+    // The farm still runs when the second command looks.
+    submit.args(["submit", "long.toml", "-q"]).env("FARM_PACE_MS", "60000");
     let mut submit = Process::spawn("farmctl", &mut submit, &dir.path().join("farmctl.log"));
     let joined = (0..100).find_map(|_| {
         std::thread::sleep(std::time::Duration::from_millis(50));
@@ -202,9 +202,10 @@ fn commands_in_one_folder_do_not_interfere() {
 #[test]
 fn interrupted_submission_can_continue_later() {
     let dir = folder();
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 3000000"));
+    write(dir.path(), "long.toml", GRID);
     let mut submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
+        .env("FARM_PACE_MS", "60000")
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .spawn()

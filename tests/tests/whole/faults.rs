@@ -32,24 +32,29 @@ use std::time::Duration;
 
 use farm_tests::statistics::effort;
 
-/// 12 jobs of 36 records, each job some tenths of a second.
+/// 12 jobs of 36 records.
 const GRID: &str = "\
 sigma_t_per_mm = [2, 8]
 albedo = [0.5, 0.9, 0.99]
 g = [0.0, 0.4, 0.8]
-walks = 200000
+walks = 5000
 ";
 const JOBS: u64 = 12;
 const RECORDS: u64 = 36;
 
-/// Jobs of some seconds each, with so few walks that none is divided.
+/// Four jobs, for workers with [`LONG_PACE`].
 const LONG_JOBS: &str = "\
 sigma_t_per_mm = [8, 9]
 albedo = [0.9, 0.999]
 g = [0.4]
 thickness_mm = [1.0]
-walks = 1000000
+walks = 5000
 ";
+
+/// Worker's options: each job lasts some tenths of a second without computing.
+const SHORT_PACE: [&str; 2] = ["--pace-ms", "250"];
+/// … or some seconds.
+const LONG_PACE: [&str; 2] = ["--pace-ms", "4000"];
 
 /// A short pause in the short form, a long one in the long form.
 fn short_or_long(short: Duration, long: Duration) -> Duration {

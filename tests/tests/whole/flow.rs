@@ -103,7 +103,7 @@ async fn stopping_worker_returns_its_leases() -> Result<()> {
     // With leases of an hour, the second worker can continue only after a hand-back.
     let (mut farm, grid) = (Farm::start(&["--lease", "3600"]), small_grid());
     farm.submit_grid("small", &grid).await?;
-    let mut first = farm.worker("worker", &[]);
+    let mut first = farm.worker("worker", &["--pace-ms", "250"]);
     while leased(&farm, "small").await? == 0 {
         tokio::time::sleep(Duration::from_millis(5)).await;
     }

@@ -6,6 +6,5 @@ mod access;
 mod cli;
 mod faults;
 mod flow;
-mod recovery;
 mod session;
 mod soak;

@@ -8,9 +8,11 @@ use thirtyfour::By;
 
 use super::{go_to, let_in};
 
-/// Enough jobs to watch: some 10 s of one core.
+/// Enough jobs to watch: for workers that take 0.3 s for each.
 const LONG_GRID: &str = "sigma_t_per_mm = [2, 3, 4, 6, 8, 12, 16, 24]\nalbedo = [0.9, 0.99, 0.999]\n\
-                         g = [0.0, 0.2, 0.4, 0.6]\nwalks = 200000\n";
+                         g = [0.0, 0.2, 0.4, 0.6]\nwalks = 5000\n";
+
+const PACE: [&str; 2] = ["--pace-ms", "300"];
 
 /// A killed worker and a restarted coordinator are shown, and the page continues without a reload.
 #[tokio::test(flavor = "multi_thread")]
@@ -41,7 +43,7 @@ async fn page_survives_worker_and_coordinator_failures() {
     browser.driver.switch_to_window(first.clone()).await.unwrap();
     mark(&browser).await;
 
-    let mut worker = farm.worker("ada", &[]);
+    let mut worker = farm.worker("ada", &PACE);
     browser.shows("ada").await;
     let before = wait_for_jobs(&browser, 1).await;
     worker.kill();
@@ -51,7 +53,7 @@ async fn page_survives_worker_and_coordinator_failures() {
         })
         .await;
     browser.shows("has not been heard of").await;
-    let _other = farm.worker("bea", &[]);
+    let _other = farm.worker("bea", &PACE);
     wait_for_jobs(&browser, before + 1).await;
 
     farm.kill_coordinator();

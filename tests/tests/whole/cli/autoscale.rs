@@ -11,18 +11,22 @@ use farm_tests::grids::undisturbed;
 use farm_tests::process::{LONG, Process, Ran, SOON, Signal, program, wait_for};
 use serde_json::Value;
 
-/// 24 jobs of some tenths of a second.
+/// 24 jobs, for workers that take some tenths of a second each.
 const GRID: &str = "\
 sigma_t_per_mm = [6, 7, 8, 9]
 albedo = [0.5, 0.99]
 g = [0.0, 0.2, 0.4]
-walks = 600000
+walks = 5000
 ";
 
 /// `farmctl slurm autoscale` with a check every second.
 fn autoscale(farm: &Farm, cluster: &Cluster, worker: &str, options: &[&str]) -> Command {
     let mut command = farm.command(&["slurm", "autoscale", "--json", "--time", "0:10:00", "--every", "1s"]);
-    command.args(["--worth", "0s", "--worker", worker]).args(options).env("PATH", cluster.path());
+    command
+        .args(["--worth", "0s", "--worker", worker])
+        .args(options)
+        .env("PATH", cluster.path())
+        .env("FARM_PACE_MS", "300");
     command
 }
 

@@ -267,9 +267,10 @@ fn explain_suggests_submit_in_an_idle_folder() {
 /// A folder with the dictionary `long`, which was interrupted.
 fn unfinished() -> tempfile::TempDir {
     let dir = folder();
-    write(dir.path(), "long.toml", &GRID.replace("walks = 5000", "walks = 50000000"));
+    write(dir.path(), "long.toml", GRID);
     let mut submit = farmctl(dir.path())
         .args(["submit", "long.toml"])
+        .env("FARM_PACE_MS", "60000")
         .stderr(Stdio::piped())
         .spawn()
         .expect("farmctl starts");

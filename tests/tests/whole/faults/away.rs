@@ -6,14 +6,14 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{Process, SOON, Signal, wait_for};
 
-use super::short_or_long;
+use super::{SHORT_PACE, short_or_long};
 
-/// 24 jobs of some tenths of a second: more than one worker can do until the other comes back.
+/// 24 jobs: more than one worker does until the other comes back.
 const GRID: &str = "\
 sigma_t_per_mm = [6, 7, 8, 9]
 albedo = [0.5, 0.99]
 g = [0.0, 0.2, 0.4]
-walks = 600000
+walks = 5000
 ";
 const JOBS: u64 = 24;
 
@@ -22,7 +22,7 @@ const JOBS: u64 = 24;
 fn workers_survive_an_absence_of_the_coordinator() {
     let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);
     farm.submit("grid", GRID);
-    let mut workers = [farm.worker("a", &[]), farm.worker("b", &[])];
+    let mut workers = [farm.worker("a", &SHORT_PACE), farm.worker("b", &SHORT_PACE)];
     farm.leased("grid", 2);
     assert_eq!(farm.stop_coordinator(), 0);
     std::thread::sleep(short_or_long(Duration::from_secs(3), Duration::from_mins(1)));

@@ -6,15 +6,7 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{LONG, SOON, run, wait_for};
 
-use super::GRID;
-
-/// Like `GRID`, with jobs of one or two seconds.
-const LONGER: &str = "\
-sigma_t_per_mm = [2, 8]
-albedo = [0.5, 0.9, 0.99]
-g = [0.0, 0.4, 0.8]
-walks = 800000
-";
+use super::{GRID, SHORT_PACE};
 
 /// Finished backups of a folder, the oldest first.
 pub(super) fn backups(farm: &Farm, folder: &str) -> Vec<PathBuf> {
@@ -61,8 +53,8 @@ fn farm_resumes_from_its_last_backup() {
 #[test]
 fn standby_takes_over_from_the_last_backup() {
     let mut farm = Farm::closed(&[], &["--lease", "2"]);
-    farm.submit("grid", LONGER);
-    let worker = farm.worker("worker", &[]);
+    farm.submit("grid", GRID);
+    let worker = farm.worker("worker", &SHORT_PACE);
     let done = |farm: &Farm| farm.show("grid")["records_done"].as_u64().unwrap();
     wait_for("some records", LONG, || (done(&farm) > 0).then_some(()));
     let kept = farm.ask(&["backup", "last.db"])["records"].as_u64().unwrap();
@@ -78,7 +70,7 @@ fn standby_takes_over_from_the_last_backup() {
     assert_eq!(restored.code, 0, "{}", restored.stderr);
     farm.stand_in("standby");
     assert!(kept < before, "{kept} records of {before} were in the backup");
-    assert_eq!(farm.done("grid"), undisturbed(LONGER));
+    assert_eq!(farm.done("grid"), undisturbed(GRID));
     let show = farm.show("grid");
     assert_eq!((show["records_done"].as_u64(), show["jobs_failed"].as_u64()), (Some(36), Some(0)));
     assert!(farm.events("WORKER_FENCED").is_empty() && farm.events("ATTEMPT_FAILED").is_empty());

@@ -3,14 +3,15 @@
 //! SIGKILL tests that unwritten data of a process are not needed; it does not test that data survive a power cut.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Duration;
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
-use farm_tests::process::{Process, SOON, wait_for};
+use farm_tests::process::{Process, SOON, farmctl, run, wait_for};
 use farm_tests::statistics::{Normal, effort};
 
-use super::{JOBS, RECORDS};
+use super::{JOBS, RECORDS, SHORT_PACE};
 
 const SEED: u64 = 20_261_121;
 /// Longest time between two kills.
@@ -62,7 +63,7 @@ fn acknowledged_records_survive_random_kills() {
     let mut started = 0;
     let mut worker = |farm: &Farm| {
         started += 1;
-        farm.worker(&format!("w{started}"), &[])
+        farm.worker(&format!("w{started}"), &SHORT_PACE)
     };
     let mut workers: [Process; 2] = [worker(&farm), worker(&farm)];
     let (mut number, mut stored, mut kills) = (1, 0, [0, 0]);
@@ -111,4 +112,41 @@ fn check_rows(farm: &Farm, dictionaries: u64) {
         .unwrap()
         .block_on(farm.record_rows());
     assert_eq!((rows, doubled), (dictionaries * RECORDS, 0));
+}
+
+/// Records of the only dictionary of a folder; None without one.
+fn records_of_folder(folder: &Path) -> Option<u64> {
+    let list: serde_json::Value = serde_json::from_str(&run(folder, &["list", "--json"]).stdout).ok()?;
+    list["data"]["dictionaries"][0]["records_done"].as_u64()
+}
+
+/// A farm inside `farmctl` continues after each kill: no record is lost, and the bytes are those of the tracer.
+#[test]
+fn killed_local_farm_continues() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("grid.toml"), super::GRID).unwrap();
+    let submit = |pace_ms: &str| {
+        let mut command = farmctl(folder.path());
+        command.args(["submit", "grid.toml", "-q"]).env("FARM_PACE_MS", pace_ms);
+        Process::spawn("farmctl", &mut command, &folder.path().join("farmctl.log"))
+    };
+    let mut random = Normal::new(SEED);
+    let (mut stored, mut in_the_middle) = (0, 0);
+    for _ in 0..rounds() / 2 {
+        let mut command = submit("400");
+        // From the start of the program to its second jobs.
+        std::thread::sleep(PAUSE.mul_f64(1.5 * random.uniform()));
+        in_the_middle += u32::from(command.is_running());
+        command.kill();
+        let now = records_of_folder(folder.path()).unwrap_or(0);
+        assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
+        stored = now;
+    }
+    assert!(in_the_middle > 1, "kills must hit running work");
+    assert_eq!(submit("0").exit_within(SOON), 0);
+    let shown: serde_json::Value =
+        serde_json::from_str(&run(folder.path(), &["show", "grid", "--json"]).stdout).unwrap();
+    assert_eq!(shown["data"]["records_digest"], undisturbed(super::GRID));
+    let lines = run(folder.path(), &["export", "grid"]).stdout.lines().count() as u64;
+    assert_eq!(lines, 1 + RECORDS * 3 * 360, "the export has every pixel of every record");
 }

@@ -7,7 +7,7 @@ use farm_tests::grids::undisturbed;
 use farm_tests::process::{Process, SOON, Signal, program, wait_for};
 use tokio::time::Instant;
 
-use super::{GRID, LONG_JOBS};
+use super::{GRID, LONG_JOBS, LONG_PACE};
 
 /// Leases that are not handed back stay blocked for longer than these tests.
 const LEASE: [&str; 2] = ["--lease", "3600"];
@@ -33,7 +33,7 @@ fn assert_no_blame(farm: &Farm) {
 fn stopping_worker_finishes_its_running_jobs() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("worker", &["--grace", "60s"]);
+    let mut worker = farm.worker("worker", &[LONG_PACE, ["--grace", "60s"]].concat());
     // One is traced and the next waits: both are leased before the worker is stopped.
     farm.leased("grid", 2);
     worker.wait_for_log("job begins");
@@ -53,7 +53,7 @@ fn stopping_worker_finishes_its_running_jobs() {
 fn worker_hands_back_on_hang_up() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("worker", &["--grace", "0s"]);
+    let mut worker = farm.worker("worker", &[LONG_PACE, ["--grace", "0s"]].concat());
     worker.wait_for_log("job begins");
     worker.hang_up();
     assert_eq!(worker.exit_within(SOON), 0);
@@ -90,7 +90,7 @@ fn ignored_hang_up_stays_ignored() {
 fn worker_killed_while_stopping_is_not_blamed() {
     let farm = Farm::start(&["--lease", "2", "--max-attempts", "1"]);
     farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("worker", &["--grace", "60s"]);
+    let mut worker = farm.worker("worker", &[LONG_PACE, ["--grace", "60s"]].concat());
     farm.leased("grid", 2);
     worker.wait_for_log("job begins");
     worker.signal(Signal::TERM);
@@ -107,7 +107,7 @@ fn worker_killed_while_stopping_is_not_blamed() {
 fn worker_without_grace_stops_at_once() {
     let farm = Farm::start(&LEASE);
     farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("worker", &["--grace", "0s"]);
+    let mut worker = farm.worker("worker", &[LONG_PACE, ["--grace", "0s"]].concat());
     worker.wait_for_log("job begins");
     worker.signal(Signal::TERM);
     assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
@@ -122,7 +122,7 @@ fn time_limit_ends_a_worker_without_blame() {
     // More work than fits into the time.
     farm.submit("grid", &format!("{LONG_JOBS}sample_ior = [1.3, 1.4, 1.5, 1.6]\n"));
     let start = Instant::now();
-    let mut worker = farm.worker("worker", &["--time-limit", "8s", "--grace", "1s"]);
+    let mut worker = farm.worker("worker", &[LONG_PACE, ["--time-limit", "8s"], ["--grace", "1s"]].concat());
     assert_eq!(worker.exit_within(Duration::from_secs(8)), 0);
     let worked = start.elapsed();
     assert!(worked > Duration::from_secs(2), "it worked for {worked:?} only");
@@ -135,7 +135,7 @@ fn time_limit_ends_a_worker_without_blame() {
 fn drained_worker_finishes_its_jobs() {
     let farm = Farm::start(&["--lease", "4"]);
     farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("old", &["--grace", "60s"]);
+    let mut worker = farm.worker("old", &[LONG_PACE, ["--grace", "60s"]].concat());
     worker.wait_for_log("job begins");
     farm.ask(&["workers", "drain", "old"]);
     let second = farm.worker("young", &[]);

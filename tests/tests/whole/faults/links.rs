@@ -8,7 +8,7 @@ use farm_tests::process::{LONG, SOON, Signal, wait_for};
 use farm_tests::proxy::{Direction, Proxy};
 use farm_tests::statistics::effort;
 
-use super::{GRID, JOBS, LONG_JOBS, RECORDS, short_or_long};
+use super::{GRID, JOBS, LONG_JOBS, LONG_PACE, RECORDS, SHORT_PACE, short_or_long};
 
 const RENEWED: &str = r#"farm_rpc_seconds_count{method="/farm.v1.Leases/Renew",code="OK"}"#;
 const DUPLICATES: &str = r#"farm_jobs_completed_total{outcome="duplicate"}"#;
@@ -30,7 +30,7 @@ async fn paused_worker_delivers_duplicates() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", LONG_JOBS);
-    let stopped = farm.worker_at(&link.url(), "stopped", &[]);
+    let stopped = farm.worker_at(&link.url(), "stopped", &LONG_PACE);
     farm.leased("grid", 1);
     renewed(&farm);
     link.hold(Direction::Requests);
@@ -65,7 +65,7 @@ async fn result_is_resent_after_a_lost_reply() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
     farm.leased("grid", 1);
     link.hold(Direction::Answers);
     wait_for("a commit whose acknowledgment is held", SOON, || {
@@ -90,7 +90,7 @@ async fn work_resumes_after_lost_packets() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
     farm.leased("grid", 1);
     link.hold(Direction::Requests);
     link.hold(Direction::Answers);
@@ -111,7 +111,7 @@ async fn worker_leaves_a_silently_dead_connection() {
     let farm = Farm::start(&["--insecure", "--lease", "1"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
     farm.leased("grid", 1);
     link.freeze();
     let before = link.accepted();
@@ -127,7 +127,7 @@ async fn results_pass_a_link_that_keeps_breaking() {
     let farm = Farm::start(&["--insecure", "--lease", "2", "--max-attempts", "1000"]);
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &[]);
+    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
     for bytes in [100, 5_000, 20_000, 60_000] {
         farm.leased("grid", 1);
         link.hold_after(Direction::Requests, bytes);

@@ -6,7 +6,7 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{SOON, wait_for};
 
-use super::{GRID, JOBS, LONG_JOBS};
+use super::{GRID, JOBS, LONG_JOBS, LONG_PACE};
 
 /// The reasons are listed, and the other jobs are completed.
 #[tokio::test(flavor = "multi_thread")]
@@ -73,7 +73,7 @@ async fn job_that_kills_its_worker_is_blamed() {
     // Heartbeats come every five seconds.
     let farm = Farm::start(&["--lease", "20", "--max-attempts", "1"]);
     farm.submit("long", LONG_JOBS);
-    let mut victim = farm.worker("victim", &[]);
+    let mut victim = farm.worker("victim", &LONG_PACE);
     victim.wait_for_log("job begins");
     victim.kill();
     let quarantined =
