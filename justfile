@@ -10,11 +10,11 @@ test crate:
 
 # The physics with 50 times the walks: 100 million per row of the exact values.
 physics-long effort="50":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test science uniform -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test --workspace --test science uniform -- --nocapture
 
 # Faults of a farm of real processes, in the long form: 200 rounds of kill -9, an absence of a minute, real keepalives.
 faults-long effort="20":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test whole faults -- --nocapture
+    FARM_TEST_EFFORT={{effort}} cargo test --workspace --test whole faults -- --nocapture
 
 # The scheduler against its model, with as many random histories as you like.
 model-long cases="20000":
@@ -22,7 +22,7 @@ model-long cases="20000":
 
 # A farm under load with random faults for an hour: records stay correct; memory, files and database do not grow.
 soak minutes="60" seed="1":
-    FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test -p farm-tests --test whole soak -- --nocapture
+    FARM_SOAK_MINUTES={{minutes}} FARM_SOAK_SEED={{seed}} cargo test --workspace --test whole soak -- --nocapture
 
 # The paper's dictionary, timed, in a separate folder.
 dictionary folder="/tmp/farm-dictionary":
@@ -49,7 +49,7 @@ bench-fit folder="/tmp/farm-dictionary" filter="":
 
 # 200 independently traced media, fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
 round-trip-long effort="8":
-    FARM_TEST_EFFORT={{effort}} cargo test -p farm-tests --test science measure -- --nocapture --test-threads 1
+    FARM_TEST_EFFORT={{effort}} cargo test --workspace --test science measure -- --nocapture --test-threads 1
 
 # Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
 compare-mitsuba python="python3":

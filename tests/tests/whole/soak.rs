@@ -1,7 +1,7 @@
 //! Soak test: a farm under load and random faults. All records stay correct, and memory, files and database do not
 //! grow.
 //!
-//! 20 seconds by default; `FARM_SOAK_MINUTES=60 cargo test -p farm-tests --test whole soak -- --nocapture` takes an hour and
+//! 20 seconds by default; `FARM_SOAK_MINUTES=60 cargo test --workspace --test whole soak -- --nocapture` takes an hour and
 //! prints a curve. `FARM_SOAK_SEED` chooses other faults.
 //!
 //! In the first quarter the coordinator is killed repeatedly. Then it runs to the end, so that leaks become visible:
