@@ -46,9 +46,10 @@ pub(crate) fn write(picture: &Picture, path: &Path, size: FigureSize) -> Result<
     let place = || format!("figure {}", path.display());
     let bytes = match format_of(path)? {
         FileFormat::Svg => match size.width_mm {
-            Some(width_mm) => picture.svg_of_width(width_mm).into_bytes(),
-            None => picture.svg().as_bytes().to_vec(),
-        },
+            Some(width_mm) => picture.svg_of_width(width_mm),
+            None => picture.svg(),
+        }
+        .into_bytes(),
         FileFormat::Png => picture.png(size.width_mm, size.dpi).with_context(place)?,
         FileFormat::Pdf => picture.pdf(size.width_mm).with_context(place)?,
     };
@@ -143,8 +144,7 @@ mod tests {
     }
 
     fn picture() -> Picture {
-        let svg = "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"120\" height=\"40\"><path d=\"M0 0h9v9z\"/></svg>";
-        Picture::new(svg.to_owned(), 120.0, 40.0)
+        farm_figures::edge_figure(&[])
     }
 
     /// The extension decides the format in upper and lower case, and others are refused.

@@ -10,10 +10,10 @@ use crate::drawing::sheet::{GRADIENT, Sheet, SheetCell};
 
 const REFERENCE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
 const CHANGED: [Stroke; 4] = [
-    Stroke::dashed(Rgb::VERMILLION, 1.5, "6 3"),
-    Stroke::dashed(Rgb::ORANGE, 1.5, "3 2"),
-    Stroke::dashed(Rgb::GREEN, 1.5, "8 3"),
-    Stroke::dashed(Rgb::PURPLE, 1.5, "2 2"),
+    Stroke::dashed(Rgb::VERMILLION, 1.5, &[6, 3]),
+    Stroke::dashed(Rgb::ORANGE, 1.5, &[3, 2]),
+    Stroke::dashed(Rgb::GREEN, 1.5, &[8, 3]),
+    Stroke::dashed(Rgb::PURPLE, 1.5, &[2, 2]),
 ];
 
 /// Profiles about one medium, the panels in reading order: parameters in columns, thicknesses in rows.

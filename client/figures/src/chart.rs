@@ -54,7 +54,7 @@ pub fn chart_figure(points: &[ChartPoint]) -> Option<Picture> {
     let ends = [0.0, 1.0].map(|end| x.value(end));
     above.curve(&mut canvas, &ends, &ends, faint);
     for level in [-BAND, BAND] {
-        below.curve(&mut canvas, &ends, &[level; 2], Stroke::dashed(Rgb::INK, 0.8, "4 3"));
+        below.curve(&mut canvas, &ends, &[level; 2], Stroke::dashed(Rgb::INK, 0.8, &[4, 3]));
     }
     for point in points {
         let is_far = z(point).abs() > 3.0;

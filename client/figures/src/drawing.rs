@@ -9,5 +9,6 @@ pub(crate) mod legend;
 pub(crate) mod number;
 pub(crate) mod picture;
 pub(crate) mod rgb;
+pub(crate) mod shape;
 pub(crate) mod sheet;
 pub(crate) mod text;

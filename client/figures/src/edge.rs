@@ -41,8 +41,8 @@ fn pen(i: usize) -> Stroke {
     let colour = COLOURS[i % COLOURS.len()];
     match i % 3 {
         0 => Stroke::solid(colour, 1.4),
-        1 => Stroke::dashed(colour, 1.4, "7 3"),
-        _ => Stroke::dashed(colour, 1.4, "2 2"),
+        1 => Stroke::dashed(colour, 1.4, &[7, 3]),
+        _ => Stroke::dashed(colour, 1.4, &[2, 2]),
     }
 }
 

@@ -1,5 +1,5 @@
-//! Draws the paper's Figs. 6, 7 and 9 from answers, and Figs. 3 and 5 from plain data, as SVG or PNG; and formats the
-//! texts of tables that terminal, report and page share.
+//! Draws the paper's Figs. 6, 7 and 9 from answers, and Figs. 3 and 5 from plain data, as SVG, PNG or PDF; and formats
+//! the texts of tables that terminal, report and page share.
 //!
 //! A figure function checks its data, lays panels out on a canvas in CSS pixels and returns a [`Picture`]. Equal data
 //! give equal bytes. Values that are not finite are left out.

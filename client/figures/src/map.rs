@@ -74,7 +74,7 @@ mod tests {
     use base64::Engine as _;
     use optics_model::Medium;
     use optics_model::fit::{Candidate, MapLayer};
-    use resvg::tiny_skia::Pixmap;
+    use tiny_skia::Pixmap;
 
     use super::plan::FINENESS;
     use super::*;
@@ -113,7 +113,8 @@ mod tests {
     }
 
     fn images(picture: &Picture) -> Vec<Pixmap> {
-        let document = roxmltree::Document::parse(picture.svg()).unwrap();
+        let svg = picture.svg();
+        let document = roxmltree::Document::parse(&svg).unwrap();
         let images = document.descendants().filter_map(|node| node.attribute("href"));
         let decode = |href: &str| {
             let data = href.strip_prefix("data:image/png;base64,").unwrap();

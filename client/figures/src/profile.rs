@@ -11,7 +11,7 @@ use crate::drawing::rgb::Rgb;
 use crate::drawing::sheet::{Sheet, SheetCell};
 
 const PROFILE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
-const BAND: Stroke = Stroke::dashed(Rgb::ORANGE, 1.0, "3 2");
+const BAND: Stroke = Stroke::dashed(Rgb::ORANGE, 1.0, &[3, 2]);
 
 /// Half-width of an interval of 95 %, in standard errors.
 const WIDE: f64 = 1.96;

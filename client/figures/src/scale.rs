@@ -21,7 +21,7 @@ const NAME: f64 = 18.0;
 const BETWEEN: f64 = 26.0;
 const BELOW: f64 = TICKS_BELOW + 1.7 * LABEL;
 const LINE: Stroke = Stroke::solid(Rgb::BLUE, 1.5);
-const REFINED: Stroke = Stroke::dashed(Rgb::GREEN, 1.2, "5 3");
+const REFINED: Stroke = Stroke::dashed(Rgb::GREEN, 1.2, &[5, 3]);
 const BAND: Rgb = Rgb(0xf8, 0xe2, 0xd2);
 
 /// Draws how well all materials together fit when measurements are scaled by μ, and with each g. The ordinates may be
@@ -98,7 +98,7 @@ impl ScalePanel {
             let x = frame.across(best);
             let bottom = area.bottom();
             let y = self.error_at(best).map_or(bottom, |error| frame.up(error));
-            canvas.line(at(x, y), at(x, bottom), Stroke::dashed(Rgb::VERMILLION, 0.9, "3 2"));
+            canvas.line(at(x, y), at(x, bottom), Stroke::dashed(Rgb::VERMILLION, 0.9, &[3, 2]));
             Mark::Dot.draw(canvas, at(x, y));
         }
         if let Some(refined) = self.refined.filter(|x| (0.0..=1.0).contains(&frame.x.fraction(*x))) {

@@ -22,11 +22,11 @@ const SMALLEST: f64 = 1e-4;
 /// Lines of materials, also distinguished by their dashes; further materials repeat these.
 const LINES: [Stroke; 6] = [
     Stroke::solid(Rgb::BLUE, 1.6),
-    Stroke::dashed(Rgb::VERMILLION, 1.6, "7 3"),
-    Stroke::dashed(Rgb::GREEN, 1.6, "2 2"),
-    Stroke::dashed(Rgb::PURPLE, 1.6, "8 3 2 3"),
-    Stroke::dashed(Rgb::ORANGE, 1.6, "12 4"),
-    Stroke::dashed(Rgb::INK, 1.6, "4 2"),
+    Stroke::dashed(Rgb::VERMILLION, 1.6, &[7, 3]),
+    Stroke::dashed(Rgb::GREEN, 1.6, &[2, 2]),
+    Stroke::dashed(Rgb::PURPLE, 1.6, &[8, 3, 2, 3]),
+    Stroke::dashed(Rgb::ORANGE, 1.6, &[12, 4]),
+    Stroke::dashed(Rgb::INK, 1.6, &[4, 2]),
 ];
 
 /// One quantity of a medium: its name, its value, and its interval.

@@ -96,9 +96,8 @@ impl SessionFolder {
         let Ok(json) = std::fs::read(&data) else { return Ok(None) };
         let report: CaptureReport =
             serde_json::from_slice(&json).with_context(|| format!("report data {}", data.display()))?;
-        let figures =
-            fits.iter().map(|fit| Ok(fit_figure(fit)?.svg().to_owned())).collect::<Result<Vec<_>>>()?;
-        let spectra = spectra_figure(fits).map(|figure| figure.svg().to_owned());
+        let figures = fits.iter().map(|fit| Ok(fit_figure(fit)?.svg())).collect::<Result<Vec<_>>>()?;
+        let spectra = spectra_figure(fits).map(|figure| figure.svg());
         let simulated = fits.iter().flat_map(|fit| simulated(fit, mu)).collect();
         let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
         let page = report.page(Some(&Media {

@@ -396,9 +396,7 @@ fn figure(name: &str, picture: &Picture, format: FigureFormat) -> Result<File> {
     let size = FigureSize::default();
     let (extension, media_type, content) = match format {
         FigureFormat::Png => ("png", "image/png", picture.png(size.width_mm, size.dpi)?),
-        FigureFormat::Svg | FigureFormat::Unspecified => {
-            ("svg", "image/svg+xml", picture.svg().as_bytes().to_vec())
-        }
+        FigureFormat::Svg | FigureFormat::Unspecified => ("svg", "image/svg+xml", picture.svg().into_bytes()),
     };
     Ok(File { name: format!("{}.{extension}", file_name(name)), media_type: media_type.to_owned(), content })
 }

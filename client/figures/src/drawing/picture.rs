@@ -1,48 +1,36 @@
 //! A finished figure, as SVG, PNG and PDF.
 
-use std::sync::{Arc, LazyLock};
-
-use anyhow::Context as _;
-use krilla::Document;
-use krilla::geom::Size;
-use krilla::page::PageSettings;
-use krilla_svg::{SurfaceExt as _, SvgSettings};
-use resvg::tiny_skia::{Pixmap, Transform};
-use resvg::usvg::{self, fontdb};
+mod pdf;
+pub(crate) mod png;
+mod svg;
 
 use super::number::short;
+use super::shape::Shape;
 
 /// CSS pixels per inch.
 const CSS_DPI: f64 = 96.0;
 const MM_PER_INCH: f64 = 25.4;
 const POINTS_PER_INCH: f64 = 72.0;
 
-/// A finished figure.
+/// A finished figure: shapes on a white area of a size in CSS pixels.
 #[derive(Clone, Debug)]
 pub struct Picture {
-    svg: String,
-    width: f64,
-    height: f64,
+    pub(crate) shapes: Vec<Shape>,
+    pub(crate) width: f64,
+    pub(crate) height: f64,
 }
 
 impl Picture {
-    /// A drawing of a size in CSS pixels.
-    pub fn new(svg: String, width: f64, height: f64) -> Self {
-        Self { svg, width, height }
-    }
-
     /// The SVG, ready to be embedded in a page.
-    pub fn svg(&self) -> &str {
-        &self.svg
+    pub fn svg(&self) -> String {
+        svg::write(self, &short(self.width), &short(self.height))
     }
 
     /// The SVG with a width in mm.
     pub fn svg_of_width(&self, width_mm: f64) -> String {
-        let attributes = |w: &str, h: &str| format!("width=\"{w}\" height=\"{h}\" viewBox");
-        let own = attributes(&short(self.width), &short(self.height));
         let [width, height] =
             [width_mm, width_mm * self.height / self.width].map(|l| format!("{}mm", short(l)));
-        self.svg.replacen(&own, &attributes(&width, &height), 1)
+        svg::write(self, &width, &height)
     }
 
     fn inches(&self, width_mm: Option<f64>) -> [f64; 2] {
@@ -50,51 +38,26 @@ impl Picture {
         [width, width * self.height / self.width]
     }
 
-    /// The drawing parsed by usvg, with its text laid out.
-    pub(crate) fn tree(&self) -> anyhow::Result<usvg::Tree> {
-        static FONTS: LazyLock<Arc<fontdb::Database>> = LazyLock::new(|| {
-            let mut fonts = fontdb::Database::new();
-            fonts.load_font_data(dejavu::sans::regular().to_vec());
-            fonts.load_font_data(dejavu::sans::bold().to_vec());
-            fonts.set_sans_serif_family("DejaVu Sans");
-            Arc::new(fonts)
-        });
-        let options = usvg::Options { fontdb: Arc::clone(&FONTS), ..usvg::Options::default() };
-        usvg::Tree::from_str(&self.svg, &options).context("drawing")
-    }
-
     /// Pixels of a width in mm, or else of 96 CSS pixels per inch, with `dpi` pixels per inch.
     pub fn png(&self, width_mm: Option<f64>, dpi: f64) -> anyhow::Result<Vec<u8>> {
-        let tree = self.tree()?;
         let [width, height] = self.inches(width_mm).map(|inches| (inches * dpi).ceil() as u32);
-        let mut pixels = Pixmap::new(width, height)
-            .with_context(|| format!("{width} × {height} pixels are too many for PNG: use .svg or .pdf"))?;
-        let scale = f64::from(width) / self.width;
-        resvg::render(&tree, Transform::from_scale(scale as f32, scale as f32), &mut pixels.as_mut());
-        pixels.encode_png().context("encoding PNG")
+        png::write(self, width, height)
     }
 
     /// A page of a width in mm, or else of 96 CSS pixels per inch, with embedded fonts; the bytes are the same each time.
     pub fn pdf(&self, width_mm: Option<f64>) -> anyhow::Result<Vec<u8>> {
-        let tree = self.tree()?;
         let [width, height] = self.inches(width_mm).map(|inches| (inches * POINTS_PER_INCH) as f32);
-        let place = || format!("a page of {width} × {height} points");
-        let settings = PageSettings::from_wh(width, height).with_context(place)?;
-        let size = Size::from_wh(width, height).with_context(place)?;
-        let mut document = Document::new();
-        let mut page = document.start_page_with(settings);
-        let mut surface = page.surface();
-        surface.draw_svg(&tree, size, SvgSettings::default()).context("drawing PDF")?;
-        surface.finish();
-        page.finish();
-        document.finish().map_err(|error| anyhow::anyhow!("writing PDF: {error:?}"))
+        pdf::write(self, width, height)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use tiny_skia::Pixmap;
+
     use super::*;
-    use crate::drawing::canvas::{Canvas, at};
+    use crate::drawing::canvas::Canvas;
+    use crate::drawing::shape::at;
     use crate::drawing::text::Text;
 
     fn picture() -> Picture {

@@ -65,7 +65,7 @@ pub(crate) struct Residuals<'a> {
 const BAND: f64 = 2.0;
 const RESIDUAL: Stroke = Stroke::dots(Rgb::GREY, 1.6);
 pub(crate) const LEFT_OUT: Stroke = Stroke::dots(Rgb::VERMILLION, 3.2);
-const LEVEL: Stroke = Stroke::dashed(Rgb::INK, 0.7, "4 3");
+const LEVEL: Stroke = Stroke::dashed(Rgb::INK, 0.7, &[4, 3]);
 
 impl Sheet<'_> {
     pub(crate) fn draw(&self) -> anyhow::Result<Picture> {

@@ -1,7 +1,8 @@
-//! Measures text, and splits it into lines and into indices and exponents.
+//! Measures text, splits it into lines and into indices and exponents, and places its glyphs.
 
-use skrifa::instance::{LocationRef, Size};
-use skrifa::{FontRef, MetadataProvider};
+use std::sync::LazyLock;
+
+use ttf_parser::{Face, GlyphId};
 
 use super::rgb::Rgb;
 
@@ -50,21 +51,42 @@ impl Text {
         Self { anchor, ..self }
     }
 
+    /// The width without kerning, which a browser may apply or not.
     pub(crate) fn width(&self) -> f64 {
-        let font = if self.bold { dejavu::sans::bold() } else { dejavu::sans::regular() };
-        // An unreadable font is measured as one of average width.
-        let Ok(font) = FontRef::new(font) else {
-            return 0.62 * self.size * self.content.chars().count() as f64;
-        };
-        let (characters, metrics) =
-            (font.charmap(), font.glyph_metrics(Size::unscaled(), LocationRef::default()));
-        let em = f64::from(font.metrics(Size::unscaled(), LocationRef::default()).units_per_em);
-        let advance = |c| metrics.advance_width(characters.map(c).unwrap_or_default()).map_or(0.6, f64::from);
+        let face = face(self.bold);
         let ems = spans(&self.content).into_iter().map(|(level, part)| {
-            let size = if level == Level::Base { 1.0 } else { SCRIPT };
-            size * part.chars().map(advance).sum::<f64>() / em
+            let units = part.chars().map(|c| advance(face, glyph_id(face, c)));
+            level.size_and_drop().0 * units.sum::<f64>() / f64::from(face.units_per_em())
         });
         self.size * ems.sum::<f64>()
+    }
+
+    /// The glyphs with their kerning, at their distances from the point where the text is anchored.
+    pub(crate) fn glyphs(&self) -> Vec<Glyph> {
+        let face = face(self.bold);
+        let (mut glyphs, mut end) = (Vec::new(), 0.0);
+        for (level, part) in spans(&self.content) {
+            let (size, drop) = level.size_and_drop();
+            let (size, drop) = (size * self.size, drop * self.size);
+            let units = size / f64::from(face.units_per_em());
+            let mut before = None;
+            for character in part.chars() {
+                let id = glyph_id(face, character);
+                let left = end + units * before.map_or(0.0, |before| kerning(face, before, id));
+                let advance = units * advance(face, id);
+                glyphs.push(Glyph { id, character: drawn(character), left, drop, size, advance });
+                (before, end) = (Some(id), left + advance);
+            }
+        }
+        let anchor = match self.anchor {
+            Anchor::Start => 0.0,
+            Anchor::Middle => end / 2.0,
+            Anchor::End => end,
+        };
+        for glyph in &mut glyphs {
+            glyph.left -= anchor;
+        }
+        glyphs
     }
 
     /// The text cut to a width, with an ellipsis if anything is cut off.
@@ -105,11 +127,63 @@ impl Text {
     }
 }
 
+/// A glyph at its place along the baseline and below it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Glyph {
+    pub(crate) id: GlyphId,
+    pub(crate) character: char,
+    pub(crate) left: f64,
+    pub(crate) drop: f64,
+    pub(crate) size: f64,
+    pub(crate) advance: f64,
+}
+
+/// The font of all texts, DejaVu Sans.
+pub(crate) fn face(bold: bool) -> &'static Face<'static> {
+    static FACES: LazyLock<[Face<'static>; 2]> = LazyLock::new(|| {
+        [dejavu::sans::regular(), dejavu::sans::bold()]
+            .map(|font| Face::parse(font, 0).expect("the font is a part of the program"))
+    });
+    &FACES[usize::from(bold)]
+}
+
+/// The glyph of a character, or else the font's box for unknown ones.
+fn glyph_id(face: &Face, character: char) -> GlyphId {
+    face.glyph_index(drawn(character)).unwrap_or_default()
+}
+
+fn advance(face: &Face, id: GlyphId) -> f64 {
+    face.glyph_hor_advance(id).map_or(0.0, f64::from)
+}
+
+/// The change of the distance of two glyphs, in units of the font.
+fn kerning(face: &Face, before: GlyphId, id: GlyphId) -> f64 {
+    let tables = face.tables().kern.into_iter().flat_map(|table| table.subtables);
+    let found = tables.filter(|table| table.horizontal).find_map(|table| table.glyphs_kerning(before, id));
+    found.map_or(0.0, f64::from)
+}
+
+/// The character that is drawn: a space for those that XML forbids.
+pub(crate) fn drawn(character: char) -> char {
+    if character.is_control() || "\u{fffe}\u{ffff}".contains(character) { ' ' } else { character }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Level {
     Base,
     Index,
     Exponent,
+}
+
+impl Level {
+    /// Size of the letters and distance below the baseline, relative to the size of the text.
+    pub(crate) fn size_and_drop(self) -> (f64, f64) {
+        match self {
+            Self::Base => (1.0, 0.0),
+            Self::Index => (SCRIPT, 0.18),
+            Self::Exponent => (SCRIPT, -0.36),
+        }
+    }
 }
 
 /// The parts of a text by their level.
@@ -172,12 +246,29 @@ mod tests {
         assert!(text.content.ends_with('…') && text.width() <= 60.0);
     }
 
+    /// Where a text is anchored, all its glyphs count: with indices, smaller, and with kerning.
+    #[test]
+    fn glyphs_lie_around_the_anchor() {
+        let ends = |anchor| {
+            let glyphs = Text::new("AVA σ_t", 10.0).anchor(anchor).glyphs();
+            let last = glyphs[glyphs.len() - 1];
+            assert_eq!((last.character, last.size, last.drop), ('t', SCRIPT * 10.0, 0.18 * 10.0));
+            [glyphs[0].left, last.left + last.advance]
+        };
+        let [start, width] = ends(Anchor::Start);
+        let unkerned = Text::new("AVA σ_t", 10.0).width();
+        assert!(start == 0.0 && (0.9 * unkerned..0.99 * unkerned).contains(&width), "{width} of {unkerned}");
+        for (anchor, start) in [(Anchor::Middle, -width / 2.0), (Anchor::End, -width)] {
+            let [left, right] = ends(anchor);
+            assert!((left - start).abs() < 1e-9 && (right - start - width).abs() < 1e-9, "{left} {right}");
+        }
+    }
+
     #[test]
     fn every_symbol_used_is_in_the_font() {
         let symbols = "σαμλ∇|−±·…×≤→○◇ₜ";
-        for font in [dejavu::sans::regular(), dejavu::sans::bold()] {
-            let characters = FontRef::new(font).unwrap().charmap();
-            assert!(symbols.chars().all(|c| characters.map(c).is_some_and(|glyph| glyph.to_u32() != 0)));
+        for face in [false, true].map(face) {
+            assert!(symbols.chars().all(|c| face.glyph_index(c).is_some_and(|glyph| glyph.0 != 0)));
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, ensure};
 use optics_model::fit::{DistanceMap, MapLayer};
-use resvg::tiny_skia::{Pixmap, PremultipliedColorU8};
+use tiny_skia::{Pixmap, PremultipliedColorU8};
 
 use super::nodes::Nodes;
 use super::overlay::marks;
@@ -104,7 +104,7 @@ impl MapPlan {
         let heading = Text::new(format!("g = {}", number(layer.g, 4)), HEADING);
         let heading = if best_of_all { heading.bold() } else { heading };
         canvas.text(at(frame.area.left, frame.area.top - 6.0), &heading);
-        canvas.image(frame.area, &self.pixels(layer)?)?;
+        canvas.image(frame.area, self.pixels(layer)?);
         let first = i.is_multiple_of(self.across);
         let lowest = i + self.across >= self.panels;
         frame.axes(canvas, Labels { x: lowest, y: first });
@@ -153,7 +153,7 @@ impl MapPlan {
         let height = (FINENESS * bar.area.height) as u32;
         let value = |y: u32| self.colour.value(1.0 - (f64::from(y) + 0.5) / f64::from(height));
         let pixels = pixmap(1, height, |_, y| self.colour_of(value(y)))?;
-        canvas.image(bar.area, &pixels)?;
+        canvas.image(bar.area, pixels);
         bar.scale_on_the_right(canvas);
         let name = Text::new(value_name, LABEL).anchor(Anchor::Middle);
         canvas.text_upwards(at(self.width - MARGIN - 2.0, bar.area.center().y), &name);

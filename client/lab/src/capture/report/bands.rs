@@ -71,5 +71,5 @@ fn figure(channel: &CapturedChannel) -> String {
     };
     let curves: Vec<EdgeCurve> =
         all.iter().map(|(label, profile)| curve((label.as_str(), profile))).collect();
-    edge_figure(&curves).svg().to_owned()
+    edge_figure(&curves).svg()
 }

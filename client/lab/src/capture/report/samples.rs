@@ -123,7 +123,7 @@ pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
         EdgeCurve { channel: colour.letter(), x_mm, values, std_errors }
     };
     let curves: Vec<EdgeCurve> = profiles.iter().map(curve).collect();
-    edge_figure(&curves).svg().to_owned()
+    edge_figure(&curves).svg()
 }
 
 fn budget(sample: &CapturedSample) -> String {
