@@ -1,7 +1,5 @@
 //! Checks the boundaries of ARCHITECTURE.md in the sources.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::path::{Path, PathBuf};
 
 use crate::files::{files_below, own_files, root};

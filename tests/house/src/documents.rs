@@ -1,7 +1,5 @@
 //! Checks the documents: links and paths are valid, the book has every page, and ARCHITECTURE.md stays short.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 

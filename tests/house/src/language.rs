@@ -1,8 +1,6 @@
 //! Checks the language of the sources: test names and comment lines are short, foreign words do not come back, and a
 //! type's name is seldom used twice.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
