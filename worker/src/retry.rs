@@ -124,11 +124,10 @@ mod tests {
     /// Transient errors are retried, and others end the call.
     #[tokio::test(start_paused = true)]
     async fn transient_errors_are_retried() {
-        let passing =
-            [Code::Unavailable, Code::DeadlineExceeded, Code::Aborted, Code::Internal, Code::Unknown];
-        assert_eq!(repeated(&[passing.as_slice(), &[Code::Ok]].concat()).await, (Code::Ok, 6));
-        for code in [Code::InvalidArgument, Code::FailedPrecondition, Code::PermissionDenied, Code::NotFound]
-        {
+        use Code::*;
+        let passing = [Unavailable, DeadlineExceeded, Aborted, Internal, Unknown, Code::Ok];
+        assert_eq!(repeated(&passing).await, (Code::Ok, 6));
+        for code in [InvalidArgument, FailedPrecondition, PermissionDenied, NotFound] {
             assert_eq!(repeated(&[Code::Unavailable, code, Code::Ok]).await, (code, 2));
         }
     }
