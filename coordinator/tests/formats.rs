@@ -167,11 +167,11 @@ async fn shared_points_and_desires_are_read() {
             panic!("schema {schema}: {ended_finer:?}")
         };
         assert_eq!(*by, Some(Origin(3)), "schema {schema}");
-        let of = async |d: &StoredDictionary, job| {
+        let records_of = async |d: &StoredDictionary, job| {
             store.all_jobs(d.id, &d.grid, job..job + 1).await.unwrap().remove(0).unwrap().records
         };
         // σ_t = 2, α = 0.9.
-        let (shared, its_own) = (of(&finer, 0).await.record(0), of(&tiny, 1).await.record(4));
+        let (shared, its_own) = (records_of(&finer, 0).await.record(0), records_of(&tiny, 1).await.record(4));
         assert_eq!(shared.profiles, its_own.profiles, "schema {schema}");
 
         let open = dictionary(&store, "open").await;

@@ -7,10 +7,10 @@ use super::*;
 
 const SOON: Duration = Duration::from_secs(5);
 
-async fn listen(limits: Limits) -> (Incoming, std::net::SocketAddr) {
+async fn listen(connections: usize) -> (Incoming, std::net::SocketAddr) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    (Incoming::new(listener, limits), address)
+    (Incoming::new(listener, Limits::new(connections, None)), address)
 }
 
 async fn next(incoming: &mut Incoming) -> Guarded<LingeringClose> {
@@ -22,15 +22,17 @@ async fn is_closed(stream: &mut TcpStream) -> bool {
     matches!(timeout(SOON, stream.read(&mut [0])).await, Ok(Ok(0) | Err(_)))
 }
 
-/// A connection above the limit is closed; the others stay.
+/// A connection has the addresses of both ends, and is set to TCP_NODELAY. One above the limit is closed; the others stay.
 #[tokio::test]
 async fn surplus_connection_is_closed() {
-    let (mut incoming, address) = listen(Limits::new(2, None)).await;
+    let (mut incoming, address) = listen(2).await;
     let connections = incoming.connections();
     let connect = || TcpStream::connect(address);
     let mut clients = [connect().await.unwrap(), connect().await.unwrap()];
     let mut places = vec![next(&mut incoming).await, next(&mut incoming).await];
     assert_eq!((connections.open(), connections.refused()), (2, 0));
+    assert_eq!(places[0].connect_info().tcp.remote_addr(), clients[0].local_addr().ok());
+    assert!(places[0].nodelay());
 
     let waiting = tokio::spawn(async move { (next(&mut incoming).await, incoming) });
     for refused in 1..=3 {
@@ -49,41 +51,10 @@ async fn surplus_connection_is_closed() {
     assert_eq!((connections.open(), connections.refused()), (2, 3));
 }
 
-/// A new connection evicts the oldest unauthenticated one from the same address.
-#[tokio::test]
-async fn new_peer_evicts_oldest_unauthenticated() {
-    let limits = UnauthenticatedLimits { connections: 1, patience: SOON };
-    let (mut incoming, address) = listen(Limits::new(8, Some(limits))).await;
-    let connections = incoming.connections();
-    let _first = TcpStream::connect(address).await.unwrap();
-    let mut evicted = next(&mut incoming).await;
-    let _second = TcpStream::connect(address).await.unwrap();
-    let authenticated = next(&mut incoming).await;
-    let error = timeout(SOON, evicted.read(&mut [0])).await.unwrap().unwrap_err();
-    assert_eq!(error.kind(), io::ErrorKind::TimedOut, "the oldest goes");
-    drop(evicted);
-    authenticated.connect_info().admission.admit();
-    let _third = TcpStream::connect(address).await.unwrap();
-    let _other = next(&mut incoming).await;
-    let is_over = authenticated.connect_info().admission.is_over(Instant::now());
-    assert!(is_over.is_none(), "an authenticated connection stays");
-    assert_eq!((connections.open(), connections.refused()), (2, 0));
-}
-
-/// A connection has the addresses of both ends, and is set to TCP_NODELAY.
-#[tokio::test]
-async fn connections_have_addresses_and_nodelay() {
-    let (mut incoming, address) = listen(Limits::new(1, None)).await;
-    let client = TcpStream::connect(address).await.unwrap();
-    let connection = next(&mut incoming).await;
-    assert_eq!(connection.connect_info().tcp.remote_addr(), client.local_addr().ok());
-    assert!(connection.nodelay());
-}
-
 /// An error of the listener causes a pause, not the end of listening.
 #[tokio::test(start_paused = true)]
 async fn listener_errors_cause_a_pause_only() {
-    let (mut incoming, address) = listen(Limits::new(1, None)).await;
+    let (mut incoming, address) = listen(1).await;
     // EMFILE: the process has no file descriptors left.
     incoming.failed(&io::Error::from_raw_os_error(24));
     assert!(incoming.pause.is_some());
@@ -111,7 +82,7 @@ fn connections_wait_for_free_file_descriptors() {
 #[tokio::test]
 #[ignore = "takes all file descriptors: another test runs it in a process of its own"]
 async fn connections_wait_while_descriptors_are_missing() {
-    let (mut incoming, address) = listen(Limits::new(8, None)).await;
+    let (mut incoming, address) = listen(8).await;
     let connect = || TcpStream::connect(address);
     let clients = [connect().await.unwrap(), connect().await.unwrap(), connect().await.unwrap()];
     let taken: Vec<_> = std::iter::from_fn(|| std::fs::File::open("/dev/null").ok()).collect();

@@ -127,6 +127,14 @@ impl Bench {
         time.step_by(4).map(|second| self.farm.look_over(seconds(second))).sum()
     }
 
+    /// Worker a has finished two of three jobs at 1 s, and holds the third.
+    fn with_one_left() -> (Self, Lease) {
+        let mut bench = Self::new(&[]);
+        let leases = bench.acquire(0, "a", 3);
+        bench.finish_all(1, "a", &leases[1..]);
+        (bench, leases[0].clone())
+    }
+
     fn look_at(&mut self, times: &[u64]) {
         times.iter().for_each(|second| drop(self.farm.look_over(seconds(*second))));
     }

@@ -200,7 +200,7 @@ mod tests {
 
     /// Neither one machine nor one token, regardless of the number of its addresses, exhausts the budget for results.
     #[tokio::test(start_paused = true)]
-    async fn one_machine_or_token_leaves_budget_for_others() {
+    async fn one_caller_leaves_budget_for_others() {
         for (of_machine, of_token, machines) in [(2, 8, ["a@1"; 3]), (8, 2, ["a@1", "a@2", "a@3"])] {
             let budget = Arc::new(ResultBudget::of(8 * MIB, of_machine * MIB, of_token * MIB));
             let [first, second, third] = machines.map(|machine| stream(&budget, machine));

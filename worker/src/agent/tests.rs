@@ -256,7 +256,7 @@ async fn endless_work_is_abandoned_in_time() {
 
 /// Sets of jobs are divided so that they fit into memory, and the coordinator may lease several retried jobs together.
 #[test]
-fn sets_fit_into_memory_and_have_no_retries() {
+fn sets_fit_memory_and_have_no_retries() {
     let lengths = |leases| sets(leases).iter().map(Vec::len).collect::<Vec<_>>();
     assert_eq!(lengths((0..40).map(|n| lease_of(n, job(0))).collect()), [16, 16, 8]);
     let again = |lease: Lease| Lease { key: LeaseKey { attempt: 2, ..lease.key }, ..lease };

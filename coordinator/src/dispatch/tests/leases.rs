@@ -111,20 +111,18 @@ fn leaving_worker_frees_all_its_leases() {
 /// A late job is leased to a second worker, and the first result counts.
 #[test]
 fn straggler_gets_a_second_copy() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish_all(1, "a", &leases[1..]);
+    let (mut bench, left) = Bench::with_one_left();
     bench.farm.look_over(seconds(4));
     assert!(bench.acquire(4, "b", 1).is_empty(), "not yet");
     bench.look_at(&[9, 14, 18]);
     assert!(bench.acquire(18, "a", 1).is_empty(), "not a second copy for the same worker");
     let copy = bench.acquire(18, "b", 1);
-    assert_eq!(copy[0].key.job, leases[0].key.job);
+    assert_eq!(copy[0].key.job, left.key.job);
     bench.farm.look_over(seconds(19));
     assert!(bench.acquire(19, "c", 1).is_empty(), "two are enough");
     bench.finish(20, "b", &copy[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
-    assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is stopped");
+    assert!(!bench.renew(20, "a", &left, true), "the slow one is stopped");
 }
 
 /// Parts that are leased stay leased when other jobs are reopened.
@@ -142,13 +140,11 @@ fn held_parts_stay_leased_on_reopening() {
 /// Results of leases from before the pause are stored. No lease is granted, not even for a second copy.
 #[test]
 fn paused_dictionary_only_finishes_its_leases() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish_all(1, "a", &leases[1..]);
+    let (mut bench, left) = Bench::with_one_left();
     bench.look(4..21);
     bench.desire(FIRST, DesiredState::Pause);
     assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");
-    assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
+    assert!(matches!(bench.admit("a", &left), Ok(Admission::Store { .. })));
 }
 
 /// A worker cannot claim a free part with the token of another lease.

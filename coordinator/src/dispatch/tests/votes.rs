@@ -17,6 +17,15 @@ fn computed() -> (Bench, Lease) {
     (bench, lease)
 }
 
+/// Machine a has computed a job correctly, and machine b has checked it with this result.
+fn checked(by_b: Digest) -> (Bench, Lease, Lease) {
+    let (mut bench, lease) = computed();
+    let check = bench.one(2, "b");
+    assert_eq!(check.key.job, lease.key.job);
+    bench.compare("b", &check, DIGEST, by_b);
+    (bench, lease, check)
+}
+
 fn notes(bench: &mut Bench) -> Vec<OpenCheck> {
     let noted = |effect| if let Effect::NoteCheck(check) = effect { Some(check) } else { None };
     bench.farm.take_outbox().effects.into_iter().filter_map(noted).collect()
@@ -25,14 +34,9 @@ fn notes(bench: &mut Bench) -> Vec<OpenCheck> {
 /// A machine has one vote, regardless of its number of processes.
 #[test]
 fn one_machine_has_one_vote() {
-    let (mut bench, lease) = computed();
+    let (mut bench, lease, check) = checked(WRONG);
     for name in ["d", "e", "f"] {
         bench.register(1, name, origin("b"), on("b", name)).unwrap();
-    }
-    let check = bench.one(2, "b");
-    assert_eq!(check.key.job, lease.key.job);
-    bench.compare("b", &check, DIGEST, WRONG);
-    for name in ["d", "e", "f"] {
         assert!(!bench.jobs(3, name, 9).contains(&lease.key.job), "{name} would vote");
     }
     // Nor does it vote with its earlier lease.
@@ -86,9 +90,7 @@ fn results_need_a_genuine_lease() {
 /// A result on which several machines agree is not undone by fewer.
 #[test]
 fn majority_is_not_undone_by_fewer() {
-    let (mut bench, lease) = computed();
-    let check = bench.one(2, "b");
-    bench.compare("b", &check, DIGEST, DIGEST);
+    let (mut bench, lease, _) = checked(DIGEST);
     assert!(matches!(&bench.effects()[..], [Effect::Agreed { machine: Origin(2), .. }]));
     bench.compare("c", &lease, DIGEST, WRONG);
     let again = bench.one(3, "c");
@@ -102,9 +104,7 @@ fn majority_is_not_undone_by_fewer() {
 /// Records that a second machine confirmed stay when the first is fenced, and a third machine checks them.
 #[test]
 fn confirmed_records_survive_a_fence() {
-    let (mut bench, lease) = computed();
-    let check = bench.one(2, "b");
-    bench.compare("b", &check, DIGEST, DIGEST);
+    let (mut bench, lease, _) = checked(DIGEST);
     bench.farm.take_outbox();
     bench.compare("a", &lease, DIGEST, WRONG);
     let outbox = bench.farm.take_outbox();
@@ -119,9 +119,7 @@ fn confirmed_records_survive_a_fence() {
 /// After a restart the votes are restored, and the dispute is shown for a dictionary that is otherwise done.
 #[test]
 fn dispute_survives_a_restart() {
-    let (mut bench, lease) = computed();
-    let check = bench.one(2, "b");
-    bench.compare("b", &check, DIGEST, WRONG);
+    let (mut bench, lease, _) = checked(WRONG);
     let noted = notes(&mut bench);
     let votes = [("a", DIGEST), ("b", WRONG)].map(|(name, digest)| Vote { by: Some(origin(name)), digest });
     assert_eq!(noted[0].votes, votes);
@@ -205,9 +203,7 @@ fn late_block_of_abandoned_job_is_checked() {
 /// When a machine is fenced off, the store notes the disputes in which it has voted without its votes.
 #[test]
 fn withdrawn_votes_are_noted() {
-    let (mut bench, lease) = computed();
-    let check = bench.one(2, "b");
-    bench.compare("b", &check, DIGEST, WRONG);
+    let (mut bench, lease, _) = checked(WRONG);
     let own = bench.one(3, "b");
     bench.finish(4, "b", &own);
     notes(&mut bench);

@@ -1,6 +1,6 @@
 //! Tests which transitions wake waiting workers and watching clients, and which are counted.
 
-use super::{Bench, seconds};
+use super::Bench;
 use crate::dispatch::{Count, Purpose};
 
 /// A lease is reported as a change, and counted as the first of its part or as a retry. A result counts as a job.
@@ -23,12 +23,10 @@ fn granted_leases_are_counted_by_purpose() {
 /// A worker that waits for work is woken when it is to leave, or when a part is late.
 #[test]
 fn drains_and_late_parts_wake_workers() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish_all(1, "a", &leases[1..]);
+    let (mut bench, _) = Bench::with_one_left();
     bench.farm.take_outbox();
     let mut woken = [4, 9, 14, 18].map(|second| {
-        bench.farm.look_over(seconds(second));
+        bench.look_at(&[second]);
         bench.farm.take_outbox().work
     });
     woken.sort_unstable();
