@@ -14,7 +14,7 @@ use optics_model::{Digest, Grid, Scene, Walks};
 use crate::dispatch::Registration;
 use crate::stored::{DesiredState, EndedJob, Machine, Origin, StoredDictionary};
 
-/// A grid at g = 0 with slabs of 1 mm, over the paper's scene or one with so many pixels.
+/// A grid at g = 0 with slabs of 1 mm, over the paper's scene or one with this number of pixels.
 pub(crate) fn grid(pixels: Option<u32>, sigma_t_per_mm: &[f64], albedo: &[f64], walks: u64) -> Grid {
     let scene = match pixels {
         Some(pixels) => Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap()),

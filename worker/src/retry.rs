@@ -132,8 +132,8 @@ mod tests {
         }
     }
 
-    /// In an hour without an answer, a call is repeated at least every 20 s, and fewer than 1,000 times; by a coordinator that
-    /// returns again and again and refuses, about ten times a minute.
+    /// In an hour without an answer, a call is repeated at least every 20 s, and fewer than 1,000 times; by a coordinator
+    /// that returns again and again and refuses, about ten times a minute.
     #[tokio::test(start_paused = true)]
     async fn calls_repeat_with_pauses() {
         for (returns, status, count) in

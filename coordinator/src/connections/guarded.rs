@@ -217,7 +217,7 @@ mod tests {
         (guarded, there)
     }
 
-    /// Sends so many bytes, each after a pause, and then keeps the connection.
+    /// Sends single bytes, each after a pause, and then keeps the connection.
     fn chatter(mut there: DuplexStream, bytes: usize, pause: Duration) {
         tokio::spawn(async move {
             for _ in 0..bytes {

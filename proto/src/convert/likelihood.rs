@@ -52,8 +52,8 @@ mod tests {
     use crate::convert::mirror::Numbered;
     use crate::wire;
 
-    /// A newer coordinator may send more nuisances, which are left out, and sources, which keep their shares. A missing bound
-    /// is refused. That the fields are the same is what `mirror!` guarantees.
+    /// A newer coordinator may send more nuisances, which are left out, and sources, which keep their shares. A missing
+    /// bound is refused. That the fields are the same is what `mirror!` guarantees.
     #[test]
     fn unknown_nuisances_are_ignored() {
         let ends = Some(wire::Ends { low: f64::NEG_INFINITY, high: 1.0 });

@@ -20,8 +20,8 @@ async fn registration_waits_for_the_coordinator() {
         });
         assert_eq!(session.unwrap().map(|session| session.lease()), comes_back.then_some(LEASE));
         let registrations = coordinator.calls(Call::register);
-        let told: Vec<_> = registrations.iter().map(|r| (r.label.as_str(), r.threads)).collect();
-        assert_eq!(told, if comes_back { vec![("test", 2)] } else { vec![] });
+        let seen: Vec<_> = registrations.iter().map(|r| (r.label.as_str(), r.threads)).collect();
+        assert_eq!(seen, if comes_back { vec![("test", 2)] } else { vec![] });
     }
 }
 

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 #[derive(Debug, Clone)]
 pub enum Op {
     Register(usize),
-    /// For at most so many leases.
+    /// Requests at most this number of leases.
     Acquire(usize, usize),
     /// Renews the leases that the first bits select; those that the second bits select are reported as running.
     Renew(usize, u8, u8),
