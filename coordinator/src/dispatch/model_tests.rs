@@ -21,7 +21,7 @@ use world::World;
 /// Steps of one case.
 const STEPS: usize = 80;
 /// Cases, unless `PROPTEST_CASES` sets another number: some seconds.
-const CASES: u32 = 450;
+const CASES: u32 = 300;
 
 fn config() -> ProptestConfig {
     let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(CASES);
