@@ -206,19 +206,22 @@ async fn health_names_reason_and_paths_are_listed() {
     assert!(["/metrics", "/livez", "/readyz"].iter().all(|path| body.contains(path)), "{body}");
 }
 
-/// The server stops at once, whatever is connected.
+/// The server stops at once, whatever is connected; idle connections do not delay that at all.
 #[tokio::test]
 async fn server_stops_at_once_despite_connections() {
-    let served = ready(fresh()).await;
-    let _silent = TcpStream::connect(served.address).await.unwrap();
-    let _halting = served.sends("GET /livez HTTP/1.1\r\nHost:").await;
-    let mut idle = served.sends("GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await;
-    let mut answer = [0; 15];
-    idle.read_exact(&mut answer).await.unwrap();
-    assert_eq!(&answer, b"HTTP/1.1 200 OK");
-    served.stop.cancel();
-    timeout(Duration::from_millis(300), served.task).await.expect("it waits for a connection").unwrap();
-    assert!(TcpStream::connect(served.address).await.is_err());
+    for (unfinished, limit) in [(false, Duration::from_millis(300)), (true, Duration::from_secs(2))] {
+        let served = ready(fresh()).await;
+        let _silent = if unfinished { Some(served.sends("").await) } else { None };
+        let _halting =
+            if unfinished { Some(served.sends("GET /livez HTTP/1.1\r\nHost:").await) } else { None };
+        let mut idle = served.sends("GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await;
+        let mut answer = [0; 15];
+        idle.read_exact(&mut answer).await.unwrap();
+        assert_eq!(&answer, b"HTTP/1.1 200 OK");
+        served.stop.cancel();
+        timeout(limit, served.task).await.expect("it waits for a connection").unwrap();
+        assert!(TcpStream::connect(served.address).await.is_err());
+    }
 }
 
 /// A probe is answered even if many connections send incomplete requests.
