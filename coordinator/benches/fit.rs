@@ -83,13 +83,11 @@ const TABLE_1: [Row; 5] = [
     ("white", [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]),
 ];
 
+/// A channel, and the σ_t and α of a medium in it.
+type Medium = (usize, f64, f64);
+
 /// The record nearest to a medium with 1 % of noise, as a measurement at both thicknesses.
-fn measurement(
-    dictionary: &FitDictionary,
-    material: &str,
-    media: &[(usize, f64, f64)],
-    seed: usize,
-) -> Measurement {
+fn measurement(dictionary: &FitDictionary, material: &str, media: &[Medium], seed: usize) -> Measurement {
     let grid = dictionary.grid();
     let nearest = |axis: &[f64], v: f64| {
         let distance = |i: &usize| (axis[*i] - v).abs();
@@ -138,24 +136,24 @@ fn engine(c: &mut Criterion) {
 
     let dictionary = load(&runtime);
     let questions = single(&dictionary);
+    let fitted = |question, options: &FitOptions| fit::fit(&dictionary, question, options).unwrap();
+    let usual = FitOptions::default();
     let mut group = c.benchmark_group("one channel, two thicknesses");
     for (name, question) in [("white G", &questions[13]), ("cyan R", &questions[0])] {
-        group.bench_function(format!("search, {name}"), |b| {
-            b.iter(|| fit::fit(&dictionary, question, &FitOptions::default()).unwrap());
-        });
+        group.bench_function(format!("search, {name}"), |b| b.iter(|| fitted(question, &usual)));
     }
     let mut next = questions.iter().cycle();
     group.bench_function("search, all of Table 1 in turn", |b| {
-        b.iter(|| fit::fit(&dictionary, next.next().unwrap(), &FitOptions::default()).unwrap());
+        b.iter(|| fitted(next.next().unwrap(), &usual));
     });
     for (name, g) in [("g held", Bounds::fixed(0.4)), ("g free", Bounds::FREE)] {
         let options = FitOptions::new(FitSettings { g, refine: true, ..FitSettings::default() }).unwrap();
         group.bench_function(format!("search, refinement and certainty, {name}"), |b| {
-            b.iter(|| fit::fit(&dictionary, &questions[13], &options).unwrap());
+            b.iter(|| fitted(&questions[13], &options));
         });
     }
     group.bench_function("distance map", |b| {
-        b.iter(|| fit::distance_map(&dictionary, &questions[13], &FitOptions::default()).unwrap());
+        b.iter(|| fit::distance_map(&dictionary, &questions[13], &usual).unwrap());
     });
     group.finish();
 
@@ -163,11 +161,11 @@ fn engine(c: &mut Criterion) {
     let mut group = c.benchmark_group("five materials, three channels");
     group.sample_size(10);
     group.bench_function("scale factor, 201 values", |b| {
-        b.iter(|| fit::scale(&dictionary, &materials, &FitOptions::default(), &MuRange::default()).unwrap());
+        b.iter(|| fit::scale(&dictionary, &materials, &usual, &MuRange::default()).unwrap());
     });
     let plan = fit::MeasurePlan { search_mu: Some(MuRange::default()), ..fit::MeasurePlan::default() };
     group.bench_function("the whole measurement", |b| {
-        b.iter(|| fit::measure(&dictionary, &materials, &FitOptions::default(), &plan).unwrap());
+        b.iter(|| fit::measure(&dictionary, &materials, &usual, &plan).unwrap());
     });
 }
 
@@ -217,13 +215,9 @@ fn grpc(c: &mut Criterion) {
         b.iter_batched(
             || (0..CLIENTS).map(|_| next.by_ref().take(QUERIES).cloned().collect()).collect::<Vec<Vec<_>>>(),
             |batches| {
-                runtime.block_on(async {
-                    let tasks: Vec<_> =
-                        clients.iter().zip(batches).map(|(c, r)| tokio::spawn(ask(c.clone(), r))).collect();
-                    for task in tasks {
-                        task.await.unwrap();
-                    }
-                });
+                let asked =
+                    clients.iter().zip(batches).map(|(client, requests)| ask(client.clone(), requests));
+                runtime.block_on(async { asked.collect::<tokio::task::JoinSet<()>>().join_all().await })
             },
             BatchSize::LargeInput,
         );

@@ -18,6 +18,8 @@ mod metrics;
 mod rpc;
 pub mod store;
 pub mod stored;
+#[cfg(test)]
+mod testing;
 mod throttle;
 mod turns;
 

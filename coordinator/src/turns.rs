@@ -140,12 +140,8 @@ mod tests {
 
     /// Starts a fit, and returns once it waits.
     async fn waits(turns: &Arc<Turns>, caller: &str) -> tokio::task::JoinHandle<Result<Core, Status>> {
-        let (turns, caller) = (turns.clone(), caller.to_owned());
-        let before = turns.lock().waiting;
-        let task = tokio::spawn({
-            let turns = turns.clone();
-            async move { turns.core(&caller).await }
-        });
+        let (before, own, caller) = (turns.lock().waiting, turns.clone(), caller.to_owned());
+        let task = tokio::spawn(async move { own.core(&caller).await });
         while turns.lock().waiting == before {
             tokio::task::yield_now().await;
         }

@@ -48,6 +48,13 @@ async fn data_of(schema: i64) -> tempfile::TempDir {
     dir
 }
 
+/// A store whose database comes from a fixture, in a folder of its own.
+async fn store_of(schema: i64) -> (tempfile::TempDir, Store) {
+    let dir = data_of(schema).await;
+    let store = open(&dir).await;
+    (dir, store)
+}
+
 async fn open(dir: &tempfile::TempDir) -> Store {
     Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap()
 }
@@ -75,7 +82,7 @@ fn measurement(dictionary: &optics_fit::FitDictionary) -> Measurement {
     Measurement::new("fourth", vec![MeasuredProfile::new("G", 1.0, x, values, None).unwrap()]).unwrap()
 }
 
-/// A finished dictionary of every schema is read and can be fitted to.
+/// A finished dictionary of every schema is read, with its derivatives, and can be fitted to.
 #[tokio::test]
 async fn every_schema_can_be_read_and_fitted() {
     for schema in 1..=newest_schema() {
@@ -100,21 +107,13 @@ async fn every_schema_can_be_read_and_fitted() {
             // In standard errors of a pixel. A descent ends where −2 ln L would fall by less than 1e-4, which here is some
             // blur of the step at the edge: its effect begins with an infinite slope.
             assert!(best.error < 1e-3, "schema {schema}: {}", best.error);
+            let slopes = dictionary(&store, "slopes").await;
+            assert_eq!(ended(&store, &slopes).await.1, SLOPES, "schema {schema}");
+            let found = store.all_jobs(slopes.id, &slopes.grid, 0..1).await.unwrap().remove(0).unwrap();
+            assert!(found.records.shape().derivatives, "schema {schema}");
+            RecordShape::of(&slopes.grid).check(&found.records.record(0)).unwrap();
             store.close().await;
         }
-    }
-}
-
-#[tokio::test]
-async fn derivatives_of_every_schema_are_read() {
-    for schema in 1..=newest_schema() {
-        let dir = data_of(schema).await;
-        let store = open(&dir).await;
-        let slopes = dictionary(&store, "slopes").await;
-        assert_eq!(ended(&store, &slopes).await.1, SLOPES, "schema {schema}");
-        let found = store.all_jobs(slopes.id, &slopes.grid, 0..1).await.unwrap().remove(0).unwrap();
-        assert!(found.records.shape().derivatives, "schema {schema}");
-        RecordShape::of(&slopes.grid).check(&found.records.record(0)).unwrap();
     }
 }
 
@@ -122,8 +121,7 @@ async fn derivatives_of_every_schema_are_read() {
 #[tokio::test]
 async fn kept_measurements_of_every_schema_are_read() {
     for schema in 1..=newest_schema() {
-        let dir = data_of(schema).await;
-        let store = open(&dir).await;
+        let (_dir, store) = store_of(schema).await;
         let kept = store.measurements_before(i64::MAX, 10).await.unwrap();
         assert_eq!(kept.len(), usize::from(schema >= 7), "schema {schema}");
         for one in kept {
@@ -141,18 +139,14 @@ async fn kept_measurements_of_every_schema_are_read() {
 #[tokio::test]
 async fn byte_errors_are_read_next_to_floats() {
     for schema in 6..=newest_schema() {
-        let dir = data_of(schema).await;
-        let store = open(&dir).await;
+        let (_dir, store) = store_of(schema).await;
         let bytes = dictionary(&store, "bytes").await;
         assert_eq!(bytes.grid_digest.physics_version_of(&bytes.grid), Some(6), "schema {schema}");
         assert_eq!(ended(&store, &bytes).await.1, BYTES, "schema {schema}");
         let found = store.all_jobs(bytes.id, &bytes.grid, 0..1).await.unwrap().remove(0).unwrap();
         let errors = found.records.record(1).profiles[0].radiance_factor.std_errors().to_vec();
-        assert_eq!(
-            (errors.len(), errors[0], errors[11]),
-            (24, 1.5 / 512.0, 1.375 / 512.0),
-            "schema {schema}"
-        );
+        let expected = (24, 1.5 / 512.0, 1.375 / 512.0);
+        assert_eq!((errors.len(), errors[0], errors[11]), expected, "schema {schema}");
         let slopes = dictionary(&store, "slopes").await;
         assert_ne!(slopes.grid_digest.physics_version_of(&slopes.grid), Some(6), "schema {schema}");
         let loaded = load_dictionary(&store, &bytes.name, bytes.id, &bytes.grid).await.unwrap();
@@ -164,8 +158,7 @@ async fn byte_errors_are_read_next_to_floats() {
 #[tokio::test]
 async fn shared_points_and_desires_are_read() {
     for schema in 2..=newest_schema() {
-        let dir = data_of(schema).await;
-        let store = open(&dir).await;
+        let (_dir, store) = store_of(schema).await;
         let (finer, tiny) = (dictionary(&store, "finer").await, dictionary(&store, "tiny").await);
         let ended_finer = ended(&store, &finer).await.0;
         let [EndedJob::Done { reused: true, .. }, EndedJob::Done { reused: false, by, .. }] =
@@ -174,13 +167,11 @@ async fn shared_points_and_desires_are_read() {
             panic!("schema {schema}: {ended_finer:?}")
         };
         assert_eq!(*by, Some(Origin(3)), "schema {schema}");
-        let of = async |dictionary: &StoredDictionary, job| {
-            let found =
-                store.all_jobs(dictionary.id, &dictionary.grid, job..job + 1).await.unwrap().remove(0);
-            found.unwrap().records
+        let records_of = async |d: &StoredDictionary, job| {
+            store.all_jobs(d.id, &d.grid, job..job + 1).await.unwrap().remove(0).unwrap().records
         };
         // σ_t = 2, α = 0.9.
-        let (shared, its_own) = (of(&finer, 0).await.record(0), of(&tiny, 1).await.record(4));
+        let (shared, its_own) = (records_of(&finer, 0).await.record(0), records_of(&tiny, 1).await.record(4));
         assert_eq!(shared.profiles, its_own.profiles, "schema {schema}");
 
         let open = dictionary(&store, "open").await;
@@ -200,21 +191,12 @@ async fn shared_points_and_desires_are_read() {
 #[tokio::test]
 async fn dictionaries_of_every_schema_are_deleted_whole() {
     for schema in 1..=newest_schema() {
-        let dir = data_of(schema).await;
-        let store = open(&dir).await;
+        let (dir, store) = store_of(schema).await;
         let mut records = 0;
         for stored in store.dictionaries().await.unwrap() {
             records += store.ledger().exclusive().await.delete_dictionary(stored.id, &[]).await.unwrap();
         }
-        assert_eq!(
-            records,
-            match schema {
-                1 => 10,
-                2..6 => 11,
-                _ => 13,
-            },
-            "schema {schema}"
-        );
+        assert_eq!(records, [10, 11, 11, 11, 11, 13, 13][schema as usize - 1], "schema {schema}");
         assert!(store.faults().await.unwrap().is_empty(), "schema {schema}");
         store.close().await;
         let file = dir.path().join("farm.db");

@@ -51,12 +51,9 @@ fn message<M: Message + Default, T>(
 }
 
 fn grid(version: u32) -> Grid {
-    message(
-        version,
-        "submit_request",
-        |request: wire::SubmitRequest| Grid::try_from(request.grid.unwrap()).unwrap(),
-        |grid| wire::SubmitRequest { name: "tiny".to_owned(), grid: Some(grid.into()), ..Default::default() },
-    )
+    let understand = |request: wire::SubmitRequest| Grid::try_from(request.grid.unwrap()).unwrap();
+    let submit = |grid| wire::SubmitRequest { name: "tiny".to_owned(), grid: Some(grid), priority: 0 };
+    message(version, "submit_request", understand, |grid: &Grid| submit(grid.into()))
 }
 
 /// A grid is read equally from the messages of every version.
@@ -76,12 +73,8 @@ fn grid_is_equal_in_every_version() {
 #[test]
 fn status_of_a_dictionary_is_understood() {
     for version in VERSIONS {
-        let status = message(
-            version,
-            "dictionary",
-            |status: wire::Dictionary| DictionaryStatus::try_from(status).unwrap(),
-            |status| status.into(),
-        );
+        let understand = |status: wire::Dictionary| DictionaryStatus::try_from(status).unwrap();
+        let status = message(version, "dictionary", understand, |status| status.into());
         assert_eq!(status.state, DictionaryState::Done, "version {version}");
         assert_eq!((status.jobs_done, status.records_done()), (3, 9), "version {version}");
         assert!(status.records_digest.is_some(), "version {version}");
@@ -107,12 +100,8 @@ fn digest_of_floats(record: &Record) -> Digest {
 #[test]
 fn exported_record_with_derivatives_is_understood() {
     for version in VERSIONS {
-        let record = message(
-            version,
-            "records",
-            |record: wire::Record| Record::try_from(record).unwrap(),
-            |record| record.clone().into(),
-        );
+        let understand = |record: wire::Record| Record::try_from(record).unwrap();
+        let record = message(version, "records", understand, |record| record.clone().into());
         assert_eq!((record.index, record.profiles.len()), (0, 3), "version {version}");
         assert!(record.profiles.iter().all(|profile| profile.derivatives.is_some()), "version {version}");
         assert_eq!(record.profiles[0].radiance_factor.values().len(), 24, "version {version}");
@@ -131,10 +120,9 @@ fn question_for_a_fit_is_understood() {
                 let measurement = Measurement::try_from(request.measurement.unwrap()).unwrap();
                 (measurement, request.options.unwrap())
             },
-            |(measurement, options)| wire::FitRequest {
-                dictionary: "tiny".to_owned(),
-                measurement: Some(measurement.into()),
-                options: Some(*options),
+            |(measurement, options)| {
+                let (measurement, options) = (Some(measurement.into()), Some(*options));
+                wire::FitRequest { dictionary: "tiny".to_owned(), measurement, options }
             },
         );
         let channels: Vec<&str> = measurement.profiles().iter().map(MeasuredProfile::channel).collect();
@@ -148,12 +136,9 @@ fn question_for_a_fit_is_understood() {
 #[test]
 fn answer_of_a_fit_is_understood() {
     for version in VERSIONS {
-        let fit = message(
-            version,
-            "fit_response",
-            |response: wire::FitResponse| MaterialFit::try_from(response.fit.unwrap()).unwrap(),
-            |fit| wire::FitResponse { fit: Some(fit.clone().into()) },
-        );
+        let understand = |answer: wire::FitResponse| MaterialFit::try_from(answer.fit.unwrap()).unwrap();
+        let again = |fit: &MaterialFit| wire::FitResponse { fit: Some(fit.clone().into()) };
+        let fit = message(version, "fit_response", understand, again);
         assert_eq!((&fit.material[..], fit.channels.len()), ("white", 2), "version {version}");
         for channel in &fit.channels {
             assert_eq!((channel.candidates.len(), channel.curves.len()), (2, 1), "version {version}");
@@ -195,16 +180,11 @@ fn answer_of_a_measurement_is_understood() {
                 let scale = r.scale.map(|scale| scale.try_into().unwrap());
                 (scale, (r.mu, r.mu_std_error, r.g), materials, r.common.map(|c| c.try_into().unwrap()))
             },
-            |(scale, (mu, mu_std_error, g), materials, common)| wire::MeasureResponse {
-                scale: scale.clone().map(Into::into),
-                mu: *mu,
-                mu_std_error: *mu_std_error,
-                g: *g,
-                materials: materials.iter().cloned().map(Into::into).collect(),
-                common: common.clone().map(Into::into),
-                unmixed: None,
-                shared_errors: None,
-                kept_id: String::new(),
+            |(scale, (mu, mu_std_error, g), materials, common)| {
+                let (mu, mu_std_error, g, scale) = (*mu, *mu_std_error, *g, scale.clone().map(Into::into));
+                let materials = materials.iter().cloned().map(Into::into).collect();
+                let common = common.clone().map(Into::into);
+                wire::MeasureResponse { scale, mu, mu_std_error, g, materials, common, ..Default::default() }
             },
         );
         assert_eq!(scale.unwrap().points.len(), 5, "version {version}");
@@ -236,11 +216,8 @@ fn older_worker_protocol_is_recognised() {
 #[test]
 fn lease_is_understood() {
     // The identity depends on the physics version of the program that wrote the message.
-    let identity = messages::<wire::AcquireResponse>(NEWEST, "acquire_response")[0].leases[0]
-        .job
-        .as_ref()
-        .map(|job| job.identity.clone())
-        .unwrap();
+    let sent = messages::<wire::AcquireResponse>(NEWEST, "acquire_response").remove(0).leases.remove(0);
+    let identity = sent.job.unwrap().identity;
     let lease = message(
         NEWEST,
         "acquire_response",
@@ -267,14 +244,8 @@ fn stream_of_results_is_understood() {
     let again: Vec<Vec<u8>> = requests.iter().map(Message::encode_to_vec).collect();
     assert_eq!(again, encoded(NEWEST, "complete_requests"));
     let contents: Vec<Content> = requests.into_iter().map(|r| r.content.unwrap()).collect();
-    let [
-        Content::Header(first),
-        Content::Records(a),
-        Content::Records(b),
-        Content::Header(second),
-        Content::Sums(sums),
-    ] = &contents[..]
-    else {
+    use Content::{Header, Records, Sums};
+    let [Header(first), Records(a), Records(b), Header(second), Sums(sums)] = &contents[..] else {
         panic!("{contents:?}")
     };
     for header in [first, second] {

@@ -51,13 +51,4 @@ mod tests {
         assert!(!idle.is_over());
         assert_eq!(idle.wait(), WAIT);
     }
-
-    /// Without a limit the idle time never ends.
-    #[tokio::test(start_paused = true)]
-    async fn idle_time_without_limit_never_ends() {
-        let idle = IdleTime::new(None);
-        tokio::time::advance(Duration::from_hours(1000)).await;
-        assert!(!idle.is_over());
-        assert_eq!(idle.wait(), WAIT);
-    }
 }

@@ -162,14 +162,13 @@ impl HeldLeases {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{job, lease};
+    use crate::testing::{hold, job, lease};
 
     /// Three leases: one waits for a thread, one is being traced, one has its result.
     fn one_of_each() -> (HeldLeases, [Arc<JobSwitches>; 3], [LeaseKey; 3]) {
         let held = HeldLeases::default();
         let keys = [0, 1, 2].map(|n| lease(n).key);
-        let switches = keys.map(|key| held.add(key, job(1).identity(), SetSwitch::new(1)));
-        assert!(switches[1].start() && switches[2].start());
+        let switches = hold(&held, [false, true, true]);
         held.mark_traced(&keys[2]);
         (held, switches, keys)
     }
@@ -178,34 +177,22 @@ mod tests {
         [0, 1, 2].map(|n: usize| switches[n].is_stopped())
     }
 
-    /// Only the job that is being traced is reported as running.
+    /// Only the job that is being traced is reported as running. A lost lease stops its job and no other; the result of a
+    /// finished job may still count.
     #[test]
-    fn only_the_traced_job_is_reported_running() {
-        let (held, _, keys) = one_of_each();
+    fn lost_lease_stops_its_own_job() {
+        let (held, switches, keys) = one_of_each();
         let mut all = held.all();
         all.sort_unstable_by_key(|lease| lease.key);
         let identity = job(1).identity();
         let lease = |i: usize, running| HeldLease { key: keys[i], running, identity };
         assert_eq!(all, [lease(0, false), lease(1, true), lease(2, false)]);
-    }
-
-    /// A lost lease stops its job and no other.
-    #[test]
-    fn lost_lease_stops_its_own_job() {
-        let (held, switches, keys) = one_of_each();
+        assert!(!held.lose(&keys[2]));
+        assert_eq!((held.all().len(), stopped(&switches)), (3, [false; 3]));
         assert!(held.lose(&keys[1]));
         assert_eq!(stopped(&switches), [false, true, false]);
         assert_eq!(held.untraced(), [keys[0]]);
         assert!(!held.lose(&keys[1]), "it is lost once");
-    }
-
-    /// The result of a finished job may still count.
-    #[test]
-    fn lost_lease_stays_for_finished_job() {
-        let (held, switches, keys) = one_of_each();
-        assert!(!held.lose(&keys[2]));
-        assert_eq!(held.all().len(), 3);
-        assert_eq!(stopped(&switches), [false; 3]);
     }
 
     /// Giving up waiting jobs leaves running jobs and results alone.

@@ -166,16 +166,19 @@ mod tests {
         oneshot::channel().0
     }
 
-    /// A thread announces a job and waits for permission to start it.
+    /// A thread announces a job and waits for permission to start it: meanwhile another thread traces many such jobs.
     #[tokio::test]
     async fn announced_job_waits_for_its_start() {
-        let pool = Pool::new(1, Duration::ZERO).unwrap();
+        let pool = Pool::new(2, Duration::ZERO).unwrap();
         let (begun, begins) = oneshot::channel();
-        let traced = tokio::spawn(async move { pool.trace(vec![job(1)], vec![Arc::default()], begun).await });
+        let first = pool.clone();
+        let traced =
+            tokio::spawn(async move { first.trace(vec![job(1)], vec![Arc::default()], begun).await });
         let start = begins.await.unwrap();
-        // A second: such a job needs a small part of it.
-        tokio::time::sleep(std::time::Duration::from_secs(1)).await;
-        assert!(!traced.is_finished(), "it does not wait");
+        for _ in 0..20 {
+            let end = pool.trace(vec![job(1)], vec![Arc::default()], no_receiver()).await;
+            assert!(matches!(end, TraceEnd::Finished(_)) && !traced.is_finished(), "{end:?}");
+        }
         start.send(()).unwrap();
         assert!(matches!(traced.await.unwrap(), TraceEnd::Finished(_)));
     }
@@ -214,15 +217,13 @@ mod tests {
         let pool = Pool::new(1, Duration::ZERO).unwrap();
         let before = Arc::<JobSwitches>::default();
         before.stop();
-        assert!(matches!(
-            pool.trace(vec![endless_job()], vec![before], no_receiver()).await,
-            TraceEnd::Stopped
-        ));
+        let trace = |switches: &Arc<JobSwitches>| {
+            let (pool, switches) = (pool.clone(), switches.clone());
+            async move { pool.trace(vec![endless_job(0)], vec![switches], no_receiver()).await }
+        };
+        assert!(matches!(trace(&before).await, TraceEnd::Stopped));
         let during = Arc::<JobSwitches>::default();
-        let traced = tokio::spawn({
-            let (pool, switches) = (pool.clone(), during.clone());
-            async move { pool.trace(vec![endless_job()], vec![switches], no_receiver()).await }
-        });
+        let traced = tokio::spawn(trace(&during));
         while !during.is_running() {
             tokio::task::yield_now().await;
         }

@@ -16,7 +16,8 @@ use tokio_util::sync::CancellationToken;
 
 pub(crate) use coordinator::{Answer, Call, Coordinator, DeliveredResult, Method};
 
-use crate::leases::HeldLeases;
+use crate::Error;
+use crate::leases::{HeldLeases, JobSwitches, SetSwitch};
 use crate::session::{CoordinatorSession, Introduction};
 
 /// A job of a few milliseconds.
@@ -37,12 +38,7 @@ pub(crate) fn long_job() -> JobSpec {
 }
 
 /// A job that ends only when it is stopped.
-pub(crate) fn endless_job() -> JobSpec {
-    endless_job_of(0)
-}
-
-/// A job that ends only when it is stopped, with walks of this seed.
-pub(crate) fn endless_job_of(seed: u64) -> JobSpec {
+pub(crate) fn endless_job(seed: u64) -> JobSpec {
     job_of_walks(seed, 1_000_000 * BATCH_WALKS)
 }
 
@@ -50,6 +46,16 @@ fn job_of_walks(seed: u64, walks: u64) -> JobSpec {
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 8, 0.0).unwrap());
     let point = TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap();
     JobSpec::new(scene, point, vec![0.5, 0.9], Walks::new(walks).unwrap(), seed, false).unwrap()
+}
+
+/// Adds the leases of jobs, which wait or run, and returns their switches.
+pub(crate) fn hold<const N: usize>(held: &HeldLeases, runs: [bool; N]) -> [Arc<JobSwitches>; N] {
+    let mut n = 0..;
+    runs.map(|runs| {
+        let switches = held.add(lease(n.next().unwrap()).key, job(1).identity(), SetSwitch::new(1));
+        assert!(!runs || switches.start());
+        switches
+    })
 }
 
 /// A lease of [`job`] number `n`.
@@ -62,16 +68,21 @@ pub(crate) fn lease_of(n: u32, job: JobSpec) -> Lease {
     Lease { key: LeaseKey { dictionary: DictionaryId(1), job: n, attempt: 1, token, part: 0 }, job }
 }
 
-pub(crate) fn introduction() -> Introduction {
+fn introduction() -> Introduction {
     Introduction { label: "test".to_owned(), host: String::new(), threads: 2, facts: MachineFacts::default() }
+}
+
+pub(crate) async fn open(
+    coordinator: &Coordinator,
+    held: Arc<HeldLeases>,
+    shutdown: &CancellationToken,
+) -> Result<Option<CoordinatorSession>, Error> {
+    CoordinatorSession::open(coordinator.link(), "http://test", introduction(), held, shutdown).await
 }
 
 /// A session with a coordinator, and the leases that it announces.
 pub(crate) async fn session(coordinator: &Coordinator) -> (Arc<CoordinatorSession>, Arc<HeldLeases>) {
     let held = Arc::<HeldLeases>::default();
-    let shutdown = CancellationToken::new();
-    let session =
-        CoordinatorSession::open(coordinator.link(), "http://test", introduction(), held.clone(), &shutdown)
-            .await;
+    let session = open(coordinator, held.clone(), &CancellationToken::new()).await;
     (Arc::new(session.unwrap().expect("it is not shut down")), held)
 }

@@ -168,51 +168,44 @@ mod tests {
         body.collect().await.map(|all| all.to_bytes().len()).map_err(|status| status.code())
     }
 
-    /// A message must be complete within the time limit.
+    /// A message must be complete within the time limit; a stream may pause between messages.
     #[tokio::test(start_paused = true)]
     async fn incomplete_message_times_out() {
         let trickle = |n| message(n).chunks(1).map(<[u8]>::to_vec).collect::<Vec<_>>();
-        let second = Duration::from_secs(1);
-        assert_eq!(read(body(trickle(20), second, &account(1000), false)).await, Ok(25));
-        assert_eq!(read(body(trickle(40), second, &account(1000), false)).await, Err(Code::DeadlineExceeded));
-        assert_eq!(read(body(trickle(40), second, &account(1000), true)).await, Err(Code::DeadlineExceeded));
+        let (second, late) = (Duration::from_secs(1), Err(Code::DeadlineExceeded));
+        for (pieces, pause, streamed, expected) in [
+            (trickle(20), second, false, Ok(25)),
+            (trickle(40), second, false, late),
+            (trickle(40), second, true, late),
+            (vec![message(10), message(20), message(30)], PATIENCE / 2, true, Ok(75)),
+        ] {
+            assert_eq!(read(body(pieces, pause, &account(1000), streamed)).await, expected, "{streamed}");
+        }
         let nothing = tokio_stream::pending::<Result<Frame<Bytes>, Status>>();
         let never = watched(Body::new(StreamBody::new(nothing)), None, account(9), false);
         let begun = Instant::now();
-        assert_eq!(read(never).await, Err(Code::DeadlineExceeded));
+        assert_eq!(read(never).await, late);
         assert!(begun.elapsed() < PATIENCE + 2 * LOOK, "{:?}", begun.elapsed());
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn stream_may_pause_between_messages() {
-        let pieces = vec![message(10), message(20), message(30)];
-        assert_eq!(read(body(pieces, PATIENCE / 2, &account(1000), true)).await, Ok(75));
-    }
-
-    /// Bytes of a request count against the budget until they are passed on.
+    /// Bytes of a request count against the budget until they are passed on: a stream waits for room.
     #[tokio::test(start_paused = true)]
     async fn held_bytes_count_until_handed_on() {
-        let pieces = || vec![message(60), message(60)];
-        assert_eq!(read(body(pieces(), Duration::ZERO, &account(100), true)).await, Ok(130));
-        assert_eq!(
-            read(body(pieces(), Duration::ZERO, &account(100), false)).await,
-            Err(Code::ResourceExhausted)
-        );
-        let two = account(100);
+        let body = |pieces, account: &Account, streamed| body(pieces, Duration::ZERO, account, streamed);
+        let two = || vec![message(60), message(60)];
+        assert_eq!(read(body(two(), &account(100), true)).await, Ok(130));
+        assert_eq!(read(body(two(), &account(100), false)).await, Err(Code::ResourceExhausted));
         let budget = Arc::new(Budget::of(100));
         let [stream, other] = [(); 2].map(|()| Account::new(budget.clone(), "alice".to_owned()));
         other.hold(90).unwrap();
-        let pieces =
-            body(vec![message(30)[..20].to_vec(), message(30)[20..].to_vec()], Duration::ZERO, &stream, true);
-        let reading = tokio::spawn(read(pieces));
+        let halves = message(30).chunks(20).map(<[u8]>::to_vec).collect();
+        let reading = tokio::spawn(read(body(halves, &stream, true)));
         sleep(PATIENCE / 2).await;
         assert!(!reading.is_finished(), "a stream waits for room");
         other.release();
         assert_eq!(reading.await.unwrap(), Ok(35));
-        let _held = body(vec![message(80)], Duration::ZERO, &two, false).collect().await.unwrap();
-        assert_eq!(
-            read(body(vec![message(60)], Duration::ZERO, &two, false)).await,
-            Err(Code::ResourceExhausted)
-        );
+        let one = account(100);
+        let _held = body(vec![message(80)], &one, false).collect().await.unwrap();
+        assert_eq!(read(body(vec![message(60)], &one, false)).await, Err(Code::ResourceExhausted));
     }
 }

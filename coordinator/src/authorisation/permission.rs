@@ -197,29 +197,26 @@ mod tests {
         for (path, roles) in cases {
             assert_eq!(needed(path), Needed::OneOf(roles), "{path}");
         }
-        for path in
-            ["/grpc.health.v1.Health/Watch", "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo"]
-        {
-            assert_eq!(needed(path), Needed::Nothing, "{path}");
-        }
+        assert_eq!(needed("/grpc.health.v1.Health/Watch"), Needed::Nothing);
+        let reflection = "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo";
+        assert_eq!(needed(reflection), Needed::Nothing);
     }
 
     /// The port does not count. Mapped IPv4 addresses are IPv4, and an IPv6 address counts by its /64, except for
     /// loopback.
     #[test]
     fn machines_are_distinguished_by_normalised_address() {
-        let of = |address: &str| {
-            let remote_addr = Some(address.parse().unwrap());
+        for (address, expected) in [
+            ("10.0.0.7:1", "10.0.0.7"),
+            ("[::ffff:10.0.0.7]:2", "10.0.0.7"),
+            ("[2001:db8:1:2:3:4:5:6]:3", "2001:db8:1:2::/64"),
+            ("[::1]:3", "::1"),
+        ] {
+            let tcp = TcpConnectInfo { local_addr: None, remote_addr: Some(address.parse().unwrap()) };
             let mut extensions = Extensions::new();
-            let tcp = TcpConnectInfo { local_addr: None, remote_addr };
             extensions.insert(Peer { tcp, admission: Admission::admitted() });
-            machine(&extensions).address
-        };
-        assert_eq!(of("10.0.0.7:1"), "10.0.0.7");
-        assert_eq!(of("[::ffff:10.0.0.7]:2"), "10.0.0.7");
-        assert_eq!(of("[2001:db8:1:2:3:4:5:6]:3"), "2001:db8:1:2::/64");
-        assert_eq!(of("[2001:db8:1:2::1]:3"), "2001:db8:1:2::/64");
-        assert_eq!(of("[::1]:3"), "::1");
+            assert_eq!(machine(&extensions).address, expected);
+        }
         assert_eq!(machine(&Extensions::new()), Machine::default());
     }
 
@@ -230,10 +227,9 @@ mod tests {
             let headers = HeaderMap::from_iter([(AUTHORIZATION, value.parse().unwrap())]);
             bearer_token(&headers).map(str::to_owned)
         };
-        assert_eq!(token("Bearer abc").as_deref(), Some("abc"));
-        assert_eq!(token("bearer  abc").as_deref(), Some("abc"));
-        for value in ["abc", "Basic abc", "Bearer", ""] {
-            assert_eq!(token(value), None, "{value:?}");
+        let cases = [("Bearer abc", Some("abc")), ("bearer  abc", Some("abc")), ("abc", None), ("", None)];
+        for (value, expected) in cases.into_iter().chain([("Basic abc", None), ("Bearer", None)]) {
+            assert_eq!(token(value).as_deref(), expected, "{value:?}");
         }
         assert_eq!(bearer_token(&HeaderMap::new()), None);
     }

@@ -36,9 +36,9 @@ fn answering(
     tower::service_fn(move |request: Request<Body>| std::future::ready(Ok(make(&request))))
 }
 
-/// A message, and trailers with a code if there is one.
-fn stream(code: Option<&'static str>) -> Response<Body> {
-    let message = Frame::data(bytes::Bytes::from_static(b"\0\0\0\0\0"));
+/// A message of this many bytes, and trailers with a code if there is one.
+fn answer(bytes: usize, code: Option<&'static str>) -> Response<Body> {
+    let message = Frame::data(bytes::Bytes::from(vec![7; bytes]));
     let trailers = code.map(|code| {
         Frame::trailers(http::HeaderMap::from_iter([(Status::GRPC_STATUS, code.parse().unwrap())]))
     });
@@ -46,30 +46,21 @@ fn stream(code: Option<&'static str>) -> Response<Body> {
     Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.collect::<Vec<_>>()))))
 }
 
-/// A stream is counted when its trailers have been sent.
+/// A stream is counted when its trailers have been sent. One that is dropped counts as cancelled, one that ends without a
+/// status code as unknown, and one whose call is dropped before its answer as cancelled.
 #[tokio::test]
-async fn stream_is_counted_after_its_trailers() {
-    let (mut service, told) = guarded(answering(|_| stream(Some("5"))));
+async fn streams_are_counted_at_their_ends() {
+    let (mut service, told) =
+        guarded(answering(|request| answer(5, (request.uri().path() == "/farm.v1.Fits/Fit").then_some("5"))));
     let response = service.call(request("/farm.v1.Fits/Fit")).await.unwrap();
     assert!(told.lock().unwrap().is_empty(), "the stream has not ended");
     response.into_body().collect().await.unwrap();
-    assert_eq!(*told.lock().unwrap(), [("/farm.v1.Fits/Fit".to_owned(), 5)]);
-}
-
-/// A stream that is dropped counts as cancelled, and one that ends without a status code as unknown.
-#[tokio::test]
-async fn dropped_stream_counts_as_cancelled() {
-    let (mut service, told) = guarded(answering(|_| stream(None)));
     let mut body = service.call(request("/a")).await.unwrap().into_body();
     body.frame().await.unwrap().unwrap();
     drop(body);
     service.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
-    assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1), ("/b".to_owned(), 2)]);
-}
-
-/// A call that is dropped before its answer counts as cancelled.
-#[tokio::test]
-async fn abandoned_call_counts_as_cancelled() {
+    let expected = [("/farm.v1.Fits/Fit", 5), ("/a", 1), ("/b", 2)];
+    assert_eq!(*told.lock().unwrap(), expected.map(|(path, code)| (path.to_owned(), code)));
     let (mut service, told) = guarded(tower::service_fn(|_: Request<Body>| {
         std::future::pending::<Result<Response<Body>, Infallible>>()
     }));
@@ -77,22 +68,20 @@ async fn abandoned_call_counts_as_cancelled() {
     assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 1)]);
 }
 
-/// An empty answer ends with its header: gRPC's own library accepts no empty frame in place of its end.
+/// An empty answer ends with its header: gRPC's own library accepts no empty frame in place of its end. Calls of unknown
+/// paths are counted under one name.
 #[tokio::test]
 async fn empty_answer_is_counted_by_its_header() {
-    let (mut service, told) = guarded(answering(|_| Status::not_found("no").into_http()));
-    let answer = service.call(request("/a")).await.unwrap();
-    assert!(answer.body().is_end_stream());
-    drop(answer);
-    assert_eq!(*told.lock().unwrap(), [("/a".to_owned(), 5)]);
-}
-
-/// Calls of unknown paths are counted under one name.
-#[tokio::test]
-async fn unknown_paths_are_counted_together() {
-    let (mut service, told) = guarded(answering(|_| Status::unimplemented("no").into_http()));
-    drop(service.call(request("/made/up")).await.unwrap());
-    assert_eq!(*told.lock().unwrap(), [(OTHER_METHOD.to_owned(), 12)]);
+    for (status, path, expected) in [
+        (Status::not_found("no"), "/a", ("/a", 5)),
+        (Status::unimplemented("no"), "/made/up", (OTHER_METHOD, 12)),
+    ] {
+        let (mut service, told) = guarded(answering(move |_| status.clone().into_http()));
+        let answer = service.call(request(path)).await.unwrap();
+        assert!(answer.body().is_end_stream());
+        drop(answer);
+        assert_eq!(*told.lock().unwrap(), [(expected.0.to_owned(), expected.1)]);
+    }
 }
 
 /// A handler gets the request id, but not the token.
@@ -102,7 +91,7 @@ async fn handlers_get_request_id_but_no_token() {
         assert!(request.headers().get("authorization").is_none());
         assert!(request.extensions().get::<Caller>().is_none(), "no caller is identified");
         assert_eq!(request.extensions().get::<RequestId>().unwrap().as_str(), "my-id");
-        stream(Some("0"))
+        answer(5, Some("0"))
     }));
     let mut request = request("/a");
     request.headers_mut().insert("x-request-id", "my-id".parse().unwrap());
@@ -110,19 +99,10 @@ async fn handlers_get_request_id_but_no_token() {
     assert_eq!(response.headers().get("x-request-id").unwrap(), "my-id");
 }
 
-/// A message of this many bytes and its trailers.
-fn answer(bytes: usize) -> Response<Body> {
-    let frames = [
-        Frame::data(bytes::Bytes::from(vec![7; bytes])),
-        Frame::trailers(http::HeaderMap::from_iter([(Status::GRPC_STATUS, 0.into())])),
-    ];
-    Response::new(Body::new(StreamBody::new(tokio_stream::iter(frames.map(Ok::<_, Status>)))))
-}
-
 /// The bytes of answers that are not yet read are bounded.
 #[tokio::test]
 async fn unread_answers_are_bounded() {
-    let (mut service, told) = guarded(answering(|_| answer(HELD * 2 / 3)));
+    let (mut service, told) = guarded(answering(|_| answer(HELD * 2 / 3, Some("0"))));
     let unread = service.call(request("/a")).await.unwrap();
     let refused = service.call(request("/b")).await.unwrap().into_body().collect().await.unwrap();
     assert_eq!(refused.trailers().unwrap().get(Status::GRPC_STATUS).unwrap(), "8");
@@ -148,7 +128,7 @@ async fn size_of_an_answer_stays_reported() {
 /// A large answer is sent in pieces, with its trailers at the end.
 #[tokio::test]
 async fn answer_is_sent_in_pieces() {
-    let (mut service, _) = guarded(answering(|_| answer(HELD / 2)));
+    let (mut service, _) = guarded(answering(|_| answer(HELD / 2, Some("0"))));
     let mut body = service.call(request("/a")).await.unwrap().into_body();
     let (mut bytes, mut trailers) = (0, false);
     while let Some(frame) = body.frame().await {
@@ -166,7 +146,7 @@ async fn answer_is_sent_in_pieces() {
 /// A connection ends if it does not read its answer in time.
 #[tokio::test(start_paused = true)]
 async fn unread_answer_ends_the_connection() {
-    let (mut service, _) = guarded(answering(|_| answer(1000)));
+    let (mut service, _) = guarded(answering(|_| answer(1000, Some("0"))));
     let admission = Admission::admitted();
     let mut request = request("/a");
     let tcp = tonic::transport::server::TcpConnectInfo { local_addr: None, remote_addr: None };

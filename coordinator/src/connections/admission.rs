@@ -222,17 +222,6 @@ mod tests {
         assert!(peers.lock().is_empty(), "nothing is left of closed connections");
     }
 
-    /// A connection ends when one of its answers is not read in time.
-    #[tokio::test(start_paused = true)]
-    async fn unread_answer_ends_its_connection() {
-        let (admission, now) = (Admission::admitted(), Instant::now());
-        let read = admission.unread(now + LAST_WORDS);
-        let _later = admission.unread(now + 2 * LAST_WORDS);
-        drop(read);
-        assert_eq!(admission.is_over(now + LAST_WORDS), None);
-        assert!(admission.is_over(now + 2 * LAST_WORDS).is_some());
-    }
-
     /// A connection ends shortly after its token is revoked.
     #[tokio::test(start_paused = true)]
     async fn revoked_token_ends_its_connection_soon() {

@@ -133,20 +133,25 @@ mod tests {
 
     use super::*;
 
+    /// A connection that has one of the places, and its other end, which has sent these bytes.
+    async fn connection(places: &Arc<Semaphore>, sent: &[u8]) -> (LingeringClose, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        there.write_all(sent).await.unwrap();
+        let (stream, _) = listener.accept().await.unwrap();
+        let place = places.clone().try_acquire_owned().unwrap();
+        let mut here = LingeringClose::new(Either::Left(stream), place);
+        here.read_exact(&mut [0; 5]).await.unwrap();
+        (here, there)
+    }
+
     /// Places are free at once, whatever the number of connections that end together.
     #[tokio::test]
     async fn draining_holds_no_places() {
         let places = Arc::new(Semaphore::new(2 * LINGERING));
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
         let (mut ends, mut others) = (Vec::new(), Vec::new());
         for _ in 0..2 * LINGERING {
-            let mut there = TcpStream::connect(address).await.unwrap();
-            there.write_all(b"no greeting").await.unwrap();
-            let (stream, _) = listener.accept().await.unwrap();
-            let mut here =
-                LingeringClose::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
-            here.read_exact(&mut [0; 5]).await.unwrap();
+            let (here, there) = connection(&places, b"no greeting").await;
             ends.push(here);
             others.push(there);
         }
@@ -158,21 +163,16 @@ mod tests {
     #[tokio::test]
     async fn last_bytes_survive_unread_input() {
         let places = Arc::new(Semaphore::new(1));
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let mut there = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
-        let (stream, _) = listener.accept().await.unwrap();
-        let mut here = LingeringClose::new(Either::Left(stream), places.clone().try_acquire_owned().unwrap());
-        there.write_all(&[7; 5000]).await.unwrap();
-        here.read_exact(&mut [0; 10]).await.unwrap();
+        let (mut here, mut there) = connection(&places, &[7; 5000]).await;
         here.write_all(b"no").await.unwrap();
         drop(here);
-        tokio::time::sleep(Duration::from_millis(100)).await;
+        let mut said = [0; 2];
+        there.read_exact(&mut said).await.unwrap();
+        assert_eq!((&said, there.read(&mut [0]).await.unwrap()), (b"no", 0));
+        // The second would fail if the first had met a closed socket.
         there.write_all(&[7; 10]).await.unwrap();
-        let mut said = Vec::new();
-        there.read_to_end(&mut said).await.unwrap();
-        assert_eq!(said, b"no");
+        there.write_all(&[7; 10]).await.unwrap();
         drop(there);
-        let place = tokio::time::timeout(Duration::from_secs(10), places.acquire()).await;
-        drop(place.unwrap().unwrap());
+        drop(tokio::time::timeout(Duration::from_secs(10), places.acquire()).await.unwrap().unwrap());
     }
 }

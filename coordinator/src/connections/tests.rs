@@ -22,19 +22,21 @@ async fn is_closed(stream: &mut TcpStream) -> bool {
     matches!(timeout(SOON, stream.read(&mut [0])).await, Ok(Ok(0) | Err(_)))
 }
 
-/// A connection above the limit is closed; the others stay.
+/// A connection has the addresses of both ends, and is set to TCP_NODELAY. One above the limit is closed; the others stay.
 #[tokio::test]
 async fn surplus_connection_is_closed() {
     let (mut incoming, address) = listen(2).await;
     let connections = incoming.connections();
-    let mut clients =
-        [TcpStream::connect(address).await.unwrap(), TcpStream::connect(address).await.unwrap()];
+    let connect = || TcpStream::connect(address);
+    let mut clients = [connect().await.unwrap(), connect().await.unwrap()];
     let mut places = vec![next(&mut incoming).await, next(&mut incoming).await];
     assert_eq!((connections.open(), connections.refused()), (2, 0));
+    assert_eq!(places[0].connect_info().tcp.remote_addr(), clients[0].local_addr().ok());
+    assert!(places[0].nodelay());
 
     let waiting = tokio::spawn(async move { (next(&mut incoming).await, incoming) });
     for refused in 1..=3 {
-        assert!(is_closed(&mut TcpStream::connect(address).await.unwrap()).await);
+        assert!(is_closed(&mut connect().await.unwrap()).await);
         assert_eq!((connections.open(), connections.refused()), (2, refused));
     }
     clients[0].write_all(b"still here").await.unwrap();
@@ -44,44 +46,9 @@ async fn surplus_connection_is_closed() {
 
     places.pop();
     assert_eq!(connections.open(), 1);
-    let _another = TcpStream::connect(address).await.unwrap();
+    let _another = connect().await.unwrap();
     let (_place, _incoming) = timeout(SOON, waiting).await.unwrap().unwrap();
     assert_eq!((connections.open(), connections.refused()), (2, 3));
-}
-
-/// A new connection evicts the oldest unauthenticated one from the same address.
-#[tokio::test]
-async fn new_peer_evicts_oldest_unauthenticated() {
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let address = listener.local_addr().unwrap();
-    let limits = UnauthenticatedLimits { connections: 1, patience: SOON };
-    let mut incoming = Incoming::new(listener, Limits::new(8, Some(limits)));
-    let connections = incoming.connections();
-    let _first = TcpStream::connect(address).await.unwrap();
-    let mut evicted = next(&mut incoming).await;
-    let _second = TcpStream::connect(address).await.unwrap();
-    let authenticated = next(&mut incoming).await;
-    let error = timeout(SOON, evicted.read(&mut [0])).await.unwrap().unwrap_err();
-    assert_eq!(error.kind(), io::ErrorKind::TimedOut, "the oldest goes");
-    drop(evicted);
-    authenticated.connect_info().admission.admit();
-    let _third = TcpStream::connect(address).await.unwrap();
-    let _other = next(&mut incoming).await;
-    assert!(
-        authenticated.connect_info().admission.is_over(Instant::now()).is_none(),
-        "an authenticated connection stays"
-    );
-    assert_eq!((connections.open(), connections.refused()), (2, 0));
-}
-
-/// A connection has the addresses of both ends, and is set to TCP_NODELAY.
-#[tokio::test]
-async fn connections_have_addresses_and_nodelay() {
-    let (mut incoming, address) = listen(1).await;
-    let client = TcpStream::connect(address).await.unwrap();
-    let connection = next(&mut incoming).await;
-    assert_eq!(connection.connect_info().tcp.remote_addr(), client.local_addr().ok());
-    assert!(connection.nodelay());
 }
 
 /// An error of the listener causes a pause, not the end of listening.
@@ -95,7 +62,7 @@ async fn listener_errors_cause_a_pause_only() {
     incoming.failed(&io::ErrorKind::ConnectionAborted.into());
     assert!(incoming.pause.is_none(), "the next connection has nothing to do with it");
     incoming.failed(&io::Error::from_raw_os_error(24));
-    let start = tokio::time::Instant::now();
+    let start = Instant::now();
     let _client = TcpStream::connect(address).await.unwrap();
     next(&mut incoming).await;
     assert!(start.elapsed() >= PAUSE);
@@ -106,7 +73,7 @@ async fn listener_errors_cause_a_pause_only() {
 fn connections_wait_for_free_file_descriptors() {
     let script = "ulimit -n 64 && exec \"$0\" --exact connections::tests::connections_wait_while_descriptors_are_missing --ignored";
     let this = std::env::current_exe().unwrap();
-    let output = std::process::Command::new("sh").arg("-c").arg(script).arg(this).output().unwrap();
+    let output = std::process::Command::new("sh").args(["-c", script]).arg(this).output().unwrap();
     let told = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && told.contains("1 passed"), "{told}");
 }
@@ -116,10 +83,8 @@ fn connections_wait_for_free_file_descriptors() {
 #[ignore = "takes all file descriptors: another test runs it in a process of its own"]
 async fn connections_wait_while_descriptors_are_missing() {
     let (mut incoming, address) = listen(8).await;
-    let mut clients = vec![];
-    for _ in 0..3 {
-        clients.push(TcpStream::connect(address).await.unwrap());
-    }
+    let connect = || TcpStream::connect(address);
+    let clients = [connect().await.unwrap(), connect().await.unwrap(), connect().await.unwrap()];
     let taken: Vec<_> = std::iter::from_fn(|| std::fs::File::open("/dev/null").ok()).collect();
     assert!(taken.len() > 3, "the limit is reached with {}", taken.len());
     assert!(timeout(PAUSE * 5, incoming.next()).await.is_err(), "there is no descriptor for a connection");

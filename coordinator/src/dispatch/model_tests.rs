@@ -20,8 +20,8 @@ use world::World;
 
 /// Steps of one case.
 const STEPS: usize = 80;
-/// Cases of each test, unless `PROPTEST_CASES` sets another number: a second or two.
-const CASES: u32 = 150;
+/// Cases, unless `PROPTEST_CASES` sets another number: some seconds.
+const CASES: u32 = 300;
 
 fn config() -> ProptestConfig {
     let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(CASES);
@@ -41,48 +41,23 @@ fn run(mut world: World, steps: &[Op]) -> Result<(), TestCaseError> {
 /// Blocks of a job that was begun again with more walks are still checked after a restart of the coordinator.
 #[test]
 fn blocks_are_checked_after_more_walks() {
-    let acquire = |worker, max| Op::Acquire { worker, max };
-    let steps = [
-        Op::Submit(3),
-        acquire(1, 2),
-        acquire(2, 1),
-        acquire(2, 3),
-        acquire(2, 3),
-        acquire(0, 1),
-        Op::Drain(2),
-        Op::Register(3),
-        Op::Deliver { worker: 0, lease: 0 },
-        acquire(1, 2),
-        Op::Deliver { worker: 1, lease: 2 },
-        Op::Restart,
-    ];
-    run(World::new(2, 1.0), &steps).unwrap();
+    use Op::{Acquire, Deliver, Drain, Register, Restart, Submit};
+    let leased = [Submit(3), Acquire(1, 2), Acquire(2, 1), Acquire(2, 3), Acquire(2, 3), Acquire(0, 1)];
+    let done = [Drain(2), Register(3), Deliver(0, 0), Acquire(1, 2), Deliver(1, 2), Restart];
+    run(World::new(2, 1.0), &[leased, done].concat()).unwrap();
 }
 
 proptest! {
     #![proptest_config(config())]
 
-    /// With correct workers all steps keep the invariants of the model, with and without checks.
+    /// All steps keep the invariants of the model, with correct workers and with wrong ones, with and without checks. When
+    /// every result is checked, results of wrong workers do not survive; without checks they do not disturb the counts.
     #[test]
-    fn honest_workers_keep_all_invariants(
+    fn all_steps_keep_all_invariants(
         steps in prop::collection::vec(ops::any(), 1..STEPS),
+        wrong in 0_usize..3,
         checked in any::<bool>(),
     ) {
-        run(World::new(0, if checked { 1.0 } else { 0.0 }), &steps)?;
-    }
-
-    /// When every result is checked, results of wrong workers do not survive.
-    #[test]
-    fn wrong_results_do_not_survive_checks(
-        steps in prop::collection::vec(ops::any(), 1..STEPS),
-        wrong in 1_usize..3,
-    ) {
-        run(World::new(wrong, 1.0), &steps)?;
-    }
-
-    /// Without checks, wrong workers do not disturb the counts.
-    #[test]
-    fn unchecked_wrong_workers_keep_counts_right(steps in prop::collection::vec(ops::any(), 1..STEPS)) {
-        run(World::new(2, 0.0), &steps)?;
+        run(World::new(wrong, if checked { 1.0 } else { 0.0 }), &steps)?;
     }
 }

@@ -9,50 +9,32 @@ mod trust;
 mod votes;
 mod wake_ups;
 
-use std::sync::Arc;
+use std::ops::Range;
 use std::time::Duration;
 
-use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{HeldLease, Lease, LeaseKey};
-use farm_proto::status::{DictionaryState, DictionaryStatus, MachineFacts};
-use optics_model::grid::Axes;
+use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{
     Admission, Arrived, Dictionary, DispatchError, Dispatcher, Effect, Registration, Settings, TokenSource,
 };
-use crate::stored::{DesiredState, EndedJob, Machine, Origin, Secret, StoredDictionary};
+use crate::stored::{DesiredState, EndedJob, Machine, Origin, Secret};
+use crate::testing;
 
 pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
+const WRONG: Digest = Digest::from_bytes([9; 32]);
+const FIRST: DictionaryId = DictionaryId(1);
+const SECOND: DictionaryId = DictionaryId(2);
 
 pub(super) fn seconds(s: u64) -> Duration {
     Duration::from_secs(s)
 }
 
-fn axes() -> Axes {
-    Axes {
-        sigma_t_per_mm: vec![1.0, 2.0, 30.0],
-        albedo: vec![0.5, 0.9],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    }
-}
-
-pub(super) fn stored() -> StoredDictionary {
-    let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 1, false).unwrap();
-    StoredDictionary {
-        id: DictionaryId(1),
-        name: DictionaryName::new("d").unwrap(),
-        grid_digest: Digest::of_grid(&grid),
-        grid: Arc::new(grid),
-        created_unix_ms: 0,
-        priority: 0,
-        desire: DesiredState::Run,
-        reason: String::new(),
-        owner: String::new(),
-    }
+/// A finished job of the paper's walks.
+fn done(job: u32, by: Option<Origin>, reused: bool) -> EndedJob {
+    testing::done(job, Walks::PAPER, DIGEST, by, reused)
 }
 
 /// Tokens 1, 2, 3, ….
@@ -95,16 +77,7 @@ fn about(label: &str) -> Registration {
 
 /// A process of this name on a machine.
 fn on(address: &str, label: &str) -> Registration {
-    let machine = Machine { address: address.to_owned(), ..Machine::default() };
-    let (label, instance) = (label.to_owned(), label.to_owned());
-    Registration {
-        instance,
-        machine,
-        label,
-        threads: 2,
-        version: String::new(),
-        facts: MachineFacts::default(),
-    }
+    testing::process(Machine::at(address), label)
 }
 
 impl Bench {
@@ -114,17 +87,85 @@ impl Bench {
 
     /// Workers a, b, c; every result is checked if the share is 1.
     fn with_checks(ended: &[EndedJob], check_share: f64) -> Self {
-        let mut farm = Dispatcher::new(Settings {
-            lease: seconds(30),
-            max_attempts: 2,
-            check_share,
-            secret: Secret([3; 32]),
-        });
-        farm.add_dictionary(Dictionary::new(stored(), ended));
-        for (name, origin) in [("a", 1), ("b", 2), ("c", 3)] {
-            farm.register(seconds(0), worker(name), Origin(origin), about(name)).unwrap();
+        let settings = Settings { lease: seconds(30), max_attempts: 2, check_share, secret: Secret([3; 32]) };
+        let mut bench = Self { farm: Dispatcher::new(settings), chance: Counted { tokens: 0 } };
+        bench.add(FIRST, testing::grid(None, &[1.0, 2.0, 30.0], &[0.5, 0.9], Walks::PAPER.get()), ended);
+        for name in ["a", "b", "c"] {
+            bench.join(0, name);
         }
-        Self { farm, chance: Counted { tokens: 0 } }
+        bench
+    }
+
+    /// Workers a, b, c, and another grid.
+    fn of_grid(grid: Grid, check_share: f64) -> Self {
+        let mut bench = Self::with_checks(&[], check_share);
+        bench.farm.remove_dictionary(FIRST);
+        bench.add(FIRST, grid, &[]);
+        bench
+    }
+
+    fn add(&mut self, id: DictionaryId, grid: Grid, ended: &[EndedJob]) {
+        let name = if id == FIRST { "d" } else { "e" };
+        self.farm.add_dictionary(Dictionary::new(testing::stored(id.0, name, grid), ended));
+    }
+
+    /// Registers a worker on the machine of its name.
+    fn join(&mut self, at: u64, name: &str) {
+        self.register(at, name, origin(name), about(name)).unwrap();
+    }
+
+    fn register(&mut self, at: u64, id: &str, on: Origin, about: Registration) -> Result<(), DispatchError> {
+        self.farm.register(seconds(at), worker(id), on, about).map(drop)
+    }
+
+    fn leave(&mut self, names: &[&str]) {
+        names.iter().for_each(|name| self.farm.leave(&worker(name)));
+    }
+
+    /// Looks for silent workers every four seconds; returns the number of leases that have ended.
+    fn look(&mut self, time: Range<u64>) -> usize {
+        time.step_by(4).map(|second| self.farm.look_over(seconds(second))).sum()
+    }
+
+    /// Worker a has finished two of three jobs at 1 s, and holds the third.
+    fn with_one_left() -> (Self, Lease) {
+        let mut bench = Self::new(&[]);
+        let leases = bench.acquire(0, "a", 3);
+        bench.finish_all(1, "a", &leases[1..]);
+        (bench, leases[0].clone())
+    }
+
+    fn look_at(&mut self, times: &[u64]) {
+        times.iter().for_each(|second| drop(self.farm.look_over(seconds(*second))));
+    }
+
+    fn one(&mut self, at: u64, name: &str) -> Lease {
+        self.acquire(at, name, 1).remove(0)
+    }
+
+    fn jobs(&mut self, at: u64, name: &str, max: usize) -> Vec<u32> {
+        job_of(&self.acquire(at, name, max))
+    }
+
+    fn parts(&mut self, at: u64, name: &str, max: usize) -> Vec<u32> {
+        self.acquire(at, name, max).iter().map(|lease| lease.key.part).collect()
+    }
+
+    fn desire(&mut self, id: DictionaryId, desire: DesiredState) {
+        self.farm.set_desire(id, desire, String::new());
+    }
+
+    fn store_part(&mut self, name: &str, lease: &Lease) {
+        arrive(name, lease, |arrived| self.farm.part_finished(seconds(1), arrived));
+    }
+
+    fn prolong(&mut self, at: u64, name: &str, lease: &Lease, walks: u64) {
+        let walks = Walks::new(walks).unwrap();
+        arrive(name, lease, |arrived| self.farm.prolong(seconds(at), arrived, walks));
+    }
+
+    fn finish_all(&mut self, at: u64, name: &str, leases: &[Lease]) {
+        leases.iter().for_each(|lease| self.finish(at, name, lease));
     }
 
     fn acquire(&mut self, at: u64, name: &str, max: usize) -> Vec<Lease> {
@@ -136,9 +177,7 @@ impl Bench {
     }
 
     fn finish_with(&mut self, at: u64, name: &str, lease: &Lease, records: Digest) {
-        arrive(name, lease, |arrived| {
-            self.farm.finished(seconds(at), arrived, records);
-        });
+        arrive(name, lease, |arrived| drop(self.farm.finished(seconds(at), arrived, records)));
     }
 
     /// Compares a result with what is stored.
@@ -166,7 +205,7 @@ impl Bench {
     }
 
     fn status(&self) -> DictionaryStatus {
-        self.farm.status_of(seconds(0), self.farm.schedule.by_id(DictionaryId(1)).unwrap())
+        self.farm.status_of(seconds(0), self.farm.schedule.by_id(FIRST).unwrap())
     }
 
     fn fail(&mut self, at: u64, name: &str, lease: &Lease) {
@@ -178,8 +217,7 @@ impl Bench {
     }
 
     fn reasons_of(&self, name: &str, at: u64) -> Vec<&'static str> {
-        let name = DictionaryName::new(name).unwrap();
-        let dictionary = self.farm.schedule.by_name(&name).unwrap();
+        let dictionary = self.farm.schedule.by_name(&testing::name(name)).unwrap();
         self.farm.explain(seconds(at), dictionary).into_iter().map(|r| r.code).collect()
     }
 }
@@ -188,30 +226,25 @@ fn job_of(leases: &[Lease]) -> Vec<u32> {
     leases.iter().map(|l| l.key.job).collect()
 }
 
-/// The longest job is leased first, and no job twice.
+/// The longest job is leased first, and no job twice. Progress counts work: the longest of three is more than half of it.
 #[test]
-fn longest_job_goes_first() {
+fn longest_job_goes_first_and_counts_most() {
     let mut bench = Bench::new(&[]);
-    let first = bench.acquire(0, "a", 1);
-    assert_eq!(first[0].job.point().sigma_t_per_mm(), 30.0);
-    assert_eq!(job_of(&bench.acquire(0, "b", 10)), [1, 0]);
+    let first = bench.one(0, "a");
+    assert_eq!(first.job.point().sigma_t_per_mm(), 30.0);
+    assert_eq!(bench.jobs(0, "b", 10), [1, 0]);
     assert!(bench.acquire(0, "a", 10).is_empty());
+    bench.finish(1, "a", &first);
+    let status = bench.status();
+    assert_eq!((status.jobs_done, status.records_done(), status.records_digest), (1, 2, None));
+    assert!(status.work_done > 0.6, "{}", status.work_done);
 }
 
 /// After a restart, only jobs that have not ended are leased.
 #[test]
 fn only_unfinished_jobs_remain_after_restart() {
-    let mut bench = Bench::new(&[
-        EndedJob::Done {
-            job: 2,
-            walks: Walks::PAPER,
-            records: DIGEST,
-            by: None,
-            confirmed: vec![],
-            reused: false,
-        },
-        EndedJob::GivenUp { job: 1, reason: "r".to_owned(), quarantined: true },
-    ]);
+    let given_up = EndedJob::GivenUp { job: 1, reason: "r".to_owned(), quarantined: true };
+    let mut bench = Bench::new(&[done(2, None, false), given_up]);
     let lease = bench.acquire(0, "a", 10);
     assert_eq!(job_of(&lease), [0]);
     bench.finish(1, "a", &lease[0]);
@@ -223,12 +256,12 @@ fn only_unfinished_jobs_remain_after_restart() {
 #[test]
 fn draining_worker_gets_no_leases() {
     let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
+    let lease = bench.one(0, "a");
     assert_eq!(bench.farm.drain("nobody").unwrap_err(), "no worker has this id or label");
     assert_eq!(bench.farm.drain("a").unwrap(), worker("a"));
     let grant = bench.farm.acquire(seconds(1), &worker("a"), 5, &mut bench.chance).unwrap();
     assert!(grant.drain && grant.leases.is_empty());
-    assert!(bench.renew(2, "a", &lease[0], true), "what it has it may finish");
+    assert!(bench.renew(2, "a", &lease, true), "what it has it may finish");
 }
 
 /// Priorities and desired states decide which jobs are leased.
@@ -236,25 +269,18 @@ fn draining_worker_gets_no_leases() {
 fn priorities_and_desires_order_the_leases() {
     let mut bench = Bench::new(&[]);
     // A dictionary with other walks.
-    let grid = Grid::new(Scene::paper(), axes(), Walks::PAPER, 2, false).unwrap();
-    let second = StoredDictionary {
-        id: DictionaryId(2),
-        name: DictionaryName::new("e").unwrap(),
-        grid_digest: Digest::of_grid(&grid),
-        grid: Arc::new(grid),
-        ..stored()
-    };
-    bench.farm.add_dictionary(Dictionary::new(second, &[]));
-    assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(1));
-    bench.farm.set_priority(DictionaryId(2), 5);
-    assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(2));
+    let axes = testing::axes(&[1.0, 2.0, 30.0], &[0.5, 0.9]);
+    bench.add(SECOND, Grid::new(Scene::paper(), axes, Walks::PAPER, 2, false).unwrap(), &[]);
+    assert_eq!(bench.one(0, "a").key.dictionary, FIRST);
+    bench.farm.set_priority(SECOND, 5);
+    assert_eq!(bench.one(0, "a").key.dictionary, SECOND);
     assert!(bench.reasons(0).contains(&"HIGHER_PRIORITY"));
-    bench.farm.set_desire(DictionaryId(2), DesiredState::Pause, String::new());
-    assert_eq!(bench.acquire(0, "a", 1)[0].key.dictionary, DictionaryId(1));
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Cancel, "enough".to_owned());
+    bench.desire(SECOND, DesiredState::Pause);
+    assert_eq!(bench.one(0, "a").key.dictionary, FIRST);
+    bench.farm.set_desire(FIRST, DesiredState::Cancel, "enough".to_owned());
     assert!(bench.acquire(0, "a", 9).is_empty());
     assert_eq!((bench.state(), bench.status().reason.as_str()), (DictionaryState::Cancelled, "enough"));
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
+    bench.desire(FIRST, DesiredState::Run);
     assert_eq!(bench.acquire(1, "a", 9).len(), 3, "leases from before the cancellation are not kept");
 }
 
@@ -264,13 +290,9 @@ fn reasons_for_waiting_are_explained() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.reasons(0), ["WAITING"]);
     assert_eq!(bench.reasons(100), ["WORKERS_SILENT", "WAITING"]);
-    for name in ["a", "b", "c"] {
-        bench.farm.drain(name).unwrap();
-    }
+    ["a", "b", "c"].into_iter().for_each(|name| drop(bench.farm.drain(name).unwrap()));
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
-    for name in ["a", "b", "c"] {
-        bench.farm.leave(&worker(name));
-    }
+    bench.leave(&["a", "b", "c"]);
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
 }
 
@@ -280,19 +302,7 @@ fn unknown_workers_and_jobs_are_refused() {
     let nobody = worker("nobody");
     let refused = bench.farm.acquire(seconds(0), &nobody, 1, &mut bench.chance).unwrap_err();
     assert_eq!(refused, DispatchError::UnknownWorker(nobody));
-    let stray = LeaseKey { dictionary: DictionaryId(1), job: 99, attempt: 1, token: Token(0), part: 0 };
+    let stray = LeaseKey { dictionary: FIRST, job: 99, attempt: 1, token: Token(0), part: 0 };
     assert!(bench.farm.admit(seconds(0), &worker("a"), &stray, DIGEST).is_err());
     assert!(bench.farm.failed(seconds(0), &worker("a"), &stray, "x").is_err());
-}
-
-#[test]
-fn progress_counts_work_not_jobs() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.acquire(0, "a", 1);
-    bench.finish(1, "a", &lease[0]);
-    let status = bench.status();
-    assert_eq!((status.jobs_done, status.records_done()), (1, 2));
-    // The longest of three jobs is more than half of the work.
-    assert!(status.work_done > 0.6, "{}", status.work_done);
-    assert_eq!(status.records_digest, None);
 }

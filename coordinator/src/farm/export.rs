@@ -154,10 +154,8 @@ mod tests {
         let most = vec![1; RequestLimits::INDICES];
         assert_eq!(ranges(&grid, 0, &most).unwrap().len(), most.len());
         let error = ranges(&grid, 0, &[most, vec![2]].concat()).unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "indices = 10001 numbers is not valid: at most 10000 are allowed: ask for the others in another call"
-        );
+        let expected = "indices = 10001 numbers is not valid: at most 10000 are allowed: ask for the others";
+        assert!(error.starts_with(expected), "{error}");
         let error = ranges(&grid, 0, &[7, 34_276]).unwrap_err().to_string();
         assert!(error.starts_with("indices[1] = 34276"), "{error}");
     }

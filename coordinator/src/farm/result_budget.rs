@@ -194,55 +194,38 @@ mod tests {
         tokio::time::timeout(Duration::from_millis(50), future).await.is_ok()
     }
 
-    /// One machine does not exhaust the budget for results.
-    #[tokio::test]
-    async fn one_machine_leaves_budget_for_others() {
-        let budget = Arc::new(ResultBudget::of(8 * MIB, 2 * MIB, 8 * MIB));
-        let (greedy, modest) = (budget.stream("a", "a@1".to_owned()), budget.stream("b", "b@2".to_owned()));
-        let mut all_of_it = Reservation::default();
-        greedy.reserve(&mut all_of_it, 2 * MIB).await;
-        // One more overdraws the budget, the next one waits.
-        let (mut overdraft, mut waits) = (Reservation::default(), Reservation::default());
-        assert!(
-            soon(greedy.reserve(&mut overdraft, MIB)).await
-                && soon(greedy.reserve(&mut overdraft, 5 * MIB)).await
-        );
-        assert!(!soon(greedy.reserve(&mut waits, MIB)).await);
-        let mut other = Reservation::default();
-        assert!(soon(modest.reserve(&mut other, 2 * MIB)).await);
-        drop(overdraft);
-        assert!(soon(greedy.reserve(&mut waits, MIB)).await);
+    fn stream(budget: &Arc<ResultBudget>, machine: &str) -> ResultStream {
+        budget.stream(machine.split('@').next().unwrap(), machine.to_owned())
     }
 
-    /// One token does not exhaust the budget for results, regardless of the number of its addresses.
-    #[tokio::test]
-    async fn one_token_does_not_exhaust_the_budget() {
-        let budget = Arc::new(ResultBudget::of(8 * MIB, 2 * MIB, 4 * MIB));
-        let streams: Vec<_> = (0..5).map(|i| budget.stream("shared", format!("shared@{i}"))).collect();
-        let mut reserved: Vec<_> = streams.iter().map(|_| Reservation::default()).collect();
-        streams[0].reserve(&mut reserved[0], 2 * MIB).await;
-        streams[1].reserve(&mut reserved[1], 2 * MIB).await;
-        // One overdraws the budget, the next one waits.
-        streams[2].reserve(&mut reserved[2], 2 * MIB).await;
-        assert!(!soon(streams[3].reserve(&mut reserved[3], MIB)).await);
-        let (other, mut of_other) = (budget.stream("own", "own@9".to_owned()), Reservation::default());
-        assert!(soon(other.reserve(&mut of_other, 2 * MIB)).await);
-        drop((streams, other, reserved, of_other));
-        let last = budget.stream("last", "last@1".to_owned());
-        assert_eq!(budget.tokens.lock().unwrap().keys().collect::<Vec<_>>(), ["last"]);
-        drop(last);
+    /// Neither one machine nor one token, regardless of the number of its addresses, exhausts the budget for results.
+    #[tokio::test(start_paused = true)]
+    async fn one_caller_leaves_budget_for_others() {
+        for (of_machine, of_token, machines) in [(2, 8, ["a@1"; 3]), (8, 2, ["a@1", "a@2", "a@3"])] {
+            let budget = Arc::new(ResultBudget::of(8 * MIB, of_machine * MIB, of_token * MIB));
+            let [first, second, third] = machines.map(|machine| stream(&budget, machine));
+            let [mut most, mut overdraft, mut waits, mut of_other] = [(); 4].map(|()| Reservation::default());
+            first.reserve(&mut most, 2 * MIB).await;
+            // One more overdraws the budget, the next one waits.
+            assert!(soon(second.reserve(&mut overdraft, MIB)).await);
+            assert!(soon(second.reserve(&mut overdraft, 5 * MIB)).await);
+            assert!(!soon(third.reserve(&mut waits, MIB)).await, "{machines:?}");
+            let other = stream(&budget, "b@4");
+            assert!(soon(other.reserve(&mut of_other, 2 * MIB)).await, "{machines:?}");
+            drop(overdraft);
+            assert!(soon(third.reserve(&mut waits, MIB)).await, "{machines:?}");
+            drop((first, second, third, other, most, waits, of_other));
+            let _last = stream(&budget, "last@1");
+            assert_eq!(budget.tokens.lock().unwrap().keys().collect::<Vec<_>>(), ["last"]);
+        }
     }
 
     /// Results that wait for memory are reported, and continue when memory is free.
-    #[tokio::test]
+    #[tokio::test(start_paused = true)]
     async fn waiting_results_continue_with_free_memory() {
         let budget = Arc::new(ResultBudget::of(4 * MIB, 4 * MIB, 4 * MIB));
-        let (first, second) = (
-            budget.stream("node1", "node1@10.0.0.1".to_owned()),
-            budget.stream("node2", "node2@10.0.0.2".to_owned()),
-        );
-        let (mut most, mut overdraft, mut rest) =
-            (Reservation::default(), Reservation::default(), Reservation::default());
+        let [first, second] = ["node1@10.0.0.1", "node2@10.0.0.2"].map(|machine| stream(&budget, machine));
+        let [mut most, mut overdraft, mut rest] = [(); 3].map(|()| Reservation::default());
         first.reserve(&mut most, 3 * MIB).await;
         second.reserve(&mut overdraft, 2 * MIB).await;
         assert_eq!(budget.shortage(), None);

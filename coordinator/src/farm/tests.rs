@@ -10,36 +10,34 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use farm_proto::ids::{DictionaryId, WorkerId};
-use farm_proto::status::{DictionaryState, MachineFacts};
+use farm_proto::lease::Lease;
+use farm_proto::status::DictionaryState;
 use farm_proto::{DictionaryName, METHODS, PROTOCOL_VERSION};
-use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
-use optics_model::scene::{Scene, Sensor};
-use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record, Walks};
+use optics_model::{Estimate, Grid, PHYSICS_VERSION, PackedRecords, Profile, Record};
 use sqlx::Connection;
+use tempfile::TempDir;
 
 use super::{Farm, FarmError, Versions};
 use crate::actor::Actor;
 use crate::config::Config;
-use crate::dispatch::Registration;
 use crate::metrics::{BuildInfo, Metrics};
 use crate::store::{DataDir, Store};
 use crate::stored::{Completion, DesiredState, JobResult, Machine, Origin, Outcome, OutcomeKind};
+use crate::testing::{self, process};
 
 const JOBS: u32 = 40;
 /// The fewest pixels that a fit may have.
 const PIXELS: usize = 8;
 
+/// A grid of forty jobs.
+fn grid_of(walks: u64) -> Grid {
+    let sigma_t: Vec<f64> = (1..=JOBS).map(f64::from).collect();
+    testing::grid(Some(PIXELS as u32), &sigma_t, &[0.5, 0.9], walks)
+}
+
 fn grid() -> Grid {
-    let axes = Axes {
-        sigma_t_per_mm: (1..=JOBS).map(f64::from).collect(),
-        albedo: vec![0.5, 0.9],
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let scene = Scene::paper().with_sensor(Sensor::new(10.0, PIXELS as u32, 0.0).unwrap());
-    Grid::new(scene, axes, Walks::new(5000).unwrap(), 1, false).unwrap()
+    grid_of(5000)
 }
 
 /// All numbers of a job's records are this one.
@@ -63,30 +61,50 @@ fn completion(dictionary: DictionaryId, worker: Origin, job_number: u32) -> Comp
 }
 
 fn name() -> DictionaryName {
-    DictionaryName::new("d").unwrap()
+    testing::name("d")
 }
 
-/// A farm that checks no results.
-async fn load(store: Store) -> Arc<Farm> {
-    load_with(store, 0.0).await
+async fn store() -> (TempDir, Store) {
+    let dir = tempfile::tempdir().unwrap();
+    let store = open(&dir).await;
+    (dir, store)
 }
 
-async fn load_with(store: Store, check_share: f64) -> Arc<Farm> {
+async fn open(dir: &TempDir) -> Store {
+    Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap()
+}
+
+/// A farm without dictionaries.
+async fn empty() -> (Arc<Farm>, TempDir) {
+    let (dir, store) = store().await;
+    (load(store, 0.0).await, dir)
+}
+
+/// A farm with a dictionary, and a worker.
+async fn begun(check_share: f64) -> (Arc<Farm>, WorkerId, TempDir) {
+    let (dir, store) = store().await;
+    let farm = load(store, check_share).await;
+    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
+    let worker = worker(&farm, "worker").await;
+    (farm, worker, dir)
+}
+
+/// A farm that checks this share of the results.
+async fn load(store: Store, check_share: f64) -> Arc<Farm> {
     let build = BuildInfo { version: String::new(), physics_version: String::new() };
     let config = Config { check_share, ..Config::new("") };
     Farm::load(store, &config, Metrics::new(build, METHODS.iter().copied())).await.unwrap()
 }
 
 /// A farm with a dictionary that is done. Its records lie in the database's log.
-async fn done() -> (Arc<Farm>, tempfile::TempDir) {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
+async fn done() -> (Arc<Farm>, TempDir) {
+    let (dir, store) = store().await;
     let worker = store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let dictionary = store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap();
     for job in 0..JOBS {
         store.complete(completion(dictionary.id, worker, job)).await.unwrap();
     }
-    let farm = load(store).await;
+    let farm = load(store, 0.0).await;
     // Nothing else is written during the test.
     farm.scheduler.close().await;
     (farm, dir)
@@ -97,7 +115,7 @@ fn jobs_done(farm: &Farm) -> u32 {
 }
 
 /// Path and contents of the database's log.
-fn log(dir: &tempfile::TempDir) -> (PathBuf, Vec<u8>) {
+fn log(dir: &TempDir) -> (PathBuf, Vec<u8>) {
     let path = dir.path().join("farm.db-wal");
     let bytes = std::fs::read(&path).unwrap();
     (path, bytes)
@@ -116,8 +134,7 @@ async fn unreadable_jobs_are_reported_and_not_deleted() {
     std::fs::File::options().write(true).open(&path).unwrap().set_len(32).unwrap();
     let found = farm.inspect(true).await;
     assert!(found.unchecked.as_ref().is_some_and(|why| why.contains("522")), "{found:?}");
-    assert!(found.faults.is_empty(), "{found:?}");
-    assert!(found.damaged.is_empty(), "{found:?}");
+    assert!(found.faults.is_empty() && found.damaged.is_empty(), "{found:?}");
     assert_eq!(found.unreadable.len(), 1, "{found:?}");
     assert_eq!((found.unreadable[0].jobs, found.unreadable[0].first), (JOBS as usize, 0));
     assert!(found.unreadable[0].what.contains("disk I/O error"), "{found:?}");
@@ -157,7 +174,7 @@ async fn transient_read_damage_keeps_the_record() {
     assert_eq!(jobs_done(&farm), JOBS);
 }
 
-async fn change(dir: &tempfile::TempDir, query: &'static str) {
+async fn change(dir: &TempDir, query: &'static str) {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
     let mut other = sqlx::SqliteConnection::connect_with(&options).await.unwrap();
     sqlx::query(query).execute(&mut other).await.unwrap();
@@ -185,147 +202,101 @@ async fn fit_drops_only_the_damaged_job() {
 
 /// Forty points of a thousand thousand blocks each.
 fn too_large() -> Grid {
-    let (axes, walks) = (grid(), Walks::new(1_000_000_000_000).unwrap());
-    let axes = Axes {
-        sigma_t_per_mm: axes.sigma_t_per_mm().to_vec(),
-        albedo: axes.albedo().to_vec(),
-        g: axes.g().to_vec(),
-        thickness_mm: axes.thickness_mm().to_vec(),
-        sample_ior: axes.sample_ior().to_vec(),
-    };
-    Grid::new(grid().scene().clone(), axes, walks, 1, false).unwrap()
+    grid_of(1_000_000_000_000)
 }
 
 /// A grid that is too large is refused before it is stored.
 #[tokio::test]
 async fn too_large_grid_is_refused_before_storing() {
-    let (farm, _dir) = done().await;
-    let refused = farm
-        .submit(&Actor::default(), DictionaryName::new("large").unwrap(), too_large(), 0)
-        .await
-        .unwrap_err();
+    let (farm, _dir) = empty().await;
+    let refused = farm.submit(&Actor::default(), name(), too_large(), 0).await.unwrap_err();
     let FarmError::Invalid(why) = &refused else { panic!("{refused}") };
     assert_eq!(why.field(), "walks");
     assert!(why.to_string().contains("1000000000000 is not valid: at most 25000000000 are allowed"), "{why}");
-    assert_eq!(farm.store.dictionaries().await.unwrap().len(), 1);
+    assert!(farm.store.dictionaries().await.unwrap().is_empty());
 }
 
 /// A dictionary that is too large, which an earlier version may have stored, is cancelled with the reason and does not
 /// prevent the start.
 #[tokio::test]
 async fn too_large_dictionary_is_cancelled_at_start() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let large = DictionaryName::new("large").unwrap();
+    let (_dir, store) = store().await;
+    let large = testing::name("large");
     store.create_dictionary(large.clone(), too_large(), 0, "", 7).await.unwrap();
     store.create_dictionary(name(), grid(), 0, "", 8).await.unwrap();
-    let farm = load(store).await;
+    let farm = load(store, 0.0).await;
     let status = farm.status(&large).unwrap();
     assert_eq!(status.state, DictionaryState::Cancelled);
     assert!(status.reason.contains("at most 25000000000 are allowed"), "{}", status.reason);
     assert_eq!(farm.explain(&large).unwrap()[0].code, "TOO_LARGE");
     assert!(matches!(farm.resume(&Actor::default(), &large).await, Err(FarmError::Invalid(_))));
     assert_eq!(farm.status(&name()).unwrap().state, DictionaryState::Running);
-    assert_eq!(
-        farm.scheduler.query(|d, _| d.schedule().load().0),
-        JOBS as usize,
-        "the other one's jobs wait"
-    );
+    let waiting = farm.scheduler.query(|d, _| d.schedule().load().0);
+    assert_eq!(waiting, JOBS as usize, "the other one's jobs wait");
     farm.delete(&Actor::default(), &large).await.unwrap();
     assert!(matches!(farm.status(&large), Err(FarmError::NotFound { .. })));
 }
 
 async fn worker(farm: &Farm, label: &str) -> WorkerId {
-    let (instance, machine) = (label.to_owned(), Machine::at(label));
-    let about = Registration {
-        instance,
-        machine,
-        label: label.to_owned(),
-        threads: 1,
-        version: String::new(),
-        facts: MachineFacts::default(),
-    };
     let versions = Versions { physics: PHYSICS_VERSION, protocol: PROTOCOL_VERSION };
-    farm.register(about, versions, false).await.unwrap().0
+    farm.register(process(Machine::at(label), label), versions, false).await.unwrap().0
 }
 
-/// Gives a worker one job, and delivers records whose numbers are all the same.
-async fn deliver(farm: &Farm, worker: &WorkerId, value: f32) -> Outcome {
-    let lease = farm.acquire_now(worker, 1).unwrap().leases.remove(0);
+/// Delivers records whose numbers are all the same.
+async fn deliver(farm: &Farm, worker: &WorkerId, lease: &Lease, value: f32) -> Outcome {
     let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
     let content = content(&lease.job, value);
     farm.complete(worker.clone(), lease.key, admission, content).await.unwrap()
 }
 
+fn lease(farm: &Farm, worker: &WorkerId) -> Option<Lease> {
+    farm.acquire_now(worker, 1).unwrap().leases.pop()
+}
+
 #[tokio::test]
 async fn dispute_wakes_workers_that_wait() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    store.create_dictionary(name(), grid(), 0, "", 8).await.unwrap();
-    let farm = load_with(store, 1.0).await;
-    let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
-    assert!(matches!(deliver(&farm, &first, 0.25).await, Outcome::Finished { .. }));
-    let lease = farm.acquire_now(&second, 1).unwrap().leases.remove(0);
+    let (farm, first, _dir) = begun(1.0).await;
+    let second = worker(&farm, "second").await;
+    let own = lease(&farm, &first).unwrap();
+    assert!(matches!(deliver(&farm, &first, &own, 0.25).await, Outcome::Finished { .. }));
+    let check = lease(&farm, &second).unwrap();
     let third = farm.scheduler.work();
-    let admission = farm.admit(&second, &lease.key, lease.job.identity()).unwrap();
-    let other = content(&lease.job, 0.5);
-    let outcome = farm.complete(second, lease.key, admission, other).await.unwrap();
-    assert_eq!(outcome.kind(), OutcomeKind::Conflict);
+    assert_eq!(deliver(&farm, &second, &check, 0.5).await.kind(), OutcomeKind::Conflict);
     assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 
-/// Lets a worker do all jobs that are given out; returns their number.
-async fn work(farm: &Farm, worker: &WorkerId) -> usize {
-    let mut done = 0;
-    while let Some(lease) = farm.acquire_now(worker, 1).unwrap().leases.pop() {
-        let admission = farm.admit(worker, &lease.key, lease.job.identity()).unwrap();
-        let content = content(&lease.job, value(lease.key.job));
-        let outcome = farm.complete(worker.clone(), lease.key, admission, content).await.unwrap();
-        assert!(matches!(outcome, Outcome::Finished { .. }));
-        done += 1;
-    }
-    done
-}
-
+/// A dictionary that overlaps another computes nothing twice, also if its records arrived while it was cancelled, or
+/// before a restart.
 #[tokio::test]
 async fn overlapping_dictionaries_compute_nothing_twice() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let farm = load(store).await;
-    let (first, second) = (name(), DictionaryName::new("e").unwrap());
-    for name in [&first, &second] {
-        farm.submit(&Actor::default(), name.clone(), grid(), 0).await.unwrap();
+    for cancelled in [false, true] {
+        let (mut farm, worker, dir) = begun(0.0).await;
+        let second = testing::name("e");
+        farm.submit(&Actor::default(), second.clone(), grid(), 0).await.unwrap();
+        if cancelled {
+            farm.cancel(&Actor::default(), &second, "later").await.unwrap();
+        }
+        let mut done = 0;
+        while let Some(lease) = lease(&farm, &worker) {
+            let outcome = deliver(&farm, &worker, &lease, value(lease.key.job)).await;
+            assert!(matches!(outcome, Outcome::Finished { .. }));
+            done += 1;
+        }
+        assert_eq!(done, JOBS);
+        if cancelled {
+            assert_eq!(farm.status(&second).unwrap().jobs_done, 0);
+            // As if the coordinator had been killed before it resumed.
+            let (id, _) = farm.found(&second).unwrap();
+            farm.store.set_desire(id, DesiredState::Run, "").await.unwrap();
+            farm.close().await;
+            drop(farm);
+            farm = load(open(&dir).await, 0.0).await;
+        }
+        let [first, second] = [&name(), &second].map(|name| farm.status(name).unwrap());
+        assert_eq!((first.state, second.state), (DictionaryState::Done, DictionaryState::Done));
+        assert_eq!((first.records_reused, second.records_reused), (0, 2 * JOBS as usize));
+        assert_eq!(first.records_digest, second.records_digest);
+        let found = farm.inspect(false).await;
+        assert_eq!((found.jobs, found.damaged.len()), (2 * JOBS as usize, 0), "{found:?}");
     }
-    let worker = worker(&farm, "worker").await;
-    assert_eq!(work(&farm, &worker).await, JOBS as usize);
-    let [first, second] = [&first, &second].map(|name| farm.status(name).unwrap());
-    assert_eq!((first.state, second.state), (DictionaryState::Done, DictionaryState::Done));
-    assert_eq!((first.records_reused, second.records_reused), (0, 2 * JOBS as usize));
-    assert_eq!(first.records_digest, second.records_digest);
-    let found = farm.inspect(false).await;
-    assert_eq!((found.jobs, found.damaged.len()), (2 * JOBS as usize, 0), "{found:?}");
-}
-
-/// Records that arrived for another dictionary while this one was cancelled, or before a restart, are not computed again.
-#[tokio::test]
-async fn resume_and_restart_reuse_records_of_others() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let farm = load(store).await;
-    let (first, second) = (name(), DictionaryName::new("e").unwrap());
-    for name in [&first, &second] {
-        farm.submit(&Actor::default(), name.clone(), grid(), 0).await.unwrap();
-    }
-    farm.cancel(&Actor::default(), &second, "later").await.unwrap();
-    let of_farm = worker(&farm, "worker").await;
-    assert_eq!(work(&farm, &of_farm).await, JOBS as usize);
-    assert_eq!(farm.status(&second).unwrap().jobs_done, 0);
-    // As if the coordinator had been killed before it resumed.
-    let (id, _) = farm.found(&second).unwrap();
-    farm.store.set_desire(id, DesiredState::Run, "").await.unwrap();
-    farm.close().await;
-    drop(farm);
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let farm = load(store).await;
-    assert_eq!(farm.status(&second).unwrap().state, DictionaryState::Done);
 }

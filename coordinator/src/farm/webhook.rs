@@ -132,6 +132,12 @@ mod tests {
         }
     }
 
+    fn hooked() -> (TcpListener, Webhook) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}/hook", listener.local_addr().unwrap()).parse().unwrap();
+        (listener, Webhook::with_pause(url, Duration::from_millis(1)))
+    }
+
     /// Answers requests one after the other with these status lines, an empty one by cutting the connection; returns the
     /// bodies.
     fn receiver(listener: TcpListener, answers: Vec<&'static str>) -> std::thread::JoinHandle<Vec<String>> {
@@ -139,16 +145,14 @@ mod tests {
             let answer = |status: &str| {
                 let (mut stream, _) = listener.accept().unwrap();
                 let mut reader = BufReader::new(stream.try_clone().unwrap());
-                let (mut line, mut length) = (String::new(), 0);
-                while reader.read_line(&mut line).unwrap() > 2 {
-                    if let Some((name, value)) = line.split_once(':')
-                        && name.eq_ignore_ascii_case("content-length")
-                    {
-                        length = value.trim().parse().unwrap();
-                    }
-                    line.clear();
-                }
-                let mut body = vec![0; length];
+                let headers: Vec<String> = reader
+                    .by_ref()
+                    .lines()
+                    .map_while(|line| line.ok().filter(|line| !line.is_empty()))
+                    .collect();
+                let length =
+                    |line: &String| line.to_lowercase().strip_prefix("content-length: ")?.parse().ok();
+                let mut body = vec![0; headers.iter().find_map(length).unwrap()];
                 reader.read_exact(&mut body).unwrap();
                 if !status.is_empty() {
                     write!(stream, "HTTP/1.1 {status}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
@@ -164,31 +168,25 @@ mod tests {
     /// posted.
     #[tokio::test]
     async fn deliveries_are_repeated_for_passing_errors() {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url: Uri = format!("http://{}/hook", listener.local_addr().unwrap()).parse().unwrap();
+        let (listener, webhook) = hooked();
         let answers = vec!["503 Busy", "", "200 OK", "404 Not Found", "204 No Content"];
         let receiver = receiver(listener, answers);
-        let webhook = Webhook::with_pause(url, Duration::from_millis(1));
         for kind in ["DONE", "WORKER_JOINED", "ENDED", "BACKUP_FAILED"] {
             webhook.post(&event(kind));
         }
         let bodies = tokio::task::spawn_blocking(move || receiver.join().unwrap()).await.unwrap();
-        let kinds = bodies.iter().map(|body| {
-            let body: serde_json::Value = serde_json::from_str(body).unwrap();
-            body["data"]["kind"].as_str().unwrap().to_owned()
-        });
-        assert_eq!(kinds.collect::<Vec<_>>(), ["DONE", "DONE", "DONE", "ENDED", "BACKUP_FAILED"]);
-        let body: serde_json::Value = serde_json::from_str(&bodies[0]).unwrap();
-        assert_eq!(body["text"], "dictionary paper: done, 34276 records");
-        assert_eq!(body["data"]["worker"], serde_json::Value::Null);
+        let bodies: Vec<serde_json::Value> =
+            bodies.iter().map(|b| serde_json::from_str(b).unwrap()).collect();
+        let kinds: Vec<_> = bodies.iter().map(|body| &body["data"]["kind"]).collect();
+        assert_eq!(kinds, ["DONE", "DONE", "DONE", "ENDED", "BACKUP_FAILED"]);
+        assert_eq!(bodies[0]["text"], "dictionary paper: done, 34276 records");
+        assert_eq!(bodies[0]["data"]["worker"], serde_json::Value::Null);
     }
 
     /// Events beyond the queue are dropped without a wait.
     #[tokio::test]
     async fn full_queue_drops_events() {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let url: Uri = format!("http://{}/", listener.local_addr().unwrap()).parse().unwrap();
-        let webhook = Webhook::with_pause(url, Duration::from_millis(1));
+        let (_listener, webhook) = hooked();
         for _ in 0..=2 * QUEUE {
             webhook.post(&event("DONE"));
         }

@@ -35,6 +35,11 @@ struct Served {
     task: JoinHandle<()>,
 }
 
+/// A server of these metrics that is ready.
+async fn ready(metrics: Metrics) -> Served {
+    start(MetricsServer::new(metrics, snapshot, || Ok(()))).await
+}
+
 async fn start(server: MetricsServer) -> Served {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let (address, stop) = (listener.local_addr().unwrap(), CancellationToken::new());
@@ -43,11 +48,17 @@ async fn start(server: MetricsServer) -> Served {
 }
 
 impl Served {
+    /// A connection that has sent these bytes.
+    async fn sends(&self, bytes: &str) -> TcpStream {
+        let mut stream = TcpStream::connect(self.address).await.unwrap();
+        stream.write_all(bytes.as_bytes()).await.unwrap();
+        stream
+    }
+
     /// Status line and headers, body.
     async fn get(&self, path: &str, headers: &str) -> (String, String) {
-        let mut stream = TcpStream::connect(self.address).await.unwrap();
         let request = format!("GET {path} HTTP/1.1\r\nHost: farm\r\nConnection: close\r\n{headers}\r\n");
-        stream.write_all(request.as_bytes()).await.unwrap();
+        let mut stream = self.sends(&request).await;
         let mut answer = String::new();
         stream.read_to_string(&mut answer).await.unwrap();
         let (head, body) = answer.split_once("\r\n\r\n").unwrap();
@@ -81,7 +92,7 @@ async fn counted_events_appear_in_metrics() {
     metrics.connection_refused();
     metrics.fitted(Duration::from_micros(300));
     metrics.fit_stopped();
-    let served = start(MetricsServer::new(metrics.clone(), snapshot, || Ok(()))).await;
+    let served = ready(metrics.clone()).await;
     let text = served.metrics().await;
     for line in [
         r#"farm_rpc_seconds_bucket{le="0.0001",method="/farm.v1.Fits/Fit",code="OK"} 0"#,
@@ -111,11 +122,13 @@ async fn counted_events_appear_in_metrics() {
     has(&served.metrics().await, "farm_leases_expired_total 3");
 }
 
-/// Gauges show the current state, of at most 100 dictionaries.
+/// Gauges show the current state, of at most 100 dictionaries, and the resources of the process. Every metric has a
+/// sentence of help and a type.
 #[tokio::test]
 async fn gauges_cover_at_most_100_dictionaries() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let text = served.metrics().await;
+    let metrics = fresh();
+    metrics.rpc(FIT, 0, Duration::ZERO);
+    let text = ready(metrics).await.metrics().await;
     for line in [
         r#"farm_jobs{state="pending"} 5"#,
         r#"farm_jobs{state="failed"} 2"#,
@@ -130,21 +143,24 @@ async fn gauges_cover_at_most_100_dictionaries() {
         has(&text, line);
     }
     assert_eq!(text.matches("\nfarm_work_done_ratio{").count(), MOST_RATIOS);
-}
-
-/// Memory, open files and start time of the process are among the metrics.
-#[cfg(target_os = "linux")]
-#[tokio::test]
-async fn process_resources_are_in_the_metrics() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let text = served.metrics().await;
-    let value = |name: &str| {
-        let line = text.lines().find_map(|line| line.strip_prefix(&format!("{name} "))).unwrap();
-        line.parse::<f64>().unwrap()
-    };
-    assert!((1e6..1e12).contains(&value("process_resident_memory_bytes")));
-    assert!((3.0..1e6).contains(&value("process_open_fds")));
-    assert!((1e-6..1e6).contains(&value("process_cpu_seconds_total")));
+    let after = |begin: String| text.lines().find_map(|line| line.strip_prefix(&begin)).unwrap();
+    #[cfg(target_os = "linux")]
+    for (name, range) in [
+        ("process_resident_memory_bytes", 1e6..1e12),
+        ("process_open_fds", 3.0..1e6),
+        ("process_cpu_seconds_total", 1e-6..1e6),
+    ] {
+        assert!(range.contains(&after(format!("{name} ")).parse::<f64>().unwrap()), "{name}");
+    }
+    let types = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+    let names: Vec<_> = types.map(|line| line.split(' ').next().unwrap()).collect();
+    assert_eq!(names.len(), if cfg!(target_os = "linux") { 23 } else { 21 }, "{names:?}");
+    for name in names {
+        let help = after(format!("# HELP {name} "));
+        let is_sentence =
+            help.starts_with(char::is_uppercase) && help.ends_with('.') && !help.ends_with("..");
+        assert!(is_sentence, "{name}: {help}");
+    }
 }
 
 /// Calls of invented methods and codes add no metrics beyond those of `other`.
@@ -161,29 +177,10 @@ async fn made_up_methods_add_no_metrics() {
     assert_eq!(counts.len(), 17, "{counts:?}");
 }
 
-/// Every metric has a sentence of help and a type.
-#[tokio::test]
-async fn every_metric_has_help_and_a_type() {
-    let metrics = fresh();
-    metrics.rpc(FIT, 0, Duration::ZERO);
-    let served = start(MetricsServer::new(metrics, snapshot, || Ok(()))).await;
-    let text = served.metrics().await;
-    let types = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
-    let names: Vec<_> = types.map(|line| line.split(' ').next().unwrap()).collect();
-    assert_eq!(names.len(), if cfg!(target_os = "linux") { 23 } else { 21 }, "{names:?}");
-    for name in names {
-        let help = text.lines().find_map(|line| line.strip_prefix(&format!("# HELP {name} "))).unwrap();
-        assert!(
-            help.ends_with('.') && !help.ends_with("..") && help.starts_with(char::is_uppercase),
-            "{name}: {help}"
-        );
-    }
-}
-
 /// A request that accepts OpenMetrics is answered in that format.
 #[tokio::test]
 async fn open_metrics_is_served_on_request() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
+    let served = ready(fresh()).await;
     let (head, body) =
         served.get("/metrics", "Accept: application/openmetrics-text;version=1.0.0,*/*\r\n").await;
     assert!(head.contains("content-type: application/openmetrics-text; version=1.0.0"), "{head}");
@@ -194,86 +191,75 @@ async fn open_metrics_is_served_on_request() {
 /// A failed readiness check gives the reason, and an unknown path is answered with a list of the paths.
 #[tokio::test]
 async fn health_names_reason_and_paths_are_listed() {
-    let served =
-        start(MetricsServer::new(fresh(), snapshot, || Err("the database is being opened".to_owned()))).await;
-    let (head, body) = served.get("/livez", "").await;
-    assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
-    let (head, body) = served.get("/readyz", "").await;
-    assert!(head.starts_with("HTTP/1.1 503 ") && body == "the database is being opened", "{head} {body}");
-    let (head, body) = served.get("/favicon.ico", "").await;
+    let opening = MetricsServer::new(fresh(), snapshot, || Err("the database is being opened".to_owned()));
+    let (ready, opening) = (ready(fresh()).await, start(opening).await);
+    for (served, path, status, expected) in [
+        (&opening, "/livez", 200, "ok"),
+        (&opening, "/readyz", 503, "the database is being opened"),
+        (&ready, "/readyz", 200, "ok"),
+    ] {
+        let (head, body) = served.get(path, "").await;
+        assert!(head.starts_with(&format!("HTTP/1.1 {status} ")) && body == expected, "{head} {body}");
+    }
+    let (head, body) = ready.get("/favicon.ico", "").await;
     assert!(head.starts_with("HTTP/1.1 404 "), "{head}");
     assert!(["/metrics", "/livez", "/readyz"].iter().all(|path| body.contains(path)), "{body}");
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let (head, body) = served.get("/readyz", "").await;
-    assert!(head.starts_with("HTTP/1.1 200 ") && body == "ok", "{head} {body}");
 }
 
-/// The server stops at once, whatever is connected.
+/// The server stops at once, whatever is connected; idle connections do not delay that at all.
 #[tokio::test]
 async fn server_stops_at_once_despite_connections() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let _silent = TcpStream::connect(served.address).await.unwrap();
-    let mut halting = TcpStream::connect(served.address).await.unwrap();
-    halting.write_all(b"GET /livez HTTP/1.1\r\nHost:").await.unwrap();
-    let mut idle = TcpStream::connect(served.address).await.unwrap();
-    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
-    let mut answer = [0; 15];
-    idle.read_exact(&mut answer).await.unwrap();
-    assert_eq!(&answer, b"HTTP/1.1 200 OK");
-    served.stop.cancel();
-    timeout(Duration::from_secs(2), served.task).await.expect("it still runs after two seconds").unwrap();
-    assert!(TcpStream::connect(served.address).await.is_err());
+    for (unfinished, limit) in [(false, Duration::from_millis(300)), (true, Duration::from_secs(2))] {
+        let served = ready(fresh()).await;
+        let _silent = if unfinished { Some(served.sends("").await) } else { None };
+        let _halting =
+            if unfinished { Some(served.sends("GET /livez HTTP/1.1\r\nHost:").await) } else { None };
+        let mut idle = served.sends("GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await;
+        let mut answer = [0; 15];
+        idle.read_exact(&mut answer).await.unwrap();
+        assert_eq!(&answer, b"HTTP/1.1 200 OK");
+        served.stop.cancel();
+        timeout(limit, served.task).await.expect("it waits for a connection").unwrap();
+        assert!(TcpStream::connect(served.address).await.is_err());
+    }
 }
 
 /// A probe is answered even if many connections send incomplete requests.
 #[tokio::test]
 async fn probe_is_answered_despite_connections() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
+    let served = ready(fresh()).await;
     let mut halting = Vec::new();
     for _ in 0..4 * MOST_CONNECTIONS {
-        let mut stream = TcpStream::connect(served.address).await.unwrap();
-        stream.write_all(b"GET /livez HTTP/1.1\r\nHost:").await.unwrap();
-        halting.push(stream);
+        halting.push(served.sends("GET /livez HTTP/1.1\r\nHost:").await);
     }
     let probe = timeout(HEADER_TIMEOUT / 2, served.get("/livez", "")).await;
     assert_eq!(probe.expect("it waits for requests that do not arrive").1, "ok");
-}
-
-/// Connections that are idle do not delay the stop of the server.
-#[tokio::test]
-async fn idle_connections_do_not_delay_the_stop() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let mut idle = TcpStream::connect(served.address).await.unwrap();
-    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
-    let mut answer = [0; 15];
-    idle.read_exact(&mut answer).await.unwrap();
-    served.stop.cancel();
-    timeout(Duration::from_millis(300), served.task).await.expect("it waits for an idle connection").unwrap();
 }
 
 /// A request that hangs inside its handler does not delay the stop of the server.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn hanging_answer_does_not_delay_the_stop() {
     let (entered, inside) = std::sync::mpsc::channel();
+    let (leave, left) = std::sync::mpsc::channel::<()>();
+    let left = std::sync::Mutex::new(left);
     let hang = move || {
         entered.send(()).unwrap();
-        std::thread::sleep(Duration::from_secs(4));
+        let _ = left.lock().unwrap().recv();
         Snapshot::default()
     };
     let served = start(MetricsServer::new(fresh(), hang, || Ok(()))).await;
-    let mut stream = TcpStream::connect(served.address).await.unwrap();
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    let _waits = served.sends("GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await;
     tokio::task::spawn_blocking(move || inside.recv().unwrap()).await.unwrap();
     served.stop.cancel();
     timeout(Duration::from_secs(2), served.task).await.expect("it waits for the answer").unwrap();
+    drop(leave);
 }
 
 /// A handler that panics ends its own connection; the server keeps running.
 #[tokio::test]
 async fn panic_ends_only_its_own_connection() {
     let served = start(MetricsServer::new(fresh(), || panic!("no snapshot"), || Ok(()))).await;
-    let mut stream = TcpStream::connect(served.address).await.unwrap();
-    stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await.unwrap();
+    let mut stream = served.sends("GET /metrics HTTP/1.1\r\nHost: farm\r\n\r\n").await;
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).await.unwrap();
     assert!(answer.is_empty());
@@ -283,9 +269,8 @@ async fn panic_ends_only_its_own_connection() {
 /// A connection whose request does not arrive in time is closed.
 #[tokio::test(start_paused = true)]
 async fn incomplete_request_times_out() {
-    let served = start(MetricsServer::new(fresh(), snapshot, || Ok(()))).await;
-    let mut stream = TcpStream::connect(served.address).await.unwrap();
-    stream.write_all(b"GET /livez HTTP/1.1\r\n").await.unwrap();
+    let served = ready(fresh()).await;
+    let mut stream = served.sends("GET /livez HTTP/1.1\r\n").await;
     let mut answer = Vec::new();
     timeout(2 * HEADER_TIMEOUT, stream.read_to_end(&mut answer)).await.expect("it is waited for").unwrap();
 }

@@ -188,24 +188,17 @@ mod tests {
 
     /// The items and, if the stream did not reach its end, the code.
     async fn read(outgoing: Outgoing<u32>) -> (Vec<u32>, Option<Code>) {
-        let mut items = Vec::new();
-        let mut outgoing = std::pin::pin!(outgoing);
-        while let Some(item) = outgoing.next().await {
-            match item {
-                Ok(item) => items.push(item),
-                Err(status) => return (items, Some(status.code())),
-            }
-        }
-        (items, None)
+        let all: Vec<_> = outgoing.collect().await;
+        let code = all.iter().find_map(|item| Some(item.as_ref().err()?.code()));
+        (all.into_iter().map_while(Result::ok).collect(), code)
     }
 
     /// The error comes after the items that were already in flight.
     #[tokio::test(start_paused = true)]
     async fn stalled_reader_gets_deadline_error() {
         let (outlet, outgoing, _shutdown) = stream();
-        for item in 0..2 {
-            outlet.send(item).await.unwrap();
-        }
+        outlet.send(0).await.unwrap();
+        outlet.send(1).await.unwrap();
         assert!(outlet.send(2).await.is_err(), "there is no reader");
         drop(outlet);
         assert_eq!(read(outgoing).await, (vec![0, 1], Some(Code::DeadlineExceeded)));

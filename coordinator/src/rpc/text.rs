@@ -37,10 +37,8 @@ mod tests {
     #[test]
     fn text_is_one_line_without_control_codes() {
         assert_eq!(one_line("no space left on /dev/sda (ä, µm)"), "no space left on /dev/sda (ä, µm)");
-        assert_eq!(
-            one_line("done\n2026 WORKER_FENCED\r\t\u{1b}[31mred\u{202e}\n"),
-            "done 2026 WORKER_FENCED   [31mred"
-        );
+        let harmful = "done\n2026 WORKER_FENCED\r\t\u{1b}[31mred\u{202e}\n";
+        assert_eq!(one_line(harmful), "done 2026 WORKER_FENCED   [31mred");
         let long = "ä".repeat(RequestLimits::TEXT_BYTES);
         assert_eq!(one_line(&long).len(), RequestLimits::TEXT_BYTES);
         assert_eq!(short_line(&long).len(), SHORT_BYTES);

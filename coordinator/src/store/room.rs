@@ -84,118 +84,103 @@ async fn number(pool: &SqlitePool, pragma: &'static str) -> Result<i64> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
     use std::time::Duration;
 
+    use tempfile::TempDir;
+
     use super::*;
-    use crate::store::tests::open;
+    use crate::store::tests::{empty, reopened, run};
 
     const MIB: u64 = 1 << 20;
 
     /// A table of `mib` MiB.
     async fn fill(store: &Store, mib: u32) {
-        sqlx::query("CREATE TABLE filler (bytes BLOB)").execute(&store.write).await.unwrap();
-        sqlx::query(
-            "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?) \
-             INSERT INTO filler SELECT randomblob(1048576) FROM n",
-        )
-        .bind(mib)
-        .execute(&store.write)
-        .await
-        .unwrap();
+        run(store, "CREATE TABLE filler (bytes BLOB)").await;
+        let rows = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?) \
+                    INSERT INTO filler SELECT zeroblob(1048576) FROM n";
+        sqlx::query(rows).bind(mib).execute(&store.write).await.unwrap();
     }
 
-    async fn clear(store: &Store) {
-        sqlx::query("DROP TABLE filler").execute(&store.write).await.unwrap();
+    /// A transaction that reads until it is rolled back.
+    async fn reader(store: &Store) -> sqlx::Transaction<'static, sqlx::Sqlite> {
+        let mut reader = store.read.begin().await.unwrap();
+        sqlx::query("SELECT count(*) FROM jobs").fetch_one(&mut *reader).await.unwrap();
+        reader
     }
 
-    fn size(dir: &Path, name: &str) -> u64 {
-        std::fs::metadata(dir.join(name)).map_or(0, |about| about.len())
+    fn size(dir: &TempDir, name: &str) -> u64 {
+        std::fs::metadata(dir.path().join(name)).map_or(0, |about| about.len())
     }
 
     /// The space of deleted rows is returned to the disk.
     #[tokio::test]
     async fn deleted_space_is_returned_to_the_disk() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path()).await;
+        let (dir, store) = empty().await;
         fill(&store, 20).await;
         store.give_back_room().await.unwrap();
-        assert!(size(dir.path(), "farm.db") > 20 * MIB);
-        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
-        clear(&store).await;
+        assert!(size(&dir, "farm.db") > 20 * MIB);
+        assert_eq!(size(&dir, "farm.db-wal"), 0);
+        run(&store, "DROP TABLE filler").await;
         store.give_back_room().await.unwrap();
-        assert!(size(dir.path(), "farm.db") < 5 * MIB, "{} bytes", size(dir.path(), "farm.db"));
-        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
+        assert!(size(&dir, "farm.db") < 5 * MIB, "{} bytes", size(&dir, "farm.db"));
+        assert_eq!(size(&dir, "farm.db-wal"), 0);
         assert!(store.faults().await.unwrap().is_empty());
     }
 
     /// A reader that does not end keeps the log, and is not waited for.
     #[tokio::test]
     async fn long_reader_does_not_delay() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path()).await;
-        let mut reader = store.read.begin().await.unwrap();
-        sqlx::query("SELECT count(*) FROM jobs").fetch_one(&mut *reader).await.unwrap();
+        let (dir, store) = empty().await;
+        let reader = reader(&store).await;
         fill(&store, 5).await;
         tokio::time::timeout(Duration::from_secs(5), store.give_back_room()).await.unwrap().unwrap();
-        assert!(size(dir.path(), "farm.db-wal") > 5 * MIB);
+        assert!(size(&dir, "farm.db-wal") > 5 * MIB);
         reader.rollback().await.unwrap();
         store.give_back_room().await.unwrap();
-        assert_eq!(size(dir.path(), "farm.db-wal"), 0);
+        assert_eq!(size(&dir, "farm.db-wal"), 0);
     }
 
     /// A long write-ahead log is truncated while work continues.
     #[tokio::test]
     async fn long_log_is_truncated_during_work() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path()).await;
-        let mut reader = store.read.begin().await.unwrap();
-        sqlx::query("SELECT count(*) FROM jobs").fetch_one(&mut *reader).await.unwrap();
+        let (dir, store) = empty().await;
+        let reader = reader(&store).await;
         fill(&store, 80).await;
-        assert!(size(dir.path(), "farm.db-wal") > 80 * MIB);
+        assert!(size(&dir, "farm.db-wal") > 80 * MIB);
         reader.rollback().await.unwrap();
-        for table in ["one", "two"] {
-            let create = sqlx::AssertSqlSafe(format!("CREATE TABLE {table} (a)"));
-            sqlx::query(create).execute(&store.write).await.unwrap();
-        }
-        assert!(size(dir.path(), "farm.db-wal") <= LOG_BYTES, "{} bytes", size(dir.path(), "farm.db-wal"));
+        run(&store, "CREATE TABLE one (a)").await;
+        run(&store, "CREATE TABLE two (a)").await;
+        assert!(size(&dir, "farm.db-wal") <= LOG_BYTES, "{} bytes", size(&dir, "farm.db-wal"));
     }
 
     /// A half-empty database of an earlier version is converted, so that it can shrink.
     #[tokio::test]
     async fn old_half_empty_file_is_converted() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path()).await;
+        let (dir, store) = empty().await;
         sqlx::raw_sql("PRAGMA auto_vacuum = 0; VACUUM").execute(&store.write).await.unwrap();
         assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), 0);
         fill(&store, 20).await;
-        clear(&store).await;
+        run(&store, "DROP TABLE filler").await;
         store.give_back_room().await.unwrap();
-        store.close().await;
-        drop(store);
-        assert!(size(dir.path(), "farm.db") > 20 * MIB);
-        let store = open(dir.path()).await;
+        assert!(size(&dir, "farm.db") > 20 * MIB);
+        let store = reopened(store, &dir).await;
         assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), INCREMENTAL);
         store.give_back_room().await.unwrap();
-        assert!(size(dir.path(), "farm.db") < 5 * MIB, "{} bytes", size(dir.path(), "farm.db"));
+        assert!(size(&dir, "farm.db") < 5 * MIB, "{} bytes", size(&dir, "farm.db"));
     }
 
     /// A stop of the coordinator does not wait until a slow disk has taken the whole backup.
     #[tokio::test]
     async fn closing_the_store_ends_a_backup() {
-        let dir = tempfile::tempdir().unwrap();
-        let store = open(dir.path()).await;
+        let (dir, store) = empty().await;
         fill(&store, 128).await;
         let copy = dir.path().join("copy.db");
-        let backup = {
-            let (store, copy) = (store.clone(), copy.clone());
-            tokio::spawn(async move { store.backup(&copy).await })
-        };
+        let (saved, to) = (store.clone(), copy.clone());
+        let backup = tokio::spawn(async move { saved.backup(&to).await });
+        let draft = |e: &std::fs::DirEntry| e.file_name().to_string_lossy().starts_with("copy.db.");
         let begun = || {
             let mut entries = std::fs::read_dir(dir.path()).unwrap().flatten();
-            entries.any(|e| {
-                e.file_name().to_string_lossy().starts_with("copy.db.") && e.metadata().unwrap().len() > MIB
-            })
+            entries.any(|e| draft(&e) && e.metadata().unwrap().len() > MIB)
         };
         while !begun() {
             assert!(!backup.is_finished(), "{:?}", backup.await);

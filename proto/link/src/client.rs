@@ -141,7 +141,7 @@ fn check_token(token: &str) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{TOKEN, ca, certificate, key, private_file};
+    use crate::testing::{TOKEN, ca, identity, key, private_file, refuses};
 
     fn content(more: &str) -> String {
         format!(
@@ -150,22 +150,21 @@ mod tests {
         )
     }
 
-    fn read(text: &str) -> Result<ClientAccess, String> {
-        let file = private_file(text);
-        ClientAccess::read(file.path()).map_err(|error| error.to_string())
+    fn read(text: &str) -> ClientAccess {
+        ClientAccess::read(private_file(text).path()).unwrap()
     }
 
     /// A whole file is read, and its secrets do not appear in debug output.
     #[test]
     fn secrets_of_a_file_are_not_shown() {
-        let identity = format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", certificate(), key());
-        let access = read(&content(&identity)).unwrap();
+        let access = read(&content(&identity()));
         assert_eq!((access.role(), access.server()), (Role::Worker, "https://farm.example.org:7700"));
         let shown = format!("{access:?} {:?}", access.bearer());
         assert!(!shown.contains(TOKEN) && !shown.contains("PRIVATE KEY"), "{shown}");
     }
 
-    /// Errors name the file, the line and the field, but contain no secret.
+    /// Errors name the file, the line and the field, but contain no secret. Tokens that are too short or do not fit into a
+    /// header are refused.
     #[test]
     fn errors_name_line_and_field_without_secrets() {
         let file = private_file(&content("colour = \"red\"\n"));
@@ -174,50 +173,40 @@ mod tests {
         let line = content("").lines().count() + 1;
         assert!(error.contains(&format!("line {line}: unknown field `colour`")), "{error}");
 
-        let cases = [
-            (content("").replace("token =", "tokn ="), "unknown field `tokn`"),
-            (content("").replace("token = ", "token : "), "line 3"),
-            (content("").replace("\"worker\"", "\"boss\""), "expected one of `worker`, `client`, `admin`"),
-            (content("").replace("https://farm", "farm"), "must begin with https:// or http://"),
-            (content("").replace("https:", "http:"), "must begin with https://"),
-            (content("").replace("BEGIN CERT", "BEGIN CART"), "ca_certificate must hold a certificate"),
-            (content(&format!("key = '''\n{}'''\n", key())), "certificate is missing"),
-            (content(&format!("certificate = '''\n{}'''\n", ca())), "key is missing"),
-            (content(&format!("certificate = '''\n{}'''\nkey = \"{TOKEN}\"\n", ca())), "key must hold"),
-            (
-                content(&format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", ca(), key())),
-                "cannot be used",
-            ),
-            (content("server_name = \"a b\"\n"), "server_name cannot be used"),
-        ];
-        for (text, expected) in cases {
-            let error = read(&text).unwrap_err();
-            assert!(error.contains(expected), "{expected:?} is not in {error:?}");
-            assert!(!error.contains(TOKEN), "{error}");
-        }
-    }
-
-    /// Tokens that are too short or do not fit into a header are refused.
-    #[test]
-    fn unusable_tokens_are_refused() {
-        for token in
-            ["short".to_owned(), format!("{TOKEN} {TOKEN}"), TOKEN.replace('0', "é"), "x".repeat(513)]
-        {
-            let error = read(&content("").replace(TOKEN, &token)).unwrap_err();
-            assert!(error.contains("token must be 32 to 512"), "{error}");
-            assert!(!error.contains(&token), "{error}");
+        let certificate = format!("certificate = '''\n{}'''\n", ca());
+        let changed = |from: &str, to: &str| content("").replace(from, to);
+        refuses(
+            ClientAccess::read,
+            [
+                (changed("token =", "tokn ="), "unknown field `tokn`"),
+                (changed("token = ", "token : "), "line 3"),
+                (changed("\"worker\"", "\"boss\""), "expected one of `worker`, `client`, `admin`"),
+                (changed("https://farm", "farm"), "must begin with https:// or http://"),
+                (changed("https:", "http:"), "must begin with https://"),
+                (changed("BEGIN CERT", "BEGIN CART"), "ca_certificate must hold a certificate"),
+                (content(&format!("key = '''\n{}'''\n", key())), "certificate is missing"),
+                (content(&certificate), "key is missing"),
+                (content(&format!("{certificate}key = \"{TOKEN}\"\n")), "key must hold"),
+                (content(&format!("{certificate}key = '''\n{}'''\n", key())), "cannot be used"),
+                (content("server_name = \"a b\"\n"), "server_name cannot be used"),
+            ],
+        );
+        let (two, accent, long) = (format!("{TOKEN} {TOKEN}"), TOKEN.replace('0', "é"), "x".repeat(513));
+        for token in ["short", &two, &accent, &long] {
+            let error =
+                ClientAccess::read(private_file(&changed(TOKEN, token)).path()).unwrap_err().to_string();
+            assert!(error.contains("token must be 32 to 512") && !error.contains(token), "{error}");
         }
     }
 
     #[test]
     fn another_url_must_be_encrypted_too() {
-        let access = read(&content("")).unwrap();
+        let access = read(&content(""));
         assert!(access.endpoint(Some("https://10.0.0.1:7700")).is_ok());
-        for url in
-            ["http://10.0.0.1:7700", "http://localhost:7700", "http://127.0.0.1:7700", "http://[::1]:7700"]
-        {
-            let error = access.endpoint(Some(url)).unwrap_err().to_string();
-            assert!(error.contains(url) && error.contains("not encrypted"), "{error}");
+        for host in ["10.0.0.1", "localhost", "127.0.0.1", "[::1]"] {
+            let url = format!("http://{host}:7700");
+            let error = access.endpoint(Some(&url)).unwrap_err().to_string();
+            assert!(error.contains(&url) && error.contains("not encrypted"), "{error}");
         }
     }
 }

@@ -131,7 +131,7 @@ fn read_fields(path: &Path) -> Result<(CoordinatorFields, Tokens), AccessError> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{TOKEN, ca, certificate, key, private_file};
+    use crate::testing::{TOKEN, ca, certificate, identity, private_file, refuses};
     use crate::{Role, token_hash};
 
     fn entry(role: &str, name: &str, token: &str) -> String {
@@ -139,97 +139,92 @@ mod tests {
     }
 
     fn content(more: &str) -> String {
-        format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n{more}", certificate(), key())
-    }
-
-    fn read(text: &str) -> Result<CoordinatorAccess, String> {
-        let file = private_file(text);
-        CoordinatorAccess::read(file.path()).map_err(|error| error.to_string())
+        identity() + more
     }
 
     fn other(n: u8) -> String {
         format!("{n:032}")
     }
 
-    /// Other tokens have no role or name, nor does a token's hash.
+    /// Other tokens have no role or name, nor does a token's hash. With a client CA in the file, TLS is mutual.
     #[test]
     fn token_has_role_and_name() {
         let entries =
             [entry("worker", "a", &other(1)), entry("client", "b", TOKEN), entry("admin", "c", &other(2))];
-        let access = read(&content(&entries.concat())).unwrap();
-        let tokens = access.tokens();
-        assert_eq!(tokens.role_of(&other(1)), Some((Role::Worker, "a")));
-        assert_eq!(tokens.role_of(TOKEN), Some((Role::Client, "b")));
-        assert_eq!(tokens.role_of(&other(2)), Some((Role::Admin, "c")));
-        assert_eq!(tokens.role_of(&other(3)), None);
-        assert_eq!(tokens.role_of(""), None);
-        assert_eq!(tokens.role_of(&TOKEN[1..]), None);
-        assert_eq!(tokens.role_of(token_hash(TOKEN).to_hex().as_str()), None, "a hash gives no access");
+        let entries = entries.concat();
+        let access = CoordinatorAccess::read(private_file(&content(&entries)).path()).unwrap();
+        let hash = token_hash(TOKEN).to_hex();
+        for (token, expected) in [
+            (other(1).as_str(), Some((Role::Worker, "a"))),
+            (TOKEN, Some((Role::Client, "b"))),
+            (&other(2), Some((Role::Admin, "c"))),
+            (&other(3), None),
+            ("", None),
+            (&TOKEN[1..], None),
+            (&hash, None),
+        ] {
+            assert_eq!(access.tokens().role_of(token), expected, "{token}");
+        }
         assert!(!format!("{access:?}").contains("PRIVATE KEY"));
+        let mutual = content(&format!("client_ca = '''\n{}'''\n{entries}", ca()));
+        assert!(CoordinatorAccess::read(private_file(&mutual).path()).unwrap().is_mutual());
         assert!(!access.is_mutual());
     }
 
     #[test]
     fn errors_name_the_field_and_no_secret() {
         let good = entry("worker", "a", TOKEN);
-        let cases = [
-            (content(""), "token must have 1 to 1000 entries, not 0"),
-            (content(&good.replace("\"a\"", "\"a b\"")), "token[0].name = \"a b\" must be 1 to 64"),
-            (content(&good.replace("\"a\"", "\"\"")), "token[0].name"),
-            (content(&format!("{good}{good}")), "token[1].blake3 stands twice"),
-            (content(&good).replace(token_hash(TOKEN).to_hex().as_str(), TOKEN), "token[0].blake3 must be"),
-            (content(&good).replace("blake3", "token"), "unknown field `token`"),
-            (content(&good).replace("\"worker\"", "\"boss\""), "expected one of `worker`, `client`, `admin`"),
-            (content(&good).replace("BEGIN CERT", "BEGIN CART"), "certificate must hold a certificate"),
-            (content(&good).replace("BEGIN PRIVATE", "BEGIN PUBLIC"), "key must hold"),
-            (content(&format!("client_ca = \"none\"\n{good}")), "client_ca must hold a certificate"),
-            (content(&good).replace(certificate(), ca()), "certificate, key and client_ca cannot be used"),
-        ];
-        for (text, expected) in cases {
-            let error = read(&text).unwrap_err();
-            assert!(error.contains(expected), "{expected:?} is not in {error:?}");
-            assert!(!error.contains(TOKEN), "{error}");
-        }
+        refuses(
+            CoordinatorAccess::read,
+            [
+                (content(""), "token must have 1 to 1000 entries, not 0"),
+                (content(&good.replace("\"a\"", "\"a b\"")), "token[0].name = \"a b\" must be 1 to 64"),
+                (content(&good.replace("\"a\"", "\"\"")), "token[0].name"),
+                (content(&format!("{good}{good}")), "token[1].blake3 stands twice"),
+                (
+                    content(&good).replace(token_hash(TOKEN).to_hex().as_str(), TOKEN),
+                    "token[0].blake3 must be",
+                ),
+                (content(&good).replace("blake3", "token"), "unknown field `token`"),
+                (
+                    content(&good).replace("\"worker\"", "\"boss\""),
+                    "expected one of `worker`, `client`, `admin`",
+                ),
+                (content(&good).replace("BEGIN CERT", "BEGIN CART"), "certificate must hold a certificate"),
+                (content(&good).replace("BEGIN PRIVATE", "BEGIN PUBLIC"), "key must hold"),
+                (content(&format!("client_ca = \"none\"\n{good}")), "client_ca must hold a certificate"),
+                (
+                    content(&good).replace(certificate(), ca()),
+                    "certificate, key and client_ca cannot be used",
+                ),
+            ],
+        );
     }
 
-    /// Tokens are read again when the file has changed.
+    /// Tokens are read again when the file has changed, even if its size and times are the same.
     #[test]
     fn tokens_are_reloaded_when_the_file_changes() {
-        let first = entry("worker", "a", TOKEN);
+        let (first, second) = (entry("worker", "a", TOKEN), entry("client", "b", &other(1)));
         let file = private_file(&content(&first));
         let access = CoordinatorAccess::read(file.path()).unwrap();
         assert!(!access.refresh().unwrap());
-        let name = |token: &str| access.tokens().role_of(token).map(|(_, name)| name.to_owned());
-
-        std::fs::write(file.path(), content(&format!("{first}{}", entry("client", "b", &other(1))))).unwrap();
+        let names =
+            || [TOKEN, &other(1)].map(|t| access.tokens().role_of(t).map_or("", |(_, name)| name).to_owned());
+        std::fs::write(file.path(), content(&format!("{first}{second}"))).unwrap();
         assert!(access.refresh().unwrap());
-        assert_eq!(name(&other(1)).as_deref(), Some("b"));
+        assert_eq!(names(), ["a", "b"]);
         // A file that is no access file changes nothing, and is reported once.
         std::fs::write(file.path(), "half a fi").unwrap();
         assert!(access.refresh().is_err() && !access.refresh().unwrap());
-        assert_eq!(name(&other(1)).as_deref(), Some("b"));
-        std::fs::write(file.path(), content(&entry("client", "b", &other(1)))).unwrap();
+        assert_eq!(names(), ["a", "b"]);
+        std::fs::write(file.path(), content(&second)).unwrap();
         assert!(access.refresh().unwrap());
-        assert_eq!((name(TOKEN), name(&other(1)).as_deref()), (None, Some("b")));
-    }
-
-    /// A change of the file is noticed even if its size and times are the same.
-    #[test]
-    fn change_is_seen_despite_equal_metadata() {
-        let file = private_file(&content(&entry("worker", "a", TOKEN)));
-        let access = CoordinatorAccess::read(file.path()).unwrap();
+        assert_eq!(names(), ["", "b"]);
         let before = std::fs::metadata(file.path()).unwrap().modified().unwrap();
-        std::fs::write(file.path(), content(&entry("worker", "a", &other(1)))).unwrap();
+        std::fs::write(file.path(), content(&entry("client", "c", &other(1)))).unwrap();
         file.as_file().set_modified(before).unwrap();
         assert!(access.refresh().unwrap());
-        assert_eq!(access.tokens().role_of(TOKEN), None);
-    }
-
-    /// With a client CA in the access file, TLS is mutual.
-    #[test]
-    fn client_ca_makes_tls_mutual() {
-        let more = format!("client_ca = '''\n{}'''\n{}", ca(), entry("worker", "a", TOKEN));
-        assert!(read(&content(&more)).unwrap().is_mutual());
+        assert_eq!(names(), ["", "c"]);
     }
 
     /// Files that other users can open are refused, with the remedy.
@@ -240,20 +235,15 @@ mod tests {
         for (mode, refused) in [(0o600, false), (0o440, false), (0o640, false), (0o644, true), (0o602, true)]
         {
             std::fs::set_permissions(file.path(), std::fs::Permissions::from_mode(mode)).unwrap();
-            match CoordinatorAccess::read(file.path()) {
-                Ok(_) => assert!(!refused, "{mode:o}"),
-                Err(error) => {
-                    assert!(refused, "{error}");
-                    let error = error.to_string();
-                    assert!(error.contains(&format!("mode {mode:04o}")), "{error}");
-                    assert!(error.contains(&format!("`chmod 600 {}`", file.path().display())), "{error}");
-                }
-            }
+            let error = CoordinatorAccess::read(file.path()).err().map(|error| error.to_string());
+            let remedy = format!("`chmod 600 {}`", file.path().display());
+            let named =
+                |error: &String| error.contains(&format!("mode {mode:04o}")) && error.contains(&remedy);
+            assert_eq!(error.as_ref().map(named), refused.then_some(true), "{mode:o}: {error:?}");
         }
-        let missing = CoordinatorAccess::read(Path::new("/nowhere/access.toml")).unwrap_err().to_string();
-        assert!(missing.contains("/nowhere/access.toml"), "{missing}");
-        assert!(
-            CoordinatorAccess::read(&std::env::temp_dir()).unwrap_err().to_string().contains("regular file")
-        );
+        for (path, reason) in [("/nowhere/access.toml", "/nowhere/access.toml"), ("/tmp", "regular file")] {
+            let error = CoordinatorAccess::read(Path::new(path)).unwrap_err().to_string();
+            assert!(error.contains(reason), "{error}");
+        }
     }
 }

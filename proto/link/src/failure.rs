@@ -168,12 +168,7 @@ mod tests {
         })
     }
 
-    fn of_certificate(error: CertificateError) -> String {
-        let error = io::Error::new(io::ErrorKind::InvalidData, TlsError::InvalidCertificate(error));
-        failure(&error, "https://farm:7700").unwrap()
-    }
-
-    /// Every cause of a failed connection is explained, with the remedy.
+    /// Every cause of a failed connection is explained, with the remedy; answers of web servers and silence as such.
     #[test]
     fn every_cause_names_a_remedy() {
         for (kind, expected) in [
@@ -192,31 +187,26 @@ mod tests {
             (CertificateError::NotValidForName, "for another host"),
             (CertificateError::Revoked, "not accepted"),
         ] {
-            let text = of_certificate(error);
+            let error = io::Error::new(io::ErrorKind::InvalidData, TlsError::InvalidCertificate(error));
+            let text = failure(&error, "https://farm:7700").unwrap();
             assert!(text.contains(expected), "{text}");
         }
         let text = message(io::Error::other("connection error detected: frame with invalid size")).unwrap();
         assert!(text.contains("--access FILE"), "{text}");
         let lookup = io::Error::other("failed to lookup address information: Name or service not known");
         assert!(message(lookup).unwrap().contains("by the name farm:"));
-    }
-
-    /// Answers of web servers and silence are explained as such.
-    #[test]
-    fn web_pages_are_not_taken_for_coordinators() {
-        let message = |status: &tonic::Status| failure(status, "http://farm:7780").unwrap();
         let page =
             "protocol error: received message with invalid compression flag: 60 (valid flags are 0 and 1)";
-        assert!(message(&tonic::Status::internal(page)).contains("the port of `farmctl web`"));
         let missing = "grpc-status header missing, mapped from HTTP status code 404";
-        assert!(message(&tonic::Status::unknown(missing)).contains("--metrics"));
         let silent = "http2 error: keep-alive timed out: operation timed out";
-        assert!(message(&tonic::Status::unavailable(silent)).contains("SIGSTOP"));
-    }
-
-    /// Failures with another reason are not explained here.
-    #[test]
-    fn other_failures_are_not_explained() {
+        for (status, expected) in [
+            (tonic::Status::internal(page), "the port of `farmctl web`"),
+            (tonic::Status::unknown(missing), "--metrics"),
+            (tonic::Status::unavailable(silent), "SIGSTOP"),
+        ] {
+            assert!(failure(&status, "http://farm:7780").unwrap().contains(expected), "{status}");
+        }
+        // Failures with another reason are not explained here.
         assert_eq!(failure(&tonic::Status::not_found("dictionary x"), "http://farm:7700"), None);
         assert_eq!(message(io::Error::other("received fatal alert: CertificateRequired")), None);
     }

@@ -160,39 +160,36 @@ mod tests {
         }
     }
 
-    /// A call that hangs because the handshake was refused ends with the refusal.
+    /// A call that hangs because the handshake was refused ends with the refusal; one that takes long and is not refused
+    /// gets its answer.
     #[tokio::test(start_paused = true)]
-    async fn refused_call_ends_as_refused() {
-        let refusal = async { Some(Status::unauthenticated("not your certificate")) };
-        let answer = unless_refused(std::future::pending(), refusal).await.unwrap();
-        let status = Status::from_header_map(answer.headers()).unwrap();
-        assert_eq!((status.code(), status.message()), (tonic::Code::Unauthenticated, "not your certificate"));
-    }
-
-    /// A call that takes long and is not refused gets its answer.
-    #[tokio::test(start_paused = true)]
-    async fn long_call_without_refusal_gets_its_answer() {
-        for refusal in [None, Some(Status::unauthenticated("came too late"))] {
-            let late = refusal.is_some();
+    async fn only_refused_calls_end_as_refused() {
+        let refusal = |text: &str| Some(Status::unauthenticated(text));
+        for (answers, refused_after, refusal, expected) in [
+            (u32::MAX, 0, refusal("not your certificate"), tonic::Code::Unauthenticated),
+            (2, 0, None, tonic::Code::NotFound),
+            (2, 2, refusal("came too late"), tonic::Code::NotFound),
+        ] {
             let answer = async {
-                tokio::time::sleep(SILENCE * 2).await;
+                tokio::time::sleep(SILENCE * answers).await;
                 Ok(Status::not_found("no such dictionary").into_http())
             };
-            let refusal = async {
-                tokio::time::sleep(SILENCE * if late { 2 } else { 0 }).await;
-                refusal
+            let refusing = async {
+                tokio::time::sleep(SILENCE * refused_after).await;
+                refusal.clone()
             };
-            let answer = unless_refused(answer, refusal).await.unwrap();
-            assert_eq!(Status::from_header_map(answer.headers()).unwrap().code(), tonic::Code::NotFound);
+            let answer = unless_refused(answer, refusing).await.unwrap();
+            let status = Status::from_header_map(answer.headers()).unwrap();
+            assert_eq!(status.code(), expected, "{refusal:?}");
         }
     }
 
     /// A call without an answer ends with a status after its time limit.
     #[tokio::test(start_paused = true)]
     async fn unanswered_call_ends_with_a_status() {
-        let start = tokio::time::Instant::now();
-        let answer = in_time(Duration::from_secs(7), std::future::pending()).await.unwrap();
-        assert_eq!(start.elapsed(), Duration::from_secs(7));
+        let (start, limit) = (tokio::time::Instant::now(), Duration::from_secs(7));
+        let answer = in_time(limit, std::future::pending()).await.unwrap();
+        assert_eq!(start.elapsed(), limit);
         let status = Status::from_header_map(answer.headers()).unwrap();
         assert_eq!(
             (status.code(), status.message()),

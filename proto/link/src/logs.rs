@@ -169,12 +169,8 @@ mod tests {
     }
 
     fn talk() {
-        let span = tracing::info_span!(
-            "rpc",
-            request_id = "r-1",
-            method = "/farm.v1.Leases/Take",
-            caller = tracing::field::Empty
-        );
+        let method = "/farm.v1.Leases/Take";
+        let span = tracing::info_span!("rpc", request_id = "r-1", method, caller = tracing::field::Empty);
         let _entered = span.enter();
         span.record("caller", "worker");
         tracing::info!(jobs = 3, "granted\n\u{1b}[31m");
@@ -203,11 +199,12 @@ mod tests {
         let line: serde_json::Value = serde_json::from_str(&lines).unwrap();
         assert_eq!(line["level"], "INFO");
         assert_eq!(line["fields"]["jobs"], 3);
-        let span = &line["spans"][0];
-        assert_eq!(span["name"], "rpc");
-        assert_eq!(span["request_id"], "r-1");
-        assert_eq!(span["method"], "/farm.v1.Leases/Take");
-        assert_eq!(span["caller"], "worker");
+        let method = "/farm.v1.Leases/Take";
+        for (field, value) in
+            [("name", "rpc"), ("request_id", "r-1"), ("method", method), ("caller", "worker")]
+        {
+            assert_eq!(line["spans"][0][field], value);
+        }
     }
 
     /// Text has the same fields, without colours or control characters.
@@ -220,24 +217,19 @@ mod tests {
         assert!(!lines.contains('\u{1b}') && !lines.contains("not asked for"), "{lines}");
     }
 
-    /// The variable overrides the default, unless it is empty.
-    #[test]
-    fn log_variable_overrides_the_default() {
-        assert_eq!(parse_filter(Some("farm=debug"), "info").unwrap().to_string(), "farm=debug");
-        assert_eq!(parse_filter(Some(" "), "info").unwrap().to_string(), "info");
-    }
-
-    /// A wrong filter or format is refused with the allowed values.
+    /// The variable overrides the default, unless it is empty. A wrong filter or format is refused with the allowed values.
     #[test]
     fn wrong_filter_or_format_is_refused() {
-        let error = parse_filter(Some("farm=loud"), "info").unwrap_err().to_string();
-        assert!(error.starts_with("FARM_LOG=`farm=loud`: ") && error.contains("off"), "{error}");
-        let error = parse_filter(Some("info, verbose"), "info").unwrap_err().to_string();
-        assert!(
-            error.starts_with("FARM_LOG=`info, verbose`: `verbose` is no level; allowed are error"),
-            "{error}"
-        );
+        assert_eq!(parse_filter(Some("farm=debug"), "info").unwrap().to_string(), "farm=debug");
+        assert_eq!(parse_filter(Some(" "), "info").unwrap().to_string(), "info");
         assert!(parse_filter(Some("WARN,farm_proto=trace,[call]=debug,off"), "info").is_ok());
+        for (given, begin) in [
+            ("farm=loud", "FARM_LOG=`farm=loud`: "),
+            ("info, verbose", "FARM_LOG=`info, verbose`: `verbose` is no level; allowed are error"),
+        ] {
+            let error = parse_filter(Some(given), "info").unwrap_err().to_string();
+            assert!(error.starts_with(begin) && error.contains("off"), "{error}");
+        }
         let error = "xml".parse::<LogFormat>().unwrap_err().to_string();
         assert_eq!(error, "log format `xml`: `text` or `json` is allowed");
         for format in [LogFormat::Text, LogFormat::Json] {

@@ -86,6 +86,12 @@ mod tests {
         })
     }
 
+    /// The usable memory with the groups and mounts of this process, and these further files.
+    fn with_groups(group: &str, mounts: &str, limits: &[(&str, &str)]) -> Option<u64> {
+        let files = [MACHINE, ("/proc/self/cgroup", group), ("/proc/self/mountinfo", mounts)];
+        usable_of(&[&files[..], limits].concat())
+    }
+
     /// Without control groups, the usable memory is that of the machine.
     #[test]
     fn without_cgroups_machine_memory_counts() {
@@ -94,63 +100,44 @@ mod tests {
         assert_eq!(usable_of(&[("/proc/meminfo", "nothing")]), None);
     }
 
-    /// The limit of a control group of version 1 holds.
+    /// The limit of a control group of version 1 holds. In a container, its path on the host does not exist.
     #[test]
     fn cgroup_v1_limit_holds() {
-        let files = |limit| {
-            [
-                MACHINE,
-                ("/proc/self/cgroup", "9:name=systemd:/\n4:cpu,memory:/slurm/job_7\n0::/\n"),
-                (
-                    "/proc/self/mountinfo",
-                    "32 31 0:29 / /sys/fs/cgroup/cpu rw,relatime - cgroup cgroup rw,cpu\n\
-                     35 31 0:32 / /sys/fs/cgroup/memory rw,relatime - cgroup cgroup rw,cpu,memory\n\
-                     41 31 0:38 / /sys/fs/cgroup/unified rw,relatime - cgroup2 cgroup2 rw\n",
-                ),
+        const UNLIMITED: &str = "9223372036854771712\n";
+        let group = "9:name=systemd:/\n4:cpu,memory:/slurm/job_7\n0::/\n";
+        let mounts = "32 31 0:29 / /sys/fs/cgroup/cpu rw,relatime - cgroup cgroup rw,cpu\n\
+                      35 31 0:32 / /sys/fs/cgroup/memory rw,relatime - cgroup cgroup rw,cpu,memory\n\
+                      41 31 0:38 / /sys/fs/cgroup/unified rw,relatime - cgroup2 cgroup2 rw\n";
+        for (limit, expected) in [("2147483648\n", 2 * GIB), (UNLIMITED, 24 * GIB)] {
+            let limits = [
                 ("/sys/fs/cgroup/memory/slurm/job_7/memory.limit_in_bytes", limit),
-                ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "9223372036854771712\n"),
-            ]
-        };
-        assert_eq!(usable_of(&files("2147483648\n")), Some(2 * GIB));
-        assert_eq!(usable_of(&files("9223372036854771712\n")), Some(24 * GIB));
+                ("/sys/fs/cgroup/memory/memory.limit_in_bytes", UNLIMITED),
+            ];
+            assert_eq!(with_groups(group, mounts, &limits), Some(expected));
+        }
+        let mounts = "35 31 0:32 /docker/0123abcd /sys/fs/cgroup/memory ro - cgroup cgroup rw,memory\n";
+        let limits = [("/sys/fs/cgroup/memory/memory.limit_in_bytes", "536870912\n")];
+        for group in ["4:memory:/docker/0123abcd\n", "4:memory:/kubepods/pod1\n"] {
+            assert_eq!(with_groups(group, mounts, &limits), Some(GIB / 2), "{group}");
+        }
     }
 
     /// The smallest limit of nested control groups of version 2 holds.
     #[test]
     fn smallest_cgroup_v2_limit_holds() {
-        let files = |inner, outer| {
-            [
-                MACHINE,
-                ("/proc/self/cgroup", "0::/user.slice/user-7.slice/run.scope\n"),
-                (
-                    "/proc/self/mountinfo",
-                    "26 23 0:23 / /sys/fs/cgroup rw shared:4 - cgroup2 cgroup2 rw,nsdelegate\n",
-                ),
+        let group = "0::/user.slice/user-7.slice/run.scope\n";
+        let mounts = "26 23 0:23 / /sys/fs/cgroup rw shared:4 - cgroup2 cgroup2 rw,nsdelegate\n";
+        for (inner, outer, expected) in [
+            ("max\n", "3221225472\n", 3 * GIB),
+            ("1073741824\n", "3221225472\n", GIB),
+            ("max\n", "max\n", 24 * GIB),
+        ] {
+            let limits = [
                 ("/sys/fs/cgroup/user.slice/user-7.slice/run.scope/memory.max", inner),
                 ("/sys/fs/cgroup/user.slice/user-7.slice/memory.max", outer),
                 ("/sys/fs/cgroup/user.slice/memory.max", "max\n"),
-            ]
-        };
-        assert_eq!(usable_of(&files("max\n", "3221225472\n")), Some(3 * GIB));
-        assert_eq!(usable_of(&files("1073741824\n", "3221225472\n")), Some(GIB));
-        assert_eq!(usable_of(&files("max\n", "max\n")), Some(24 * GIB));
-    }
-
-    /// The path of the group on the host does not exist in the container.
-    #[test]
-    fn container_limit_is_read_from_its_mount() {
-        let files = [
-            MACHINE,
-            ("/proc/self/cgroup", "4:memory:/docker/0123abcd\n"),
-            (
-                "/proc/self/mountinfo",
-                "35 31 0:32 /docker/0123abcd /sys/fs/cgroup/memory ro - cgroup cgroup rw,memory\n",
-            ),
-            ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "536870912\n"),
-        ];
-        assert_eq!(usable_of(&files), Some(GIB / 2));
-        let mut elsewhere = files;
-        elsewhere[1].1 = "4:memory:/kubepods/pod1\n";
-        assert_eq!(usable_of(&elsewhere), Some(GIB / 2));
+            ];
+            assert_eq!(with_groups(group, mounts, &limits), Some(expected), "{inner} {outer}");
+        }
     }
 }

@@ -1,9 +1,12 @@
 //! Certificates and files for tests.
 
 use std::io::Write as _;
+use std::path::Path;
 use std::sync::LazyLock;
 
 use rcgen::{CertificateParams, KeyPair};
+
+use crate::error::AccessError;
 
 pub(crate) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 
@@ -40,4 +43,21 @@ pub(crate) fn private_file(text: &str) -> tempfile::NamedTempFile {
     let mut file = tempfile::NamedTempFile::new().unwrap();
     file.write_all(text.as_bytes()).unwrap();
     file
+}
+
+/// The certificate and key of a file, as its lines.
+pub(crate) fn identity() -> String {
+    format!("certificate = '''\n{}'''\nkey = '''\n{}'''\n", certificate(), key())
+}
+
+/// Each text is refused with an error that contains the expected part and no token.
+pub(crate) fn refuses<T>(
+    read: impl Fn(&Path) -> Result<T, AccessError>,
+    cases: impl IntoIterator<Item = (String, impl AsRef<str>)>,
+) {
+    for (text, expected) in cases {
+        let Err(error) = read(private_file(&text).path()) else { panic!("{text} is read") };
+        let (error, expected) = (error.to_string(), expected.as_ref());
+        assert!(error.contains(expected) && !error.contains(TOKEN), "{expected:?} is not in {error:?}");
+    }
 }

@@ -184,43 +184,16 @@ mod tests {
         text.parse::<Walltime>().map(|w| w.duration().as_secs())
     }
 
+    /// Every form of Slurm is read. Times that Slurm would refuse or read differently are refused.
     #[test]
-    fn every_form_of_slurm_is_read() {
-        let cases = [
-            ("90", 5400),
-            ("90:30", 5430),
-            ("0:01:00", 60),
-            ("30:00:00", 108_000),
-            ("1-2", 93_600),
-            ("1-02:03", 93_780),
-            ("2-23:59:59", 259_199),
-            ("0-00:02:00", 120),
-        ];
-        for (text, seconds) in cases {
-            assert_eq!(slurm_seconds(text), Ok(seconds), "{text}");
+    fn times_are_read_as_slurm_does() {
+        let cases = "90 5400, 90:30 5430, 0:01:00 60, 30:00:00 108000, 1-2 93600, 1-02:03 93780, 2-23:59:59 259199, \
+                     0-00:02:00 120";
+        for case in cases.split(", ") {
+            let (text, seconds) = case.split_once(' ').unwrap();
+            assert_eq!(slurm_seconds(text), Ok(seconds.parse().unwrap()), "{text}");
         }
-    }
-
-    /// Times that Slurm would refuse or read differently are refused.
-    #[test]
-    fn invalid_slurm_times_are_refused() {
-        for text in [
-            "",
-            "-",
-            "1-",
-            "-5",
-            "1:2:3:4",
-            "1-2:3:4:5",
-            "a",
-            "1:b",
-            " 5",
-            "5 ",
-            "+5",
-            "1.5",
-            "１",
-            "2h",
-            "1-1-1",
-        ] {
+        for text in ",-,1-,-5,1:2:3:4,1-2:3:4:5,a,1:b, 5,5 ,+5,1.5,１,2h,1-1-1".split(',') {
             assert!(matches!(slurm_seconds(text), Err(TimeError::NotAWalltime(_))), "{text}");
         }
         for text in ["1:60", "0:60:00", "1-24", "1-0:60", "1-0:0:60"] {
@@ -234,64 +207,45 @@ mod tests {
         }
     }
 
-    /// A walltime is written as it is read.
-    #[test]
-    fn walltime_round_trips() -> Result<(), TimeError> {
-        for seconds in (1..200_000).step_by(37).chain([LONGEST_S]) {
-            let walltime = Walltime { seconds };
-            assert_eq!(walltime.to_string().parse::<Walltime>()?, walltime);
-        }
-        assert_eq!("1500".parse::<Walltime>()?.to_string(), "1-01:00:00");
-        assert_eq!("0:01:01".parse::<Walltime>()?.rounded_to_minutes().as_secs(), 120);
-        assert_eq!("0:02:00".parse::<Walltime>()?.rounded_to_minutes().as_secs(), 120);
-        Ok(())
-    }
-
-    /// Spans of time are read with units and in fields.
+    /// Spans of time are read with units and in fields; other forms are refused.
     #[test]
     fn spans_accept_units_and_fields() {
-        let cases = [
-            ("90s", 90),
-            ("15m", 900),
-            ("2h", 7200),
-            ("1h30m", 5400),
-            ("1d", DAY_S),
-            ("0s", 0),
-            ("90m5s", 5405),
-        ];
-        for (text, seconds) in
-            cases.into_iter().chain([("1:00", 60), ("1-00:00:01", DAY_S + 1), ("1-12", 129_600)])
-        {
-            assert_eq!(parse_span(text), Ok(Duration::from_secs(seconds)), "{text}");
+        let cases =
+            "90s 90,15m 900,2h 7200,1h30m 5400,1d 86400,0s 0,90m5s 5405,1:00 60,1-00:00:01 86401,1-12 129600";
+        for case in cases.split(',') {
+            let (text, seconds) = case.split_once(' ').unwrap();
+            assert_eq!(parse_span(text), Ok(Duration::from_secs(seconds.parse().unwrap())), "{text}");
         }
-    }
-
-    #[test]
-    fn bare_number_is_no_span() {
-        let message = parse_span("90").map_err(|e| e.to_string());
-        assert_eq!(message, Err(r#""90" is ambiguous: write 90s or 90m"#.to_owned()));
-    }
-
-    #[test]
-    fn spans_of_other_forms_are_refused() {
-        for text in ["", "s", "h1", "1h2h", "30m1h", "1.5h", "1 h", "-5s", "5ms", "5é", "5s5", "1:00s", "99é"]
-        {
+        let ambiguous = parse_span("90").unwrap_err().to_string();
+        assert_eq!(ambiguous, r#""90" is ambiguous: write 90s or 90m"#);
+        for text in ",s,h1,1h2h,30m1h,1.5h,1 h,-5s,5ms,5é,5s5,1:00s,99é".split(',') {
             assert_eq!(parse_span(text), Err(TimeError::NotASpan(text.to_owned())), "{text}");
         }
         for text in ["99999999999999999999s", "9999999999999999999d", "87601h"] {
             assert_eq!(parse_span(text), Err(TimeError::TooLong(text.to_owned())), "{text}");
         }
-        assert_eq!(parse_time_limit("0s"), Err(TimeError::Zero("0s".to_owned())));
-        assert_eq!(parse_time_limit("0:00"), Err(TimeError::Zero("0:00".to_owned())));
+        for text in ["0s", "0:00"] {
+            assert_eq!(parse_time_limit(text), Err(TimeError::Zero(text.to_owned())));
+        }
     }
 
-    /// A span of time is written as it is read.
+    /// Walltimes and spans of time are written as they are read.
     #[test]
-    fn span_round_trips() {
+    fn times_round_trip() {
+        for seconds in (1..200_000).step_by(37).chain([LONGEST_S]) {
+            let walltime = Walltime { seconds };
+            assert_eq!(walltime.to_string().parse(), Ok(walltime));
+        }
         for seconds in (0..400_000).step_by(41) {
             let span = Duration::from_secs(seconds);
             assert_eq!(parse_span(&span_text(span)), Ok(span));
         }
         assert_eq!(span_text(Duration::from_mins(90)), "1h30m");
+        let walltime = |text: &str| text.parse::<Walltime>().unwrap();
+        assert_eq!(walltime("1500").to_string(), "1-01:00:00");
+        assert_eq!(
+            ["0:01:01", "0:02:00"].map(|text| walltime(text).rounded_to_minutes().as_secs()),
+            [120; 2]
+        );
     }
 }

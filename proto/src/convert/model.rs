@@ -328,6 +328,18 @@ mod tests {
 
     use super::*;
 
+    /// The paper's grid with another phase function and g.
+    fn with_phase(phase: PhaseShape, g: f64) -> Grid {
+        let axes = Axes { g: vec![g], ..Grid::paper().axes().clone() };
+        Grid::new(Scene::paper().with_phase(phase), axes, NoiseLevel::Draft, 1, false).unwrap()
+    }
+
+    fn tabulated() -> Grid {
+        let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
+        let g = table.mean_cosine();
+        with_phase(PhaseShape::Table(Arc::new(table)), g)
+    }
+
     /// Grids are the same on the other side, those with responses of an earlier version among them, which have other steps.
     #[test]
     fn grid_survives_the_wire() {
@@ -340,13 +352,9 @@ mod tests {
         earlier.retain(|v| v.prior != slip || v.step > 0.0);
         earlier.iter_mut().filter(|v| v.prior == slip).for_each(|v| v.step = 0.04);
         let earlier = Responses::new(lab.scene(), lab.axes(), earlier, 3).unwrap();
-        let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
-        let tabulated = Axes { g: vec![table.mean_cosine()], ..paper.axes().clone() };
-        let scene = Scene::paper().with_phase(PhaseShape::Table(Arc::new(table)));
-        let tabulated = Grid::new(scene, tabulated, NoiseLevel::Draft, 1, false).unwrap();
         let [lab, earlier] = [responses, earlier].map(|with| lab.clone().with_responses(with).unwrap());
         assert_eq!(earlier.responses().unwrap().steps_of(slip), [0.04]);
-        for grid in [paper, tabulated, lab, earlier] {
+        for grid in [paper, tabulated(), lab, earlier] {
             assert_eq!(Grid::try_from(wire::Grid::from(&grid)).unwrap(), grid);
         }
     }
@@ -355,25 +363,12 @@ mod tests {
     #[test]
     fn digests_cover_the_message_bytes() {
         let quality = Quality::new(0.01, Walks::new(1_000_000).unwrap()).unwrap();
-        let axes = Axes {
-            sigma_t_per_mm: vec![1.0, 300.0],
-            albedo: vec![0.0, 0.5],
-            g: vec![-0.5, 0.0],
-            thickness_mm: vec![1.0],
-            sample_ior: vec![1.5],
-        };
+        let (sigma_t_per_mm, albedo, g) = (vec![1.0, 300.0], vec![0.0, 0.5], vec![-0.5, 0.0]);
+        let axes = Axes { sigma_t_per_mm, albedo, g, thickness_mm: vec![1.0], sample_ior: vec![1.5] };
         let smooth = Grid::new(Scene::smooth(), axes, Walks::new(5000).unwrap(), u64::MAX, true).unwrap();
-        let table = PhaseTable::new(vec![0.0, 60.0, 180.0], vec![5.0, 0.5, 1.0]).unwrap();
-        let paper = Grid::paper();
-        let with_phase = |phase: PhaseShape, g: f64| {
-            let axes = Axes { g: vec![g], ..paper.axes().clone() };
-            Grid::new(Scene::paper().with_phase(phase), axes, NoiseLevel::Draft, 1, false).unwrap()
-        };
         let lobes = with_phase(PhaseShape::Lobes(SecondLobe::new(0.1, -0.5).unwrap()), 0.4);
-        let mean_cosine = table.mean_cosine();
-        let tabulated = with_phase(PhaseShape::Table(Arc::new(table)), mean_cosine);
         let exact = smooth.clone().with_quality(quality).unwrap();
-        for grid in [paper.clone(), smooth, exact, lobes, tabulated] {
+        for grid in [Grid::paper(), smooth, exact, lobes, tabulated()] {
             let mut hasher = blake3::Hasher::new_derive_key("farm.v1 grid");
             hasher.update(&PHYSICS_VERSION.to_le_bytes());
             hasher.update(&wire::Grid::from(&grid).encode_to_vec());

@@ -55,22 +55,14 @@ mod tests {
     use super::*;
 
     fn errors() -> SharedErrors {
-        let scene = vec![
-            SetUpDifference {
-                prior: 0,
-                material: Some(1),
-                channel: Some(2),
-                difference: 0.02,
-                changes: vec![0.01, 0.0],
-            },
-            SetUpDifference {
-                prior: 3,
-                material: None,
-                channel: None,
-                difference: -0.5,
-                changes: vec![0.1, 0.2],
-            },
-        ];
+        let difference = |prior, material, channel, difference| SetUpDifference {
+            prior,
+            material,
+            channel,
+            difference,
+            changes: vec![0.01, 0.2],
+        };
+        let scene = vec![difference(0, Some(1), Some(2), 0.02), difference(3, None, None, -0.5)];
         SharedErrors { sources: 2, media: vec![[1.0, 2.0, 3.0, 4.0, 5.0]; 6], scene }
     }
 

@@ -39,7 +39,7 @@ const WORDS: [&[&str]; 12] = [
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 3),
     ("client", 3),
-    ("coordinator", 41),
+    ("coordinator", 37),
     ("deploy", 0),
     ("docs", 0),
     ("examples", 0),

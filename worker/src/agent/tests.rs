@@ -9,13 +9,15 @@ use tonic::Status;
 
 use super::*;
 use crate::testing::{
-    Answer, Call, Coordinator, DeliveredResult, Method, as_thick_as, endless_job, endless_job_of, job, lease,
-    lease_of, long_job, session,
+    Answer, Call, Coordinator, DeliveredResult, Method, as_thick_as, endless_job, job, lease, lease_of,
+    long_job, session,
 };
 
 /// Heartbeats come every 50 ms.
 const SHORT_LEASE: Duration = Duration::from_millis(200);
 const FOREVER: Duration = Duration::from_hours(1);
+/// An idle worker ends after this time.
+const SOON: Option<Duration> = Some(Duration::from_millis(50));
 
 /// A running worker.
 struct RunningWorker {
@@ -66,44 +68,37 @@ fn coordinator() -> Coordinator {
 }
 
 fn delivered(coordinator: &Coordinator) -> Vec<DeliveredResult> {
-    let results = coordinator.calls(|call| match call {
-        Call::Complete(results) => Some(results.clone()),
-        _ => None,
-    });
-    results.concat()
+    let mut results = coordinator.calls(Call::results).concat();
+    results.sort_unstable_by_key(|result| result.key.job);
+    results
 }
 
-/// Jobs of each call that hands leases back, and whether the call deregistered the worker.
+/// Jobs of each call that hands leases back, and whether the call deregistered the worker: the last of all does.
 fn handed_back(coordinator: &Coordinator) -> Vec<(Vec<u32>, bool)> {
     let calls = coordinator.calls(Call::hand_back);
+    assert!(calls.iter().all(|call| call.stopping));
+    let last = coordinator.calls(|call| Some(call.clone())).pop().and_then(|call| call.hand_back());
+    assert!(calls.is_empty() || last.is_some_and(|call| call.leaving), "it would be registered again");
     calls.into_iter().map(|c| (c.leases.into_iter().map(|key| key.job).collect(), c.leaving)).collect()
 }
 
-fn assert_left_for_good(coordinator: &Coordinator) {
-    let last = coordinator.calls(|call| Some(call.clone())).pop();
-    assert!(
-        matches!(&last, Some(Call::HandBack(request)) if request.leaving),
-        "{last:?} would register it again"
-    );
-}
-
-/// Checked for whole jobs and for a block of a divided job, with the expected number of bytes.
+/// Checked for whole jobs, jobs with shared walks, which take one slot, and a block of a divided job, with the expected
+/// number of bytes.
 #[tokio::test]
 async fn idle_worker_delivers_before_exit() {
     let coordinator = coordinator();
-    let (jobs, block) = (0..5, job(9).with_block(0).unwrap());
-    coordinator.offer(jobs.clone().map(lease).chain([lease_of(5, block.clone())]));
-    let idle_exit = Some(Duration::from_millis(50));
-    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
+    let set = [lease(0), lease_of(1, as_thick_as(0)), lease(2)];
+    assert_eq!(sets(set.to_vec()).iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
+    let all = [&set[..], &[lease(3), lease_of(4, job(9).with_block(0).unwrap())]].concat();
+    coordinator.offer(all.clone());
+    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit: SOON, ..config });
     assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
-    let mut results = delivered(&coordinator);
-    results.sort_unstable_by_key(|result| result.key.job);
-    let expected = jobs.map(|n| job(n.into())).chain([block]);
-    for (n, (result, job)) in results.iter().zip(expected).enumerate() {
-        assert_eq!((result.key.job as usize, result.bytes), (n, result_bytes(&job)));
-        assert_eq!(result.identity, job.identity().as_bytes());
+    let results = delivered(&coordinator);
+    for (result, lease) in results.iter().zip(&all) {
+        assert_eq!((result.key, result.bytes), (lease.key, result_bytes(&lease.job)));
+        assert_eq!(result.identity, lease.job.identity().as_bytes());
     }
-    assert_eq!(results.len(), 6);
+    assert_eq!(results.len(), all.len());
     assert_eq!(handed_back(&coordinator), [(vec![], true)]);
 }
 
@@ -111,7 +106,7 @@ async fn idle_worker_delivers_before_exit() {
 #[tokio::test]
 async fn worker_holds_one_job_more_than_threads() {
     let coordinator = coordinator();
-    coordinator.offer((0..9).map(|n| lease_of(n, endless_job_of(n.into()))));
+    coordinator.offer((0..9).map(|n| lease_of(n, endless_job(n.into()))));
     let running =
         RunningWorker::start(&coordinator, |config| Config { threads: 2, grace: Duration::ZERO, ..config });
     running.runs(&[0, 1]).await;
@@ -132,29 +127,31 @@ async fn drained_worker_finishes_its_running_jobs() {
     assert_eq!(running.ended().await.unwrap(), EndReason::Drained);
     assert_eq!(delivered(&coordinator).iter().map(|result| result.key.job).collect::<Vec<_>>(), [0]);
     assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![], true)]);
-    assert_left_for_good(&coordinator);
 }
 
-/// Jobs that have not begun are handed back first, then those that do not finish within the grace period.
+/// Jobs that have not begun are handed back first, then those that do not finish within the grace period. The stop is
+/// announced also without such jobs: the worker may be killed before its grace is over.
 #[tokio::test]
 async fn stopped_worker_hands_back_unfinished_jobs() {
-    let coordinator = coordinator();
-    coordinator.offer([lease_of(0, endless_job()), lease(1)]);
-    let grace = Duration::from_millis(100);
-    let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
-    running.runs(&[0]).await;
-    running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
-    assert!(delivered(&coordinator).is_empty());
-    assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![0], true)]);
-    assert_left_for_good(&coordinator);
+    for waiting in [vec![], vec![1]] {
+        let coordinator = coordinator();
+        coordinator
+            .offer([lease_of(0, endless_job(0))].into_iter().chain(waiting.iter().copied().map(lease)));
+        let grace = Duration::from_millis(100);
+        let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
+        running.runs(&[0]).await;
+        running.shutdown.cancel();
+        assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
+        assert!(delivered(&coordinator).is_empty());
+        assert_eq!(handed_back(&coordinator), [(waiting, false), (vec![0], true)]);
+    }
 }
 
 /// A lost lease makes room for the next job.
 #[tokio::test]
 async fn lost_lease_makes_room_for_the_next() {
     let coordinator = coordinator();
-    let [lost, next] = [0, 1].map(|n| lease_of(n, endless_job()));
+    let [lost, next] = [0, 1].map(|n| lease_of(n, endless_job(0)));
     coordinator.offer([lost.clone(), next]);
     let running = RunningWorker::start(&coordinator, |config| Config { grace: Duration::ZERO, ..config });
     running.runs(&[0]).await;
@@ -165,29 +162,12 @@ async fn lost_lease_makes_room_for_the_next() {
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
-/// The worker may be killed before its grace is over.
-#[tokio::test]
-async fn worker_announces_its_stop() {
-    let coordinator = coordinator();
-    coordinator.offer([lease_of(0, endless_job())]);
-    let grace = Duration::from_millis(200);
-    let running = RunningWorker::start(&coordinator, |config| Config { grace, ..config });
-    running.runs(&[0]).await;
-    running.shutdown.cancel();
-    assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
-    let calls = coordinator.calls(Call::hand_back);
-    let announced: Vec<_> =
-        calls.iter().map(|call| (call.stopping, call.leaving, call.leases.len())).collect();
-    assert_eq!(announced, [(true, false, 0), (true, true, 1)]);
-}
-
 /// The worker registers again and delivers the results of its jobs.
 #[tokio::test]
 async fn restarted_coordinator_does_not_interrupt_jobs() {
     let coordinator = coordinator();
     coordinator.offer([lease_of(0, long_job())]);
-    let idle_exit = Some(Duration::from_millis(50));
-    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
+    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit: SOON, ..config });
     running.runs(&[0]).await;
     coordinator.restart(SHORT_LEASE);
     assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
@@ -200,17 +180,15 @@ async fn restarted_coordinator_does_not_interrupt_jobs() {
 async fn fenced_worker_stops_with_the_reason() {
     let coordinator = coordinator();
     let fenced = Status::permission_denied("this worker is fenced off: its records were wrong");
-    coordinator.offer([lease_of(0, endless_job())]);
+    coordinator.offer([lease_of(0, endless_job(0))]);
     let running = RunningWorker::start(&coordinator, |config| config);
     running.runs(&[0]).await;
     coordinator.answer(Method::Acquire, Answer::Error(fenced));
     // Ends the call that waits for work.
     coordinator.restart(SHORT_LEASE);
     let error = running.ended().await.unwrap_err().to_string();
-    assert_eq!(
-        error,
-        "the coordinator refused this worker: this worker is fenced off: its records were wrong"
-    );
+    let reason = "this worker is fenced off: its records were wrong";
+    assert_eq!(error, format!("the coordinator refused this worker: {reason}"));
     assert_eq!(handed_back(&coordinator), []);
 }
 
@@ -245,14 +223,12 @@ async fn worker_exits_after_its_idle_time() {
 #[test]
 fn grace_and_delivery_fit_the_time_limit() {
     let target = Target::new(None, Some("http://test")).unwrap();
-    let time = |limit_s, grace_s| {
-        let time_limit = Some(Duration::from_secs(limit_s));
-        let grace = Duration::from_secs(grace_s);
-        working_time(&Config { grace, time_limit, ..Config::new(target.clone()) }).as_secs()
-    };
-    assert_eq!(time(3600, 10), 3585);
-    assert_eq!(time(20, 10), 10, "half of a short limit is for running");
-    assert_eq!(time(10, 60), 5);
+    // Half of a short limit is for running.
+    for (limit_s, grace_s, expected_s) in [(3600, 10, 3585), (20, 10, 10), (10, 60, 5)] {
+        let (time_limit, grace) = (Some(Duration::from_secs(limit_s)), Duration::from_secs(grace_s));
+        let config = Config { grace, time_limit, ..Config::new(target.clone()) };
+        assert_eq!(working_time(&config).as_secs(), expected_s, "{limit_s}");
+    }
 }
 
 /// Jobs that do not stop and a delivery that never succeeds end within the documented limits.
@@ -278,35 +254,11 @@ async fn endless_work_is_abandoned_in_time() {
     gone.await.unwrap_err();
 }
 
-/// Jobs with shared walks are traced together, and each has its own result.
-#[tokio::test]
-async fn jobs_with_shared_walks_take_one_slot() {
-    let coordinator = coordinator();
-    let set = [lease(0), lease_of(1, as_thick_as(0)), lease(2)];
-    assert_eq!(sets(set.to_vec()).iter().map(Vec::len).collect::<Vec<_>>(), [2, 1]);
-    coordinator.offer(set.clone());
-    let idle_exit = Some(Duration::from_millis(50));
-    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config });
-    assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
-    let mut results = delivered(&coordinator);
-    results.sort_unstable_by_key(|result| result.key.job);
-    for (result, lease) in results.iter().zip(&set) {
-        assert_eq!((result.key, &result.identity[..]), (lease.key, &lease.job.identity().as_bytes()[..]));
-    }
-    assert_eq!(results.len(), 3);
-}
-
-/// The coordinator may lease several retried jobs together.
+/// Sets of jobs are divided so that they fit into memory, and the coordinator may lease several retried jobs together.
 #[test]
-fn failed_job_is_traced_alone() {
+fn sets_fit_memory_and_have_no_retries() {
+    let lengths = |leases| sets(leases).iter().map(Vec::len).collect::<Vec<_>>();
+    assert_eq!(lengths((0..40).map(|n| lease_of(n, job(0))).collect()), [16, 16, 8]);
     let again = |lease: Lease| Lease { key: LeaseKey { attempt: 2, ..lease.key }, ..lease };
-    let retries = [lease(0), lease_of(1, as_thick_as(0))].map(again);
-    assert_eq!(sets(retries.to_vec()).len(), 2);
-}
-
-/// Sets of jobs are divided so that they fit into memory.
-#[test]
-fn sets_fit_into_memory() {
-    let many: Vec<Lease> = (0..40).map(|n| lease_of(n, job(0))).collect();
-    assert_eq!(sets(many).iter().map(Vec::len).collect::<Vec<_>>(), [16, 16, 8]);
+    assert_eq!(lengths([lease(0), lease_of(1, as_thick_as(0))].map(again).to_vec()), [1, 1]);
 }

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use optics_model::PackedRecords;
-use optics_model::sums::{Sums, result_bytes};
+use optics_model::sums::result_bytes;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep};
 
@@ -59,18 +59,43 @@ fn pending(n: u32, bytes: usize) -> PendingResult {
     PendingResult { key: lease(n).key, identity: job.identity(), result, bytes, _room: room }
 }
 
-/// A result is delivered until it is acknowledged.
+/// A result is delivered until the coordinator has decided on it: the jobs of each call, after the answers to the first.
 #[tokio::test(start_paused = true)]
-async fn result_is_delivered_until_acknowledged() {
-    let worker = Worker::start().await;
-    let passing = [Status::unavailable(""), Status::internal("disk"), Status::resource_exhausted("")];
-    for status in passing {
-        worker.coordinator.answer(Method::Complete, Answer::Error(status));
+async fn results_are_delivered_until_decided() {
+    use CompletionKind::{Conflict, Duplicate, Refused, Stored, Unspecified};
+    let error = |status: fn(&'static str) -> Status| Answer::Error(status("records[3] is not finite"));
+    let invalid = || error(Status::invalid_argument);
+    let passing = vec![
+        error(Status::unavailable),
+        error(Status::internal),
+        error(Status::resource_exhausted),
+        Answer::Lost,
+        Answer::Outcomes(vec![Duplicate]),
+    ];
+    let decided = Answer::Outcomes(vec![Stored, Duplicate, Refused, Conflict, Unspecified]);
+    let stored = || Answer::Outcomes(vec![Stored]);
+    let cases = [
+        ("passing errors", passing, vec![vec![0]; 5], vec![]),
+        ("decisions", vec![decided], vec![vec![0, 1, 2, 3, 4]], vec![]),
+        ("omitted results", vec![stored()], vec![vec![0, 1, 2], vec![1, 2]], vec![]),
+        ("a fence", vec![error(Status::permission_denied)], vec![vec![0, 1]], vec![]),
+        (
+            "an invalid result, which harms no other",
+            vec![invalid(), stored(), invalid()],
+            vec![vec![0, 1, 2], vec![0], vec![1], vec![2]],
+            vec![(1, "result refused: records[3] is not finite".to_owned())],
+        ),
+    ];
+    for (name, answers, expected, expected_failures) in cases {
+        let worker = Worker::start().await;
+        answers.into_iter().for_each(|answer| worker.coordinator.answer(Method::Complete, answer));
+        worker.finish(0..expected[0].len() as u32);
+        let (coordinator, calls) = (worker.coordinator.clone(), worker.delivered().await);
+        assert_eq!(calls, expected, "{name}");
+        let failures = coordinator.calls(Call::fail).into_iter();
+        let failures: Vec<_> = failures.map(|f| (f.lease.unwrap().job, f.reason)).collect();
+        assert_eq!(failures, expected_failures, "{name}");
     }
-    worker.coordinator.answer(Method::Complete, Answer::Lost);
-    worker.coordinator.answer(Method::Complete, Answer::Outcomes(vec![CompletionKind::Duplicate]));
-    worker.finish([7]);
-    assert_eq!(worker.delivered().await, vec![vec![7]; 5]);
 }
 
 /// A delivery times out after the time that the slowest allowed link needs; then the result is sent again.
@@ -113,22 +138,6 @@ async fn result_is_redelivered_after_registering_again() {
     assert!(!announced[0].running);
 }
 
-/// Results on which the coordinator has decided are dropped.
-#[tokio::test(start_paused = true)]
-async fn decided_results_are_dropped() {
-    let worker = Worker::start().await;
-    let decided = [
-        CompletionKind::Stored,
-        CompletionKind::Duplicate,
-        CompletionKind::Refused,
-        CompletionKind::Conflict,
-        CompletionKind::Unspecified,
-    ];
-    worker.coordinator.answer(Method::Complete, Answer::Outcomes(decided.to_vec()));
-    worker.finish(0..5);
-    assert_eq!(worker.delivered().await, [[0, 1, 2, 3, 4]]);
-}
-
 /// A result that could not be stored is delivered again after the others.
 #[tokio::test(start_paused = true)]
 async fn unstored_result_goes_behind_the_others() {
@@ -155,63 +164,6 @@ async fn unstored_results_are_retried_with_pauses() {
     assert!(start.elapsed() > Duration::from_mins(1), "{:?}", start.elapsed());
 }
 
-/// Results that an answer omits are delivered again.
-#[tokio::test(start_paused = true)]
-async fn omitted_results_are_delivered_again() {
-    let worker = Worker::start().await;
-    worker.coordinator.answer(Method::Complete, Answer::Outcomes(vec![CompletionKind::Stored]));
-    worker.finish(0..3);
-    assert_eq!(worker.delivered().await, [vec![0, 1, 2], vec![1, 2]]);
-}
-
-/// An invalid result is reported, and the others are delivered.
-#[tokio::test(start_paused = true)]
-async fn invalid_result_harms_no_other() {
-    let worker = Worker::start().await;
-    let invalid = || Answer::Error(Status::invalid_argument("records[3] is not finite"));
-    worker.coordinator.answer(Method::Complete, invalid());
-    worker.coordinator.answer(Method::Complete, Answer::Outcomes(vec![CompletionKind::Stored]));
-    worker.coordinator.answer(Method::Complete, invalid());
-    worker.finish(0..3);
-    let (coordinator, jobs) = (worker.coordinator.clone(), worker.delivered().await);
-    assert_eq!(jobs, [vec![0, 1, 2], vec![0], vec![1], vec![2]]);
-    let [failure] = &coordinator.calls(Call::fail)[..] else { panic!("one failure was expected") };
-    assert_eq!(failure.lease.as_ref().unwrap().job, 1);
-    assert_eq!(failure.reason, "result refused: records[3] is not finite");
-}
-
-/// The results of a fenced worker are dropped without a report.
-#[tokio::test(start_paused = true)]
-async fn fenced_results_are_dropped_unreported() {
-    let worker = Worker::start().await;
-    let fenced = Status::permission_denied("this worker is fenced off");
-    worker.coordinator.answer(Method::Complete, Answer::Error(fenced));
-    worker.finish(0..2);
-    let (coordinator, jobs) = (worker.coordinator.clone(), worker.delivered().await);
-    assert_eq!(jobs, [[0, 1]]);
-    assert_eq!(coordinator.calls(Call::fail), []);
-}
-
-/// Records and sums arrive complete, with the identity of their job.
-#[tokio::test(start_paused = true)]
-async fn records_and_sums_arrive_whole() {
-    let worker = Worker::start().await;
-    let block = job(2).with_block(0).unwrap();
-    let mut sums = pending(1, result_bytes(&block));
-    (sums.result, sums.identity) = (TraceResult::Sums(Sums::new(&block)), block.identity());
-    worker.finish([0]);
-    worker.finished.send(sums).unwrap();
-    let (coordinator, _) = (worker.coordinator.clone(), worker.delivered().await);
-    let results = coordinator.calls(|call| match call {
-        Call::Complete(results) => Some(results.clone()),
-        _ => None,
-    });
-    let results: Vec<_> = results.concat().iter().map(|r| (r.key.job, r.bytes, r.identity.clone())).collect();
-    let expected = [job(1), block].map(|job| (result_bytes(&job), job.identity().as_bytes().to_vec()));
-    let [(records, first), (sums, second)] = expected;
-    assert_eq!(results, [(0, records, first), (1, sums, second)]);
-}
-
 /// Sizes of the batches that waiting results are divided into.
 fn batches(count: u32, bytes: usize) -> Vec<usize> {
     let mut waiting: VecDeque<_> = (0..count).map(|n| pending(n, bytes)).collect();
@@ -226,18 +178,12 @@ fn batches(count: u32, bytes: usize) -> Vec<usize> {
     sizes
 }
 
-/// A call takes as many results as the coordinator allows.
+/// A call takes as many results as the coordinator allows, and no more once it has its bytes.
 #[test]
-fn batch_size_has_the_allowed_count() {
+fn batches_have_allowed_count_and_bytes() {
     assert_eq!(batches(2500, 1), [1024, 1024, 452]);
-}
-
-/// A call takes no more results once it has its bytes.
-#[test]
-fn batch_ends_at_its_byte_limit() {
     assert_eq!(batches(9, 5 << 20), [4, 4, 1]);
-    assert_eq!(batches(2, BATCH_BYTES), [1, 1]);
-    assert_eq!(batches(2, 10 * BATCH_BYTES), [1, 1]);
+    assert_eq!((batches(2, BATCH_BYTES), batches(2, 10 * BATCH_BYTES)), (vec![1, 1], vec![1, 1]));
 }
 
 /// Tracing waits for room in the buffer until a result is acknowledged.

@@ -1,11 +1,12 @@
 //! Leases that are renewed, lost and handed over. The clock is paused: it advances when all tasks wait.
 
+use std::collections::BTreeSet;
+
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
 use super::*;
-use crate::leases::SetSwitch;
-use crate::testing::{Answer, Call, Coordinator, Method, job, lease, session};
+use crate::testing::{Answer, Call, Coordinator, Method, hold, lease, session};
 
 const LEASE: Duration = Duration::from_secs(30);
 
@@ -38,33 +39,20 @@ impl Beating {
     }
 }
 
-/// Leases are renewed four times within their duration.
+/// Leases are renewed four times within their duration. A lost lease stops its job and is not renewed any more.
 #[tokio::test(start_paused = true)]
 async fn leases_are_renewed_four_times() {
     let beating = Beating::start().await;
-    let identity = job(1).identity();
-    beating.held.add(lease(0).key, identity, SetSwitch::new(1));
-    assert!(beating.held.add(lease(1).key, identity, SetSwitch::new(1)).start());
+    let [kept, lost] = hold(&beating.held, [false, true]);
     assert!((39..=41).contains(&beating.beats_within(10 * LEASE).await));
-    let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
-    let mut renewed: Vec<_> =
-        renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
-    renewed.sort_unstable();
-    assert_eq!(renewed, [(0, false), (1, true)]);
-}
-
-/// A lost lease stops its job and is not renewed any more.
-#[tokio::test(start_paused = true)]
-async fn lost_lease_stops_its_job() {
-    let beating = Beating::start().await;
-    let [kept, lost] = [0, 1].map(|n| beating.held.add(lease(n).key, job(1).identity(), SetSwitch::new(1)));
-    beating.coordinator.lose(lease(1).key);
-    sleep(LEASE).await;
-    assert!(lost.is_stopped());
-    assert!(!kept.is_stopped());
-    let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
-    assert_eq!(renewal.leases.len(), 1);
-    assert_eq!(renewal.leases[0].key.clone().unwrap().job, 0);
+    for left in [2, 1] {
+        let renewal = beating.coordinator.calls(Call::renew).pop().unwrap();
+        let jobs = renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running));
+        assert_eq!(jobs.collect::<BTreeSet<_>>(), [(0, false), (1, true)][..left].iter().copied().collect());
+        beating.coordinator.lose(lease(1).key);
+        sleep(LEASE).await;
+        assert_eq!([kept.is_stopped(), lost.is_stopped()], [false, true]);
+    }
 }
 
 /// The heartbeat reports the drain to the agent, and running jobs keep their leases.

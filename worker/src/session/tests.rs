@@ -1,59 +1,28 @@
 //! Registration, and calls under faults. The clock is paused: it advances when all tasks wait.
 
-use farm_proto::wire::LeaseKey as WireKey;
 use tonic::Code;
 
 use super::*;
 use crate::leases::SetSwitch;
-use crate::testing::{Answer, Call, Coordinator, Method, introduction, job, lease, session};
+use crate::testing::{Answer, Call, Coordinator, Method, hold, job, lease, open, session};
 
 const LEASE: Duration = Duration::from_secs(30);
 
-async fn open(
-    coordinator: &Coordinator,
-    shutdown: &CancellationToken,
-) -> Result<Option<CoordinatorSession>, Error> {
-    CoordinatorSession::open(coordinator.link(), "http://test", introduction(), Arc::default(), shutdown)
-        .await
-}
-
-/// Holds `count` leases.
-fn hold(held: &HeldLeases, count: u32) -> Vec<LeaseKey> {
-    let identity = job(1).identity();
-    let key = lease(0).key;
-    (0..count)
-        .map(|n| LeaseKey { job: n, ..key })
-        .inspect(|key| drop(held.add(*key, identity, SetSwitch::new(1))))
-        .collect()
-}
-
-/// Registration waits for a coordinator that is away.
+/// Registration waits for a coordinator that is away, and the wait can be ended.
 #[tokio::test(start_paused = true)]
 async fn registration_waits_for_the_coordinator() {
-    let coordinator = Coordinator::start();
-    coordinator.set_down(true);
-    let shutdown = CancellationToken::new();
-    let (session, ()) = tokio::join!(open(&coordinator, &shutdown), async {
-        tokio::time::sleep(Duration::from_hours(1)).await;
-        coordinator.set_down(false);
-    });
-    assert_eq!(session.unwrap().unwrap().lease(), LEASE);
-    let registrations = coordinator.calls(Call::register);
-    assert_eq!(registrations.len(), 1);
-    assert_eq!((registrations[0].label.as_str(), registrations[0].threads), ("test", 2));
-}
-
-/// The wait for a coordinator can be ended.
-#[tokio::test(start_paused = true)]
-async fn wait_for_coordinator_can_be_ended() {
-    let coordinator = Coordinator::start();
-    coordinator.set_down(true);
-    let shutdown = CancellationToken::new();
-    let (session, ()) = tokio::join!(open(&coordinator, &shutdown), async {
-        tokio::time::sleep(Duration::from_mins(1)).await;
-        shutdown.cancel();
-    });
-    assert!(session.unwrap().is_none());
+    for comes_back in [true, false] {
+        let (coordinator, shutdown) = (Coordinator::start(), CancellationToken::new());
+        coordinator.set_down(true);
+        let (session, ()) = tokio::join!(open(&coordinator, Arc::default(), &shutdown), async {
+            tokio::time::sleep(Duration::from_hours(1)).await;
+            if comes_back { coordinator.set_down(false) } else { shutdown.cancel() }
+        });
+        assert_eq!(session.unwrap().map(|session| session.lease()), comes_back.then_some(LEASE));
+        let registrations = coordinator.calls(Call::register);
+        let seen: Vec<_> = registrations.iter().map(|r| (r.label.as_str(), r.threads)).collect();
+        assert_eq!(seen, if comes_back { vec![("test", 2)] } else { vec![] });
+    }
 }
 
 /// A worker that is refused ends with the reason.
@@ -62,7 +31,7 @@ async fn refused_worker_ends_with_the_reason() {
     let coordinator = Coordinator::start();
     let refusal = Status::failed_precondition("physics version 1 and 2 differ: install the same");
     coordinator.answer(Method::Register, Answer::Error(refusal));
-    let error = open(&coordinator, &CancellationToken::new()).await.unwrap_err();
+    let error = open(&coordinator, Arc::default(), &CancellationToken::new()).await.unwrap_err();
     assert!(error.to_string().ends_with("install the same"), "{error}");
     assert_eq!(coordinator.calls(Call::register).len(), 1);
 }
@@ -72,10 +41,7 @@ async fn refused_worker_ends_with_the_reason() {
 async fn unknown_worker_registers_and_renews() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
-    let identity = job(1).identity();
-    let [waiting, running] = [lease(0).key, lease(1).key];
-    held.add(waiting, identity, SetSwitch::new(1));
-    assert!(held.add(running, identity, SetSwitch::new(1)).start());
+    hold(&held, [false, true]);
     coordinator.restart(LEASE);
     let refused = session.acquire(1, Duration::ZERO).await.unwrap_err();
     assert_eq!(refused.code(), Code::Aborted);
@@ -88,7 +54,7 @@ async fn unknown_worker_registers_and_renews() {
         renewal.leases.iter().map(|l| (l.key.clone().unwrap().job, l.running)).collect();
     renewed.sort_unstable();
     assert_eq!(renewed, [(0, false), (1, true)]);
-    assert!(renewal.leases.iter().all(|l| l.identity == identity.as_bytes()));
+    assert!(renewal.leases.iter().all(|l| l.identity == job(1).identity().as_bytes()));
     session.acquire(1, Duration::ZERO).await.unwrap();
     assert_eq!(coordinator.calls(Call::acquire).last().unwrap().worker_token, "worker-2");
 }
@@ -98,7 +64,7 @@ async fn unknown_worker_registers_and_renews() {
 async fn concurrent_calls_reregister_once() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
-    hold(&held, 1);
+    hold(&held, [false]);
     coordinator.restart(LEASE);
     let key = lease(9).key;
     let (acquired, renewed, failed) = tokio::join!(
@@ -118,7 +84,7 @@ async fn concurrent_calls_reregister_once() {
 async fn waiting_calls_go_when_coordinator_returns() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
-    hold(&held, 1);
+    hold(&held, [false]);
     coordinator.set_down(true);
     let start = Instant::now();
     let away = Duration::from_mins(10);
@@ -148,24 +114,15 @@ async fn restarted_coordinator_of_another_version_refuses() {
     assert_eq!((refused.code(), refused.message()), (Code::FailedPrecondition, "install the same"));
 }
 
-/// Leases hold for the duration that the coordinator announced last.
-#[tokio::test(start_paused = true)]
-async fn lease_duration_is_the_last_announced() {
-    let coordinator = Coordinator::start();
-    let (session, _) = session(&coordinator).await;
-    let shorter = Duration::from_secs(5);
-    coordinator.restart(shorter);
-    session.renew(vec![]).await.unwrap_err();
-    assert_eq!(session.lease(), shorter);
-}
-
 /// Each lease is named once, when leases are renewed and after a new registration.
 #[tokio::test(start_paused = true)]
 async fn renewals_are_split_at_the_request_limit() {
     let most = RequestLimits::LEASES as usize;
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
-    let mut keys = hold(&held, 2 * RequestLimits::LEASES + 7);
+    let mut keys: Vec<_> =
+        (0..2 * RequestLimits::LEASES + 7).map(|n| LeaseKey { job: n, ..lease(0).key }).collect();
+    keys.iter().for_each(|key| drop(held.add(*key, job(1).identity(), SetSwitch::new(1))));
     // In the first call and in the last.
     let all = held.all();
     let lost = [all[0].key, all[2 * most + 6].key];
@@ -180,33 +137,11 @@ async fn renewals_are_split_at_the_request_limit() {
     for calls in [&calls[..3], &calls[3..]] {
         assert_eq!(calls.iter().map(|call| call.leases.len()).collect::<Vec<_>>(), [most, most, 7]);
         let named = calls.iter().flat_map(|call| &call.leases).filter_map(|l| l.key.clone());
-        let mut named: Vec<LeaseKey> = named.map(|key: WireKey| key.into()).collect();
+        let mut named: Vec<LeaseKey> = named.map(Into::into).collect();
         named.sort_unstable();
         keys.sort_unstable();
         assert_eq!(named, keys);
     }
-}
-
-#[tokio::test(start_paused = true)]
-async fn renewals_without_leases_report_a_drain() {
-    let coordinator = Coordinator::start();
-    let (session, _) = session(&coordinator).await;
-    assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], false));
-    coordinator.drain();
-    assert_eq!(session.renew(vec![]).await.unwrap(), (vec![], true));
-}
-
-/// A failure is reported until it is accepted.
-#[tokio::test(start_paused = true)]
-async fn failure_is_reported_until_accepted() {
-    let coordinator = Coordinator::start();
-    let (session, _) = session(&coordinator).await;
-    coordinator.answer(Method::Fail, Answer::Error(Status::unavailable("")));
-    coordinator.answer(Method::Fail, Answer::Lost);
-    session.fail(&lease(3).key, "the tracer panicked").await.unwrap();
-    let calls = coordinator.calls(Call::fail);
-    assert_eq!(calls.len(), 3);
-    assert!(calls.iter().all(|c| c.lease.as_ref().unwrap().job == 3 && c.reason == "the tracer panicked"));
 }
 
 /// A request for work that is never answered ends.

@@ -8,11 +8,7 @@ use farm_link::Link;
 use farm_proto::lease::{Lease, LeaseKey};
 use farm_proto::wire::complete_request::Content;
 use farm_proto::wire::leases_server::{Leases, LeasesServer};
-use farm_proto::wire::{
-    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, CompletionKind, CompletionOutcome,
-    FailRequest, FailResponse, HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse,
-    RenewRequest, RenewResponse,
-};
+use farm_proto::wire::*;
 use hyper_util::rt::TokioIo;
 use tokio::sync::watch;
 use tokio_stream::wrappers::UnboundedReceiverStream;
@@ -32,53 +28,47 @@ pub(crate) struct DeliveredResult {
     pub bytes: usize,
 }
 
-/// A call as it was received.
-#[derive(Debug, Clone)]
-pub(crate) enum Call {
-    Register(RegisterRequest),
-    Acquire(AcquireRequest),
-    Renew(RenewRequest),
-    Complete(Vec<DeliveredResult>),
-    HandBack(HandBackRequest),
-    Fail(FailRequest),
+/// The methods, their calls as they were received, and a function for each that picks its calls.
+macro_rules! methods {
+    ($($method:ident $pick:ident ($request:ty)),+ $(,)?) => {
+        #[derive(Debug, Clone)]
+        pub(crate) enum Call {
+            $($method($request)),+
+        }
+
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub(crate) enum Method {
+            $($method),+
+        }
+
+        impl Call {
+            fn method(&self) -> Method {
+                match self {
+                    $(Self::$method(_) => Method::$method),+
+                }
+            }
+
+            $(pub(crate) fn $pick(&self) -> Option<$request> {
+                if let Self::$method(request) = self { Some(request.clone()) } else { None }
+            })+
+        }
+    };
+}
+
+methods! {
+    Register register(RegisterRequest),
+    Acquire acquire(AcquireRequest),
+    Renew renew(RenewRequest),
+    Complete results(Vec<DeliveredResult>),
+    HandBack hand_back(HandBackRequest),
+    Fail fail(FailRequest),
 }
 
 impl Call {
-    pub(crate) fn register(&self) -> Option<RegisterRequest> {
-        if let Self::Register(request) = self { Some(request.clone()) } else { None }
-    }
-
-    pub(crate) fn acquire(&self) -> Option<AcquireRequest> {
-        if let Self::Acquire(request) = self { Some(request.clone()) } else { None }
-    }
-
-    pub(crate) fn renew(&self) -> Option<RenewRequest> {
-        if let Self::Renew(request) = self { Some(request.clone()) } else { None }
-    }
-
     /// The jobs whose results are delivered.
     pub(crate) fn complete(&self) -> Option<Vec<u32>> {
-        let Self::Complete(results) = self else { return None };
-        Some(results.iter().map(|result| result.key.job).collect())
+        Some(self.results()?.iter().map(|result| result.key.job).collect())
     }
-
-    pub(crate) fn hand_back(&self) -> Option<HandBackRequest> {
-        if let Self::HandBack(request) = self { Some(request.clone()) } else { None }
-    }
-
-    pub(crate) fn fail(&self) -> Option<FailRequest> {
-        if let Self::Fail(request) = self { Some(request.clone()) } else { None }
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) enum Method {
-    Register,
-    Acquire,
-    Renew,
-    Complete,
-    HandBack,
-    Fail,
 }
 
 /// A scripted answer, instead of the normal one.
@@ -123,8 +113,7 @@ impl Coordinator {
         let state = State { lease: Duration::from_secs(30), ..State::default() };
         let shared = Shared { network, state: Mutex::new(state), changes: watch::Sender::new(0) };
         let coordinator = Self(Arc::new(shared));
-        let service = LeasesServer::new(coordinator.clone());
-        let server = Server::builder().add_service(service);
+        let server = Server::builder().add_service(LeasesServer::new(coordinator.clone()));
         tokio::spawn(server.serve_with_incoming(UnboundedReceiverStream::new(incoming)));
         coordinator
     }
@@ -188,9 +177,8 @@ impl Coordinator {
                 changes.changed().await.unwrap();
             }
         };
-        tokio::time::timeout(PATIENCE, enough)
-            .await
-            .unwrap_or_else(|_| panic!("{count} such calls were expected: {:#?}", self.state().calls))
+        let ended = tokio::time::timeout(PATIENCE, enough).await;
+        ended.unwrap_or_else(|_| panic!("{count} such calls were expected: {:#?}", self.state().calls))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -204,10 +192,11 @@ impl Coordinator {
     }
 
     /// Records a call and returns its scripted answer; None is the normal one.
-    async fn receive(&self, method: Method, call: Call) -> Result<Option<Vec<CompletionKind>>, Status> {
+    async fn receive(&self, call: Call) -> Result<Option<Vec<CompletionKind>>, Status> {
         let answer = self.change(|state| {
+            let answers = state.answers.get_mut(&call.method());
             state.calls.push(call);
-            state.answers.get_mut(&method)?.pop_front()
+            answers?.pop_front()
         });
         match answer {
             None => Ok(None),
@@ -237,13 +226,12 @@ impl Coordinator {
     }
 }
 
+type Answered<T> = Result<Response<T>, Status>;
+
 #[tonic::async_trait]
 impl Leases for Coordinator {
-    async fn register(
-        &self,
-        request: Request<RegisterRequest>,
-    ) -> Result<Response<RegisterResponse>, Status> {
-        self.receive(Method::Register, Call::Register(request.into_inner())).await?;
+    async fn register(&self, request: Request<RegisterRequest>) -> Answered<RegisterResponse> {
+        self.receive(Call::Register(request.into_inner())).await?;
         Ok(Response::new(self.change(|state| {
             state.registrations += 1;
             let worker_token = format!("worker-{}", state.registrations);
@@ -252,9 +240,9 @@ impl Leases for Coordinator {
         })))
     }
 
-    async fn acquire(&self, request: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
+    async fn acquire(&self, request: Request<AcquireRequest>) -> Answered<AcquireResponse> {
         let request = request.into_inner();
-        self.receive(Method::Acquire, Call::Acquire(request.clone())).await?;
+        self.receive(Call::Acquire(request.clone())).await?;
         self.check(&request.worker_token)?;
         let mut changes = self.0.changes.subscribe();
         let wait = tokio::time::sleep(Duration::from_millis(request.wait_ms));
@@ -271,9 +259,9 @@ impl Leases for Coordinator {
         }
     }
 
-    async fn renew(&self, request: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
+    async fn renew(&self, request: Request<RenewRequest>) -> Answered<RenewResponse> {
         let request = request.into_inner();
-        self.receive(Method::Renew, Call::Renew(request.clone())).await?;
+        self.receive(Call::Renew(request.clone())).await?;
         self.check(&request.worker_token)?;
         let named: Vec<LeaseKey> =
             request.leases.into_iter().filter_map(|lease| lease.key).map(Into::into).collect();
@@ -282,10 +270,7 @@ impl Leases for Coordinator {
         Ok(Response::new(RenewResponse { lost, drain: state.drain }))
     }
 
-    async fn complete(
-        &self,
-        request: Request<Streaming<CompleteRequest>>,
-    ) -> Result<Response<CompleteResponse>, Status> {
+    async fn complete(&self, request: Request<Streaming<CompleteRequest>>) -> Answered<CompleteResponse> {
         let mut messages = request.into_inner();
         let mut worker_token = String::new();
         let mut results: Vec<DeliveredResult> = Vec::new();
@@ -302,24 +287,21 @@ impl Leases for Coordinator {
             }
         }
         let count = results.len();
-        let outcomes = self.receive(Method::Complete, Call::Complete(results)).await?;
+        let outcomes = self.receive(Call::Complete(results)).await?;
         self.check(&worker_token)?;
         let outcomes = outcomes.unwrap_or_else(|| vec![CompletionKind::Stored; count]);
         let outcome = |kind: CompletionKind| CompletionOutcome { kind: kind.into(), message: String::new() };
         Ok(Response::new(CompleteResponse { outcomes: outcomes.into_iter().map(outcome).collect() }))
     }
 
-    async fn hand_back(
-        &self,
-        request: Request<HandBackRequest>,
-    ) -> Result<Response<HandBackResponse>, Status> {
-        self.receive(Method::HandBack, Call::HandBack(request.into_inner())).await?;
+    async fn hand_back(&self, request: Request<HandBackRequest>) -> Answered<HandBackResponse> {
+        self.receive(Call::HandBack(request.into_inner())).await?;
         Ok(Response::new(HandBackResponse {}))
     }
 
-    async fn fail(&self, request: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
+    async fn fail(&self, request: Request<FailRequest>) -> Answered<FailResponse> {
         let request = request.into_inner();
-        self.receive(Method::Fail, Call::Fail(request.clone())).await?;
+        self.receive(Call::Fail(request.clone())).await?;
         self.check(&request.worker_token)?;
         Ok(Response::new(FailResponse {}))
     }

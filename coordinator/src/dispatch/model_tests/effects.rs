@@ -18,8 +18,8 @@ impl World {
                     self.insist(strikes.len() >= MAX_ATTEMPTS as usize && silent == quarantined, || {
                         format!("job {job} is given up for {strikes:?}")
                     });
-                    self.walks
-                        .insert((dictionary, job), self.store.dictionaries[&dictionary].grid.walks_of(0));
+                    let walks = self.store.dictionaries[&dictionary].grid.walks_of(0);
+                    self.walks.insert((dictionary, job), walks);
                     self.store.given_up.insert((dictionary, job), (reason, quarantined));
                 }
                 Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),

@@ -9,10 +9,7 @@ use crate::stored::Outcome;
 impl World {
     /// A result reaches the store.
     pub fn end(&mut self, which: usize) {
-        let last = self.arriving.len().saturating_sub(1);
-        if self.arriving.is_empty() {
-            return;
-        }
+        let Some(last) = self.arriving.len().checked_sub(1) else { return };
         let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
         let place = (key.dictionary, key.job);
         let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
@@ -50,11 +47,8 @@ impl World {
 
     /// A result that reaches the store differs from the records of a job with the same walks.
     pub fn clash(&mut self, which: usize, with: usize) {
-        let last = self.arriving.len().saturating_sub(1);
         let Some(other) = self.store.done.keys().nth(with).copied() else { return };
-        if self.arriving.is_empty() {
-            return;
-        }
+        let Some(last) = self.arriving.len().checked_sub(1) else { return };
         let Arriving { worker, by, key, job } = self.arriving.remove(which.min(last));
         if self.farm.schedule.by_id(key.dictionary).is_none() || (key.dictionary, key.job) == other {
             return;

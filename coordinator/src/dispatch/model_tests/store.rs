@@ -1,17 +1,13 @@
 //! The store of the model: jobs that have ended, blocks, the origin of each result, and fenced-off machines.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 
-use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Quality, Scene, Walks};
 
-use crate::stored::{
-    DesiredState, EndedJob, KnownMachine, Machine, OpenCheck, Origin, Outcome, StoredDictionary,
-};
+use crate::stored::{EndedJob, KnownMachine, Machine, OpenCheck, Origin, Outcome, StoredDictionary};
+use crate::testing::{self, axes};
 
 /// Blocks of a job with a certain number of walks, and the machines that computed them.
 type Blocks = BTreeMap<u32, Origin>;
@@ -54,32 +50,19 @@ impl ModelStore {
     pub fn create(&mut self, kind: usize) -> DictionaryId {
         self.last_id += 1;
         let id = DictionaryId(self.last_id);
-        let axes = Axes {
-            sigma_t_per_mm: if kind == 0 { vec![1.0, 2.0, 30.0] } else { vec![1.0, 2.0] },
-            // Every other dictionary of the first kind has a subset of the albedos.
-            albedo: if kind == 0 && self.last_id % 2 == 0 { vec![0.5, 0.9] } else { vec![0.5] },
-            g: vec![0.0],
-            thickness_mm: vec![1.0],
-            sample_ior: vec![1.5],
-        };
+        let sigma_t: &[f64] = if kind == 0 { &[1.0, 2.0, 30.0] } else { &[1.0, 2.0] };
+        // Every other dictionary of the first kind has a subset of the albedos.
+        let albedo: &[f64] = if kind == 0 && self.last_id % 2 == 0 { &[0.5, 0.9] } else { &[0.5] };
         let walks = if kind == 1 { Walks::new(2_500_000).unwrap() } else { Walks::PAPER };
-        let grid = Grid::new(Scene::paper(), axes, walks, kind as u64, false).unwrap();
+        let grid = Grid::new(Scene::paper(), axes(sigma_t, albedo), walks, kind as u64, false).unwrap();
         let grid = match walks_needed(kind as u64) {
             Some(most) => grid.with_quality(Quality::new(0.01, most).unwrap()).unwrap(),
             None => grid,
         };
-        let digest = if kind == 4 { Digest::from_bytes([1; 32]) } else { Digest::of_grid(&grid) };
-        let stored = StoredDictionary {
-            id,
-            name: DictionaryName::new(format!("d{}", id.0)).unwrap(),
-            grid_digest: digest,
-            grid: Arc::new(grid),
-            created_unix_ms: 0,
-            priority: 0,
-            desire: DesiredState::Run,
-            reason: String::new(),
-            owner: String::new(),
-        };
+        let mut stored = testing::stored(id.0, &format!("d{}", id.0), grid);
+        if kind == 4 {
+            stored.grid_digest = Digest::from_bytes([1; 32]);
+        }
         self.dictionaries.insert(id, stored);
         id
     }
@@ -113,13 +96,17 @@ impl ModelStore {
 
     pub fn ended(&self, id: DictionaryId) -> Vec<EndedJob> {
         let of_it = |job: &(DictionaryId, u32)| job.0 == id;
-        let done = self.done.iter().filter(|(job, _)| of_it(job)).map(|((_, job), done)| EndedJob::Done {
-            job: *job,
-            walks: done.walks,
-            records: done.records,
-            by: if done.by.len() == 1 { done.by.first().copied() } else { None },
-            confirmed: done.confirmed.iter().copied().collect(),
-            reused: false,
+        let done = self.done.iter().filter(|(job, _)| of_it(job)).map(|((_, job), done)| {
+            let by = if done.by.len() == 1 { done.by.first().copied() } else { None };
+            let confirmed = done.confirmed.iter().copied().collect();
+            EndedJob::Done {
+                job: *job,
+                walks: done.walks,
+                records: done.records,
+                by,
+                confirmed,
+                reused: false,
+            }
         });
         let given_up =
             self.given_up.iter().filter(|(job, _)| of_it(job)).map(|((_, job), (reason, quarantined))| {
@@ -129,16 +116,9 @@ impl ModelStore {
     }
 
     /// The digest of a result to which these machines have contributed.
-    pub fn digest(
-        &self,
-        dictionary: DictionaryId,
-        job: u32,
-        spec: &JobSpec,
-        by: &BTreeSet<Origin>,
-    ) -> Digest {
+    pub fn digest(&self, id: DictionaryId, job: u32, spec: &JobSpec, by: &BTreeSet<Origin>) -> Digest {
         let wrong: Vec<_> = by.iter().filter(|o| self.wrong.contains(o)).collect();
-        let walks = spec.walks().get();
-        let kind = self.kind(dictionary);
+        let (walks, kind) = (spec.walks().get(), self.kind(id));
         Digest::of_bytes(format!("{kind:?} {job} {walks} {wrong:?}").as_bytes())
     }
 

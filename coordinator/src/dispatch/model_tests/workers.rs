@@ -4,28 +4,20 @@ use std::collections::BTreeSet;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
 use farm_proto::lease::{HeldLease, Lease, LeaseKey};
-use farm_proto::status::MachineFacts;
 use optics_model::Digest;
 
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
 use crate::dispatch::part::PartId;
-use crate::dispatch::{Admission, Arrived, DispatchError, Dispatcher, Purpose, Registration};
+use crate::dispatch::{Admission, Arrived, DispatchError, Purpose, Registration};
 use crate::stored::Origin;
+use crate::testing::process;
 
 impl World {
     pub fn register(&mut self, worker: usize) {
         self.numbers += 1;
         let (id, origin) = (WorkerId(format!("w{}", self.numbers)), self.processes[worker].origin);
         let Process { instance, machine, .. } = self.processes[worker].clone();
-        let label = "label".to_owned();
-        let about = Registration {
-            instance,
-            machine,
-            label,
-            threads: 1,
-            version: String::new(),
-            facts: MachineFacts::default(),
-        };
+        let about = Registration { instance, ..process(machine, "label") };
         let answer = self.farm.register(self.now, id.clone(), origin, about);
         let fenced = self.store.fenced.contains_key(&origin);
         self.insist(answer.is_err() == fenced, || format!("{origin:?} registers: {answer:?}"));
@@ -101,8 +93,6 @@ impl World {
             }
             if matches!(purpose, Purpose::First | Purpose::Retry) {
                 self.check_struck(&key, origin);
-            }
-            if matches!(purpose, Purpose::First | Purpose::Retry) {
                 let twice = self.computed_elsewhere(&key).filter(|_| !under_way.contains(&place(&key)));
                 self.insist(twice.is_none(), || {
                     format!("{key:?} is given out, and {twice:?} computes the same")
@@ -139,16 +129,14 @@ impl World {
         let Process { id, held, .. } = self.processes[worker].clone();
         let bit = |bits: u8, i: usize| bits >> (i % 8) & 1 == 1;
         let chosen = held.iter().enumerate().filter(|(i, _)| bit(which, *i));
-        let lease = |(i, lease): (usize, &Lease)| HeldLease {
-            key: lease.key,
+        let lease = |(i, Lease { key, job }): (usize, &Lease)| HeldLease {
+            key: *key,
             running: bit(running, i),
-            identity: lease.job.identity(),
+            identity: job.identity(),
         };
         let leases: Vec<HeldLease> = chosen.map(lease).collect();
-        let mine = |farm: &Dispatcher, key: &LeaseKey| {
-            farm.schedule.leases().get(key).is_some_and(|h| h.worker == id)
-        };
-        let valid: Vec<_> = leases.iter().map(|l| l.key).filter(|key| mine(&self.farm, key)).collect();
+        let mine = |key: &LeaseKey| self.farm.schedule.leases().get(key).is_some_and(|h| h.worker == id);
+        let valid: Vec<_> = leases.iter().map(|l| l.key).filter(mine).collect();
         let answer = self.farm.renew(self.now, &id, leases.clone());
         let Some((lost, _)) = self.answer(worker, answer) else { return };
         for HeldLease { key, running, .. } in leases {

@@ -153,20 +153,20 @@ impl World {
     fn perform(&mut self, op: &Op) {
         match *op {
             Op::Register(worker) => self.register(worker),
-            Op::Acquire { worker, max } => self.acquire(worker, max),
-            Op::Renew { worker, which, running } => self.renew(worker, which, running),
-            Op::Forge { worker, lease, how } => self.forge(worker, lease, how),
-            Op::Deliver { worker, lease } => {
+            Op::Acquire(worker, max) => self.acquire(worker, max),
+            Op::Renew(worker, which, running) => self.renew(worker, which, running),
+            Op::Forge(worker, lease, how) => self.forge(worker, lease, how),
+            Op::Deliver(worker, lease) => {
                 self.begin(worker, lease);
                 self.end(usize::MAX);
             }
-            Op::Begin { worker, lease } => self.begin(worker, lease),
+            Op::Begin(worker, lease) => self.begin(worker, lease),
             Op::End(which) => self.end(which),
-            Op::Clash { which, with } => self.clash(which, with),
-            Op::DeliverOld { worker, lease } => self.deliver_old(worker, lease),
-            Op::DeliverAlien { worker, lease } => self.deliver_alien(worker, lease),
-            Op::Fail { worker, lease } => self.fail(worker, lease),
-            Op::HandBack { worker, lease } => {
+            Op::Clash(which, with) => self.clash(which, with),
+            Op::DeliverOld(worker, lease) => self.deliver_old(worker, lease),
+            Op::DeliverAlien(worker, lease) => self.deliver_alien(worker, lease),
+            Op::Fail(worker, lease) => self.fail(worker, lease),
+            Op::HandBack(worker, lease) => {
                 if let Some(lease) = self.take_lease(worker, lease) {
                     self.farm.hand_back(&[lease.key]);
                 }
@@ -186,23 +186,19 @@ impl World {
             Op::Pause(at) => self.set_desire(at, DesiredState::Pause),
             Op::Resume(at) => self.set_desire(at, DesiredState::Run),
             Op::Cancel(at) => self.set_desire(at, DesiredState::Cancel),
-            Op::Priority(at, to) => {
-                if let Some(id) = self.dictionary(at) {
-                    self.store.dictionaries.get_mut(&id).unwrap().priority = to;
-                    self.farm.set_priority(id, to);
-                }
-            }
-            Op::Retry(at) => {
-                if let Some(id) = self.dictionary(at) {
-                    self.retry(id);
-                }
-            }
+            Op::Priority(at, to) => self.with(at, |world, id| {
+                world.store.dictionaries.get_mut(&id).unwrap().priority = to;
+                world.farm.set_priority(id, to);
+            }),
+            Op::Retry(at) => self.with(at, Self::retry),
             Op::Delete(at) => self.delete(at),
-            Op::Damage { dictionary, job } => {
-                if let Some(id) = self.dictionary(dictionary) {
-                    self.recompute(id, job);
-                }
-            }
+            Op::Damage(at, job) => self.with(at, |world, id| world.recompute(id, job)),
+        }
+    }
+
+    fn with(&mut self, at: usize, act: impl FnOnce(&mut Self, DictionaryId)) {
+        if let Some(id) = self.dictionary(at) {
+            act(self, id);
         }
     }
 
@@ -235,14 +231,8 @@ impl World {
         let stalled = self.last_look.map_or(Duration::ZERO, |last| self.now.saturating_sub(last));
         let stalled = if stalled > STALL { stalled } else { Duration::ZERO };
         self.last_look = Some(self.now);
-        let mut due: Vec<_> = self
-            .farm
-            .schedule
-            .leases()
-            .iter()
-            .filter(|h| h.deadline + stalled <= self.now)
-            .cloned()
-            .collect();
+        let leases = self.farm.schedule.leases();
+        let mut due: Vec<_> = leases.iter().filter(|h| h.deadline + stalled <= self.now).cloned().collect();
         due.sort_by_key(|held| (held.deadline, held.key.token));
         let freed = self.farm.look_over(self.now);
         self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
@@ -330,26 +320,18 @@ impl World {
                 self.retry(id);
             }
             for worker in 0..3 {
-                self.step(&Op::Renew { worker, which: 255, running: 255 });
-                self.step(&Op::Acquire { worker, max: 2 });
-                self.step(&Op::Deliver { worker, lease: 0 });
+                self.step(&Op::Renew(worker, 255, 255));
+                self.step(&Op::Acquire(worker, 2));
+                self.step(&Op::Deliver(worker, 0));
             }
             self.check()?;
-            let active = |id: &&DictionaryId| self.farm.schedule.by_id(**id).unwrap().is_active();
-            let done = self
-                .store
-                .dictionaries
-                .keys()
-                .filter(active)
-                .all(|id| self.farm.schedule.by_id(*id).unwrap().is_complete());
+            // The model has the same dictionaries.
+            let done = self.farm.schedule.dictionaries().all(|d| !d.is_active() || d.is_complete());
             if done && self.farm.verification.counts().2 == 0 && self.farm.schedule.load() == (0, 0) {
                 return self.check_digests();
             }
         }
-        Err(format!(
-            "the work is not done in time: {:?} {:?}",
-            self.farm.schedule.load(),
-            self.farm.verification.counts()
-        ))
+        let (load, counts) = (self.farm.schedule.load(), self.farm.verification.counts());
+        Err(format!("the work is not done in time: {load:?} {counts:?}"))
     }
 }

@@ -175,11 +175,8 @@ mod tests {
             machines.failed(at(10_000 * round), A, job(4), false);
         }
         assert_eq!(machines.failed(at(1_000_000), A, job(4), false), Some(at(600)));
-        assert_eq!(
-            machines.failed(at(2_000_000), A, job(4), true),
-            Some(at(10)),
-            "no other machine is there"
-        );
+        let alone = machines.failed(at(2_000_000), A, job(4), true);
+        assert_eq!(alone, Some(at(10)), "no other machine is there");
         machines.succeeded(A);
         assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
     }
@@ -219,10 +216,11 @@ mod tests {
         let mut machines = Machines::default();
         machines.met(A, machine("t", "::1", "h"), "a");
         machines.fence(A, "wrong".to_owned());
-        assert_eq!(machines.fence_of(&machine("t", "::1", "")), Some("wrong"), "the same address");
-        assert_eq!(machines.fence_of(&machine("t", "::2", "h")), Some("wrong"), "the same host");
-        assert_eq!(machines.fence_of(&machine("u", "::1", "h")), None, "another token");
-        assert_eq!(machines.fence_of(&machine("t", "::2", "")), None);
+        let cases = [(("t", "::1", ""), true), (("t", "::2", "h"), true), (("u", "::1", "h"), false)];
+        for ((token, address, host), fenced) in cases.into_iter().chain([(("t", "::2", ""), false)]) {
+            let reason = machines.fence_of(&machine(token, address, host));
+            assert_eq!(reason, fenced.then_some("wrong"), "{token} {address} {host}");
+        }
         machines.met(A, machine("t", "::1", "h"), "b");
         assert!(machines.is_fenced(A), "another process is the same machine");
         machines.lift(A);

@@ -10,17 +10,12 @@ use crate::stored::{KnownMachine, Origin};
 impl Bench {
     /// Fails at every job that a worker is given at a moment; returns their number.
     fn fail_all(&mut self, at: u64, name: &str) -> usize {
-        let mut failed = 0;
-        loop {
-            let leases = self.acquire(at, name, 1);
-            if leases.is_empty() {
-                return failed;
-            }
-            failed += leases.len();
-            for lease in &leases {
-                self.fail(at, name, lease);
-            }
-        }
+        let failures = std::iter::from_fn(|| {
+            let lease = self.acquire(at, name, 1).pop()?;
+            self.fail(at, name, &lease);
+            Some(lease)
+        });
+        failures.count()
     }
 
     fn state_of(&self, at: u64, name: &str) -> (WorkerState, u64) {
@@ -38,9 +33,8 @@ fn failing_machine_is_suspended() {
     assert_eq!(bench.status().jobs_failed, 0);
     assert_eq!(bench.state_of(0, "a"), (WorkerState::Suspended, 10_000));
     assert!(bench.reasons(0).contains(&"WORKERS_SUSPENDED"));
-    for lease in bench.acquire(1, "b", 9) {
-        bench.finish(2, "b", &lease);
-    }
+    let leases = bench.acquire(1, "b", 9);
+    bench.finish_all(2, "b", &leases);
     assert_eq!(bench.status().jobs_done, 3);
 }
 
@@ -51,13 +45,11 @@ fn suspended_machine_is_tried_with_one_job() {
     bench.fail_all(0, "a");
     // The other workers are silent from now on.
     bench.farm.take_outbox();
-    for second in (0..=40).step_by(4) {
-        bench.farm.look_over(seconds(second));
-    }
+    bench.look(0..41);
     assert!(bench.farm.take_outbox().work, "the end of its pause is signalled");
     let lease = bench.acquire(40, "a", 9);
     assert_eq!(lease.len(), 1);
-    bench.farm.register(seconds(40), worker("d"), Origin(1), on("a", "d")).unwrap();
+    bench.register(40, "d", Origin(1), on("a", "d")).unwrap();
     assert!(bench.acquire(40, "d", 9).is_empty(), "another process is the same machine");
     bench.finish(41, "a", &lease[0]);
     assert_eq!(bench.acquire(41, "a", 9).len(), 2);
@@ -70,7 +62,7 @@ fn failures_on_one_machine_count_once() {
     let mut grant = bench.acquire(0, "a", 1);
     let job = grant[0].key.job;
     bench.fail(0, "a", &grant[0]);
-    bench.farm.register(seconds(0), worker("d"), Origin(1), on("a", "d")).unwrap();
+    bench.register(0, "d", Origin(1), on("a", "d")).unwrap();
     assert!(!job_of(&bench.acquire(0, "d", 9)).contains(&job), "b or c are to try it");
     grant = bench.acquire(1, "b", 1);
     assert_eq!(grant[0].key.job, job);
@@ -82,7 +74,7 @@ fn failures_on_one_machine_count_once() {
 #[test]
 fn job_that_fails_everywhere_blames_itself() {
     let mut bench = Bench::new(&[]);
-    bench.farm.leave(&worker("c"));
+    bench.leave(&["c"]);
     bench.fail_all(0, "a");
     bench.fail_all(0, "b");
     assert_eq!(bench.status().jobs_failed, 3);
@@ -95,13 +87,11 @@ fn job_that_fails_everywhere_blames_itself() {
 #[test]
 fn lone_machine_gives_up_after_its_attempts() {
     let mut bench = Bench::new(&[]);
-    for name in ["b", "c"] {
-        bench.farm.leave(&worker(name));
-    }
+    bench.leave(&["b", "c"]);
     for second in 0..2 {
-        let lease = bench.acquire(second, "a", 1);
-        assert_eq!(job_of(&lease), [2]);
-        bench.fail(second, "a", &lease[0]);
+        let lease = bench.one(second, "a");
+        assert_eq!(lease.key.job, 2);
+        bench.fail(second, "a", &lease);
     }
     assert_eq!(bench.status().jobs_failed, 1);
 }
@@ -117,7 +107,7 @@ fn endless_renewal_loses_the_lease() {
         assert!(second % 20 != 0 || bench.renew(second, "a", &lease[0], true), "{second}");
     }
     assert_eq!(bench.farm.look_over(seconds(day + 4)), 1);
-    bench.farm.register(seconds(day + 4), worker("b"), Origin(2), about("b")).unwrap();
+    bench.join(day + 4, "b");
     assert_eq!(bench.acquire(day + 4, "b", 1)[0].key.job, lease[0].key.job);
     assert!(bench.reasons(day + 4).contains(&"RETRYING"), "it counts as a failure");
 }
@@ -127,7 +117,7 @@ fn endless_renewal_loses_the_lease() {
 fn right_check_ends_a_suspension() {
     let mut bench = Bench::with_checks(&[], 1.0);
     bench.fail_all(0, "b");
-    let lease = bench.acquire(1, "a", 1).remove(0);
+    let lease = bench.one(1, "a");
     bench.finish(2, "a", &lease);
     let check = bench.acquire(40, "b", 9);
     assert_eq!(job_of(&check), [lease.key.job], "one at a time");
@@ -141,12 +131,12 @@ fn fence_survives_a_restart() {
     let mut bench = Bench::new(&[]);
     let (machine, label, fenced) = (about("d").machine, "d".to_owned(), Some("wrong".to_owned()));
     bench.farm.roster_mut().remember_machine(KnownMachine { origin: Origin(4), machine, label, fenced });
-    let refused = bench.farm.register(seconds(0), worker("d"), Origin(4), about("d")).unwrap_err();
+    let refused = bench.register(0, "d", Origin(4), about("d")).unwrap_err();
     assert_eq!(refused, DispatchError::Fenced("wrong".to_owned()));
     let unknown = bench.farm.lift_fence("e").unwrap_err();
     assert!(unknown.contains("there are @d (d)"), "{unknown}");
     assert_eq!(bench.farm.lift_fence("d"), Ok(Origin(4)));
-    bench.farm.register(seconds(0), worker("d"), Origin(4), about("d")).unwrap();
+    bench.register(0, "d", Origin(4), about("d")).unwrap();
     assert_eq!(bench.farm.lift_fence("d").unwrap_err(), "no machine is fenced off");
 }
 

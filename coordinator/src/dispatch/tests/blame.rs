@@ -1,10 +1,9 @@
 //! Tests that failed attempts count against the right job and machine.
 
-use farm_proto::ids::DictionaryId;
-use farm_proto::status::{DictionaryState, MachineFacts};
+use farm_proto::status::DictionaryState;
 
-use super::{Bench, DIGEST, about, job_of, origin, seconds, worker};
-use crate::dispatch::{Effect, EventKind, Registration};
+use super::{Bench, DIGEST, FIRST, about, job_of, origin, seconds, worker};
+use crate::dispatch::{Effect, EventKind};
 use crate::stored::Origin;
 
 /// A job is given up after the allowed number of failures, and a retry puts it back into the queue.
@@ -19,17 +18,14 @@ fn given_up_job_keeps_all_reasons() {
     assert!(bench.reasons(1).contains(&"RETRYING"));
     bench.farm.failed(seconds(2), &worker("b"), &second[0].key, "bang").unwrap();
     let reason = "attempt 1: boom; attempt 2: bang".to_owned();
-    let (dictionary, job) = (DictionaryId(1), first[0].key.job);
-    assert_eq!(
-        bench.farm.take_outbox().effects,
-        [Effect::GiveUp { dictionary, job, reason, quarantined: false }]
-    );
-    for lease in bench.acquire(2, "a", 10) {
-        bench.finish(3, "a", &lease);
-    }
+    let job = first[0].key.job;
+    let given_up = Effect::GiveUp { dictionary: FIRST, job, reason, quarantined: false };
+    assert_eq!(bench.farm.take_outbox().effects, [given_up]);
+    let left = bench.acquire(2, "a", 10);
+    bench.finish_all(3, "a", &left);
     assert_eq!(bench.state(), DictionaryState::Failed);
     assert!(bench.reasons(3).contains(&"JOBS_GIVEN_UP"));
-    assert_eq!(bench.farm.retry(DictionaryId(1)), 1);
+    assert_eq!(bench.farm.retry(FIRST), 1);
     assert_eq!(job_of(&bench.acquire(4, "c", 10)), [job]);
 }
 
@@ -37,18 +33,15 @@ fn given_up_job_keeps_all_reasons() {
 #[test]
 fn silence_after_preemption_has_no_blame() {
     let mut bench = Bench::new(&[]);
-    let mut at = 0;
     // More rounds than a job may have failures.
     for round in 0..5 {
+        let at = 40 * round;
         let id = format!("a{round}");
-        bench.farm.register(seconds(at), worker(&id), origin("a"), about(&id)).unwrap();
+        bench.register(at, &id, origin("a"), about(&id)).unwrap();
         let lease = bench.acquire(at, &id, 1);
         assert!(bench.renew(at, &id, &lease[0], true));
         bench.farm.roster.stopping(&worker(&id));
-        for second in (at..at + 40).step_by(4) {
-            bench.farm.look_over(seconds(second));
-        }
-        at += 40;
+        bench.look(at..at + 40);
         assert_eq!(bench.status().jobs_leased, 0, "its lease has ended");
         let events = bench.farm.take_outbox().events;
         assert!(events.iter().all(|event| event.kind != EventKind::AttemptFailed), "{events:?}");
@@ -60,16 +53,13 @@ fn silence_after_preemption_has_no_blame() {
 #[test]
 fn failed_job_names_its_log() {
     let mut bench = Bench::new(&[]);
-    let logged = |name: &str| {
-        let facts = MachineFacts { log: format!("node7:/var/log/{name}.out"), ..MachineFacts::default() };
-        Registration { facts, ..about(name) }
-    };
     for name in ["a", "b"] {
-        bench.farm.register(seconds(0), worker(name), origin(name), logged(name)).unwrap();
+        let mut logged = about(name);
+        logged.facts.log = format!("node7:/var/log/{name}.out");
+        bench.register(0, name, origin(name), logged).unwrap();
     }
     let told = |bench: &Bench, second| {
-        let reasons =
-            bench.farm.explain(seconds(second), bench.farm.schedule.by_id(DictionaryId(1)).unwrap());
+        let reasons = bench.farm.explain(seconds(second), bench.farm.schedule.by_id(FIRST).unwrap());
         reasons.into_iter().map(|reason| reason.text).collect::<Vec<_>>().join("\n")
     };
     let first = bench.acquire(0, "a", 1);
@@ -77,9 +67,7 @@ fn failed_job_names_its_log() {
     assert!(told(&bench, 1).contains("attempt 1: boom (log: node7:/var/log/a.out)"), "{}", told(&bench, 1));
     let second = bench.acquire(1, "b", 1);
     assert!(bench.renew(1, "b", &second[0], true));
-    for time in (4..40).step_by(4) {
-        bench.farm.look_over(seconds(time));
-    }
+    bench.look(4..40);
     let text = told(&bench, 40);
     let expected = "1 jobs were given up, the first is job 2 (attempt 1: boom (log: node7:/var/log/a.out); attempt 2: \
                     worker b fell silent while it computed this job (log: node7:/var/log/b.out))";
@@ -98,10 +86,8 @@ fn crash_blames_only_running_jobs() {
         assert!(bench.renew(at, "a", &leases[0], true));
         assert!(bench.renew(at, "a", &leases[1], false));
         // The process dies; another one comes in its place.
-        for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.look_over(seconds(second));
-        }
-        bench.farm.register(seconds(at + 40), worker("a"), Origin(10 + round as i64), about("a")).unwrap();
+        bench.look(at + 4..at + 40);
+        bench.register(at + 40, "a", Origin(10 + round as i64), about("a")).unwrap();
     }
     let status = bench.status();
     assert_eq!(status.failed.len(), 1);
@@ -120,9 +106,7 @@ fn returning_worker_lifts_blame_from_jobs() {
         assert_eq!(job_of(&lease), [2], "it was not given up");
         bench.farm.look_over(seconds(at));
         assert!(bench.renew(at, "a", &lease[0], true));
-        for second in (at + 4..at + 40).step_by(4) {
-            bench.farm.look_over(seconds(second));
-        }
+        bench.look(at + 4..at + 40);
         assert!(bench.renew(at + 50, "a", &lease[0], true), "no other worker has it: it continues");
         bench.farm.hand_back(&[lease[0].key]);
         bench.farm.look_over(seconds(at + 54));
@@ -144,8 +128,8 @@ fn stopped_coordinator_blames_no_worker() {
 fn returned_leases_carry_no_blame() {
     let mut bench = Bench::new(&[]);
     for _ in 0..5 {
-        let lease = bench.acquire(0, "a", 1);
-        bench.farm.hand_back(&[lease[0].key]);
+        let key = bench.one(0, "a").key;
+        bench.farm.hand_back(&[key]);
     }
     assert_eq!(bench.acquire(0, "a", 10).len(), 3);
     assert_eq!(bench.state(), DictionaryState::Running);
@@ -170,13 +154,11 @@ fn reregistered_worker_clears_its_jobs() {
     for round in 0..3 {
         let at = 1000 * round;
         let id = format!("a{round}");
-        bench.farm.register(seconds(at), worker(&id), Origin(7), about("a")).unwrap();
+        bench.register(at, &id, Origin(7), about("a")).unwrap();
         bench.farm.look_over(seconds(at));
         let lease = bench.acquire(at, &id, 1);
         assert_eq!(job_of(&lease), [2], "it was not given up");
         assert!(bench.renew(at, &id, &lease[0], true));
-        for second in (at + 4..at + 800).step_by(4) {
-            bench.farm.look_over(seconds(second));
-        }
+        bench.look(at + 4..at + 800);
     }
 }

@@ -1,10 +1,10 @@
 //! Tests the leases of parts: their holders and their ends.
 
-use farm_proto::ids::{DictionaryId, Token};
+use farm_proto::ids::Token;
 use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use farm_proto::status::DictionaryState;
 
-use super::{Bench, DIGEST, about, job_of, seconds, worker};
+use super::{Bench, DIGEST, FIRST, about, job_of, seconds, worker};
 use crate::dispatch::{Admission, Registration};
 use crate::stored::{DesiredState, Machine, Origin};
 
@@ -30,11 +30,7 @@ fn renewed_leases_do_not_expire() {
     let mut bench = Bench::new(&[]);
     let lease = bench.acquire(0, "a", 1);
     assert!(bench.renew(20, "a", &lease[0], true));
-    assert_eq!(bench.farm.look_over(seconds(24)), 0);
-    assert_eq!(bench.farm.look_over(seconds(29)), 0);
-    for second in (30..50).step_by(4) {
-        assert_eq!(bench.farm.look_over(seconds(second)), 0);
-    }
+    assert_eq!((bench.look(24..30), bench.look(30..50)), (0, 0));
     assert_eq!(bench.farm.look_over(seconds(50)), 1);
 }
 
@@ -52,9 +48,7 @@ fn held_up_coordinator_prolongs_no_new_lease() {
     bench.farm.check(seconds(1001)).unwrap();
     let since = |lease: &Lease| bench.farm.schedule.leases().get(&lease.key).unwrap().since;
     assert_eq!([&old[0], &new[0]].map(since), [seconds(1000), seconds(1001)]);
-    for second in (1002..1030).step_by(4) {
-        assert_eq!(bench.farm.look_over(seconds(second)), 0);
-    }
+    assert_eq!(bench.look(1002..1030), 0);
     assert_eq!(bench.farm.look_over(seconds(1030)), 1);
     assert_eq!(bench.farm.look_over(seconds(1031)), 2, "no worker has renewed its lease");
 }
@@ -71,16 +65,22 @@ fn guessed_token_is_refused() {
     assert_eq!(bench.status().jobs_leased, 1);
 }
 
+/// After a restart a worker keeps a lease only of the job that it computes, and of a dictionary that is not paused.
 #[test]
-fn leases_survive_a_restart_of_the_coordinator() {
-    let mut before = Bench::new(&[]);
-    let lease = before.acquire(0, "a", 1);
+fn renewals_after_a_restart_are_checked() {
+    let lease = Bench::new(&[]).one(0, "a");
     let mut after = Bench::new(&[]);
-    assert!(after.renew(0, "a", &lease[0], true), "the part waits: it is the worker's again");
-    assert!(!job_of(&after.acquire(1, "b", 9)).contains(&lease[0].key.job));
-    let other_grid = vec![HeldLease { key: lease[0].key, running: true, identity: DIGEST }];
-    let lost = after.farm.renew(seconds(1), &worker("b"), other_grid).unwrap().0;
-    assert_eq!(lost.len(), 1, "a lease of another grid is lost");
+    let of_another_grid = |after: &mut Bench, name| {
+        let held = vec![HeldLease { key: lease.key, running: true, identity: DIGEST }];
+        after.farm.renew(seconds(0), &worker(name), held).unwrap().0
+    };
+    assert_eq!(of_another_grid(&mut after, "a"), [lease.key]);
+    after.desire(FIRST, DesiredState::Pause);
+    assert!(!after.renew(0, "a", &lease, true), "nothing is computed for it now");
+    after.desire(FIRST, DesiredState::Run);
+    assert!(after.renew(0, "a", &lease, true), "the part waits: it is the worker's again");
+    assert!(!after.jobs(1, "b", 9).contains(&lease.key.job));
+    assert_eq!(of_another_grid(&mut after, "b"), [lease.key]);
 }
 
 /// After a restart a lease is taken up again only with the access token of its holder.
@@ -89,8 +89,7 @@ fn restart_keeps_leases_to_their_tokens() {
     let with_token = |token: &str| {
         let mut bench = Bench::new(&[]);
         let machine = Machine { token: token.to_owned(), ..Machine::at("d") };
-        let about = Registration { machine, ..about("d") };
-        bench.farm.register(seconds(0), worker("d"), Origin(4), about).unwrap();
+        bench.register(0, "d", Origin(4), Registration { machine, ..about("d") }).unwrap();
         bench
     };
     let lease = with_token("t").acquire(0, "d", 1);
@@ -112,23 +111,18 @@ fn leaving_worker_frees_all_its_leases() {
 /// A late job is leased to a second worker, and the first result counts.
 #[test]
 fn straggler_gets_a_second_copy() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
+    let (mut bench, left) = Bench::with_one_left();
     bench.farm.look_over(seconds(4));
     assert!(bench.acquire(4, "b", 1).is_empty(), "not yet");
-    bench.farm.look_over(seconds(9));
-    bench.farm.look_over(seconds(14));
-    bench.farm.look_over(seconds(18));
+    bench.look_at(&[9, 14, 18]);
     assert!(bench.acquire(18, "a", 1).is_empty(), "not a second copy for the same worker");
     let copy = bench.acquire(18, "b", 1);
-    assert_eq!(copy[0].key.job, leases[0].key.job);
+    assert_eq!(copy[0].key.job, left.key.job);
     bench.farm.look_over(seconds(19));
     assert!(bench.acquire(19, "c", 1).is_empty(), "two are enough");
     bench.finish(20, "b", &copy[0]);
     assert_eq!(bench.state(), DictionaryState::Done);
-    assert!(!bench.renew(20, "a", &leases[0], true), "the slow one is stopped");
+    assert!(!bench.renew(20, "a", &left, true), "the slow one is stopped");
 }
 
 /// Parts that are leased stay leased when other jobs are reopened.
@@ -137,7 +131,7 @@ fn held_parts_stay_leased_on_reopening() {
     let mut bench = Bench::new(&[]);
     let leases = bench.acquire(0, "a", 2);
     bench.finish(1, "a", &leases[0]);
-    bench.farm.reopen(DictionaryId(1), &[leases[0].key.job]);
+    bench.farm.reopen(FIRST, &[leases[0].key.job]);
     let all = bench.acquire(2, "b", 9);
     assert!(!job_of(&all).contains(&leases[1].key.job), "no part is computed by two: {all:?}");
     assert_eq!(bench.status().jobs_leased, 3);
@@ -146,16 +140,11 @@ fn held_parts_stay_leased_on_reopening() {
 /// Results of leases from before the pause are stored. No lease is granted, not even for a second copy.
 #[test]
 fn paused_dictionary_only_finishes_its_leases() {
-    let mut bench = Bench::new(&[]);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
-    for second in (4..=20).step_by(4) {
-        bench.farm.look_over(seconds(second));
-    }
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
+    let (mut bench, left) = Bench::with_one_left();
+    bench.look(4..21);
+    bench.desire(FIRST, DesiredState::Pause);
     assert!(bench.acquire(20, "b", 9).is_empty(), "no second copy either");
-    assert!(matches!(bench.admit("a", &leases[0]), Ok(Admission::Store { .. })));
+    assert!(matches!(bench.admit("a", &left), Ok(Admission::Store { .. })));
 }
 
 /// A worker cannot claim a free part with the token of another lease.
@@ -169,17 +158,4 @@ fn lease_token_is_valid_for_one_part() {
     let held = vec![HeldLease { key: forged, running: true, identity: other[0].job.identity() }];
     assert_eq!(bench.farm.renew(seconds(1), &worker("a"), held).unwrap().0, [forged]);
     assert_eq!(bench.acquire(2, "c", 1)[0].key.attempt, 2);
-}
-
-/// After a restart a worker keeps a lease only of the job that it computes, and of a dictionary that is not paused.
-#[test]
-fn renewals_after_a_restart_are_checked() {
-    let lease = Bench::new(&[]).acquire(0, "a", 1).remove(0);
-    let mut after = Bench::new(&[]);
-    let other_grid = vec![HeldLease { key: lease.key, running: true, identity: DIGEST }];
-    assert_eq!(after.farm.renew(seconds(0), &worker("a"), other_grid).unwrap().0, [lease.key]);
-    after.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
-    assert!(!after.renew(0, "a", &lease, true), "nothing is computed for it now");
-    after.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
-    assert!(after.renew(0, "a", &lease, true));
 }

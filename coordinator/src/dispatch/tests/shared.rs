@@ -1,43 +1,17 @@
 //! Tests dictionaries with the same walks, whose records are shared.
 
-use std::sync::Arc;
-
-use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 use farm_proto::lease::Lease;
-use optics_model::grid::Axes;
-use optics_model::{Digest, Grid, Scene, Walks};
+use optics_model::{Digest, Walks};
 
-use super::{Bench, DIGEST, origin, stored};
-use crate::dispatch::Dictionary;
-use crate::stored::{DesiredState, StoredDictionary};
-
-const FIRST: DictionaryId = DictionaryId(1);
-const SECOND: DictionaryId = DictionaryId(2);
+use super::{Bench, DIGEST, FIRST, SECOND, origin, seconds};
+use crate::stored::DesiredState;
+use crate::testing::grid;
 
 /// The bench's dictionary of three points, and a second one with two of these and another between them.
-fn overlapping(albedo: Vec<f64>) -> Bench {
-    overlapping_with_checks(albedo, 0.0)
-}
-
-fn overlapping_with_checks(albedo: Vec<f64>, check_share: f64) -> Bench {
+fn overlapping(albedo: &[f64], check_share: f64) -> Bench {
     let mut bench = Bench::with_checks(&[], check_share);
-    let axes = Axes {
-        sigma_t_per_mm: vec![2.0, 15.0, 30.0],
-        albedo,
-        g: vec![0.0],
-        thickness_mm: vec![1.0],
-        sample_ior: vec![1.5],
-    };
-    let grid = Grid::new(Scene::paper(), axes, Walks::PAPER, 1, false).unwrap();
-    let second = StoredDictionary {
-        id: SECOND,
-        name: DictionaryName::new("e").unwrap(),
-        grid_digest: Digest::of_grid(&grid),
-        grid: Arc::new(grid),
-        ..stored()
-    };
-    bench.farm.add_dictionary(Dictionary::new(second, &[]));
+    bench.add(SECOND, grid(None, &[2.0, 15.0, 30.0], albedo, Walks::PAPER.get()), &[]);
     bench
 }
 
@@ -48,7 +22,7 @@ fn places(leases: &[Lease]) -> Vec<(DictionaryId, u32)> {
 /// One of two dictionaries with the same walks computes them, and its records serve both.
 #[test]
 fn shared_walks_are_computed_once() {
-    let mut bench = overlapping(vec![0.9]);
+    let mut bench = overlapping(&[0.9], 0.0);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
     assert!(bench.reasons_of("e", 0).contains(&"SHARED"), "{:?}", bench.reasons_of("e", 0));
@@ -62,32 +36,27 @@ fn shared_walks_are_computed_once() {
     assert!(bench.farm.schedule.served_by((FIRST, 2)).is_empty());
 }
 
-/// A job with more albedos is leased first, regardless of priorities.
+/// A job with more albedos is leased first, regardless of priorities. Jobs with the same walks but different albedos are
+/// both leased.
 #[test]
 fn most_albedos_go_first() {
-    let mut bench = overlapping(vec![0.5, 0.9, 0.95]);
+    let mut bench = overlapping(&[0.5, 0.9, 0.95], 0.0);
     bench.farm.set_priority(FIRST, 5);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(SECOND, 2), (SECOND, 0), (FIRST, 0), (SECOND, 1)]);
-}
-
-/// Jobs with the same walks but different albedos are both leased.
-#[test]
-fn other_albedos_are_computed_separately() {
-    let mut bench = overlapping(vec![0.9, 0.95]);
-    assert_eq!(bench.acquire(0, "a", 9).len(), 6);
+    assert_eq!(overlapping(&[0.9, 0.95], 0.0).acquire(0, "a", 9).len(), 6);
 }
 
 /// The second dictionary computes the shared walks when the first is paused, cancelled or deleted, or gives up the job.
 #[test]
 fn stopped_shared_walks_are_taken_over() {
     for how in 0..4 {
-        let mut bench = overlapping(vec![0.9]);
+        let mut bench = overlapping(&[0.9], 0.0);
         let held = bench.acquire(0, "a", 9);
         assert!(bench.acquire(1, "b", 9).is_empty());
         match how {
-            0 => bench.farm.set_desire(FIRST, DesiredState::Pause, String::new()),
-            1 => bench.farm.set_desire(FIRST, DesiredState::Cancel, String::new()),
+            0 => bench.desire(FIRST, DesiredState::Pause),
+            1 => bench.desire(FIRST, DesiredState::Cancel),
             2 => bench.farm.remove_dictionary(FIRST),
             _ => {
                 bench.fail(1, "a", &held[0]);
@@ -105,25 +74,25 @@ fn stopped_shared_walks_are_taken_over() {
 /// The first dictionary waits for shared walks that the second has begun.
 #[test]
 fn first_waits_for_walks_of_the_second() {
-    let mut bench = overlapping(vec![0.5, 0.9]);
-    bench.farm.set_desire(FIRST, DesiredState::Pause, String::new());
+    let mut bench = overlapping(&[0.5, 0.9], 0.0);
+    bench.desire(FIRST, DesiredState::Pause);
     assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
-    bench.farm.set_desire(FIRST, DesiredState::Run, String::new());
+    bench.desire(FIRST, DesiredState::Run);
     assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 
 /// The check of a removed dictionary continues in another one that has the records: otherwise they would never be checked.
 #[test]
 fn check_outlives_its_dictionary() {
-    for (albedo, of_heir) in [(vec![0.5, 0.9], DIGEST), (vec![0.9], Digest::from_bytes([8; 32]))] {
-        let mut bench = overlapping_with_checks(albedo, 1.0);
-        let lease = bench.acquire(0, "a", 1).remove(0);
-        assert_eq!(places(std::slice::from_ref(&lease)), [(FIRST, 2)]);
+    for (albedo, of_heir) in [(&[0.5, 0.9][..], DIGEST), (&[0.9], Digest::from_bytes([8; 32]))] {
+        let mut bench = overlapping(albedo, 1.0);
+        let lease = bench.one(0, "a");
+        assert_eq!((lease.key.dictionary, lease.key.job), (FIRST, 2));
         bench.finish(1, "a", &lease);
         bench.farm.taken_over((SECOND, 2), Walks::PAPER, of_heir, Some(origin("a")));
-        bench.farm.set_desire(FIRST, DesiredState::Cancel, String::new());
+        bench.desire(FIRST, DesiredState::Cancel);
         bench.farm.remove_dictionary(FIRST);
-        let check = bench.acquire(2, "b", 1).remove(0);
+        let check = bench.one(2, "b");
         assert_eq!((check.key.dictionary, check.key.job), (SECOND, 2));
         bench.compare("b", &check, of_heir, of_heir);
         assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
@@ -133,7 +102,7 @@ fn check_outlives_its_dictionary() {
 /// A late job whose walks are needed by another dictionary gets a second copy.
 #[test]
 fn shared_straggler_gets_a_second_copy() {
-    let mut bench = overlapping(vec![0.9]);
+    let mut bench = overlapping(&[0.9], 0.0);
     let leases = bench.acquire(0, "a", 9);
     for lease in &leases[1..] {
         bench.finish(1, "a", lease);
@@ -141,43 +110,35 @@ fn shared_straggler_gets_a_second_copy() {
             bench.farm.taken_over(place, Walks::PAPER, DIGEST, None);
         }
     }
-    bench.farm.look_over(super::seconds(4));
-    bench.farm.look_over(super::seconds(9));
-    bench.farm.look_over(super::seconds(14));
-    bench.farm.look_over(super::seconds(18));
+    bench.look_at(&[4, 9, 14, 18]);
     assert_eq!(places(&bench.acquire(18, "b", 9)), [(FIRST, 2)]);
-}
-
-/// A request in vain does not make the time without work count: the expected end stays the same.
-#[test]
-fn requests_in_vain_keep_the_pace() {
-    let mut bench = overlapping(vec![0.9, 0.95]);
-    bench.farm.set_desire(SECOND, DesiredState::Pause, String::new());
-    let leases = bench.acquire(0, "a", 9);
-    for (at, lease) in (1..).zip(&leases) {
-        bench.finish(at, "a", lease);
-    }
-    assert!(leases.len() == 3 && bench.acquire(3, "a", 9).is_empty());
-    bench.farm.set_desire(SECOND, DesiredState::Run, String::new());
-    let second = bench.farm.schedule.by_id(SECOND).unwrap();
-    let [soon, later] = [3, 100].map(|at| bench.farm.status_of(super::seconds(at), second).eta_s);
-    assert!(soon.is_some_and(|s| s > 0.0) && soon == later, "{soon:?} {later:?}");
 }
 
 /// The expected end of the second dictionary at two times, once three results have come.
 fn expected_ends(bench: &Bench, at: [u64; 2]) -> [f64; 2] {
     let second = bench.farm.schedule.by_id(SECOND).unwrap();
-    at.map(|at| bench.farm.status_of(super::seconds(at), second).eta_s.expect("the pace is known"))
+    at.map(|at| bench.farm.status_of(seconds(at), second).eta_s.expect("the pace is known"))
+}
+
+/// A request in vain does not make the time without work count: the expected end stays the same.
+#[test]
+fn requests_in_vain_keep_the_pace() {
+    let mut bench = overlapping(&[0.9, 0.95], 0.0);
+    bench.desire(SECOND, DesiredState::Pause);
+    let leases = bench.acquire(0, "a", 9);
+    (1..).zip(&leases).for_each(|(at, lease)| bench.finish(at, "a", lease));
+    assert!(leases.len() == 3 && bench.acquire(3, "a", 9).is_empty());
+    bench.desire(SECOND, DesiredState::Run);
+    let [soon, later] = expected_ends(&bench, [3, 100]);
+    assert!(soon > 0.0 && soon == later, "{soon:?} {later:?}");
 }
 
 /// Time counts for the pace while leases are out, and not after the last result.
 #[test]
 fn pace_counts_time_with_leases_only() {
-    let mut bench = overlapping(vec![0.9]);
+    let mut bench = overlapping(&[0.9], 0.0);
     let leases = bench.acquire(0, "a", 9);
-    for (at, lease) in (1..).zip(&leases[..3]) {
-        bench.finish(at, "a", lease);
-    }
+    (1..).zip(&leases[..3]).for_each(|(at, lease)| bench.finish(at, "a", lease));
     let [soon, later] = expected_ends(&bench, [3, 100]);
     assert!(later > soon, "one is out: {soon} {later}");
     bench.finish(4, "a", &leases[3]);

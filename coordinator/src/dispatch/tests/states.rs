@@ -3,17 +3,16 @@
 use farm_proto::ids::DictionaryId;
 use farm_proto::status::JobState::{Checked, Computing, Done, Failed, Waiting};
 use farm_proto::status::WorkerState;
-use optics_model::Walks;
 
-use super::{Bench, DIGEST, seconds, worker};
+use super::{Bench, DIGEST, FIRST, done, seconds, worker};
 use crate::dispatch::EventKind;
-use crate::stored::{DesiredState, EndedJob};
+use crate::stored::DesiredState;
 
 /// A job waits, is computed, done and checked, or given up.
 #[test]
 fn job_states_follow_its_life() {
     let mut bench = Bench::with_checks(&[], 1.0);
-    let states = |bench: &Bench| bench.farm.job_states(DictionaryId(1));
+    let states = |bench: &Bench| bench.farm.job_states(FIRST);
     assert_eq!(states(&bench), [Waiting; 3]);
     let leases = bench.acquire(0, "a", 2);
     let [one, other] = [0, 1].map(|i| leases[i].key.job as usize);
@@ -26,7 +25,7 @@ fn job_states_follow_its_life() {
     bench.finish(1, "a", &leases[0]);
     assert_eq!(states(&bench), with(Done, Computing));
     // A check does not count as computing, and a result that another machine has confirmed is checked, not only done.
-    let check = bench.acquire(2, "b", 1).remove(0);
+    let check = bench.one(2, "b");
     assert_eq!(check.key.job as usize, one);
     assert_eq!(states(&bench), with(Done, Computing));
     bench.compare("b", &check, DIGEST, DIGEST);
@@ -45,15 +44,7 @@ fn job_states_follow_its_life() {
 /// with two records each.
 #[test]
 fn finished_and_reused_records_are_counted() {
-    let done = |job| EndedJob::Done {
-        job,
-        walks: Walks::PAPER,
-        records: DIGEST,
-        by: None,
-        confirmed: vec![],
-        reused: true,
-    };
-    let bench = Bench::new(&[done(0), done(2)]);
+    let bench = Bench::new(&[done(0, None, true), done(2, None, true)]);
     assert_eq!(bench.status().records_reused, 4);
     let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
     assert_eq!([0..6, 1..5, 2..4].map(|range| dictionary.finished_records(range)), [4, 2, 0]);
@@ -63,11 +54,10 @@ fn finished_and_reused_records_are_counted() {
 #[test]
 fn dictionary_events_are_recorded_in_order() {
     let mut bench = Bench::new(&[]);
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Pause, String::new());
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Run, String::new());
-    for lease in bench.acquire(0, "a", 3) {
-        bench.finish(1, "a", &lease);
-    }
+    bench.desire(FIRST, DesiredState::Pause);
+    bench.desire(FIRST, DesiredState::Run);
+    let leases = bench.acquire(0, "a", 3);
+    bench.finish_all(1, "a", &leases);
     let events = bench.farm.take_outbox().events;
     let kinds: Vec<_> = events.iter().filter(|event| event.dictionary == "d").map(|e| e.kind).collect();
     assert_eq!(kinds, [EventKind::Paused, EventKind::Resumed, EventKind::Done]);
@@ -77,7 +67,7 @@ fn dictionary_events_are_recorded_in_order() {
 #[test]
 fn cancellation_is_explained_with_its_reason() {
     let mut bench = Bench::new(&[]);
-    bench.farm.set_desire(DictionaryId(1), DesiredState::Cancel, "enough".to_owned());
+    bench.farm.set_desire(FIRST, DesiredState::Cancel, "enough".to_owned());
     let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
     let reasons = bench.farm.explain(seconds(0), dictionary);
     assert!(reasons[0].code == "CANCELLED" && reasons[0].text.contains("enough"), "{reasons:?}");

@@ -1,35 +1,33 @@
 //! Tests checks, disputes, and fenced-off machines.
 
-use farm_proto::ids::DictionaryId;
-use optics_model::{Digest, Walks};
+use optics_model::Digest;
 
-use super::{Bench, DIGEST, about, arrive, job_of, origin, seconds, worker};
+use super::{Bench, DIGEST, FIRST, WRONG, about, arrive, done, job_of, seconds, worker};
 use crate::dispatch::{DispatchError, Effect};
-use crate::stored::{EndedJob, Origin};
+use crate::stored::Origin;
 
 /// One vote against one decides nothing. The third fences the machine with the wrong result.
 #[test]
 fn third_worker_settles_a_failed_check() {
     let mut bench = Bench::with_checks(&[], 1.0);
-    let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
-    bench.finish_with(1, "a", &lease[0], wrong);
+    bench.finish_with(1, "a", &lease[0], WRONG);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
     let check = bench.acquire(2, "b", 1);
     assert_eq!(check[0].key.job, lease[0].key.job);
-    bench.compare("b", &check[0], wrong, DIGEST);
+    bench.compare("b", &check[0], WRONG, DIGEST);
     assert!(bench.reasons(2).contains(&"DISPUTED"));
     assert!(bench.effects().is_empty(), "one against one decides nothing");
     let third = bench.acquire(3, "c", 1);
     assert_eq!(third[0].key.job, lease[0].key.job);
-    bench.compare("c", &third[0], wrong, DIGEST);
+    bench.compare("c", &third[0], WRONG, DIGEST);
     let effects = bench.effects();
     assert!(matches!(&effects[..], [Effect::Fence { machine: Origin(1), .. }]), "{effects:?}");
     let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
     assert!(matches!(fenced, DispatchError::Fenced(_)));
-    let again = bench.farm.register(seconds(5), worker("z"), Origin(1), about("z"));
+    let again = bench.register(5, "z", Origin(1), about("z"));
     assert!(again.is_err(), "the same process does not come in by another door");
-    bench.farm.reopen(DictionaryId(1), &[lease[0].key.job]);
+    bench.farm.reopen(FIRST, &[lease[0].key.job]);
     assert!(job_of(&bench.acquire(6, "b", 9)).contains(&lease[0].key.job), "its records are computed again");
 }
 
@@ -56,11 +54,8 @@ fn worker_that_contradicts_itself_is_fenced() {
 fn part_under_check_is_not_late() {
     let mut bench = Bench::with_checks(&[], 1.0);
     let leases = bench.acquire(0, "a", 3);
-    bench.finish(1, "a", &leases[1]);
-    bench.finish(1, "a", &leases[2]);
-    for second in (4..=20).step_by(4) {
-        bench.farm.look_over(seconds(second));
-    }
+    bench.finish_all(1, "a", &leases[1..]);
+    bench.look(4..21);
     bench.finish(20, "a", &leases[0]);
     assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
     assert!(bench.acquire(20, "c", 3).is_empty());
@@ -69,14 +64,6 @@ fn part_under_check_is_not_late() {
 /// Checks that were not made before a restart are requested after it.
 #[test]
 fn open_checks_are_resumed_after_restart() {
-    let done = |job, by, reused| EndedJob::Done {
-        job,
-        walks: Walks::PAPER,
-        records: DIGEST,
-        by,
-        confirmed: vec![],
-        reused,
-    };
     // One machine computed job 0 alone; two agreed on job 1; the records of job 2 came for a dictionary that is gone.
     let ended = [done(0, Some(Origin(1)), false), done(1, None, false), done(2, Some(Origin(1)), true)];
     let mut bench = Bench::with_checks(&ended, 1.0);
@@ -90,9 +77,7 @@ fn open_checks_are_resumed_after_restart() {
 fn conflicting_shared_records_are_always_checked() {
     let mut bench = Bench::with_checks(&[], 0.0);
     let lease = bench.acquire(0, "a", 1);
-    arrive("a", &lease[0], |arrived| {
-        bench.farm.contradict(seconds(0), arrived, Some(&[(DictionaryId(1), 0)]));
-    });
+    arrive("a", &lease[0], |arrived| bench.farm.contradict(seconds(0), arrived, Some(&[(FIRST, 0)])));
     let again = bench.acquire(1, "b", 1);
     assert_eq!(again[0].key.job, lease[0].key.job, "it waits again");
     bench.finish(2, "b", &again[0]);
@@ -106,12 +91,11 @@ fn conflicting_shared_records_are_always_checked() {
 #[test]
 fn results_are_not_compared_with_replaced_records() {
     let mut bench = Bench::with_checks(&[], 0.0);
-    let (wrong, right) = (Digest::from_bytes([9; 32]), DIGEST);
     let lease = bench.acquire(0, "a", 1);
-    bench.finish_with(1, "a", &lease[0], right);
+    bench.finish_with(1, "a", &lease[0], DIGEST);
     // Another result was admitted while the job had other records.
     for _ in 0..3 {
-        bench.compare("b", &lease[0], wrong, right);
+        bench.compare("b", &lease[0], WRONG, DIGEST);
     }
     assert_eq!(bench.farm.verification.counts(), (0, 0, 0), "no machine is accused");
     assert!(bench.effects().is_empty());
@@ -121,11 +105,10 @@ fn results_are_not_compared_with_replaced_records() {
 #[test]
 fn simultaneous_different_results_trigger_a_check() {
     let mut bench = Bench::with_checks(&[], 0.0);
-    let wrong = Digest::from_bytes([9; 32]);
     let lease = bench.acquire(0, "a", 1);
     // Before the first is noted.
-    bench.compare("b", &lease[0], wrong, DIGEST);
-    bench.finish_with(1, "a", &lease[0], wrong);
+    bench.compare("b", &lease[0], WRONG, DIGEST);
+    bench.finish_with(1, "a", &lease[0], WRONG);
     assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not by itself");
     assert_eq!(job_of(&bench.acquire(2, "b", 1)), job_of(&lease));
 }
@@ -134,16 +117,12 @@ fn simultaneous_different_results_trigger_a_check() {
 #[test]
 fn blocked_checks_are_explained() {
     let mut bench = Bench::with_checks(&[], 1.0);
-    for name in ["b", "c"] {
-        bench.farm.leave(&worker(name));
-    }
+    bench.leave(&["b", "c"]);
     let leases = bench.acquire(0, "a", 9);
-    for lease in &leases {
-        bench.finish(1, "a", lease);
-    }
+    bench.finish_all(1, "a", &leases);
     assert!(bench.acquire(2, "a", 9).is_empty(), "it has computed all of them");
     assert_eq!(bench.reasons(2), ["CHECKS_WAIT", "DONE"]);
-    bench.farm.register(seconds(3), worker("b"), origin("b"), about("b")).unwrap();
+    bench.join(3, "b");
     assert_eq!(bench.reasons(3), ["DONE"]);
 }
 
@@ -152,19 +131,12 @@ fn blocked_checks_are_explained() {
 fn workers_per_token_are_limited() {
     use crate::dispatch::roster::WORKERS_OF_ONE;
     let mut bench = Bench::with_checks(&[], 1.0);
-    let of = |token: &str, instance: usize| {
-        let mut about = about(&instance.to_string());
-        about.instance = instance.to_string();
-        about.machine.token = token.to_owned();
-        about
-    };
     let mut register = |token: &str, instance: usize| {
-        let id = worker(&format!("{token}{instance}"));
-        bench.farm.register(seconds(0), id, Origin(9), of(token, instance))
+        let mut about = about(&instance.to_string());
+        about.machine.token = token.to_owned();
+        bench.register(0, &format!("{token}{instance}"), Origin(9), about)
     };
-    for instance in 0..WORKERS_OF_ONE {
-        register("mallory", instance).unwrap();
-    }
+    (0..WORKERS_OF_ONE).for_each(|instance| register("mallory", instance).unwrap());
     let refused = register("mallory", WORKERS_OF_ONE).unwrap_err();
     assert!(matches!(refused, DispatchError::ManyWorkers { .. }), "{refused}");
     register("mallory", 7).unwrap();

@@ -9,7 +9,7 @@ use optics_model::{MeasuredProfile, Measurement};
 use super::*;
 
 /// A farm with a dictionary that is done, and memory for this many of its channels.
-async fn with_room_for(channels: usize) -> (Arc<Farm>, tempfile::TempDir) {
+async fn with_room_for(channels: usize) -> (Arc<Farm>, TempDir) {
     let (farm, dir) = done().await;
     let mut farm = Arc::into_inner(farm).expect("no other handle of the farm");
     farm.fits = crate::farm::FitCache::new(channels * FitChannel::bytes_of(&grid(), 0));
@@ -37,7 +37,7 @@ async fn recent_channels_stay_in_memory() {
     assert!(matches!(met(&farm, &["R"]).await, Err(FarmError::Damaged { .. })), "red is read again");
 }
 
-/// A dictionary that fits into memory is read as a whole.
+/// A dictionary that fits into memory is read as a whole, and refuses a question over boards other than its own.
 #[tokio::test]
 async fn dictionary_that_fits_is_read_whole() {
     let (farm, dir) = with_room_for(3).await;
@@ -46,12 +46,6 @@ async fn dictionary_that_fits_is_read_whole() {
     for channel in ["R", "G", "B"] {
         assert!(!met(&farm, &[channel]).await.unwrap().is_empty());
     }
-}
-
-/// A question over given boards is refused by a dictionary with boards of its own.
-#[tokio::test]
-async fn boards_need_a_dictionary_for_all_boards() {
-    let (farm, _dir) = with_room_for(3).await;
     let board = optics_model::scene::Channel::new("R", 0.95, 0.02).unwrap();
     let refused = farm.ask(&name(), (&[], vec![board]), |_| Ok(())).await.unwrap_err();
     assert!(matches!(&refused, FarmError::Invalid(invalid) if invalid.field() == "board"), "{refused:?}");
@@ -77,10 +71,9 @@ async fn abandoned_question_ends() {
     let question = move |d: &optics_fit::FitDictionary| {
         // Dropped when the question ends, in whatever way.
         let _left = left;
-        let x: Vec<f64> = (0..16).map(|i| (f64::from(i) - 7.5) * 10.0 / 16.0).collect();
-        let profile =
-            MeasuredProfile::new("G", 1.0, x, (0..16).map(|i| 0.2 + 0.01 * f64::from(i)).collect(), None)
-                .unwrap();
+        let numbers = |from: f64, step: f64| (0..16).map(|i| from + step * f64::from(i)).collect();
+        let (x, values) = (numbers(-4.6875, 0.625), numbers(0.2, 0.01));
+        let profile = MeasuredProfile::new("G", 1.0, x, values, None).unwrap();
         let measurement = Measurement::new("m", vec![profile]).unwrap();
         let fit = || optics_fit::fit(d, &measurement, &FitOptions::default()).unwrap();
         begun.send(fit()).unwrap();
@@ -88,11 +81,8 @@ async fn abandoned_question_ends() {
         (0..100_000).for_each(|_| drop(fit()));
         Ok(())
     };
-    let asking = farm.clone();
-    let asked =
-        tokio::spawn(
-            async move { asking.ask::<()>(&name(), (&["G".to_owned()], Vec::new()), question).await },
-        );
+    let asking = async move { farm.ask::<()>(&name(), (&["G".to_owned()], Vec::new()), question).await };
+    let asked = tokio::spawn(asking);
     has_begun.await.unwrap();
     asked.abort();
     assert!(asked.await.unwrap_err().is_cancelled());

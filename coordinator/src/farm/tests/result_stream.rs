@@ -1,23 +1,11 @@
 //! Tests streams of valid and invalid results.
 
 use bytes::Bytes;
-use farm_proto::lease::{Lease, LeaseKey};
+use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
 use super::*;
-use crate::actor::Actor;
 use crate::farm::{Header, Piece, Refusal};
-use crate::stored::Machine;
-
-async fn begun() -> (Arc<Farm>, WorkerId, Vec<Lease>, tempfile::TempDir) {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let farm = load(store).await;
-    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
-    let worker = worker(&farm, "worker").await;
-    let leases = farm.acquire_now(&worker, 3).unwrap().leases;
-    (farm, worker, leases, dir)
-}
 
 fn header(worker: &WorkerId, key: LeaseKey, identity: Digest) -> Piece {
     Piece::Header(Header { worker: worker.clone(), key, identity })
@@ -39,31 +27,28 @@ async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Result<Outc
 /// If one result is refused, the others of its stream are stored. A worker that contradicts itself loses all its records.
 #[tokio::test]
 async fn refused_result_does_not_end_its_stream() {
-    let (farm, worker, leases, _dir) = begun().await;
+    let (farm, worker, _dir) = begun(0.0).await;
+    let leases = farm.acquire_now(&worker, 3).unwrap().leases;
     let mut stream = pieces(&worker, &leases[0], 0.25);
     stream.push(header(&worker, leases[1].key, Digest::from_bytes([1; 32])));
     stream.push(Piece::Records(Bytes::from_static(&[0; 7])));
     stream.extend(pieces(&worker, &leases[2], 0.5));
     let delivered = receive(&farm, stream).await.unwrap();
-    assert!(
-        matches!(
-            &delivered[..],
-            [Ok(Outcome::Finished { .. }), Err(Refusal::Unwanted(_)), Ok(Outcome::Finished { .. })]
-        ),
-        "{delivered:?}"
-    );
+    let [Ok(first), Err(Refusal::Unwanted(_)), Ok(third)] = &delivered[..] else { panic!("{delivered:?}") };
+    assert_eq!([first.kind(), third.kind()], [OutcomeKind::Stored; 2]);
     assert_eq!(jobs_done(&farm), 2);
-    let again = receive(&farm, pieces(&worker, &leases[0], 0.25)).await.unwrap();
-    assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Duplicate), "{again:?}");
-    let other = receive(&farm, pieces(&worker, &leases[0], 0.75)).await.unwrap();
-    assert!(matches!(&other[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Conflict), "{other:?}");
-    assert_eq!(jobs_done(&farm), 0, "a machine that contradicts itself loses all its results");
+    for (value, kind, left) in [(0.25, OutcomeKind::Duplicate, 2), (0.75, OutcomeKind::Conflict, 0)] {
+        let again = receive(&farm, pieces(&worker, &leases[0], value)).await.unwrap();
+        assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == kind), "{again:?}");
+        assert_eq!(jobs_done(&farm), left, "{kind:?}");
+    }
 }
 
 /// Malformed results are refused with the name of the field, and nothing of them is stored.
 #[tokio::test]
 async fn malformed_results_are_refused_with_field() {
-    let (farm, worker, leases, _dir) = begun().await;
+    let (farm, worker, _dir) = begun(0.0).await;
+    let leases = farm.acquire_now(&worker, 3).unwrap().leases;
     let whole = || pieces(&worker, &leases[0], 0.25);
     let too_short = || whole().into_iter().take(2).collect::<Vec<_>>();
     let with = |more: Piece| whole().into_iter().chain([more]).collect::<Vec<_>>();

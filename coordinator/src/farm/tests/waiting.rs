@@ -1,81 +1,60 @@
 //! Tests calls that wait for work, for changes or for the disk.
 
+use std::pin::{Pin, pin};
+use std::task::Poll;
 use std::time::Duration;
 
 use tokio_util::sync::CancellationToken;
 
 use super::*;
-use crate::actor::Actor;
 use crate::farm::WorkerEnd;
 
-const SOON: Duration = Duration::from_millis(20);
 const LONG: Duration = Duration::from_mins(1);
 
-async fn empty() -> (Arc<Farm>, tempfile::TempDir) {
-    let dir = tempfile::tempdir().unwrap();
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    (load(store).await, dir)
+/// Whether a call waits: it is polled once.
+async fn waits<F: Future>(call: &mut Pin<&mut F>) -> bool {
+    std::future::poll_fn(|context| Poll::Ready(call.as_mut().poll(context).is_pending())).await
 }
 
-/// A worker waits for work until there is some or its waiting time ends.
+/// A worker that waits for jobs gets its answer when its waiting time ends, when there are some or another one hands them
+/// back, when it is drained, or when the coordinator stops.
 #[tokio::test]
-async fn acquire_waits_for_work_or_times_out() {
+async fn waiting_workers_are_woken() {
     let (farm, _dir) = empty().await;
-    let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
-    assert!(farm.acquire(&worker, 1, SOON, &stop).await.unwrap().is_none());
-    let waiting = {
-        let (farm, worker, stop) = (farm.clone(), worker.clone(), stop.clone());
-        tokio::spawn(async move { farm.acquire(&worker, 1, LONG, &stop).await })
-    };
-    tokio::time::sleep(SOON).await;
+    let (first, stop) = (worker(&farm, "first").await, CancellationToken::new());
+    assert!(farm.acquire(&first, 1, Duration::from_millis(1), &stop).await.unwrap().is_none());
+    let mut waiting = pin!(farm.acquire(&first, JOBS as usize, LONG, &stop));
+    assert!(waits(&mut waiting).await);
     farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
-    assert_eq!(waiting.await.unwrap().unwrap().unwrap().leases.len(), 1);
-}
+    let all = waiting.await.unwrap().unwrap().leases;
+    assert_eq!(all.len(), JOBS as usize);
 
-/// A worker that waits for jobs gets its answer at once when it is drained or the coordinator stops.
-#[tokio::test]
-async fn drain_and_stop_wake_waiting_workers() {
-    let (farm, _dir) = empty().await;
-    let (worker, stop) = (worker(&farm, "worker").await, CancellationToken::new());
-    let waiting = |worker: &WorkerId| {
-        let (farm, worker, stop) = (farm.clone(), worker.clone(), stop.clone());
-        tokio::spawn(async move { farm.acquire(&worker, 1, LONG, &stop).await })
-    };
-    let other = super::worker(&farm, "other").await;
-    let (drained, stopped) = (waiting(&worker), waiting(&other));
-    tokio::time::sleep(SOON).await;
-    farm.drain(&Actor::default(), &worker.0).unwrap();
-    assert!(drained.await.unwrap().unwrap().unwrap().drain);
-    stop.cancel();
-    assert!(matches!(stopped.await.unwrap(), Err(FarmError::Stopping)));
-}
-
-/// A job that its worker hands back goes to a worker that waits.
-#[tokio::test]
-async fn returned_job_goes_to_a_waiting_worker() {
-    let (farm, _dir) = empty().await;
-    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
-    let (first, second) = (worker(&farm, "first").await, worker(&farm, "second").await);
-    let all = farm.acquire_now(&first, JOBS as usize).unwrap().leases;
-    let waiting = {
-        let farm = farm.clone();
-        tokio::spawn(async move { farm.acquire(&second, 1, LONG, &CancellationToken::new()).await })
-    };
-    tokio::time::sleep(SOON).await;
+    let others = ["second", "drained", "stopped"].map(|label| worker(&farm, label));
+    let [second, drained, stopped] = others;
+    let (second, drained, stopped) = (second.await, drained.await, stopped.await);
+    let mut waiting = pin!(farm.acquire(&second, 1, LONG, &stop));
+    assert!(waits(&mut waiting).await);
     farm.hand_back(&first, &[all[3].key], None);
-    let grant = waiting.await.unwrap().unwrap().unwrap();
-    assert_eq!(grant.leases[0].key.job, all[3].key.job);
+    assert_eq!(waiting.await.unwrap().unwrap().leases[0].key.job, all[3].key.job);
+
+    let mut waiting = pin!(farm.acquire(&drained, 1, LONG, &stop));
+    assert!(waits(&mut waiting).await);
+    farm.drain(&Actor::default(), &drained.0).unwrap();
+    assert!(waiting.await.unwrap().unwrap().drain);
+
+    let mut waiting = pin!(farm.acquire(&stopped, 1, LONG, &stop));
+    assert!(waits(&mut waiting).await);
+    stop.cancel();
+    assert!(matches!(waiting.await, Err(FarmError::Stopping)));
 }
 
 /// A watch reports every change and ends with the dictionary.
 #[tokio::test]
 async fn watch_reports_every_change() {
-    let (farm, _dir) = empty().await;
-    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
+    let (farm, worker, _dir) = begun(0.0).await;
     let mut watch = farm.watch(name()).unwrap();
     assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 0);
-    let worker = worker(&farm, "worker").await;
-    deliver(&farm, &worker, 0.25).await;
+    deliver(&farm, &worker, &lease(&farm, &worker).unwrap(), 0.25).await;
     assert_eq!(watch.next().await.unwrap().unwrap().jobs_done, 1);
     farm.cancel(&Actor::default(), &name(), "enough").await.unwrap();
     assert_eq!(watch.next().await.unwrap().unwrap().state, DictionaryState::Cancelled);
@@ -113,15 +92,10 @@ async fn export_is_ordered_and_announces_length() {
 /// A decision that cannot be stored is retried.
 #[tokio::test]
 async fn failed_write_is_retried() {
-    let (farm, dir) = empty().await;
-    let id = farm.store.create_dictionary(name(), grid(), 0, "", 7).await.unwrap().id;
-    farm.close().await;
-    drop(farm);
-    let store = Store::open(DataDir::lock(dir.path()).unwrap(), |_| {}).await.unwrap();
-    let farm = load(store).await;
-    let worker = worker(&farm, "worker").await;
+    let (farm, worker, dir) = begun(0.0).await;
+    let id = farm.found(&name()).unwrap().0;
     change(&dir, "ALTER TABLE jobs RENAME TO elsewhere").await;
-    let job = farm.acquire_now(&worker, 1).unwrap().leases[0].key.job;
+    let job = lease(&farm, &worker).unwrap().key.job;
     farm.hand_back(&worker, &[], Some(WorkerEnd::Left));
     for round in 0..3 {
         let worker = super::worker(&farm, &format!("worker {round}")).await;
@@ -142,9 +116,8 @@ async fn failed_write_is_retried() {
 /// A watch ends when its dictionary is deleted, even if another one takes its name.
 #[tokio::test]
 async fn watch_follows_a_dictionary_not_a_name() {
-    let (farm, _dir) = empty().await;
+    let (farm, _, _dir) = begun(0.0).await;
     let by = Actor::default();
-    farm.submit(&by, name(), grid(), 0).await.unwrap();
     let mut watch = farm.watch(name()).unwrap();
     watch.next().await.unwrap().unwrap();
     farm.cancel(&by, &name(), "").await.unwrap();
@@ -156,8 +129,7 @@ async fn watch_follows_a_dictionary_not_a_name() {
 /// A watch without changes repeats the last state within 15 seconds.
 #[tokio::test]
 async fn quiet_watch_repeats_every_15_seconds() {
-    let (farm, _dir) = empty().await;
-    farm.submit(&Actor::default(), name(), grid(), 0).await.unwrap();
+    let (farm, _, _dir) = begun(0.0).await;
     tokio::time::pause();
     let (mut watch, mut jobs) = (farm.watch(name()).unwrap(), farm.watch_jobs(&name()).unwrap());
     let (first, of_jobs) = (watch.next().await.unwrap().unwrap(), jobs.next().await.unwrap().unwrap());

@@ -19,15 +19,14 @@ fn newest() -> i64 {
     crate::store::migration::migrator().iter().map(|migration| migration.version).max().unwrap()
 }
 
-/// A database as the store opens it.
+/// A database as the store opens it, except that it does not wait for the disk.
 async fn open(file: &Path) -> SqlitePool {
     let options = SqliteConnectOptions::new()
         .filename(file)
         .create_if_missing(true)
         .page_size(PAGE_BYTES as u32)
         .journal_mode(SqliteJournalMode::Wal)
-        .synchronous(SqliteSynchronous::Full)
-        .foreign_keys(true);
+        .synchronous(SqliteSynchronous::Off);
     let pool = SqlitePoolOptions::new().max_connections(1).connect_with(options).await.unwrap();
     crate::store::migration::migrator().run(&pool).await.unwrap();
     pool
@@ -39,49 +38,31 @@ async fn reader(file: &Path) -> SqlitePool {
 }
 
 async fn run(pool: &SqlitePool, sql: &str) {
-    sqlx::query(AssertSqlSafe(sql)).execute(pool).await.unwrap();
-}
-
-async fn add_dictionary(pool: &SqlitePool) {
-    run(
-        pool,
-        "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms) VALUES (1, 'd', x'', zeroblob(32), 0)",
-    )
-    .await;
+    sqlx::raw_sql(AssertSqlSafe(sql)).execute(pool).await.unwrap();
 }
 
 /// A job with its two records, in one commit.
 async fn add_job(pool: &SqlitePool, job: i64, profiles: &[u8]) {
     let mut transaction = pool.begin_with("BEGIN IMMEDIATE").await.unwrap();
-    sqlx::query("INSERT INTO points (id, identity) VALUES (?1 + 1, CAST(printf('%032d', ?1) AS BLOB))")
-        .bind(job)
-        .execute(&mut *transaction)
-        .await
-        .unwrap();
-    sqlx::query(
+    for sql in [
+        "INSERT INTO points (id, identity) VALUES (?1 + 1, CAST(printf('%032d', ?1) AS BLOB))",
         "INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest) \
          VALUES (1, ?1, ?1 + 1, 5000, zeroblob(32))",
-    )
-    .bind(job)
-    .execute(&mut *transaction)
-    .await
-    .unwrap();
-    for albedo in [0.5, 0.9] {
-        sqlx::query("INSERT INTO records (point_id, albedo, profiles) VALUES (? + 1, ?, ?)")
-            .bind(job)
-            .bind(albedo)
-            .bind(profiles)
-            .execute(&mut *transaction)
-            .await
-            .unwrap();
+    ] {
+        sqlx::query(sql).bind(job).execute(&mut *transaction).await.unwrap();
     }
+    let records =
+        "INSERT INTO records (point_id, albedo, profiles) VALUES (?1 + 1, 0.5, ?2), (?1 + 1, 0.9, ?2)";
+    sqlx::query(records).bind(job).bind(profiles).execute(&mut *transaction).await.unwrap();
     transaction.commit().await.unwrap();
 }
 
 /// A database with 60 jobs, some megabyte large.
 async fn filled(dir: &Path) -> SqlitePool {
     let pool = open(&dir.join("farm.db")).await;
-    add_dictionary(&pool).await;
+    let dictionary = "INSERT INTO dictionaries (id, name, grid, grid_digest, created_unix_ms) \
+                      VALUES (1, 'd', x'', zeroblob(32), 0)";
+    run(&pool, dictionary).await;
     let mut profiles = vec![7; 8640];
     profiles[4000..4000 + MARK.len()].copy_from_slice(MARK);
     for job in 0..60 {
@@ -94,6 +75,7 @@ async fn filled(dir: &Path) -> SqlitePool {
 async fn with_backup() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let pool = filled(dir.path()).await;
+    run(&pool, &format!("PRAGMA application_id = {APPLICATION_ID}")).await;
     let copy = dir.path().join("copy");
     backup(&pool, &copy, newest()).await.unwrap();
     pool.close().await;
@@ -104,14 +86,6 @@ fn change(file: &Path, at: usize, change: impl Fn(u8) -> u8) {
     let mut bytes = std::fs::read(file).unwrap();
     bytes[at] = change(bytes[at]);
     std::fs::write(file, bytes).unwrap();
-}
-
-fn position(file: &Path, part: &[u8]) -> usize {
-    std::fs::read(file).unwrap().windows(part.len()).position(|window| window == part).unwrap()
-}
-
-fn without_checksum(file: &Path) {
-    std::fs::remove_file(checksum::sidecar(file)).unwrap();
 }
 
 /// The error of a file that is refused. Restoring and verifying must give the same message, and the data directory must
@@ -128,10 +102,11 @@ async fn refusal(file: &Path) -> BackupError {
     verified
 }
 
-/// A backup is restored byte for byte.
+/// A backup is restored byte for byte, with the application id.
 #[tokio::test]
 async fn backup_is_restored_byte_for_byte() {
     let (dir, copy) = with_backup().await;
+    assert_eq!(std::fs::read(&copy).unwrap()[68..72], *b"FARM");
     let report = verify(&copy, newest()).await.unwrap();
     assert_eq!(report.checksum, Checksum::Agrees);
     let counts = BackupCounts { schema_version: newest(), dictionaries: 1, jobs: 60, records: 120 };
@@ -161,7 +136,10 @@ async fn backups_of_a_busy_database_are_complete() {
     });
     let read = reader(&dir.path().join("farm.db")).await;
     for round in 0..5 {
-        tokio::time::sleep(Duration::from_millis(30)).await;
+        let last = committed.load(Ordering::SeqCst);
+        while committed.load(Ordering::SeqCst) == last {
+            tokio::task::yield_now().await;
+        }
         let before = committed.load(Ordering::SeqCst);
         let copy = dir.path().join(format!("copy {round}%?#"));
         let report = backup(&read, &copy, newest()).await.unwrap();
@@ -174,8 +152,6 @@ async fn backups_of_a_busy_database_are_complete() {
         copied.close().await;
     }
     writer.abort();
-    let _ = writer.await;
-    assert!(committed.load(Ordering::SeqCst) > 60, "nothing was written meanwhile");
 }
 
 #[tokio::test]
@@ -185,112 +161,84 @@ async fn changed_page_header_is_refused() {
         let (_dir, copy) = with_backup().await;
         change(&copy, 3 * PAGE_BYTES + offset, |byte| byte ^ 0x1F);
         assert!(matches!(refusal(&copy).await, BackupError::Checksum { .. }));
-        without_checksum(&copy);
+        std::fs::remove_file(checksum::sidecar(&copy)).unwrap();
         let error = refusal(&copy).await;
         assert!(matches!(&error, BackupError::Damaged { first, .. } if !first.is_empty()), "{error}");
         assert!(error.to_string().contains(message), "{error}");
     }
 }
 
-/// A changed bit within a profile is found by the checksum only.
+/// A changed bit within a profile is found by the checksum only, and a checksum file with other content is refused.
 #[tokio::test]
 async fn only_the_checksum_finds_a_flipped_bit() {
     let (_dir, copy) = with_backup().await;
-    let at = position(&copy, MARK);
+    let at = std::fs::read(&copy).unwrap().windows(MARK.len()).position(|window| window == MARK).unwrap();
     change(&copy, at, |byte| byte ^ 1);
     let error = refusal(&copy).await;
     assert!(matches!(error, BackupError::Checksum { .. }), "{error}");
     assert!(error.to_string().contains("copy.b3 says"), "{error}");
-    without_checksum(&copy);
+    std::fs::write(checksum::sidecar(&copy), "not a checksum").unwrap();
+    assert!(matches!(refusal(&copy).await, BackupError::NotAChecksum { .. }));
+    std::fs::remove_file(checksum::sidecar(&copy)).unwrap();
     assert_eq!(verify(&copy, newest()).await.unwrap().checksum, Checksum::Absent);
 }
 
-/// A checksum file with other content is refused.
-#[tokio::test]
-async fn malformed_checksum_file_is_refused() {
-    let (_dir, copy) = with_backup().await;
-    std::fs::write(checksum::sidecar(&copy), "not a checksum").unwrap();
-    assert!(matches!(refusal(&copy).await, BackupError::NotAChecksum { .. }));
-}
-
-/// A file that was cut short is refused.
-#[tokio::test]
-async fn truncated_file_is_refused() {
-    let (_dir, copy) = with_backup().await;
-    without_checksum(&copy);
-    let whole = std::fs::metadata(&copy).unwrap().len();
-    for bytes in [whole - 1, whole / 2, 4096, 100] {
-        std::fs::File::options().write(true).open(&copy).unwrap().set_len(bytes).unwrap();
-        let error = refusal(&copy).await.to_string();
-        assert!(
-            error.ends_with(&format!("damaged: it is cut short: {bytes} of {whole} bytes are there")),
-            "{error}"
-        );
-    }
-}
-
-/// A file that is not a farm's database is refused with the reason.
+/// A file that was cut short, or is not a farm's database, is refused with the reason.
 #[tokio::test]
 async fn foreign_file_is_refused_with_reason() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("file");
-    let reasons = [
-        (b"".to_vec(), "it is empty"),
-        (b"some text".to_vec(), "it is not an SQLite database"),
-        (vec![b'x'; 5000], "it is not an SQLite database"),
-    ];
-    for (bytes, reason) in reasons {
-        std::fs::write(&file, bytes).unwrap();
-        let error = refusal(&file).await.to_string();
-        assert!(error.ends_with(&format!("is not a farm's database: {reason}")), "{error}");
+    let (dir, copy) = with_backup().await;
+    std::fs::remove_file(checksum::sidecar(&copy)).unwrap();
+    let whole = std::fs::read(&copy).unwrap();
+    let cut = |bytes: usize| {
+        let reason = format!("damaged: it is cut short: {bytes} of {} bytes are there", whole.len());
+        (whole[..bytes].to_vec(), reason)
+    };
+    let foreign =
+        |bytes: &[u8], reason: &str| (bytes.to_vec(), format!("is not a farm's database: {reason}"));
+    for (bytes, reason) in [
+        cut(whole.len() - 1),
+        cut(whole.len() / 2),
+        cut(4096),
+        cut(100),
+        foreign(b"", "it is empty"),
+        foreign(b"some text", "it is not an SQLite database"),
+        foreign(&[b'x'; 5000], "it is not an SQLite database"),
+    ] {
+        std::fs::write(&copy, bytes).unwrap();
+        let error = refusal(&copy).await.to_string();
+        assert!(error.ends_with(&reason), "{error} instead of {reason}");
     }
     assert!(refusal(dir.path()).await.to_string().ends_with("it is not a file"));
     assert!(matches!(refusal(&dir.path().join("nowhere")).await, BackupError::File { .. }));
 }
 
-/// The database of another program is refused.
+/// The database of another program is refused, and one with broken references. Triggers and views act when others read
+/// and write, and no farm has one.
 #[tokio::test]
 async fn foreign_database_is_refused() {
-    let dir = tempfile::tempdir().unwrap();
+    let cases = [
+        ("DROP TABLE records", "a farm's tables are not in it"),
+        ("PRAGMA application_id = 7", "its application_id is 0x00000007, not 0x4641524d"),
+        (
+            "CREATE TRIGGER t AFTER INSERT ON jobs BEGIN DELETE FROM records; END",
+            "which would act on what is read or written",
+        ),
+        ("CREATE VIEW v AS SELECT * FROM records", "which would act on what is read or written"),
+        (
+            "PRAGMA foreign_keys = OFF; DELETE FROM dictionaries",
+            "60 rows of table jobs refer to rows of dictionaries that are missing",
+        ),
+    ];
+    let (dir, copy) = with_backup().await;
     let file = dir.path().join("other.db");
-    let pool = open(&file).await;
-    run(&pool, "DROP TABLE records").await;
-    pool.close().await;
-    assert!(refusal(&file).await.to_string().ends_with("a farm's tables are not in it"));
-    let pool = open(&file).await;
-    run(&pool, "PRAGMA application_id = 7").await;
-    pool.close().await;
-    let error = refusal(&file).await.to_string();
-    assert!(error.ends_with("its application_id is 0x00000007, not 0x4641524d"), "{error}");
-}
-
-/// Triggers and views act when others read and write, and no farm has one.
-#[tokio::test]
-async fn foreign_triggers_and_views_are_refused() {
-    for foreign in [
-        "CREATE TRIGGER t AFTER INSERT ON jobs BEGIN DELETE FROM records; END",
-        "CREATE VIEW v AS SELECT * FROM records",
-    ] {
-        let dir = tempfile::tempdir().unwrap();
-        let file = dir.path().join("other.db");
+    for (change, reason) in cases {
+        std::fs::copy(&copy, &file).unwrap();
         let pool = open(&file).await;
-        run(&pool, foreign).await;
+        run(&pool, change).await;
         pool.close().await;
         let error = refusal(&file).await.to_string();
-        assert!(error.contains("which would act on what is read or written"), "{error}");
+        assert!(error.contains(reason), "{change}: {error}");
     }
-}
-
-/// The application id of the database is in its backup.
-#[tokio::test]
-async fn application_id_survives_a_backup() {
-    let dir = tempfile::tempdir().unwrap();
-    let pool = filled(dir.path()).await;
-    run(&pool, &format!("PRAGMA application_id = {APPLICATION_ID}")).await;
-    let copy = dir.path().join("copy");
-    backup(&pool, &copy, newest()).await.unwrap();
-    assert_eq!(std::fs::read(&copy).unwrap()[68..72], *b"FARM");
-    verify(&copy, newest()).await.unwrap();
 }
 
 /// A database with a newer schema is refused, and the message requests a newer version of the program.
@@ -299,28 +247,9 @@ async fn newer_schema_asks_for_newer_version() {
     let (_dir, copy) = with_backup().await;
     let error = verify(&copy, newest() - 1).await.unwrap_err();
     assert!(matches!(error, BackupError::NewerSchema { .. }), "{error}");
-    let told = format!(
-        "has schema {}, but this version knows schemas up to {}: install the version",
-        newest(),
-        newest() - 1
-    );
+    let (has, knows) = (newest(), newest() - 1);
+    let told = format!("has schema {has}, but this version knows schemas up to {knows}: install the version");
     assert!(error.to_string().contains(&told), "{error}");
-}
-
-/// A reference to a row that is missing is damage.
-#[tokio::test]
-async fn dangling_reference_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let file = dir.path().join("farm.db");
-    let pool = filled(dir.path()).await;
-    run(&pool, "PRAGMA foreign_keys = OFF").await;
-    run(&pool, "DELETE FROM dictionaries").await;
-    pool.close().await;
-    let error = refusal(&file).await.to_string();
-    assert!(
-        error.contains("60 rows of table jobs refer to rows of dictionaries that are missing"),
-        "{error}"
-    );
 }
 
 /// A database whose write-ahead log is not merged is refused.
@@ -387,22 +316,22 @@ async fn drafts_of_killed_backups_are_removed() {
 }
 
 /// A backup that is abandoned leaves no files.
-#[tokio::test]
-async fn abandoned_backup_leaves_nothing() {
-    let dir = tempfile::tempdir().unwrap();
-    let pool = filled(dir.path()).await;
+#[test]
+fn abandoned_backup_leaves_nothing() {
+    let runtime = || tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let (dir, of_pool) = (tempfile::tempdir().unwrap(), runtime());
+    let pool = of_pool.block_on(filled(dir.path()));
     let copy = dir.path().join("copy");
     let mut given_up = 0;
     for ms in [0, 1, 2, 5] {
-        let limit = Duration::from_millis(ms);
-        given_up += u32::from(tokio::time::timeout(limit, backup(&pool, &copy, newest())).await.is_err());
-        // The step that was running ends in its own time.
-        tokio::time::sleep(Duration::from_millis(300)).await;
+        let (limit, own) = (Duration::from_millis(ms), runtime());
+        let ended = own.block_on(async { tokio::time::timeout(limit, backup(&pool, &copy, newest())).await });
+        given_up += u32::from(ended.is_err());
+        // Waits for the step that was running.
+        drop(own);
         assert!(!draft::with_suffix(&copy, ".draft").exists(), "after {ms} ms");
         assert!(!copy.exists() || checksum::sidecar(&copy).exists(), "after {ms} ms");
-        for file in [copy.clone(), checksum::sidecar(&copy)] {
-            let _ = std::fs::remove_file(file);
-        }
+        let _ = (std::fs::remove_file(&copy), std::fs::remove_file(checksum::sidecar(&copy)));
     }
     assert!(given_up > 0, "no backup was given up");
 }

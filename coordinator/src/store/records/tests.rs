@@ -1,18 +1,17 @@
 use optics_model::Digest;
+use tempfile::TempDir;
 
 use super::{Damaged, Found};
-use crate::store::tests::{complete, dictionary, open, overlapping, records};
-use crate::store::{Store, StoreError};
-use crate::stored::{Machine, Outcome, StoredDictionary};
+use crate::store::Store;
+use crate::store::tests::{begun, complete, overlapping, records};
+use crate::stored::{Outcome, StoredDictionary};
 
 /// A store with a dictionary whose two jobs are done: rows 1 and 2 of the records are the first one's.
-async fn finished(dir: &tempfile::TempDir) -> (Store, StoredDictionary) {
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
+async fn finished() -> (TempDir, Store, StoredDictionary) {
+    let (dir, store, d) = begun().await;
     complete(&store, &d, 0, 0.25).await;
     complete(&store, &d, 1, 0.5).await;
-    (store, d)
+    (dir, store, d)
 }
 
 async fn change(store: &Store, query: &'static str) {
@@ -33,8 +32,7 @@ async fn damage(store: &Store, d: &StoredDictionary) -> String {
 /// Stored jobs are read back unchanged and in order.
 #[tokio::test]
 async fn stored_jobs_are_read_back_in_order() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
+    let (_dir, store, d) = finished().await;
     let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
     let unpacked = |found: &Found| found.as_ref().map(|job| (job.job, job.records.unpack())).unwrap();
     assert_eq!(found.iter().map(unpacked).collect::<Vec<_>>(), [(0, records(0, 0.25)), (1, records(2, 0.5))]);
@@ -47,108 +45,78 @@ async fn stored_jobs_are_read_back_in_order() {
 /// A point may hold more albedos than one of the dictionaries needs.
 #[tokio::test]
 async fn records_of_other_albedos_are_skipped() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, _) = finished(&dir).await;
+    let (_dir, store, _) = finished().await;
     let finer = overlapping(&store, "e", vec![0.9, 0.95]).await;
     assert!(matches!(complete(&store, &finer, 0, 0.5).await, Outcome::Finished { .. }));
     let found = store.all_jobs(finer.id, &finer.grid, 0..1).await.unwrap().remove(0).unwrap();
     assert_eq!(found.records.unpack(), records(0, 0.5));
 }
 
+/// Whatever is changed in the rows of a job is damage, with the place where there is one.
 #[tokio::test]
-async fn record_that_is_missing_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    change(&store, "DELETE FROM records WHERE id = 2").await;
-    assert_eq!(damage(&store, &d).await, "1 records of 2 are there");
-    change(&store, "DELETE FROM records WHERE id = 1").await;
-    assert_eq!(damage(&store, &d).await, "0 records of 2 are there");
-}
-
-#[tokio::test]
-async fn record_under_another_albedo_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    change(&store, "UPDATE records SET albedo = 0.75 WHERE id = 2").await;
-    assert_eq!(damage(&store, &d).await, "1 records of 2 are there");
-}
-
-#[tokio::test]
-async fn one_changed_bit_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    // The lowest bit of the last standard error.
-    change(
-        &store,
-        "UPDATE records SET profiles = cast(substr(profiles, 1, 65) || x'FE' AS BLOB) WHERE id = 2",
-    )
-    .await;
-    assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
-    assert_eq!(store.ledger().exclusive().await.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
-    assert!(matches!(complete(&store, &d, 0, 0.25).await, Outcome::Finished { .. }), "it can be done again");
-}
-
-#[tokio::test]
-async fn changed_digest_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    change(&store, "UPDATE jobs SET records_digest = zeroblob(32) WHERE job = 0").await;
-    assert_eq!(damage(&store, &d).await, "its records differ from what was stored");
+async fn changed_rows_are_damage() {
+    let table = |row| format!("table records, row {row}, column profiles is corrupt: it has ");
+    let differ = || "its records differ from what was stored".to_owned();
+    let nan = "its records cannot be: record 0.profiles[0].radiance_factor.values[1] = NaN is not valid";
+    let cases: [(&[&'static str], String, &str); 9] = [
+        (&["DELETE FROM records WHERE id = 2"], "1 records of 2 are there".to_owned(), ""),
+        (&["DELETE FROM records WHERE id < 3"], "0 records of 2 are there".to_owned(), ""),
+        (&["UPDATE records SET albedo = 0.75 WHERE id = 2"], "1 records of 2 are there".to_owned(), ""),
+        // The lowest bit of the last standard error.
+        (
+            &["UPDATE records SET profiles = cast(substr(profiles, 1, 65) || x'FE' AS BLOB) WHERE id = 2"],
+            differ(),
+            "",
+        ),
+        (&["UPDATE jobs SET records_digest = zeroblob(32) WHERE job = 0"], differ(), ""),
+        (
+            &["UPDATE records SET profiles = substr(profiles, 1, 65) WHERE id = 2"],
+            table(2),
+            ": 66 are needed",
+        ),
+        (&["UPDATE records SET profiles = x'' WHERE id = 2"], table(2), ": 66 are needed"),
+        // As many bytes in all, but at other places.
+        (
+            &[
+                "UPDATE records SET profiles = zeroblob(60) WHERE id = 1",
+                "UPDATE records SET profiles = zeroblob(72) WHERE id = 2",
+            ],
+            table(1),
+            "",
+        ),
+        // An impossible number is damage, whatever the digest.
+        (
+            &["UPDATE records SET profiles = \
+               cast(substr(profiles, 1, 4) || x'0000C07F' || substr(profiles, 9) AS BLOB) WHERE id = 1"],
+            nan.to_owned(),
+            "",
+        ),
+    ];
+    for (changes, begins, ends) in cases {
+        let (_dir, store, d) = finished().await;
+        for query in changes {
+            change(&store, query).await;
+        }
+        let what = damage(&store, &d).await;
+        assert!(what.starts_with(&begins) && what.ends_with(ends), "{changes:?}: {what}");
+        assert_eq!(store.ledger().exclusive().await.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
+        let again = complete(&store, &d, 0, 0.25).await;
+        assert!(matches!(again, Outcome::Finished { .. }), "{changes:?}: it can be done again");
+    }
 }
 
 #[tokio::test]
 async fn records_that_are_swapped_are_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
-    complete(&store, &d, 0, 0.25).await;
-    complete(&store, &d, 1, 0.5).await;
+    let (_dir, store, d) = finished().await;
     change(&store, "UPDATE jobs SET point_id = 3 - point_id").await;
     let found = store.all_jobs(d.id, &d.grid, 0..2).await.unwrap();
     assert!(found.iter().all(Result::is_err), "{found:?}");
 }
 
-#[tokio::test]
-async fn record_of_another_length_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    for cut in [
-        "UPDATE records SET profiles = substr(profiles, 1, 65) WHERE id = 2",
-        "UPDATE records SET profiles = x'' WHERE id = 2",
-    ] {
-        change(&store, cut).await;
-        let what = damage(&store, &d).await;
-        assert!(what.starts_with("table records, row 2, column profiles is corrupt: it has "), "{what}");
-        assert!(what.ends_with(": 66 are needed"), "{what}");
-    }
-    // As many bytes in all, but at other places.
-    change(&store, "UPDATE records SET profiles = zeroblob(60) WHERE id = 1").await;
-    change(&store, "UPDATE records SET profiles = zeroblob(72) WHERE id = 2").await;
-    assert!(damage(&store, &d).await.contains("row 1"));
-}
-
-/// An impossible number is damage, whatever the digest.
-#[tokio::test]
-async fn impossible_number_is_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    change(
-        &store,
-        "UPDATE records SET profiles = cast(substr(profiles, 1, 4) || x'0000C07F' || substr(profiles, 9) AS BLOB) \
-         WHERE id = 1",
-    )
-    .await;
-    let what = damage(&store, &d).await;
-    let named = "record 0.profiles[0].radiance_factor.values[1] = NaN is not valid";
-    assert!(what.starts_with(&format!("its records cannot be: {named}")), "{what}");
-}
-
 /// The row that ends a job is missing. That is damage where all jobs are known to be finished; elsewhere the job is open.
 #[tokio::test]
 async fn missing_end_is_damage_in_finished_jobs() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
+    let (_dir, store, d) = finished().await;
     change(&store, "DELETE FROM jobs WHERE job = 0").await;
     let finished = store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap();
     assert_eq!(finished.iter().map(|found| found.as_ref().unwrap().job).collect::<Vec<_>>(), [1]);
@@ -159,20 +127,4 @@ async fn missing_end_is_damage_in_finished_jobs() {
     assert_eq!(store.finished_jobs(d.id, &d.grid, 0..2).await.unwrap(), finished);
     change(&store, "DELETE FROM jobs WHERE job = 1").await;
     assert_eq!(store.all_jobs(d.id, &d.grid, 0..2).await.unwrap(), [missing(0), missing(1)]);
-}
-
-/// A read error is not damage: here the database's log, which holds the records, is cut short.
-#[tokio::test]
-async fn read_error_is_not_damage() {
-    let dir = tempfile::tempdir().unwrap();
-    let (store, d) = finished(&dir).await;
-    let log = std::fs::File::options().write(true).open(dir.path().join("farm.db-wal")).unwrap();
-    log.set_len(32).unwrap();
-    let unread = |result: Result<(), StoreError>| {
-        let error = result.unwrap_err();
-        assert!(matches!(error, StoreError::Query { .. }), "{error}");
-    };
-    unread(store.finished_jobs(d.id, &d.grid, 0..2).await.map(drop));
-    unread(store.all_jobs(d.id, &d.grid, 0..2).await.map(drop));
-    unread(store.job_read_again(d.id, &d.grid, 0).await.map(drop));
 }

@@ -9,14 +9,13 @@ fn vote(by: Option<i64>, byte: u8) -> Vote {
 /// Open checks survive a restart unchanged, with their votes.
 #[tokio::test]
 async fn open_checks_survive_a_restart() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
+    let (dir, store) = empty().await;
     for name in ["a", "b"] {
         store.register_worker(&Machine::at(name), name).await.unwrap();
     }
     let d = dictionary(&store).await;
-    let check =
-        |job, block, votes: &[Vote]| OpenCheck { dictionary: d.id, job, block, votes: votes.to_vec() };
+    let dictionary = d.id;
+    let check = |job, block, votes: &[Vote]| OpenCheck { dictionary, job, block, votes: votes.to_vec() };
     let disputed = check(1, 0, &[vote(None, 1), vote(Some(2), 2)]);
     let of_block = check(1, 7, &[vote(Some(1), 3)]);
     for noted in [&check(1, 0, &[vote(None, 1)]), &disputed, &of_block, &check(0, 0, &[vote(Some(1), 4)])] {
@@ -25,22 +24,17 @@ async fn open_checks_survive_a_restart() {
     store.note_check(&check(0, 0, &[])).await.unwrap();
     let gone = OpenCheck { dictionary: DictionaryId(99), ..disputed.clone() };
     store.note_check(&gone).await.unwrap();
-    store.close().await;
-    drop(store);
-    let store = open(dir.path()).await;
+    let store = reopened(store, &dir).await;
     assert_eq!(store.open_checks().await.unwrap(), [disputed, of_block]);
-    store.ledger().exclusive().await.delete_dictionary(d.id, &[]).await.unwrap();
+    delete(&store, d.id).await;
     assert!(store.open_checks().await.unwrap().is_empty());
 }
 
 /// The secret is stored once, and stays the same after a restart.
 #[tokio::test]
 async fn secret_is_stored_once() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
+    let (dir, store) = empty().await;
     assert_eq!(store.secret(Secret([1; 32])).await.unwrap().0, [1; 32]);
-    store.close().await;
-    drop(store);
-    let store = open(dir.path()).await;
+    let store = reopened(store, &dir).await;
     assert_eq!(store.secret(Secret([2; 32])).await.unwrap().0, [1; 32]);
 }

@@ -1,22 +1,15 @@
 //! Tests disks that return other bytes than were written or are full, and databases that are held by others or lost.
 
-use optics_model::PackedRecords;
-use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
 
-use super::{all_records, complete, completion, defect, dictionary, open, overlapping, records, reuse};
-use crate::store::{Commit, DataDir, Store, StoreError};
-use crate::stored::{Completion, JobResult, Machine, Origin, Outcome};
+use super::*;
 
 /// A full disk, simulated by SQLite's own limit: the error reports it, nothing of the job is stored, and once there is
 /// room the same store works on.
 #[tokio::test]
 async fn store_recovers_from_a_full_disk() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
-    sqlx::query("PRAGMA max_page_count = 1").execute(&store.write).await.unwrap();
+    let (_dir, store, d) = begun().await;
+    run(&store, "PRAGMA max_page_count = 1").await;
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 4096, 0.0).unwrap());
     let small = completion(&d, 0, 0.25);
     let (point, albedo, walks) = (small.job.point(), small.job.albedo().to_vec(), small.job.walks());
@@ -34,28 +27,23 @@ async fn store_recovers_from_a_full_disk() {
 /// Damaged records are not used for another dictionary.
 #[tokio::test]
 async fn damaged_records_are_not_reused() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
+    let (_dir, store, d) = begun().await;
     complete(&store, &d, 1, 0.5).await;
-    let flip =
-        "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE albedo = 0.5";
-    sqlx::query(flip).execute(&store.write).await.unwrap();
-    assert_eq!(reuse(&store, &overlapping(&store, "e", vec![0.5]).await).await, 0);
-    assert_eq!(
-        reuse(&store, &overlapping(&store, "f", vec![0.9]).await).await,
-        0,
-        "its digest is the whole job's"
-    );
+    run(
+        &store,
+        "UPDATE records SET profiles = cast(x'0000803f' || substr(profiles, 5) AS BLOB) WHERE albedo = 0.5",
+    )
+    .await;
+    // The digest of the undamaged record is the whole job's.
+    for (name, albedo) in [("e", 0.5), ("f", 0.9)] {
+        assert_eq!(reuse(&store, &overlapping(&store, name, vec![albedo]).await).await, 0, "{albedo}");
+    }
 }
 
 /// Two dictionaries may compute the same walks at once: the later records are compared, and both jobs can be done again.
 #[tokio::test]
 async fn conflicting_records_for_shared_walks_are_refused() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
+    let (_dir, store) = with_worker().await;
     let (d, e) = (dictionary(&store).await, overlapping(&store, "e", vec![0.9, 0.95]).await);
     let result = |value| {
         let job = JobSpec::of(&e.grid, 0);
@@ -79,8 +67,7 @@ async fn conflicting_records_for_shared_walks_are_refused() {
     let (first, second) = tokio::join!(store.complete(completion(&d, 1, 0.25)), store.complete(result(0.25)));
     assert!(matches!((first, second), (Ok(Outcome::Finished { .. }), Ok(Outcome::Finished { .. }))));
     assert_eq!(all_records(&store, &e).await, records(0, 0.25));
-    let rows: (i64,) = sqlx::query_as("SELECT count(*) FROM records").fetch_one(&store.read).await.unwrap();
-    assert_eq!(rows, (3,), "each record once");
+    assert_eq!(count(&store, "records").await, 3, "each record once");
 }
 
 /// A process that holds the database makes results wait once, not one after the other.
@@ -93,7 +80,7 @@ async fn held_database_fails_all_results_at_once() {
     let store = store.await.unwrap();
     store.register_worker(&Machine::at("instance"), "label").await.unwrap();
     let d = dictionary(&store).await;
-    sqlx::query("PRAGMA busy_timeout = 200").execute(&store.write).await.unwrap();
+    run(&store, "PRAGMA busy_timeout = 200").await;
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
     let other = sqlx::SqlitePool::connect_with(options).await.unwrap();
     let held = other.begin_with("BEGIN IMMEDIATE").await.unwrap();
@@ -115,10 +102,7 @@ async fn held_database_fails_all_results_at_once() {
 /// A defect, simulated by a panic before a commit: only the result that causes it fails, and the writer continues.
 #[tokio::test]
 async fn panic_while_writing_leaves_nothing() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
+    let (_dir, store, d) = begun().await;
     let bad = Completion { quality: Some(defect()), ..completion(&d, 0, 0.25) };
     let (bad, good) = tokio::join!(store.complete(bad), store.complete(completion(&d, 1, 0.5)));
     assert!(matches!(bad, Err(StoreError::Defect)), "{bad:?}");

@@ -9,41 +9,29 @@ use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::TestCaseError;
 
-use super::{complete, dictionary, open, records};
+use super::{begun, complete, records};
 use crate::store::{DataDir, Store, backup, newest_schema};
-use crate::stored::{DesiredState, Machine, StoredDictionary};
+use crate::stored::{DesiredState, StoredDictionary};
 
 /// A change of the bytes of a file.
 #[derive(Debug, Clone)]
 enum Damage {
     /// Bits that have changed.
-    Flip {
-        at: Index,
-        bits: u8,
-    },
+    Flip(Index, u8),
     /// Bytes that come from elsewhere in the file.
-    Copy {
-        from: Index,
-        to: Index,
-        bytes: usize,
-    },
+    Copy(Index, Index, usize),
     /// A part that was never written.
-    Zeros {
-        at: Index,
-        bytes: usize,
-    },
-    Cut {
-        at: Index,
-    },
+    Zeros(Index, usize),
+    Cut(Index),
 }
 
 fn damage() -> impl Strategy<Value = Damage> {
     let index = any::<Index>;
     prop_oneof![
-        8 => (index(), 1..=u8::MAX).prop_map(|(at, bits)| Damage::Flip { at, bits }),
-        2 => (index(), index(), 1..5000_usize).prop_map(|(from, to, bytes)| Damage::Copy { from, to, bytes }),
-        1 => (index(), 1..5000_usize).prop_map(|(at, bytes)| Damage::Zeros { at, bytes }),
-        1 => index().prop_map(|at| Damage::Cut { at }),
+        8 => (index(), 1..=u8::MAX).prop_map(|(at, bits)| Damage::Flip(at, bits)),
+        2 => (index(), index(), 1..5000_usize).prop_map(|(from, to, bytes)| Damage::Copy(from, to, bytes)),
+        1 => (index(), 1..5000_usize).prop_map(|(at, bytes)| Damage::Zeros(at, bytes)),
+        1 => index().prop_map(Damage::Cut),
     ]
 }
 
@@ -51,20 +39,20 @@ impl Damage {
     fn act(&self, file: &mut Vec<u8>) {
         let end = |at: usize, bytes: usize, file: &[u8]| (at + bytes).min(file.len());
         match self {
-            Self::Flip { at, bits } => *at.get_mut(file) ^= bits,
-            Self::Copy { from, to, bytes } => {
+            Self::Flip(at, bits) => *at.get_mut(file) ^= bits,
+            Self::Copy(from, to, bytes) => {
                 let (from, to) = (from.index(file.len()), to.index(file.len()));
                 let part = file[from..end(from, *bytes, file)].to_vec();
                 let until = end(to, part.len(), file);
                 file[to..until].copy_from_slice(&part[..until - to]);
             }
-            Self::Zeros { at, bytes } => {
+            Self::Zeros(at, bytes) => {
                 let at = at.index(file.len());
                 let until = end(at, *bytes, file);
                 file[at..until].fill(0);
             }
             // One byte stays, since further damage may follow.
-            Self::Cut { at } => file.truncate(at.index(file.len()) + 1),
+            Self::Cut(at) => file.truncate(at.index(file.len()) + 1),
         }
     }
 }
@@ -74,10 +62,7 @@ fn whole() -> &'static (Vec<u8>, StoredDictionary) {
     static WHOLE: OnceLock<(Vec<u8>, StoredDictionary)> = OnceLock::new();
     WHOLE.get_or_init(|| {
         wait(async {
-            let dir = tempfile::tempdir().unwrap();
-            let store = open(dir.path()).await;
-            store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-            let d = dictionary(&store).await;
+            let (dir, store, d) = begun().await;
             complete(&store, &d, 0, 0.25).await;
             store.give_up_job(d.id, 1, "no luck", true).await.unwrap();
             store.set_desire(d.id, DesiredState::Pause, "lunch").await.unwrap();
@@ -134,7 +119,7 @@ async fn all_that_is_read(store: &Store) -> Result<End, TestCaseError> {
 }
 
 fn config() -> ProptestConfig {
-    let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(48);
+    let cases = std::env::var("PROPTEST_CASES").ok().and_then(|n| n.parse().ok()).unwrap_or(24);
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 

@@ -1,4 +1,4 @@
-use super::{StoreError, open};
+use super::{StoreError, empty, reopened, run};
 use crate::store::StoredMeasurement;
 
 fn kept(id: &str, title: &str, note: &str) -> StoredMeasurement {
@@ -20,8 +20,7 @@ fn kept(id: &str, title: &str, note: &str) -> StoredMeasurement {
 /// A measurement that is kept again is the newest, with its title and note unless new ones are given.
 #[tokio::test]
 async fn measurement_kept_again_is_the_newest() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
+    let (_dir, store) = empty().await;
     store.keep_measurement(&kept("a", "", "first"), b"1").await.unwrap();
     store.keep_measurement(&kept("b", "second", ""), b"2").await.unwrap();
     store.annotate_measurement("a", "first print", "slab 2\nscratched").await.unwrap();
@@ -41,17 +40,11 @@ async fn measurement_kept_again_is_the_newest() {
 /// Measurements are still there after a restart; one whose content was damaged is an error, the others can be read.
 #[tokio::test]
 async fn damaged_measurements_are_found() {
-    let dir = tempfile::tempdir().unwrap();
-    let store = open(dir.path()).await;
+    let (dir, store) = empty().await;
     store.keep_measurement(&kept("a", "", ""), b"content of a").await.unwrap();
     store.keep_measurement(&kept("b", "", ""), b"content of b").await.unwrap();
-    sqlx::query("UPDATE measurements SET content = x'00' WHERE id = 'a'")
-        .execute(&store.write)
-        .await
-        .unwrap();
-    store.close().await;
-    drop(store);
-    let store = open(dir.path()).await;
+    run(&store, "UPDATE measurements SET content = x'00' WHERE id = 'a'").await;
+    let store = reopened(store, &dir).await;
     assert_eq!(store.damaged_measurements().await.unwrap(), ["a"]);
     let error = store.measurement_content("a").await.unwrap_err();
     assert!(matches!(error, StoreError::Corrupt { table: "measurements", row: 1, .. }), "{error}");

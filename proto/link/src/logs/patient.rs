@@ -73,7 +73,7 @@ mod tests {
     /// More than a pipe holds.
     const LONG: usize = 1 << 20;
 
-    /// A line that was written has arrived at the reader.
+    /// A line that was written has arrived at the reader; without a reader, writing succeeds.
     #[test]
     fn written_lines_have_arrived() {
         let (mut reader, writer) = pipe().unwrap();
@@ -83,6 +83,8 @@ mod tests {
         let mut text = [0; 8];
         reader.read_exact(&mut text).unwrap();
         assert_eq!(&text, b"one\ntwo\n");
+        drop(reader);
+        (0..3).for_each(|_| patient.write_all(b"line\n").unwrap());
     }
 
     /// An output that accepts nothing does not delay the writer for long.
@@ -99,16 +101,5 @@ mod tests {
         let mut text = vec![0; LONG + 5 * WAITING_LINES];
         reader.read_exact(&mut text).unwrap();
         assert!(text.ends_with(b"line\nline\n"));
-    }
-
-    /// Writing to an output without a reader succeeds.
-    #[test]
-    fn output_without_a_reader_is_ignored() {
-        let (reader, writer) = pipe().unwrap();
-        drop(reader);
-        let mut patient = Patient::new(writer).unwrap();
-        for _ in 0..3 {
-            patient.write_all(b"line\n").unwrap();
-        }
     }
 }

@@ -22,8 +22,6 @@ use tonic::body::Body;
 use tonic::client::GrpcService;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Server};
 use tonic::{Code, Request, Response, Status};
-use tonic_health::pb::HealthCheckRequest;
-use tonic_health::pb::health_client::HealthClient;
 
 /// Memory that the calls of one token may hold.
 pub const HELD: usize = 4 << 20;
@@ -44,7 +42,6 @@ pub struct GuardedServer {
     pub connections: Connections,
     observed: Arc<Mutex<Vec<(String, i32)>>>,
     dir: tempfile::TempDir,
-    encrypted: bool,
     _stop: DropGuard,
 }
 
@@ -78,8 +75,7 @@ impl GuardedServer {
             .add_service(WhoCalled::<1>)
             .add_service(WhoCalled::<2>);
         tokio::spawn(router.serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned()));
-        let encrypted = !matches!(access, Access::Open);
-        Self { address, connections, observed, dir, encrypted, _stop: stop.drop_guard() }
+        Self { address, connections, observed, dir, _stop: stop.drop_guard() }
     }
 
     pub fn url(&self) -> String {
@@ -94,6 +90,15 @@ impl GuardedServer {
         Target::new(Some(&ClientAccess::read(&self.file(role)).unwrap()), None).unwrap()
     }
 
+    pub async fn link(&self, role: Role) -> Link {
+        self.target(role).connect().await.unwrap()
+    }
+
+    /// The text of an access file.
+    pub fn text(&self, role: Role) -> String {
+        std::fs::read_to_string(self.file(role)).unwrap()
+    }
+
     /// The target of an access file with other content.
     pub fn target_of_text(&self, text: &str) -> Target {
         let file = tempfile::NamedTempFile::new_in(self.dir.path()).unwrap();
@@ -101,17 +106,8 @@ impl GuardedServer {
         Target::new(Some(&ClientAccess::read(file.path()).unwrap()), None).unwrap()
     }
 
-    pub async fn any_link(&self) -> Link {
-        let target = if self.encrypted {
-            self.target(Role::Client)
-        } else {
-            Target::new(None, Some(&format!("http://{}", self.address))).unwrap()
-        };
-        target.connect().await.unwrap()
-    }
-
     pub async fn tls_channel_without_token(&self) -> Channel {
-        let text = std::fs::read_to_string(self.file(Role::Client)).unwrap();
+        let text = self.text(Role::Client);
         let authority = &text[text.find("-----BEGIN").unwrap()..];
         let tls = ClientTlsConfig::new().ca_certificate(Certificate::from_pem(authority));
         Endpoint::from_shared(self.url()).unwrap().tls_config(tls).unwrap().connect().await.unwrap()
@@ -135,12 +131,9 @@ fn coordinator_access(access: Access, dir: &Path, port: u16) -> Option<Arc<Coord
         Access::Mutual => true,
     };
     let hosts = ["localhost", "farm.example.org"].map(str::to_owned);
-    let created = farmctl::access_files::create(dir, &hosts, port, mutual, now_unix_s()).unwrap();
+    let now_unix_s = farm_coordinator::clock::Clock::unix_ms() as i64 / 1000;
+    let created = farmctl::access_files::create(dir, &hosts, port, mutual, now_unix_s).unwrap();
     Some(Arc::new(CoordinatorAccess::read(&created.coordinator).unwrap()))
-}
-
-fn now_unix_s() -> i64 {
-    farm_coordinator::clock::Clock::unix_ms() as i64 / 1000
 }
 
 async fn wait(until: impl Fn() -> bool) {
@@ -152,7 +145,9 @@ async fn wait(until: impl Fn() -> bool) {
     tokio::time::timeout(super::SOON, waited).await.expect("it happens in time");
 }
 
-pub async fn call<S>(service: &S, path: &'static str) -> Result<Response<()>, Status>
+pub type Answered = Result<Response<()>, Status>;
+
+pub async fn call<S>(service: &S, path: &'static str) -> Answered
 where
     S: GrpcService<Body> + Clone,
     S::ResponseBody: http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError>> + Send + 'static,
@@ -161,11 +156,7 @@ where
 }
 
 /// A unary call of messages without content.
-pub async fn call_with<S>(
-    service: &S,
-    path: &'static str,
-    request: Request<()>,
-) -> Result<Response<()>, Status>
+pub async fn call_with<S>(service: &S, path: &'static str, request: Request<()>) -> Answered
 where
     S: GrpcService<Body> + Clone,
     S::ResponseBody: http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError>> + Send + 'static,
@@ -176,19 +167,12 @@ where
     client.unary(request, http::uri::PathAndQuery::from_static(path), codec).await
 }
 
-/// Connects and calls; returns the error of either, since peers may be refused at both.
-pub async fn try_call(target: &Target, path: &'static str) -> Result<(), String> {
-    let link = target.connect().await.map_err(|error| format!("{error:?}"))?;
-    call(&link, path).await.map(drop).map_err(|status| format!("{status:?}"))
-}
-
-pub async fn health<S>(service: S) -> Result<(), Status>
+pub async fn health<S>(service: S) -> Answered
 where
-    S: GrpcService<Body>,
-    S::ResponseBody:
-        http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError> + Send> + Send + 'static,
+    S: GrpcService<Body> + Clone,
+    S::ResponseBody: http_body::Body<Data = Bytes, Error: Into<tonic::codegen::StdError>> + Send + 'static,
 {
-    HealthClient::new(service).check(HealthCheckRequest::default()).await.map(drop)
+    call(&service, "/grpc.health.v1.Health/Check").await
 }
 
 /// The log of this thread.
@@ -200,11 +184,8 @@ pub struct Log {
 impl Log {
     pub fn subscribe(&self) -> tracing::subscriber::DefaultGuard {
         let log = self.clone();
-        let subscriber = tracing_subscriber::fmt()
-            .with_max_level(tracing::Level::TRACE)
-            .with_ansi(false)
-            .with_writer(move || log.clone());
-        tracing::subscriber::set_default(subscriber.finish())
+        let plain = tracing_subscriber::fmt().with_max_level(tracing::Level::TRACE).with_ansi(false);
+        tracing::subscriber::set_default(plain.with_writer(move || log.clone()).finish())
     }
 
     pub fn text(&self) -> String {

@@ -1,69 +1,33 @@
-//! Limits of peers without a token: few and small calls, for a short time.
+//! Limits of peers without a token: few and small calls, few connections, for a short time.
 
 use std::time::Duration;
 
 use farm_coordinator::connections::{Limits, UnauthenticatedLimits};
 use farm_link::Role;
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::timeout;
 use tonic::Code;
 use tonic_health::pb::HealthCheckRequest;
 use tonic_health::pb::health_client::HealthClient;
 
-use super::guarded::{Access, GuardedServer, call, health};
-use super::{FITS, LEASES, SOON};
-
-const SLOW: &str = "/farm.v1.Fits/Slow";
-
-fn limits(patience: Duration) -> Limits {
-    Limits::new(64, Some(UnauthenticatedLimits { connections: 3, patience }))
-}
+use super::guarded::{Access, GuardedServer, call};
+use super::{FITS, LEASES};
 
 fn request(bytes: usize) -> HealthCheckRequest {
     HealthCheckRequest { service: "x".repeat(bytes) }
 }
 
-#[tokio::test]
-async fn unauthenticated_requests_are_small() {
-    let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
-    let channel = farm.tls_channel_without_token().await;
-    let mut client = HealthClient::new(channel.clone());
-    assert_eq!(
-        client.check(request(4000)).await.unwrap_err().code(),
-        Code::NotFound,
-        "there is no such service"
-    );
-    let status = client.check(request(5000)).await.unwrap_err();
-    assert_eq!(status.code(), Code::ResourceExhausted, "{status}");
-    health(channel).await.unwrap();
+async fn server(patience: Duration) -> GuardedServer {
+    let limits = Limits::new(64, Some(UnauthenticatedLimits { connections: 3, patience }));
+    GuardedServer::start_with(Access::Tokens, limits).await
 }
 
-/// An incomplete request is cancelled, since it holds memory for a peer without a token.
+/// The guards whose limits the unit tests of the coordinator prove are in place: few and small calls without a token.
 #[tokio::test]
-async fn unauthenticated_requests_that_never_end_are_cancelled() {
-    let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_mins(1))).await;
-    let channel = farm.tls_channel_without_token().await;
-    let begun = Instant::now();
-    let mut grpc = tonic::client::Grpc::new(channel.clone());
-    grpc.ready().await.unwrap();
-    let path = http::uri::PathAndQuery::from_static("/grpc.health.v1.Health/Check");
-    let codec =
-        tonic_prost::ProstCodec::<HealthCheckRequest, tonic_health::pb::HealthCheckResponse>::default();
-    let never = tonic::Request::new(tokio_stream::pending());
-    let ended = timeout(Duration::from_secs(20), grpc.streaming(never, path, codec)).await;
-    let status = match ended.expect("it is cancelled") {
-        Err(status) => status,
-        Ok(answer) => answer.into_inner().message().await.unwrap_err(),
-    };
-    assert_eq!(status.code(), Code::DeadlineExceeded, "{status}");
-    assert!(begun.elapsed() >= Duration::from_secs(10), "{:?}", begun.elapsed());
-    health(channel).await.unwrap();
-}
-
-/// The number of concurrent calls is bounded only without a token.
-#[tokio::test]
-async fn calls_are_bounded_only_without_a_token() {
-    let farm = GuardedServer::start_with(Access::Tokens, limits(SOON)).await;
+async fn calls_without_a_token_are_limited() {
+    let farm = server(Duration::from_mins(1)).await;
     let mut client = HealthClient::new(farm.tls_channel_without_token().await);
+    assert_eq!(client.check(request(4000)).await.unwrap_err().code(), Code::NotFound, "no such service");
+    assert_eq!(client.check(request(5000)).await.unwrap_err().code(), Code::ResourceExhausted);
     let mut watches = Vec::new();
     let refused = loop {
         match client.watch(request(0)).await {
@@ -73,44 +37,30 @@ async fn calls_are_bounded_only_without_a_token() {
         assert!(watches.len() < 100);
     };
     assert_eq!((watches.len(), refused.code()), (8, Code::ResourceExhausted), "{refused}");
-    drop(watches);
-    let authenticated = farm.target(Role::Client).connect().await.unwrap();
-    call(&authenticated, FITS).await.unwrap();
+    let authenticated = farm.link(Role::Client).await;
     let mut calls = tokio::task::JoinSet::new();
     for _ in 0..20 {
         let authenticated = authenticated.clone();
-        calls.spawn(async move { call(&authenticated, SLOW).await.map(drop) });
+        calls.spawn(async move { call(&authenticated, "/farm.v1.Fits/Slow").await.map(drop) });
     }
     let ended = timeout(Duration::from_millis(300), calls.join_next()).await;
-    assert!(ended.is_err(), "none is refused: {ended:?}");
+    assert!(ended.is_err(), "no call with a token is refused: {ended:?}");
 }
 
 /// Connections without a token end, and do not lock others out.
 #[tokio::test]
 async fn unauthenticated_connections_end() {
-    let farm = GuardedServer::start_with(Access::Tokens, limits(Duration::from_secs(2))).await;
-    let authenticated = farm.target(Role::Client).connect().await.unwrap();
+    let farm = server(Duration::from_secs(2)).await;
+    let authenticated = farm.link(Role::Client).await;
     call(&authenticated, FITS).await.unwrap();
-    let mut unauthenticated = Vec::new();
+    let mut channels = Vec::new();
     for _ in 0..3 {
-        unauthenticated.push(farm.tls_channel_without_token().await);
-    }
-    for channel in &unauthenticated {
-        health(channel.clone()).await.unwrap();
+        channels.push(farm.tls_channel_without_token().await);
     }
     // All connections of this address are in use: the oldest unauthenticated one is evicted, authenticated ones stay.
     assert_eq!(farm.connections.open(), 4);
-    let worker = farm.target(Role::Worker).connect().await.unwrap();
-    call(&worker, LEASES).await.unwrap();
-    drop(worker);
+    call(&farm.link(Role::Worker).await, LEASES).await.unwrap();
     assert_eq!(farm.connections.refused(), 0);
+    farm.wait_for_open(1).await;
     call(&authenticated, FITS).await.unwrap();
-    // Repeated calls do not keep them open.
-    let begun = Instant::now();
-    while farm.connections.open() > 1 {
-        assert!(begun.elapsed() < SOON);
-        sleep(Duration::from_millis(100)).await;
-    }
-    call(&authenticated, FITS).await.unwrap();
-    farm.target(Role::Worker).connect().await.unwrap();
 }

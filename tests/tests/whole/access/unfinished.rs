@@ -1,7 +1,8 @@
-//! Incomplete requests to a real coordinator.
+//! Requests that would take the memory of a real coordinator: incomplete ones and decompression bombs.
 
 use bytes::Bytes;
 use farm_link::Link;
+use farm_proto::wire::{FitRequest, MeasuredProfile, Measurement};
 use farm_tests::farm::Farm;
 use farm_tests::process::{run, wait_for};
 use farm_tests::usage::Usage;
@@ -64,4 +65,18 @@ async fn unfinished_requests_are_bounded() {
         let ends = [None, Some(Code::Unauthenticated), Some(Code::ResourceExhausted)];
         assert!(ends.contains(&ended), "{ended:?}");
     }
+}
+
+/// Messages that would grow a hundredfold are refused before they are decoded.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn expanding_message_is_not_decoded() {
+    let farm = Farm::start(&[]);
+    let profiles = vec![MeasuredProfile::default(); 4 << 20];
+    let measurement = Some(Measurement { material: "white".to_owned(), profiles });
+    let request = FitRequest { dictionary: "paper".to_owned(), measurement, options: None };
+    let before = Usage::of(farm.coordinator().id()).unwrap();
+    let refused = farm.fits().fit(request).await.unwrap_err();
+    assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
+    let grown_mib = (Usage::of(farm.coordinator().id()).unwrap().peak_kib - before.peak_kib) >> 10;
+    assert!(grown_mib < 100, "{grown_mib} MiB");
 }
