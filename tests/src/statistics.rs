@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use optics_model::Medium;
+
 /// Mean of independent samples and its standard error.
 #[derive(Debug, Clone, Copy)]
 pub struct Mean {
@@ -125,6 +127,17 @@ impl Normal {
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Log-uniform between two limits.
+    pub fn log_uniform(&mut self, low: f64, high: f64) -> f64 {
+        low * (high / low).powf(self.uniform())
+    }
+
+    /// A medium with σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both log-uniform.
+    pub fn medium(&mut self, g: f64) -> Medium {
+        let (sigma_t, co_albedo) = (self.log_uniform(1.1, 28.0), self.log_uniform(1e-3, 0.7));
+        Medium::new(sigma_t, 1.0 - co_albedo, g).unwrap()
     }
 
     /// Standard normal, after Box and Muller.
