@@ -109,7 +109,17 @@ impl fmt::Display for Share {
 /// # Panics
 /// If the variable is not a whole number.
 pub fn effort() -> u64 {
-    std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+    effort_or(1, 1)
+}
+
+/// Length of a statistical test that has another unit in its long form: a number without an effort, and for each unit of
+/// it.
+///
+/// # Panics
+/// If the variable is not a whole number.
+pub fn effort_or(normal: u64, unit: u64) -> u64 {
+    let parse = |v: String| unit * v.parse::<u64>().expect("FARM_TEST_EFFORT is a whole number");
+    std::env::var("FARM_TEST_EFFORT").map_or(normal, parse)
 }
 
 /// Random numbers for noise on traced profiles: a SplitMix64 stream.

@@ -165,78 +165,74 @@ fn captured_folder_is_measured_and_reported() {
     }
 }
 
-/// Nothing is written.
+/// A copy of the example that is modified is refused with a message, and nothing is written.
+fn refused(change: impl Fn(&Path), message: &[&str]) {
+    let folder = copy();
+    change(folder.path());
+    fails(folder.path(), &["capture", "session.toml", "-o", "out"], message);
+    assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
+}
+
 #[test]
 fn invalid_sessions_are_refused_with_field() {
-    let spoilt = |change: &dyn Fn(&Path), message: &[&str]| {
-        let folder = copy();
-        change(folder.path());
-        fails(folder.path(), &["capture", "session.toml", "-o", "out"], message);
-        assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
-    };
-    let edited = |from: &str, to: &str| {
-        let (from, to) = (from.to_owned(), to.to_owned());
-        move |folder: &Path| {
+    let edits: [(&str, &str, &[&str]); 5] = [
+        ("thickness_mm = 0.512", "#", &["missing field `thickness_mm`"]),
+        ("dark_side = \"left\"", "dark_side = \"right\"", &["dark side of the edge is left, but right"]),
+        ("[0.956, 0.594,", "[0.594, 0.956,", &["not linear", "order of the patches"]),
+        ("white_05_*", "board_1", &["each may be used once"]),
+        (
+            "chart_*.dng",
+            "none_*.dng",
+            &[
+                "session file session.toml, line",
+                "neutral.shots[0] = \"none_*.dng\" is not valid: no such file",
+            ],
+        ),
+    ];
+    for (from, to, message) in edits {
+        let edit = |folder: &Path| {
             let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
-            assert!(session.contains(&from), "{from}");
-            write(folder, "session.toml", &session.replacen(&from, &to, 1));
+            assert!(session.contains(from), "{from}");
+            write(folder, "session.toml", &session.replacen(from, to, 1));
+        };
+        refused(edit, message);
+    }
+    type Change = fn(Vec<u8>) -> Vec<u8>;
+    let other_camera = |mut bytes: Vec<u8>| {
+        while let Some(at) = bytes.windows(7).position(|w| w == b"Made M1") {
+            bytes[at + 6] = b'2';
         }
+        bytes
     };
-    let replaced = |name: &'static str, bytes: &'static [u8]| {
-        move |folder: &Path| std::fs::write(folder.join(name), bytes).unwrap()
-    };
-    spoilt(
-        &|f| {
-            for name in ["chart_1.dng", "chart_2.dng"] {
-                std::fs::remove_file(f.join(name)).unwrap();
-            }
-        },
-        &["session file session.toml, line", "neutral.shots[0] = \"chart_*.dng\" is not valid: no such file"],
-    );
-    spoilt(&edited("thickness_mm = 0.512", "#"), &["missing field `thickness_mm`"]);
-    spoilt(
-        &edited("dark_side = \"left\"", "dark_side = \"right\""),
-        &["dark side of the edge is left, but right"],
-    );
-    spoilt(&edited("[0.956, 0.594,", "[0.594, 0.956,"), &["not linear", "order of the patches"]);
-    spoilt(
-        &replaced("white_05_1.dng", b"\xff\xd8\xff\xe0"),
-        &["photograph white_05_1.dng", "JPEG holds 8 bits"],
-    );
-    spoilt(&replaced("white_05_1.dng", b"P5 720 576 255\n"), &["8 bits a sample are too few"]);
-    spoilt(
-        &|f| {
-            let path = f.join("white_05_2.dng");
-            let bytes = std::fs::read(&path).unwrap();
-            std::fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
-        },
-        &["photograph white_05_2.dng: the file is cut off or damaged"],
-    );
-    spoilt(
-        &|f| {
-            let path = f.join("white_05_2.dng");
-            let mut bytes = std::fs::read(&path).unwrap();
-            let name = b"Made M1";
-            while let Some(at) = bytes.windows(7).position(|w| w == name) {
-                bytes[at + 6] = b'2';
-            }
-            std::fs::write(path, bytes).unwrap();
-        },
-        &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
-    );
-    spoilt(&edited("white_05_*", "board_1"), &["each may be used once"]);
+    let half = |bytes: Vec<u8>| bytes[..bytes.len() / 2].to_vec();
+    let files: [(Change, &[&str]); 4] = [
+        (|_| b"\xff\xd8\xff\xe0".to_vec(), &["photograph white_05_2.dng", "JPEG holds 8 bits"]),
+        (|_| b"P5 720 576 255\n".to_vec(), &["8 bits a sample are too few"]),
+        (half, &["photograph white_05_2.dng: the file is cut off or damaged"]),
+        (
+            other_camera,
+            &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
+        ),
+    ];
+    for (change, message) in files {
+        let spoil = |folder: &Path| {
+            let file = folder.join("white_05_2.dng");
+            std::fs::write(&file, change(std::fs::read(&file).unwrap())).unwrap();
+        };
+        refused(spoil, message);
+    }
 }
 
 /// The thicker slab blurs the edge more; profiles that `measure` would refuse are not written.
 #[test]
 fn profiles_are_checked_as_measure_checks_them() {
-    let folder = copy();
-    let session = std::fs::read_to_string(folder.path().join("session.toml")).unwrap();
-    let swapped = session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
-    write(folder.path(), "session.toml", &swapped);
-    let message = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
-    fails(folder.path(), &["capture", "session.toml", "-o", "out"], &message);
-    assert!(!folder.path().join("out").exists(), "partial result");
+    let swap = |folder: &Path| {
+        let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
+        let swapped =
+            session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
+        write(folder, "session.toml", &swapped);
+    };
+    refused(swap, &["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"]);
 }
 
 /// Single photographs can be checked, and a board can be printed.

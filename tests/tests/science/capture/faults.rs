@@ -7,7 +7,7 @@ use optics_capture::{
     Calibration, Contribution, Frame, Mountings, Photo, Refusal, SampleProfile, Source, Warning,
 };
 
-use super::stage::{PLAIN, calibrate, find, session, shots, slab};
+use super::stage::{PLAIN, calibrate, find, mounted, session, shots, slab};
 
 /// The plain session up to its bare board.
 struct SetUp {
@@ -32,7 +32,7 @@ fn shot(i: usize) -> Photo {
 
 /// Three shots of the slab, one of which is modified.
 fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
-    measured([shot(0), spoil(shot(1)), shot(2)].into_iter())
+    measured([shot(0), spoil(shot(1)), shot(2)])
 }
 
 fn clean() -> &'static SampleProfile {
@@ -40,11 +40,9 @@ fn clean() -> &'static SampleProfile {
     CLEAN.get_or_init(|| slabs(|photo| photo).unwrap())
 }
 
-fn measured(shots: impl Iterator<Item = Photo>) -> Result<SampleProfile, Refusal> {
+fn measured(shots: impl IntoIterator<Item = Photo>) -> Result<SampleProfile, Refusal> {
     let mut sample = Mountings::new(&set_up().calibration, &set_up().board, "white");
-    for photo in shots {
-        sample.add(photo)?;
-    }
+    shots.into_iter().try_for_each(|photo| sample.add(photo))?;
     sample.finish()
 }
 
@@ -195,7 +193,7 @@ fn shot_with_a_bubble_is_left_out() {
         "{messages:?}"
     );
     assert!(Off::of(&found).mean.abs() < 5e-4);
-    let refusal = measured([bubble(shot(0)), bubble(shot(1)), shot(2)].into_iter()).unwrap_err();
+    let refusal = measured([bubble(shot(0)), bubble(shot(1)), shot(2)]).unwrap_err();
     assert!(matches!(refusal, Refusal::ThirdsDisagree { .. }), "{refusal}");
 }
 
@@ -210,11 +208,7 @@ fn missing_flats_explain_a_refusal() {
         patches.add(session.shoot(What::Chart, 1, &PLAIN))?;
         let calibration = patches.finish()?;
         let board = find(session, &calibration, &PLAIN)?;
-        let mut sample = Mountings::new(&calibration, &board, "white");
-        for i in 0..2 {
-            sample.add(session.shoot(What::Slab, i, &PLAIN))?;
-        }
-        sample.finish()
+        mounted(session, &calibration, &board, &PLAIN, 2)
     };
     let camera = Camera { slope: [0.0, 0.16], vignetting: 0.0, ..Camera::default() };
     let refusal = thirds(&Session::new(camera, slab())).unwrap_err();
@@ -245,7 +239,7 @@ fn turned_slab_is_left_out_or_refused() {
     assert!(off.mean.abs() < 5e-4 && off.gain < 1e-3, "{off:?}");
     let left_out = |w: &Warning| matches!(w, Warning::LeftOut { why } if is_turned(why, "slab_2"));
     assert!(noted(&found, left_out), "{:?}", found.warnings);
-    let refusal = measured([shot(0), turned(shot(1))].into_iter()).unwrap_err();
+    let refusal = measured([shot(0), turned(shot(1))]).unwrap_err();
     assert!(is_turned(&refusal, "slab_2"), "{refusal}");
 }
 
@@ -259,7 +253,7 @@ fn shot_of_another_slab_is_left_out() {
     let found = slabs(|_| other(1)).unwrap();
     let left_out = |w: &Warning| w.to_string().starts_with("left out: slab_2: the profile differs");
     assert!(noted(&found, left_out) && found.shots.len() == 2, "{:?}", found.warnings);
-    let refusal = measured([shot(0), other(1)].into_iter()).unwrap_err();
+    let refusal = measured([shot(0), other(1)]).unwrap_err();
     assert!(matches!(refusal, Refusal::Unlike { .. }), "{refusal}");
 }
 
@@ -309,10 +303,7 @@ fn bare_shots_under_other_light_are_refused() {
     // With a difference of 2 %, each is 1 % off the mean, whose standard error is 1 %.
     let board = spoilt(0.98).unwrap();
     let look = Look { seed: 9, ..PLAIN };
-    let mut sample = Mountings::new(&set_up().calibration, &board, "white");
-    for i in 0..3 {
-        sample.add(session().shoot(What::Slab, i, &look)).unwrap();
-    }
-    let gain = gain(&sample.finish().unwrap().budget);
+    let sample = mounted(session(), &set_up().calibration, &board, &look, 3).unwrap();
+    let gain = gain(&sample.budget);
     assert!((0.008..0.012).contains(&gain), "{gain}");
 }

@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use farm_tests::photograph::{Board, Camera, Dust, Look, Random, Session, Slab, What};
+use farm_tests::statistics::effort_or;
 use optics_capture::{Frame, Refusal, Side, Warning};
 
 use super::stage::{PLAIN, board, calibrate, find, measure, slab};
@@ -145,10 +146,9 @@ fn edge_along_the_columns_is_refused() {
     assert!(matches!(refusal, Refusal::NotSlanted { .. }), "{refusal}");
 }
 
-/// Sessions of each kind: one, or five times the effort.
+/// Sessions of each kind.
 fn rounds() -> u64 {
-    let effort = std::env::var("FARM_TEST_EFFORT").ok().and_then(|e| e.parse::<u64>().ok());
-    effort.map_or(1, |e| 5 * e)
+    effort_or(1, 5)
 }
 
 /// Bad sessions are refused for the right reason.
