@@ -92,7 +92,8 @@ fn geometry_is_recovered_for_all_cameras() {
     }
 }
 
-/// Over independent sessions (200 with `FARM_TEST_EFFORT=10`), the scatter of each bin equals its stated error, and neighbours are uncorrelated.
+/// Over independent sessions (200 with `FARM_TEST_EFFORT=10`), the scatter of each bin equals its stated error, and
+/// neighbours are uncorrelated.
 #[test]
 fn stated_errors_match_the_scatter() {
     let session = session();
