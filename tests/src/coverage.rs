@@ -3,7 +3,7 @@
 //! Tests of coverage have media, set-ups and bounds as data and fit them in their own way; the comparison is the same.
 
 use optics_model::Medium;
-use optics_model::fit::{Interval, MaterialFit, Refined, SceneEstimate, Z};
+use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined, SceneEstimate, Z};
 use serde_json::Value;
 
 use crate::statistics::{Share, quantile};
@@ -69,10 +69,8 @@ impl Estimate {
 
     fn ends(&self) -> [String; 2] {
         let Interval { low, high, open_low, open_high } = self.interval;
-        [(low, open_low), (high, open_high)].map(|(end, is_open)| match is_open {
-            true => "open".to_owned(),
-            false => significant(end, 4),
-        })
+        [(low, open_low), (high, open_high)]
+            .map(|(end, is_open)| if is_open { "open".to_owned() } else { significant(end, 4) })
     }
 }
 
@@ -120,11 +118,10 @@ impl Answer {
             let number = |of: &Value, end, otherwise| of[end].as_f64().unwrap_or(otherwise);
             let [low, high] = [number(ends, "low", f64::NEG_INFINITY), number(ends, "high", f64::INFINITY)];
             let [open_low, open_high] = ["open_low", "open_high"].map(|end| ends[end] == true);
-            let interval = match is_complement {
-                true => {
-                    Interval { low: 1.0 - high, high: 1.0 - low, open_low: open_high, open_high: open_low }
-                }
-                false => Interval { low, high, open_low, open_high },
+            let interval = if is_complement {
+                Interval { low: 1.0 - high, high: 1.0 - low, open_low: open_high, open_high: open_low }
+            } else {
+                Interval { low, high, open_low, open_high }
             };
             let bound = number(bound, "high", f64::INFINITY) - number(bound, "low", f64::NEG_INFINITY);
             Estimate { truth: truth[q], found: found[q], interval, bound }
@@ -142,7 +139,7 @@ impl Answer {
     /// If a channel was not refined.
     pub fn all<'a>(found: &[MaterialFit], truth: impl IntoIterator<Item = &'a Medium>) -> Vec<Self> {
         let channels = found.iter().flat_map(|m| m.channels.iter().map(|c| (&m.material, c)));
-        let answer = |((material, c), medium): ((_, &optics_model::fit::ChannelFit), _)| {
+        let answer = |((material, c), medium): ((_, &ChannelFit), _)| {
             Self::of_fit(format!("{material} {}", c.channel), medium, c.refined.as_ref().unwrap())
         };
         channels.zip(truth).map(answer).collect()

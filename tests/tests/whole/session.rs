@@ -175,6 +175,7 @@ fn refused(change: impl Fn(&Path), message: &[&str]) {
 
 #[test]
 fn invalid_sessions_are_refused_with_field() {
+    type Change = fn(Vec<u8>) -> Vec<u8>;
     let edits: [(&str, &str, &[&str]); 5] = [
         ("thickness_mm = 0.512", "#", &["missing field `thickness_mm`"]),
         ("dark_side = \"left\"", "dark_side = \"right\"", &["dark side of the edge is left, but right"]),
@@ -197,7 +198,6 @@ fn invalid_sessions_are_refused_with_field() {
         };
         refused(edit, message);
     }
-    type Change = fn(Vec<u8>) -> Vec<u8>;
     let other_camera = |mut bytes: Vec<u8>| {
         while let Some(at) = bytes.windows(7).position(|w| w == b"Made M1") {
             bytes[at + 6] = b'2';

@@ -71,7 +71,7 @@ struct Off {
 }
 
 impl Off {
-    fn of(found: &SampleProfile) -> Self {
+    fn from_clean(found: &SampleProfile) -> Self {
         let pixels = found.profiles[1].values.iter().zip(&clean().profiles[1].values);
         let off: Vec<f64> = pixels.map(|(a, b)| a / b - 1.0).collect();
         let worst = off.iter().map(|off| off.abs()).fold(0.0, f64::max);
@@ -99,7 +99,7 @@ fn changed_light_is_divided_out() {
     assert!(clean().warnings.is_empty(), "{:?}", clean().warnings);
     for factor in [0.99, 0.95, 1.045] {
         let found = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap();
-        let off = Off::of(&found);
+        let off = Off::from_clean(&found);
         println!("light × {factor}: {off:?}");
         let light = found.shots[1].light.unwrap()[1];
         assert!((light.value / factor - 1.0).abs() < 3.0 * light.std_error + 2e-4, "{light:?}");
@@ -126,7 +126,7 @@ fn large_light_change_is_refused() {
 fn flicker_bands_are_part_of_the_gain() {
     let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * (y as f64 / 40.0 + phase).sin();
     let found = measured((0..3).map(|i| dimmed(shot(i), banded(i as f64)))).unwrap();
-    let off = Off::of(&found);
+    let off = Off::from_clean(&found);
     println!("bands of 1 %: {off:?}");
     // A band's standard deviation is 0.7 %, the mean of three 0.4 %.
     assert!((0.003..0.008).contains(&off.gain), "{off:?}");
@@ -154,7 +154,7 @@ fn speck_in_one_shot_is_masked() {
     assert!(clean().shots.iter().all(|shot| shot.rejected_share() < 1e-3));
     for (diameter_mm, x_mm) in [(0.2, 2.0), (0.5, 2.0), (1.0, 2.0), (1.0, -3.0), (0.5, 0.1)] {
         let found = slabs(|photo| with_speck(photo, [x_mm, 0.7], diameter_mm)).unwrap();
-        let off = Off::of(&found);
+        let off = Off::from_clean(&found);
         println!("speck of {diameter_mm} mm at {x_mm} mm: {off:?}; {:?}", found.warnings);
         assert!(is_masked(&found) && found.shots.len() == 3);
         assert!(off.mean.abs() < 2e-4, "{off:?}");
@@ -176,7 +176,7 @@ fn scratch_across_the_edge_is_masked() {
         })
     };
     let found = slabs(scratched).unwrap();
-    let off = Off::of(&found);
+    let off = Off::from_clean(&found);
     assert!(is_masked(&found), "{:?}", found.warnings);
     assert!(off.mean.abs() < 2e-4 && off.worst < 3e-3, "{off:?}");
 }
@@ -192,7 +192,7 @@ fn shot_with_a_bubble_is_left_out() {
         messages.iter().any(|t| t.starts_with("left out: slab_2: thirds of the crop disagree")),
         "{messages:?}"
     );
-    assert!(Off::of(&found).mean.abs() < 5e-4);
+    assert!(Off::from_clean(&found).mean.abs() < 5e-4);
     let refusal = measured([bubble(shot(0)), bubble(shot(1)), shot(2)]).unwrap_err();
     assert!(matches!(refusal, Refusal::ThirdsDisagree { .. }), "{refusal}");
 }
@@ -233,7 +233,7 @@ fn is_turned(refusal: &Refusal, of: &str) -> bool {
 #[test]
 fn turned_slab_is_left_out_or_refused() {
     let found = slabs(turned).unwrap();
-    let off = Off::of(&found);
+    let off = Off::from_clean(&found);
     println!("one shot turned: {off:?}; {:?}", found.warnings);
     assert_eq!(found.shots.len(), 2);
     assert!(off.mean.abs() < 5e-4 && off.gain < 1e-3, "{off:?}");

@@ -177,7 +177,7 @@ fn intervals_of_imperfect_measurements_hold_the_media() {
         rows.iter().filter(|(row, _)| row.name == "none").for_each(|(_, answers)| print_efficiency(answers));
         for (row, answers) in &rows {
             let name = &row.name;
-            for (_, most) in MEDIAN_ERRORS.iter().filter(|(of, _)| is_held && of == name) {
+            for (_, most) in MEDIAN_ERRORS.iter().filter(|(row, _)| is_held && row == name) {
                 let medians = [0, 1].map(|q| coverage(answers, q).error(0.5));
                 assert!(medians[0] < most[0] && medians[1] < most[1], "{name}: median errors {medians:?}");
             }

@@ -4,7 +4,7 @@
 //! the set, and their uncertainty is in every interval. With `FARM_TEST_EFFORT=8`, 25 sets: g = 0, 0.2, 0.4, 0.7, 0.8,
 //! five of each, with the paper's whole dictionary.
 
-use farm_tests::coverage::{Answer, Coverage, QUANTITIES, table};
+use farm_tests::coverage::{Answer, Coverage, Estimate, QUANTITIES, table};
 use farm_tests::statistics::{Normal, effort};
 use optics_fit::{Measured, measure};
 use optics_model::fit::FitOptions;
@@ -41,9 +41,9 @@ fn common_parameters_are_near_the_truth() {
         }
     }
     println!("{} sets; of g and μ hold {held:?}", sessions.len());
-    let of = |q: usize| Coverage::of_media(sessions.iter().map(Vec::as_slice), [q]);
+    let estimates = |q: usize| Coverage::of_media(sessions.iter().map(Vec::as_slice), [q]);
     let row = |q: usize| {
-        let (found, name) = (of(q), QUANTITIES[q].to_owned());
+        let (found, name) = (estimates(q), QUANTITIES[q].to_owned());
         vec![
             name,
             format!("{:.4}", found.error(0.5)),
@@ -56,7 +56,7 @@ fn common_parameters_are_near_the_truth() {
     // estimated μ and g, so that a set may miss as a whole.
     let least = if long { 0.9 } else { 0.72 };
     for (q, most) in ERRORS.into_iter().enumerate() {
-        let (found, name) = (of(q), QUANTITIES[q]);
+        let (found, name) = (estimates(q), QUANTITIES[q]);
         assert!(found.geometric_error() < most && found.hold().share >= least, "{name}: {}", found.hold());
     }
     assert!(held.iter().all(|held| held + 1 >= sessions.len() * 9 / 10), "{held:?}");
@@ -71,5 +71,5 @@ fn undetermined_scale_factor_is_reported() {
     print_common(&found.common);
     assert!(found.common.mu_interval.contains(1.0));
     let answer = &Answer::all(&found.materials, [&truth])[0];
-    assert!(answer.medium[..2].iter().all(|e| e.holds()), "{answer:?}");
+    assert!(answer.medium[..2].iter().all(Estimate::holds), "{answer:?}");
 }

@@ -26,16 +26,18 @@ fn check(nodes: Nodes, names: &[&str]) {
         let session = SetUpSession::of_row(ChangedSetUp::named(name));
         let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
         let answers = session.answers(&found);
-        let of = |q: usize| Coverage::of_media([&answers[..]], [q]);
-        let counts = [0, 1, 2, 3].map(|q| of(q).count());
+        let estimates = |q: usize| Coverage::of_media([&answers[..]], [q]);
+        let counts = [0, 1, 2, 3].map(|q| estimates(q).count());
         held.push(counts.iter().sum::<usize>());
         let least = answers.iter().map(Answer::probability).fold(1.0, f64::min);
         let [mu, g] = [found.common.mu, 1.0 - answers[0].medium[4].found].map(|v| format!("{v:.3}"));
         let mut cells = vec![name.to_owned(), mu, g];
         cells.extend(counts.map(|count| count.to_string()));
-        cells
-            .extend([counts.iter().sum::<usize>().to_string(), format!("{:.1} %", 100.0 * of(0).error(1.0))]);
-        cells.extend([format!("{:.0} %", 100.0 * of(1).error(1.0)), format!("≥ {least:.3}")]);
+        cells.extend([
+            counts.iter().sum::<usize>().to_string(),
+            format!("{:.1} %", 100.0 * estimates(0).error(1.0)),
+        ]);
+        cells.extend([format!("{:.0} %", 100.0 * estimates(1).error(1.0)), format!("≥ {least:.3}")]);
         cells
     };
     let head = "set-up | μ | g | σ_t | α | σ_s(1−g) | σ_a | of 24 | σ_t off | 1 − α off | p";
@@ -65,9 +67,10 @@ fn of_quantity(sessions: &Sessions, q: usize) -> Coverage {
 /// Prints the coverage of each quantity, of other fits for comparison, and ratios of widths.
 fn print_compared(name_of_others: &str, found: &Sessions, others: &Sessions) {
     let row = |q: usize| {
-        let (of, other) = (of_quantity(found, q), of_quantity(others, q));
-        let [ratio, error] = [of.median_width_over(&other), 100.0 * of.error(0.5)].map(|v| format!("{v:.2}"));
-        vec![QUANTITIES[q].to_owned(), of.hold().to_string(), other.hold().to_string(), ratio, error]
+        let (own, other) = (of_quantity(found, q), of_quantity(others, q));
+        let [ratio, error] =
+            [own.median_width_over(&other), 100.0 * own.error(0.5)].map(|v| format!("{v:.2}"));
+        vec![QUANTITIES[q].to_owned(), own.hold().to_string(), other.hold().to_string(), ratio, error]
     };
     let head = format!("quantity | hold % | {name_of_others} | median width over that | median error %");
     println!("{}\n{}", table(&head, (0..5).map(row)), scene_table(found));

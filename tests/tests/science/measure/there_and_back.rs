@@ -35,7 +35,7 @@ fn trips(count: u64, walks: u64, hold_g: bool) -> (Vec<Answer>, Vec<Medium>) {
     (0..count).map(trip).unzip()
 }
 
-fn of(trips: &[Answer], quantity: usize) -> Coverage {
+fn estimates(trips: &[Answer], quantity: usize) -> Coverage {
     Coverage::of_media(trips.chunks(1), [quantity])
 }
 
@@ -44,12 +44,12 @@ fn of(trips: &[Answer], quantity: usize) -> Coverage {
 fn retraced_media_are_recovered() {
     let count = 25 * effort();
     let (trips, grid) = trips(count, if effort() >= 8 { 4_000_000 } else { 1_000_000 }, true);
-    let [sigma_t, co_albedo] = [0, 1].map(|q| of(&trips, q));
+    let [sigma_t, co_albedo] = [0, 1].map(|q| estimates(&trips, q));
     let off = |found: fn(&Medium) -> f64, q: usize| {
         let pairs = trips.iter().zip(&grid);
         median(pairs.map(|(t, m)| (found(m) / t.medium[q].truth - 1.0).abs()).collect())
     };
-    let of_grid = [off(|m| m.sigma_t_per_mm(), 0), off(|m| 1.0 - m.albedo(), 1)];
+    let of_grid = [off(Medium::sigma_t_per_mm, 0), off(|m| 1.0 - m.albedo(), 1)];
     let errors = [sigma_t.error(0.5), co_albedo.error(0.5)];
     println!("{count} media: median errors of σ_t and 1 − α {errors:.4?}, of the grid {of_grid:.4?}");
     println!("intervals hold σ_t {} %, α {} %", sigma_t.hold(), co_albedo.hold());
@@ -65,7 +65,7 @@ fn retraced_media_are_recovered() {
 fn free_anisotropy_reports_its_trade_off() {
     let (trips, _) = trips(10 * effort(), 1_000_000, false);
     let valley = Share::of(trips.iter().map(|t| t.json["valley"] == true)).unwrap();
-    let [sigma_t, reduced, g] = [0, 2, 4].map(|q| of(&trips, q));
+    let [sigma_t, reduced, g] = [0, 2, 4].map(|q| estimates(&trips, q));
     let off = reduced.error(0.5);
     println!(
         "{} media: valley reported {valley} %; intervals hold σ_t {} %, g {} %; σ_s' off {off:.4}",

@@ -144,14 +144,14 @@ fn mosaics_are_not_monochrome() {
 /// One colour of a mosaic gives the profiles of a monochrome camera, with the noise of fewer pixels.
 #[test]
 fn colour_cameras_record_bands() {
-    let of = |channel: Option<&'static str>| {
+    let profiles = |channel: Option<&'static str>| {
         let materials = SpectralMaterial::ALL[..1].to_vec();
         let mono = BandSession { walks: 50_000, materials, ..BandSession::small(&[550.0], 1) };
         let camera = Camera { monochrome: channel.is_none(), ..mono.camera.clone() };
         let folder = folder();
         capture(&BandSession { camera, channel, ..mono }, folder.path())["profiles"].clone()
     };
-    let [mono, green, red] = [None, Some("G"), Some("R")].map(of);
+    let [mono, green, red] = [None, Some("G"), Some("R")].map(profiles);
     let number = |profiles: &Value, slab: usize, field: &str| profiles[slab][field].as_f64().unwrap();
     for (other, share) in [(&green, 0.5_f64), (&red, 0.25)] {
         for slab in 0..2 {

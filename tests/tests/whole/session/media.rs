@@ -84,7 +84,7 @@ impl Trial {
         }
         let truth = |name: &str, slab_mm: Option<f64>, _| {
             let slab = usize::from(slab_mm == Some(STATED_MM[1]));
-            laboratory.scene.iter().find(|(of, _)| of == name).and_then(|(_, values)| values[slab])
+            laboratory.scene.iter().find(|quantity| quantity.0 == name).and_then(|(_, values)| values[slab])
         };
         let answer = |(medium, channel): (_, &Value)| {
             let name = format!("{number} {}", channel["channel"].as_str().unwrap());
@@ -123,14 +123,14 @@ fn photographs_become_media() {
     // Sessions of one set-up share its dictionary.
     let data = folder();
     let sessions: Vec<_> = trial.sessions.clone().map(|number| trial.session(number, data.path())).collect();
-    let of = |q: &[usize]| Coverage::of_media(sessions.iter().map(Vec::as_slice), q.to_vec());
+    let estimates = |q: &[usize]| Coverage::of_media(sessions.iter().map(Vec::as_slice), q.to_vec());
     let row = |q: usize| {
-        let (found, name) = (of(&[q]), QUANTITIES[q].to_owned());
+        let (found, name) = (estimates(&[q]), QUANTITIES[q].to_owned());
         let [median, most] = [0.5, 0.9].map(|share| format!("{:.2}", 100.0 * found.error(share)));
         vec![name, median, most, found.hold().to_string()]
     };
     println!("{}", table("quantity | median error % | 90 % | hold %", (0..4).map(row)));
-    let (found, median) = (of(&[0, 1]), of(&[0]).error(0.5));
+    let (found, median) = (estimates(&[0, 1]), estimates(&[0]).error(0.5));
     if sessions.len() == 1 {
         let farthest = found.all().map(|e| e.off().abs()).fold(0.0, f64::max);
         assert!(farthest <= FARTHEST, "an estimate is off by {farthest} half-widths of its interval");
