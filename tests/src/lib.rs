@@ -5,6 +5,7 @@
 
 pub mod cli;
 pub mod cluster;
+pub mod coverage;
 pub mod dng;
 pub mod farm;
 pub mod grids;
@@ -15,6 +16,7 @@ pub mod process;
 pub mod proxy;
 pub mod reference;
 pub mod statistics;
+pub mod stored;
 pub mod test_worker;
 pub mod usage;
 pub mod wall_clock;

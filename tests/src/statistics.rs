@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use optics_model::Medium;
+
 /// Mean of independent samples and its standard error.
 #[derive(Debug, Clone, Copy)]
 pub struct Mean {
@@ -107,7 +109,17 @@ impl fmt::Display for Share {
 /// # Panics
 /// If the variable is not a whole number.
 pub fn effort() -> u64 {
-    std::env::var("FARM_TEST_EFFORT").map_or(1, |v| v.parse().expect("FARM_TEST_EFFORT is a whole number"))
+    effort_or(1, 1)
+}
+
+/// Length of a statistical test that has another unit in its long form: a number without an effort, and for each unit of
+/// it.
+///
+/// # Panics
+/// If the variable is not a whole number.
+pub fn effort_or(normal: u64, unit: u64) -> u64 {
+    let parse = |v: String| unit * v.parse::<u64>().expect("FARM_TEST_EFFORT is a whole number");
+    std::env::var("FARM_TEST_EFFORT").map_or(normal, parse)
 }
 
 /// Random numbers for noise on traced profiles: a SplitMix64 stream.
@@ -125,6 +137,17 @@ impl Normal {
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
         ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// Log-uniform between two limits.
+    pub fn log_uniform(&mut self, low: f64, high: f64) -> f64 {
+        low * (high / low).powf(self.uniform())
+    }
+
+    /// A medium with σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7, both log-uniform.
+    pub fn medium(&mut self, g: f64) -> Medium {
+        let (sigma_t, co_albedo) = (self.log_uniform(1.1, 28.0), self.log_uniform(1e-3, 0.7));
+        Medium::new(sigma_t, 1.0 - co_albedo, g).unwrap()
     }
 
     /// Standard normal, after Box and Muller.

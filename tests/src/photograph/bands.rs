@@ -193,14 +193,14 @@ impl BandSession {
     /// The wavelengths of a band's light.
     fn lit(&self, nm: f64) -> Vec<Lit> {
         let own = [(1.0 - self.leak.map_or(0.0, |(share, _)| share), nm)];
-        let of = |(share, nm): (f64, f64)| {
+        let lit = |(share, nm): (f64, f64)| {
             let [light, dark] = Self::rho(nm);
             let channel = Channel::new(nm.to_string(), light, dark).expect("a board of the example");
             let scene = self.scene.of_channel(&channel).expect("indices of the example");
             let bare = BareBoard::of(&scene).expect("the scene has a board");
             Lit { nm, share, seen: [bare.apparent(light), bare.apparent(dark)], scene }
         };
-        own.into_iter().chain(self.leak).map(of).collect()
+        own.into_iter().chain(self.leak).map(lit).collect()
     }
 
     fn file(&self) -> String {

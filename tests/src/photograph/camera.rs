@@ -153,7 +153,8 @@ impl Camera {
 /// Light on each pixel of the mosaic, in noise-free numbers above black, for lamps of brightness 1.
 #[must_use]
 pub fn expose(camera: &Camera, subject: &Subject) -> Vec<f64> {
-    let image = Image::new(subject, camera.lens_mm, camera.shaken);
+    let channels: &[usize] = if camera.monochrome { &[Colour::Green.index()] } else { &[0, 1, 2] };
+    let image = Image::new(subject, camera.lens_mm, camera.shaken, channels);
     let row = |y: usize| {
         let samples = y * camera.stride()..(y + 1) * camera.stride();
         let sample = |i: usize| {

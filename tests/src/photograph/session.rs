@@ -1,25 +1,42 @@
 //! Simulates whole sessions: the photographs that a laboratory takes, in order.
 
+use std::sync::{Arc, OnceLock};
+
 use optics_capture::{Area, Neutral, Photo, Side, Target};
 
 use super::camera::{Camera, Dust, Shot, develop, expose};
 use super::noise::Random;
 use super::subject::{Board, Slab, Subject};
 
-/// A set-up whose subjects are exposed once; any number of shots can be developed from them.
+/// A set-up whose subjects are exposed at their first shot; any number of shots can be developed from them.
 #[derive(Debug, Clone)]
 pub struct Session {
     pub camera: Camera,
     pub board: Board,
     /// Certified reflectances of the grey patches.
     pub rho: Vec<f64>,
-    dark: Vec<f64>,
-    sheet: Vec<f64>,
-    chart: Vec<f64>,
-    bare: Vec<f64>,
-    slab: Vec<f64>,
+    /// In the order of [`What`].
+    exposures: [Exposure; 5],
     /// Brightness of the lamps in one shot.
     pub brightness: Vec<(What, u64, f64)>,
+}
+
+/// A subject before a camera, exposed once for all copies.
+#[derive(Debug, Clone)]
+struct Exposure {
+    camera: Camera,
+    subject: Subject,
+    light: Arc<OnceLock<Vec<f64>>>,
+}
+
+impl Exposure {
+    fn new(camera: &Camera, subject: Subject) -> Self {
+        Self { camera: camera.clone(), subject, light: Arc::default() }
+    }
+
+    fn light(&self) -> &[f64] {
+        self.light.get_or_init(|| expose(&self.camera, &self.subject))
+    }
 }
 
 /// Patches of a grey card, in pixels: x, y, width, height.
@@ -43,29 +60,25 @@ impl Session {
     pub fn with_certificate(camera: Camera, slab: Slab, error: f64) -> Self {
         let rho = GREYS.to_vec();
         let brighter = rho.iter().map(|rho| rho * (1.0 + error)).collect();
-        let chart = Subject::Patches { areas: patches(&camera), rho: brighter };
-        let board = slab.board.clone();
-        Self {
-            dark: expose(&camera, &Subject::Nothing),
-            sheet: expose(&camera, &Subject::Sheet { slope: [0.0, 0.0] }),
-            chart: expose(&camera, &chart),
-            bare: expose(&camera, &Subject::Board(board.clone())),
-            slab: expose(&camera, &Subject::Slab(slab)),
-            camera,
-            board,
-            rho,
-            brightness: Vec::new(),
-        }
+        let subjects = [
+            Subject::Nothing,
+            Subject::Sheet { slope: [0.0, 0.0] },
+            Subject::Patches { areas: patches(&camera), rho: brighter },
+            Subject::Board(slab.board.clone()),
+            Subject::Slab(slab.clone()),
+        ];
+        let exposures = subjects.map(|subject| Exposure::new(&camera, subject));
+        Self { exposures, camera, board: slab.board, rho, brightness: Vec::new() }
     }
 
     /// Sets slab and camera of later shots of samples.
     pub fn lay(&mut self, camera: &Camera, slab: &Slab) {
-        self.slab = expose(camera, &Subject::Slab(slab.clone()));
+        self.exposures[What::Slab as usize] = Exposure::new(camera, Subject::Slab(slab.clone()));
     }
 
     /// Sets board and camera of later shots of the bare board.
     pub fn show_bare(&mut self, camera: &Camera, board: &Board) {
-        self.bare = expose(camera, &Subject::Board(board.clone()));
+        self.exposures[What::Bare as usize] = Exposure::new(camera, Subject::Board(board.clone()));
     }
 
     /// Areas well within the patches: x, y, width, height in pixels.
@@ -101,13 +114,7 @@ impl Session {
     pub fn shoot(&self, what: What, index: u64, look: &Look) -> Photo {
         let seed = look.seed.wrapping_mul(1000) + index + 100 * what as u64;
         let mut random = Random::new(seed ^ 0xABCD);
-        let (light, label) = match what {
-            What::Dark => (&self.dark, "dark"),
-            What::Sheet => (&self.sheet, "flat"),
-            What::Chart => (&self.chart, "chart"),
-            What::Bare => (&self.bare, "board"),
-            What::Slab => (&self.slab, "slab"),
-        };
+        let label = ["dark", "flat", "chart", "board", "slab"][what as usize];
         let shot = Shot {
             label: format!("{label}_{}", index + 1),
             seed,
@@ -116,7 +123,7 @@ impl Session {
             exact: look.exact,
             dust: look.dust.filter(|_| what == What::Slab),
         };
-        develop(&self.camera, light, &shot)
+        develop(&self.camera, self.exposures[what as usize].light(), &shot)
     }
 }
 

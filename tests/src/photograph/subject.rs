@@ -86,11 +86,13 @@ const TABLE_REACH_MM: f64 = 20.0;
 const TABLE_STEP_MM: f64 = 2e-4;
 
 impl Image {
-    pub fn new(subject: &Subject, sigma_mm: [f64; 3], shaken: f64) -> Self {
-        let tables = match subject {
-            Subject::Slab(slab) => (0..3).map(|c| blurred(&slab.edge, c, sigma_mm[c])).collect(),
+    /// An image in some of the three channels.
+    pub fn new(subject: &Subject, sigma_mm: [f64; 3], shaken: f64, channels: &[usize]) -> Self {
+        let table = |c: usize| match subject {
+            Subject::Slab(slab) if channels.contains(&c) => blurred(&slab.edge, c, sigma_mm[c]),
             _ => Vec::new(),
         };
+        let tables = (0..3).map(table).collect();
         Self { subject: subject.clone(), sigma_mm, shaken, tables }
     }
 
@@ -169,15 +171,20 @@ fn blurred(edge: &Edge, c: usize, sigma: f64) -> Vec<f64> {
     let jump = 0.5 * (edge.at(c, 1e-9) - edge.at(c, -1e-9));
     let middle = 0.5 * (edge.at(c, 1e-9) + edge.at(c, -1e-9));
     let smooth = |x: f64| edge.at(c, x) - middle - if x > 0.0 { jump } else { -jump };
-    // Without a jump near by, a sum at steps of σ/4 is as exact as one at finer steps.
+    // Without a jump near by, a sum at steps of σ/4 is as exact as one at finer steps, and a line between every tenth
+    // place is exact to 10⁻⁶.
     let [near, far] = [120, 24].map(|nodes| kernel(nodes, sigma));
-    let value = |i: usize| {
-        let x = i as f64 * TABLE_STEP_MM - TABLE_REACH_MM;
-        let step = middle + jump * (1.0 - erfc(x / (sigma * std::f64::consts::SQRT_2)));
-        let kernel = if x.abs() > 1.0 { &far } else { &near };
-        step + kernel.iter().map(|(d, w)| w * smooth(x + d)).sum::<f64>()
+    let x = |i: usize| i as f64 * TABLE_STEP_MM - TABLE_REACH_MM;
+    let value = |i: usize, kernel: &[(f64, f64)]| {
+        let step = middle + jump * (1.0 - erfc(x(i) / (sigma * std::f64::consts::SQRT_2)));
+        step + kernel.iter().map(|(d, w)| w * smooth(x(i) + d)).sum::<f64>()
     };
-    (0..count).into_par_iter().map(value).collect()
+    let tenths: Vec<f64> = (0..=count / 10).into_par_iter().map(|i| value(10 * i, &far)).collect();
+    let between = |i: usize| match (i / 10, 0.1 * (i % 10) as f64) {
+        (tenth, 0.0) => tenths[tenth],
+        (tenth, share) => tenths[tenth] * (1.0 - share) + tenths[tenth + 1] * share,
+    };
+    (0..count).into_par_iter().map(|i| if x(i).abs() > 1.0 { between(i) } else { value(i, &near) }).collect()
 }
 
 /// Distances and weights of a Gaussian's sum, `nodes` on each side.

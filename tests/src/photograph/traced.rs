@@ -1,13 +1,11 @@
 //! Traces edges under slabs of media.
-
-use std::sync::atomic::AtomicBool;
-
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
 use optics_model::{Medium, Scene, TransportPoint, Walks};
 use rayon::prelude::*;
 
 use super::subject::Edge;
+use crate::stored;
 
 /// Pixels of the traced profiles, of 2.3 µm: a linear course between the centres of pixels four times as wide would add
 /// 0.6 % to the variance of a lens of 36 µm, more than the error that sessions state for it.
@@ -45,9 +43,7 @@ fn profile(scene: &Scene, c: usize, medium: &Medium, thickness_mm: f64, walks: u
         JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, seed, false)
     };
     let job = build().expect("the slab is valid");
-    let records = optics_tracer::trace(&job, &AtomicBool::new(false)).expect("it is not stopped");
-    let values = records[0].profiles[0].radiance_factor.values();
-    values.iter().map(|v| f64::from(*v)).collect()
+    stored::records(&job).radiance_factors(0, 0).map(f64::from).collect()
 }
 
 /// Linear between the centres of the pixels of one side, constant beyond them: the board's own edge is a jump.

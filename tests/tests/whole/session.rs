@@ -8,8 +8,9 @@ mod media;
 use std::path::{Path, PathBuf};
 
 use farm_tests::cli::{fails, folder, json, keys, write};
-use farm_tests::process::run;
+use farm_tests::process::{Ran, run};
 use farm_tests::reference::root;
+use serde_json::Value;
 
 const FILES: [&str; 6] =
     ["grid.toml", "measurements.csv", "report.html", "report.json", "scene.toml", "session.json"];
@@ -30,6 +31,28 @@ fn copy() -> tempfile::TempDir {
         std::fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
     }
     folder
+}
+
+/// Captures the session of a folder into its folder `out`.
+fn captured(folder: &Path, args: &[&str]) -> Ran {
+    let captured = run(folder, &[&["capture", "session.toml", "-o", "out"], args].concat());
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    captured
+}
+
+/// Measures the folder `out`.
+fn measured(folder: &Path, args: &[&str]) -> Value {
+    let measured = run(folder, &[&["measure", "out", "--json"], args].concat());
+    assert_eq!(measured.code, 0, "{}", measured.stderr);
+    json(&measured, "measure")
+}
+
+fn append(file: &Path, text: &str) {
+    std::fs::write(file, std::fs::read_to_string(file).unwrap() + text).unwrap();
+}
+
+fn read_json(file: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap()
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -58,9 +81,8 @@ fn example_session_gives_the_true_profiles() {
     let rho: f64 = under_darker_white.lines().next().unwrap().parse().unwrap();
     // Under the paper's coat, a light side of 0.985 that appears 1 % darker has ρ = 0.980.
     assert!((0.978..0.982).contains(&rho), "{rho}");
-    let session_json: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(white.join("session.json")).unwrap()).unwrap();
-    let field = |path: &str| session_json.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
+    let session_json = read_json(&white.join("session.json"));
+    let field = |path: &str| session_json.pointer(path).and_then(Value::as_f64).unwrap();
     assert!((1.0 / field("/board/mm_per_px/value") - 26.0).abs() < 0.02);
     for (channel, lens_mm, light, dark) in
         [("R", 0.036, 0.985, 0.024), ("G", 0.032, 0.972, 0.023), ("B", 0.035, 0.971, 0.026)]
@@ -68,10 +90,7 @@ fn example_session_gives_the_true_profiles() {
         let blur_mm = f64::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
         let found = field(&format!("/blur_mm/{channel}"));
         assert!((found / blur_mm - 1.0).abs() < 0.03, "{channel}: {found} {blur_mm}");
-        let rho = [
-            field(&format!("/board/rho_light/{channel}/value")),
-            field(&format!("/board/rho_dark/{channel}/value")),
-        ];
+        let rho = ["light", "dark"].map(|side| field(&format!("/board/rho_{side}/{channel}/value")));
         assert!((rho[0] - light).abs() < 0.005 && (rho[1] - dark).abs() < 0.0005, "{channel}: {rho:?}");
     }
     assert_eq!(session_json["inputs"].as_array().unwrap().len(), 14);
@@ -92,46 +111,41 @@ fn example_session_gives_the_true_profiles() {
 /// σ_t is within 5 %, with ten nodes of σ_t, one of g and 60,000 walks: the error of the whole chain.
 #[test]
 fn captured_folder_is_measured_and_reported() {
-    let folder = folder();
-    assert_eq!(run(folder.path(), &["capture", text(&session()), "-o", "white", "-q"]).code, 0);
-    let grid = folder.path().join("white/grid.toml");
+    let folder = copy();
+    captured(folder.path(), &["-q"]);
     let axes = "sigma_t_per_mm = [4, 5, 6.5, 8, 10, 13, 16, 20, 25, 30]\ng = [0.4]\nwalks = 60000\n";
-    std::fs::write(&grid, std::fs::read_to_string(&grid).unwrap() + axes).unwrap();
-    let measured = run(folder.path(), &["measure", "white", "--json"]);
-    assert_eq!(measured.code, 0, "{}", measured.stderr);
-    let data = json(&measured, "measure");
+    append(&folder.path().join("out/grid.toml"), axes);
+    let data = measured(folder.path(), &[]);
     for (channel, sigma_t) in
         data["materials"][0]["channels"].as_array().unwrap().iter().zip([6.0, 9.0, 24.0])
     {
         let found = channel["refined"]["sigma_t_per_mm"].as_f64().unwrap();
         assert!((found / sigma_t - 1.0).abs() < 0.05, "{channel}: {found}");
     }
-    let report = std::fs::read_to_string(folder.path().join("white/report.html")).unwrap();
+    let report = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     assert!(report.contains("photograph above, simulation below") && report.contains("σ_t"));
     assert!(!report.contains("Nothing is fitted yet"));
     // The scene `lab` has priors, which the report shows once, as tables.
     assert!(report.contains("gel thickness</td><td data-name=\"of\">white 0.512 mm</td>"));
     assert_eq!(report.matches("to improve first").count() + report.matches("To improve first").count(), 1);
-    let session = std::fs::read_to_string(folder.path().join("white/session.json")).unwrap();
-    let session: serde_json::Value = serde_json::from_str(&session).unwrap();
+    let session = read_json(&folder.path().join("out/session.json"));
     assert!(session["media_errors_95"][0]["scene"][0]["prior_std_error"].is_f64(), "{session}");
     assert!(!report.contains("<script") && !report.contains("http://") || report.contains("www.w3.org"));
     // A second measurement uses the existing dictionary.
-    let again = run(folder.path(), &["measure", "white", "--json"]);
-    assert_eq!(json(&again, "measure")["materials"], data["materials"]);
+    assert_eq!(measured(folder.path(), &[])["materials"], data["materials"]);
     assert_eq!(data["notes"], serde_json::json!([]));
     // Sessions with another board share the dictionary, which is asked with theirs.
     assert!(data["dictionary"].as_str().unwrap().starts_with("boards-"), "{data}");
-    let scene = std::fs::read_to_string(folder.path().join("white/scene.toml")).unwrap();
+    let scene = std::fs::read_to_string(folder.path().join("out/scene.toml")).unwrap();
     assert!(scene.contains("rho_light = 0.98"), "{scene}");
-    write(folder.path(), "white/scene.toml", &scene.replace("rho_light = 0.98", "rho_light = 0.96"));
-    let other_board = json(&run(folder.path(), &["measure", "white", "--json"]), "measure");
+    write(folder.path(), "out/scene.toml", &scene.replace("rho_light = 0.98", "rho_light = 0.96"));
+    let other_board = measured(folder.path(), &[]);
     assert_eq!(other_board["dictionary"], data["dictionary"]);
     assert_ne!(other_board["materials"], data["materials"]);
-    write(folder.path(), "white/scene.toml", &scene);
+    write(folder.path(), "out/scene.toml", &scene);
     fails(
         folder.path(),
-        &["measure", "white/measurements.csv", "--dictionary", data["dictionary"].as_str().unwrap()],
+        &["measure", "out/measurements.csv", "--dictionary", data["dictionary"].as_str().unwrap()],
         &["is for all boards", "measure the folder of a session"],
     );
     // A dictionary of another scene is noted, with the quantities and both values.
@@ -139,9 +153,7 @@ fn captured_folder_is_measured_and_reported() {
     let other = format!("{axes}thickness_mm = [0.512, 1.006]\nwalks = 20000\n");
     write(folder.path(), "other.toml", &other);
     assert_eq!(run(folder.path(), &["submit", "other.toml", "-q"]).code, 0);
-    let measured = run(folder.path(), &["measure", "white", "--dictionary", "other", "--json"]);
-    assert_eq!(measured.code, 0, "{}", measured.stderr);
-    let note = &json(&measured, "measure")["notes"][0];
+    let note = &measured(folder.path(), &["--dictionary", "other"])["notes"][0];
     assert_eq!(note["code"], "SCENE_DIFFERS");
     for difference in [
         "dictionary other has another scene than the session: ",
@@ -153,78 +165,74 @@ fn captured_folder_is_measured_and_reported() {
     }
 }
 
-/// Nothing is written.
+/// A copy of the example that is modified is refused with a message, and nothing is written.
+fn refused(change: impl Fn(&Path), message: &[&str]) {
+    let folder = copy();
+    change(folder.path());
+    fails(folder.path(), &["capture", "session.toml", "-o", "out"], message);
+    assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
+}
+
 #[test]
 fn invalid_sessions_are_refused_with_field() {
-    let spoilt = |change: &dyn Fn(&Path), message: &[&str]| {
-        let folder = copy();
-        change(folder.path());
-        fails(folder.path(), &["capture", "session.toml", "-o", "out"], message);
-        assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
-    };
-    let edited = |from: &str, to: &str| {
-        let (from, to) = (from.to_owned(), to.to_owned());
-        move |folder: &Path| {
+    type Change = fn(Vec<u8>) -> Vec<u8>;
+    let edits: [(&str, &str, &[&str]); 5] = [
+        ("thickness_mm = 0.512", "#", &["missing field `thickness_mm`"]),
+        ("dark_side = \"left\"", "dark_side = \"right\"", &["dark side of the edge is left, but right"]),
+        ("[0.956, 0.594,", "[0.594, 0.956,", &["not linear", "order of the patches"]),
+        ("white_05_*", "board_1", &["each may be used once"]),
+        (
+            "chart_*.dng",
+            "none_*.dng",
+            &[
+                "session file session.toml, line",
+                "neutral.shots[0] = \"none_*.dng\" is not valid: no such file",
+            ],
+        ),
+    ];
+    for (from, to, message) in edits {
+        let edit = |folder: &Path| {
             let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
-            assert!(session.contains(&from), "{from}");
-            write(folder, "session.toml", &session.replacen(&from, &to, 1));
+            assert!(session.contains(from), "{from}");
+            write(folder, "session.toml", &session.replacen(from, to, 1));
+        };
+        refused(edit, message);
+    }
+    let other_camera = |mut bytes: Vec<u8>| {
+        while let Some(at) = bytes.windows(7).position(|w| w == b"Made M1") {
+            bytes[at + 6] = b'2';
         }
+        bytes
     };
-    let replaced = |name: &'static str, bytes: &'static [u8]| {
-        move |folder: &Path| std::fs::write(folder.join(name), bytes).unwrap()
-    };
-    spoilt(
-        &|f| {
-            for name in ["chart_1.dng", "chart_2.dng"] {
-                std::fs::remove_file(f.join(name)).unwrap();
-            }
-        },
-        &["session file session.toml, line", "neutral.shots[0] = \"chart_*.dng\" is not valid: no such file"],
-    );
-    spoilt(&edited("thickness_mm = 0.512", "#"), &["missing field `thickness_mm`"]);
-    spoilt(
-        &edited("dark_side = \"left\"", "dark_side = \"right\""),
-        &["dark side of the edge is left, but right"],
-    );
-    spoilt(&edited("[0.956, 0.594,", "[0.594, 0.956,"), &["not linear", "order of the patches"]);
-    spoilt(
-        &replaced("white_05_1.dng", b"\xff\xd8\xff\xe0"),
-        &["photograph white_05_1.dng", "JPEG holds 8 bits"],
-    );
-    spoilt(&replaced("white_05_1.dng", b"P5 720 576 255\n"), &["8 bits a sample are too few"]);
-    spoilt(
-        &|f| {
-            let path = f.join("white_05_2.dng");
-            let bytes = std::fs::read(&path).unwrap();
-            std::fs::write(path, &bytes[..bytes.len() / 2]).unwrap();
-        },
-        &["photograph white_05_2.dng: the file is cut off or damaged"],
-    );
-    spoilt(
-        &|f| {
-            let path = f.join("white_05_2.dng");
-            let mut bytes = std::fs::read(&path).unwrap();
-            let name = b"Made M1";
-            while let Some(at) = bytes.windows(7).position(|w| w == name) {
-                bytes[at + 6] = b'2';
-            }
-            std::fs::write(path, bytes).unwrap();
-        },
-        &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
-    );
-    spoilt(&edited("white_05_*", "board_1"), &["each may be used once"]);
+    let half = |bytes: Vec<u8>| bytes[..bytes.len() / 2].to_vec();
+    let files: [(Change, &[&str]); 4] = [
+        (|_| b"\xff\xd8\xff\xe0".to_vec(), &["photograph white_05_2.dng", "JPEG holds 8 bits"]),
+        (|_| b"P5 720 576 255\n".to_vec(), &["8 bits a sample are too few"]),
+        (half, &["photograph white_05_2.dng: the file is cut off or damaged"]),
+        (
+            other_camera,
+            &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
+        ),
+    ];
+    for (change, message) in files {
+        let spoil = |folder: &Path| {
+            let file = folder.join("white_05_2.dng");
+            std::fs::write(&file, change(std::fs::read(&file).unwrap())).unwrap();
+        };
+        refused(spoil, message);
+    }
 }
 
 /// The thicker slab blurs the edge more; profiles that `measure` would refuse are not written.
 #[test]
 fn profiles_are_checked_as_measure_checks_them() {
-    let folder = copy();
-    let session = std::fs::read_to_string(folder.path().join("session.toml")).unwrap();
-    let swapped = session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
-    write(folder.path(), "session.toml", &swapped);
-    let message = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
-    fails(folder.path(), &["capture", "session.toml", "-o", "out"], &message);
-    assert!(!folder.path().join("out").exists(), "partial result");
+    let swap = |folder: &Path| {
+        let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
+        let swapped =
+            session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
+        write(folder, "session.toml", &swapped);
+    };
+    refused(swap, &["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"]);
 }
 
 /// Single photographs can be checked, and a board can be printed.

@@ -1,11 +1,13 @@
 //! One of three shots deviates from the others: the effect on the profile and on its stated errors.
 
+use std::sync::OnceLock;
+
 use farm_tests::photograph::{Camera, Edge, Look, Session, Slab, What};
 use optics_capture::{
     Calibration, Contribution, Frame, Mountings, Photo, Refusal, SampleProfile, Source, Warning,
 };
 
-use super::stage::{PLAIN, calibrate, find, session, slab};
+use super::stage::{PLAIN, calibrate, find, mounted, session, shots, slab};
 
 /// The plain session up to its bare board.
 struct SetUp {
@@ -14,7 +16,7 @@ struct SetUp {
 }
 
 fn set_up() -> &'static SetUp {
-    static PLAIN_SET_UP: std::sync::OnceLock<SetUp> = std::sync::OnceLock::new();
+    static PLAIN_SET_UP: OnceLock<SetUp> = OnceLock::new();
     PLAIN_SET_UP.get_or_init(|| {
         let calibration = calibrate(session(), &PLAIN).expect("the plain session is valid");
         let board = find(session(), &calibration, &PLAIN).expect("its board is found");
@@ -22,17 +24,25 @@ fn set_up() -> &'static SetUp {
     })
 }
 
-/// Three shots of the slab, one of which is modified.
-fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
-    let shots = (0..3).map(|i| session().shoot(What::Slab, i, &PLAIN));
-    measured(shots.enumerate().map(|(i, photo)| if i == 1 { spoil(photo) } else { photo }))
+/// One of three shots of the slab.
+fn shot(i: usize) -> Photo {
+    static SHOTS: OnceLock<Vec<Photo>> = OnceLock::new();
+    SHOTS.get_or_init(|| shots(session(), What::Slab, 3, &PLAIN))[i].clone()
 }
 
-fn measured(shots: impl Iterator<Item = Photo>) -> Result<SampleProfile, Refusal> {
+/// Three shots of the slab, one of which is modified.
+fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
+    measured([shot(0), spoil(shot(1)), shot(2)])
+}
+
+fn clean() -> &'static SampleProfile {
+    static CLEAN: OnceLock<SampleProfile> = OnceLock::new();
+    CLEAN.get_or_init(|| slabs(|photo| photo).unwrap())
+}
+
+fn measured(shots: impl IntoIterator<Item = Photo>) -> Result<SampleProfile, Refusal> {
     let mut sample = Mountings::new(&set_up().calibration, &set_up().board, "white");
-    for photo in shots {
-        sample.add(photo)?;
-    }
+    shots.into_iter().try_for_each(|photo| sample.add(photo))?;
     sample.finish()
 }
 
@@ -52,42 +62,20 @@ fn with_samples(photo: Photo, samples: Vec<u16>) -> Photo {
     Photo { frame: frame.expect("the size stays"), ..photo }
 }
 
-/// Relative mean and largest deviation of green from the clean session, the stated error of the gain, and the mean one
-/// of pixels.
+/// Relative mean and largest deviation of green from the clean session, and the stated error of the gain.
+#[derive(Debug)]
 struct Off {
     mean: f64,
     worst: f64,
     gain: f64,
-    pixel: f64,
-}
-
-impl std::fmt::Display for Off {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let percent = |v: f64| 100.0 * v;
-        let [mean, worst, gain] = [self.mean, self.worst, self.gain].map(percent);
-        write!(
-            f,
-            "off by {mean:+.4} %, at most {worst:+.3} %; gain ± {gain:.3} %, a pixel ± {:.5}",
-            self.pixel
-        )
-    }
 }
 
 impl Off {
-    fn of(found: &SampleProfile, clean: &SampleProfile) -> Self {
-        let (green, clean) = (&found.profiles[1], &clean.profiles[1]);
-        let off: Vec<f64> = green.values.iter().zip(&clean.values).map(|(a, b)| a / b - 1.0).collect();
-        let n = off.len() as f64;
-        Self {
-            mean: off.iter().sum::<f64>() / n,
-            worst: off
-                .iter()
-                .copied()
-                .max_by(|a, b| a.abs().total_cmp(&b.abs()))
-                .expect("profiles have pixels"),
-            gain: gain(&found.budget),
-            pixel: green.std_errors.iter().sum::<f64>() / n,
-        }
+    fn from_clean(found: &SampleProfile) -> Self {
+        let pixels = found.profiles[1].values.iter().zip(&clean().profiles[1].values);
+        let off: Vec<f64> = pixels.map(|(a, b)| a / b - 1.0).collect();
+        let worst = off.iter().map(|off| off.abs()).fold(0.0, f64::max);
+        Self { mean: off.iter().sum::<f64>() / off.len() as f64, worst, gain: gain(&found.budget) }
     }
 }
 
@@ -108,16 +96,15 @@ fn noted(found: &SampleProfile, is: impl Fn(&Warning) -> bool) -> bool {
 /// A change of the light in one shot is divided out.
 #[test]
 fn changed_light_is_divided_out() {
-    let clean = slabs(|photo| photo).unwrap();
-    assert!(clean.warnings.is_empty(), "{:?}", clean.warnings);
+    assert!(clean().warnings.is_empty(), "{:?}", clean().warnings);
     for factor in [0.99, 0.95, 1.045] {
         let found = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap();
-        let off = Off::of(&found, &clean);
-        println!("light × {factor}: {off}");
+        let off = Off::from_clean(&found);
+        println!("light × {factor}: {off:?}");
         let light = found.shots[1].light.unwrap()[1];
         assert!((light.value / factor - 1.0).abs() < 3.0 * light.std_error + 2e-4, "{light:?}");
         assert!(light.std_error < 1e-3, "{light:?}");
-        assert!(off.mean.abs() < 3e-4 && off.gain < 1e-3, "{off}");
+        assert!(off.mean.abs() < 3e-4 && off.gain < 1e-3, "{off:?}");
         assert!(noted(&found, |w| matches!(w, Warning::LightDividedOut { .. })), "{:?}", found.warnings);
         assert!(!noted(&found, |w| matches!(w, Warning::Unchecked { .. })), "{:?}", found.warnings);
     }
@@ -137,15 +124,13 @@ fn large_light_change_is_refused() {
 /// Lamps that flicker during a rolling shutter: the part of a band in the crop is random.
 #[test]
 fn flicker_bands_are_part_of_the_gain() {
-    let clean = slabs(|photo| photo).unwrap();
     let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * (y as f64 / 40.0 + phase).sin();
-    let shots = (0..3).map(|i| dimmed(session().shoot(What::Slab, i, &PLAIN), banded(i as f64)));
-    let found = measured(shots).unwrap();
-    let off = Off::of(&found, &clean);
-    println!("bands of 1 %: {off}");
+    let found = measured((0..3).map(|i| dimmed(shot(i), banded(i as f64)))).unwrap();
+    let off = Off::from_clean(&found);
+    println!("bands of 1 %: {off:?}");
     // A band's standard deviation is 0.7 %, the mean of three 0.4 %.
-    assert!((0.003..0.008).contains(&off.gain), "{off}");
-    assert!(off.mean.abs() < 2.0 * off.gain, "{off}");
+    assert!((0.003..0.008).contains(&off.gain), "{off:?}");
+    assert!(off.mean.abs() < 2.0 * off.gain, "{off:?}");
 }
 
 /// A grain on the slab, blurred by the lens only.
@@ -158,27 +143,22 @@ fn with_speck(photo: Photo, at_mm: [f64; 2], diameter_mm: f64) -> Photo {
     })
 }
 
-#[test]
-fn clean_shot_is_not_masked() {
-    let clean = slabs(|photo| photo).unwrap();
-    assert!(!noted(&clean, |w| matches!(w, Warning::Masked { .. })), "{:?}", clean.warnings);
-    for shot in &clean.shots {
-        assert!(shot.rejected_share() < 1e-3, "{}", shot.rejected_share());
-    }
+fn is_masked(found: &SampleProfile) -> bool {
+    noted(found, |w| matches!(w, Warning::Masked { label, .. } if label == "slab_2"))
 }
 
-/// A speck in one shot is masked, and the session continues.
+/// A speck in one shot is masked, and the session continues; nothing is masked without one.
 #[test]
 fn speck_in_one_shot_is_masked() {
-    let clean = slabs(|photo| photo).unwrap();
+    assert!(!noted(clean(), |w| matches!(w, Warning::Masked { .. })), "{:?}", clean().warnings);
+    assert!(clean().shots.iter().all(|shot| shot.rejected_share() < 1e-3));
     for (diameter_mm, x_mm) in [(0.2, 2.0), (0.5, 2.0), (1.0, 2.0), (1.0, -3.0), (0.5, 0.1)] {
         let found = slabs(|photo| with_speck(photo, [x_mm, 0.7], diameter_mm)).unwrap();
-        let off = Off::of(&found, &clean);
-        println!("speck of {diameter_mm} mm at {x_mm} mm: {off}; {:?}", found.warnings);
-        assert!(noted(&found, |w| matches!(w, Warning::Masked { label, .. } if label == "slab_2")));
-        assert_eq!(found.shots.len(), 3);
-        assert!(off.mean.abs() < 2e-4, "{off}");
-        let departures = found.profiles.iter().zip(&clean.profiles).flat_map(|(found, clean)| {
+        let off = Off::from_clean(&found);
+        println!("speck of {diameter_mm} mm at {x_mm} mm: {off:?}; {:?}", found.warnings);
+        assert!(is_masked(&found) && found.shots.len() == 3);
+        assert!(off.mean.abs() < 2e-4, "{off:?}");
+        let departures = found.profiles.iter().zip(&clean().profiles).flat_map(|(found, clean)| {
             found.values.iter().zip(&clean.values).zip(&clean.std_errors).map(|((a, b), e)| (a - b) / e)
         });
         let worst = departures.map(f64::abs).fold(0.0, f64::max);
@@ -188,7 +168,6 @@ fn speck_in_one_shot_is_masked() {
 
 #[test]
 fn scratch_across_the_edge_is_masked() {
-    let clean = slabs(|photo| photo).unwrap();
     let board = &set_up().board;
     let scratched = |photo| {
         dimmed(photo, |x, y| {
@@ -197,15 +176,14 @@ fn scratch_across_the_edge_is_masked() {
         })
     };
     let found = slabs(scratched).unwrap();
-    let off = Off::of(&found, &clean);
-    assert!(noted(&found, |w| matches!(w, Warning::Masked { .. })), "{:?}", found.warnings);
-    assert!(off.mean.abs() < 2e-4 && off.worst.abs() < 3e-3, "{off}");
+    let off = Off::from_clean(&found);
+    assert!(is_masked(&found), "{:?}", found.warnings);
+    assert!(off.mean.abs() < 2e-4 && off.worst < 3e-3, "{off:?}");
 }
 
 /// A shot with a feature too broad for dust is left out; with too few shots left, the sample is refused.
 #[test]
 fn shot_with_a_bubble_is_left_out() {
-    let clean = slabs(|photo| photo).unwrap();
     let bubble = |photo| with_speck(photo, [2.5, 3.0], 3.0);
     let found = slabs(bubble).unwrap();
     assert_eq!(found.shots.iter().map(|s| s.label.as_str()).collect::<Vec<_>>(), ["slab_1", "slab_3"]);
@@ -214,10 +192,8 @@ fn shot_with_a_bubble_is_left_out() {
         messages.iter().any(|t| t.starts_with("left out: slab_2: thirds of the crop disagree")),
         "{messages:?}"
     );
-    assert!(Off::of(&found, &clean).mean.abs() < 5e-4);
-    let two = (0..2).map(|i| bubble(session().shoot(What::Slab, i, &PLAIN)));
-    let good = std::iter::once(session().shoot(What::Slab, 2, &PLAIN));
-    let refusal = measured(two.chain(good)).unwrap_err();
+    assert!(Off::from_clean(&found).mean.abs() < 5e-4);
+    let refusal = measured([bubble(shot(0)), bubble(shot(1)), shot(2)]).unwrap_err();
     assert!(matches!(refusal, Refusal::ThirdsDisagree { .. }), "{refusal}");
 }
 
@@ -232,11 +208,7 @@ fn missing_flats_explain_a_refusal() {
         patches.add(session.shoot(What::Chart, 1, &PLAIN))?;
         let calibration = patches.finish()?;
         let board = find(session, &calibration, &PLAIN)?;
-        let mut sample = Mountings::new(&calibration, &board, "white");
-        for i in 0..2 {
-            sample.add(session.shoot(What::Slab, i, &PLAIN))?;
-        }
-        sample.finish()
+        mounted(session, &calibration, &board, &PLAIN, 2)
     };
     let camera = Camera { slope: [0.0, 0.16], vignetting: 0.0, ..Camera::default() };
     let refusal = thirds(&Session::new(camera, slab())).unwrap_err();
@@ -260,16 +232,14 @@ fn is_turned(refusal: &Refusal, of: &str) -> bool {
 /// A shot with a turned slab is left out, or refused if too few are left.
 #[test]
 fn turned_slab_is_left_out_or_refused() {
-    let clean = slabs(|photo| photo).unwrap();
     let found = slabs(turned).unwrap();
-    let off = Off::of(&found, &clean);
-    println!("one shot turned: {off}; {:?}", found.warnings);
+    let off = Off::from_clean(&found);
+    println!("one shot turned: {off:?}; {:?}", found.warnings);
     assert_eq!(found.shots.len(), 2);
-    assert!(off.mean.abs() < 5e-4 && off.gain < 1e-3, "{off}");
+    assert!(off.mean.abs() < 5e-4 && off.gain < 1e-3, "{off:?}");
     let left_out = |w: &Warning| matches!(w, Warning::LeftOut { why } if is_turned(why, "slab_2"));
     assert!(noted(&found, left_out), "{:?}", found.warnings);
-    let one = |i: u64| session().shoot(What::Slab, i, &PLAIN);
-    let refusal = measured([one(0), turned(one(1))].into_iter()).unwrap_err();
+    let refusal = measured([shot(0), turned(shot(1))]).unwrap_err();
     assert!(is_turned(&refusal, "slab_2"), "{refusal}");
 }
 
@@ -283,8 +253,7 @@ fn shot_of_another_slab_is_left_out() {
     let found = slabs(|_| other(1)).unwrap();
     let left_out = |w: &Warning| w.to_string().starts_with("left out: slab_2: the profile differs");
     assert!(noted(&found, left_out) && found.shots.len() == 2, "{:?}", found.warnings);
-    let two = [session().shoot(What::Slab, 0, &PLAIN), other(1)];
-    let refusal = measured(two.into_iter()).unwrap_err();
+    let refusal = measured([shot(0), other(1)]).unwrap_err();
     assert!(matches!(refusal, Refusal::Unlike { .. }), "{refusal}");
 }
 
@@ -334,10 +303,7 @@ fn bare_shots_under_other_light_are_refused() {
     // With a difference of 2 %, each is 1 % off the mean, whose standard error is 1 %.
     let board = spoilt(0.98).unwrap();
     let look = Look { seed: 9, ..PLAIN };
-    let mut sample = Mountings::new(&set_up().calibration, &board, "white");
-    for i in 0..3 {
-        sample.add(session().shoot(What::Slab, i, &look)).unwrap();
-    }
-    let gain = gain(&sample.finish().unwrap().budget);
+    let sample = mounted(session(), &set_up().calibration, &board, &look, 3).unwrap();
+    let gain = gain(&sample.budget);
     assert!((0.008..0.012).contains(&gain), "{gain}");
 }

@@ -1,15 +1,9 @@
 //! Bias, errors and geometry, compared with the exact truth.
 
-use farm_tests::photograph::{Camera, Session};
+use farm_tests::photograph::{Camera, Look, Random, Session};
+use farm_tests::statistics::effort_or;
 
-use super::stage::{Measured, PLAIN, measure, session, slab, true_blur_mm, truth, white};
-use farm_tests::photograph::Look;
-
-/// Number of sessions; with `FARM_TEST_EFFORT=10` there are 200.
-fn seeds(quick: u64) -> u64 {
-    let effort = std::env::var("FARM_TEST_EFFORT").ok().and_then(|e| e.parse::<u64>().ok());
-    effort.map_or(quick, |e| 20 * e)
-}
+use super::stage::{PLAIN, calibrate, find, measure, mounted, session, slab, true_blur_mm, truth, white};
 
 /// A session without noise gives the exact profile.
 #[test]
@@ -35,7 +29,6 @@ fn noiseless_session_gives_the_exact_profile() {
 fn geometry_and_constants_are_recovered() {
     let session = session();
     let found = measure(session, &PLAIN, 2).unwrap();
-    report(session, &found);
     check_geometry(session, &found.board);
     let camera = &session.camera;
     for c in 0..3 {
@@ -76,8 +69,8 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
 /// per pixel.
 #[test]
 fn geometry_is_recovered_for_all_cameras() {
-    for seed in 0..seeds(40) / 10 {
-        let mut random = farm_tests::photograph::Random::new(40 + seed);
+    for seed in 0..effort_or(40, 20) / 10 {
+        let mut random = Random::new(40 + seed);
         let camera = Camera {
             width: 740,
             height: 420,
@@ -93,60 +86,27 @@ fn geometry_is_recovered_for_all_cameras() {
         slab.board.sign = if seed % 4 < 2 { 1.0 } else { -1.0 };
         let session = Session::new(camera, slab);
         let look = Look { seed, ..PLAIN };
-        let calibration = super::stage::calibrate(&session, &look).unwrap();
-        let board = super::stage::find(&session, &calibration, &look).unwrap();
+        let calibration = calibrate(&session, &look).unwrap();
+        let board = find(&session, &calibration, &look).unwrap();
         check_geometry(&session, &board);
     }
 }
 
-fn report(session: &Session, found: &Measured) {
-    println!("edge {:?}\nscale {:?}", found.board.edge, found.board.mm_per_px);
-    for c in 0..3 {
-        let (blur, origin) = (found.board.blur_mm[c], found.board.origin_mm[c]);
-        println!(
-            "{c}: blur {:.5} ± {:.5} for {:.5}, origin {:+.5} ± {:.5}, light {:.5} ± {:.5}, dark {:.5} ± {:.5}, \
-             glare {:.5} ± {:.5}",
-            blur.value,
-            blur.std_error,
-            true_blur_mm(session, c),
-            origin.value,
-            origin.std_error,
-            found.board.light[c].value,
-            found.board.light[c].std_error,
-            found.board.dark[c].value,
-            found.board.dark[c].std_error,
-            found.calibration.glare[c].value,
-            found.calibration.glare[c].std_error,
-        );
-    }
-    for shot in &found.sample.shots {
-        println!(
-            "{}: moved {:?}, blur {:?}, scatter {:?}",
-            shot.label, shot.moved_px, shot.blur_px, shot.scatter
-        );
-    }
-    println!("{:?} {:?} {:?}", found.calibration.warnings, found.board.warnings, found.sample.warnings);
-}
-
-/// Over independent sessions, the scatter of each bin equals its stated error, and neighbours are uncorrelated.
+/// Over independent sessions (200 with `FARM_TEST_EFFORT=10`), the scatter of each bin equals its stated error, and
+/// neighbours are uncorrelated.
 #[test]
 fn stated_errors_match_the_scatter() {
     let session = session();
-    let count = seeds(12);
-    let mut stated = [0.0; 3];
-    let mut profiles: Vec<[Vec<f64>; 3]> = Vec::new();
-    let calibration = super::stage::calibrate(session, &PLAIN).unwrap();
-    let board = super::stage::find(session, &calibration, &PLAIN).unwrap();
+    let count = effort_or(12, 20);
+    let (mut stated, mut profiles) = ([0.0; 3], Vec::new());
+    let calibration = calibrate(session, &PLAIN).unwrap();
+    let board = find(session, &calibration, &PLAIN).unwrap();
     for seed in 0..count {
         let look = Look { seed: 100 + seed, ..PLAIN };
-        let mut sample = optics_capture::Mountings::new(&calibration, &board, "white");
-        for photo in super::stage::shots(session, farm_tests::photograph::What::Slab, 2, &look) {
-            sample.add(photo).unwrap();
-        }
-        let sample = sample.finish().unwrap();
+        let sample = mounted(session, &calibration, &board, &look, 2).unwrap();
         for (c, p) in sample.profiles.iter().enumerate() {
-            stated[c] +=
-                p.std_errors.iter().map(|e| e * e).sum::<f64>() / (p.values.len() as f64 * count as f64);
+            let square = p.std_errors.iter().map(|e| e * e).sum::<f64>();
+            stated[c] += square / (p.values.len() as f64 * count as f64);
         }
         profiles.push(sample.profiles.map(|p| p.values));
     }

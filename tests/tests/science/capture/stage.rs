@@ -76,18 +76,12 @@ pub fn calibrate_after(
 ) -> Result<Calibration, Refusal> {
     let shots = |what| shots(session, what, 2, look).into_iter().map(&retouch);
     let mut darks = Darks::new();
-    for photo in shots(What::Dark) {
-        darks.add(photo)?;
-    }
+    shots(What::Dark).try_for_each(|photo| darks.add(photo))?;
     let black = darks.finish(&retouch(session.shoot(What::Bare, 0, look)))?;
     let mut flats = Flats::new(&black);
-    for photo in shots(What::Sheet) {
-        flats.add(photo)?;
-    }
+    shots(What::Sheet).try_for_each(|photo| flats.add(photo))?;
     let mut patches = Patches::new(black, flats.finish()?, neutral);
-    for photo in shots(subject) {
-        patches.add(photo)?;
-    }
+    shots(subject).try_for_each(|photo| patches.add(photo))?;
     patches.finish()
 }
 
@@ -97,20 +91,27 @@ pub fn find(
     look: &Look,
 ) -> Result<optics_capture::Board, Refusal> {
     let mut bare = BareShots::new(calibration, session.target())?;
-    for photo in shots(session, What::Bare, 2, look) {
-        bare.add(photo)?;
-    }
+    shots(session, What::Bare, 2, look).into_iter().try_for_each(|photo| bare.add(photo))?;
     bare.finish()
+}
+
+/// The profile of the slab from several shots.
+pub fn mounted(
+    session: &Session,
+    calibration: &Calibration,
+    board: &optics_capture::Board,
+    look: &Look,
+    count: u64,
+) -> Result<SampleProfile, Refusal> {
+    let mut sample = Mountings::new(calibration, board, "white");
+    shots(session, What::Slab, count, look).into_iter().try_for_each(|photo| sample.add(photo))?;
+    sample.finish()
 }
 
 pub fn measure(session: &Session, look: &Look, mountings: u64) -> Result<Measured, Refusal> {
     let calibration = calibrate(session, look)?;
     let board = find(session, &calibration, look)?;
-    let mut sample = Mountings::new(&calibration, &board, "white");
-    for photo in shots(session, What::Slab, mountings, look) {
-        sample.add(photo)?;
-    }
-    let sample = sample.finish()?;
+    let sample = mounted(session, &calibration, &board, look, mountings)?;
     Ok(Measured { calibration, board, sample })
 }
 

@@ -6,7 +6,7 @@ use optics_fit::fit;
 use optics_model::fit::{Bounds, Cause, FitOptions, FitSettings, MISFIT, Nuisance, Refined};
 use optics_model::{MeasuredProfile, Measurement, Medium};
 
-use super::{dictionary, photograph};
+use super::{SLABS_MM, dictionary, photograph};
 
 /// Maps x in mm, value, thickness and the profile itself to the value that is photographed.
 type Spoil = fn(f64, f64, f64, &dyn Fn(f64) -> f64) -> f64;
@@ -16,7 +16,7 @@ fn clean(thickness_mm: f64) -> &'static MeasuredProfile {
     static CLEAN: OnceLock<[MeasuredProfile; 2]> = OnceLock::new();
     let clean = CLEAN.get_or_init(|| {
         let truth = Medium::new(4.3, 0.965, 0.4).unwrap();
-        [0.5, 1.0].map(|t| photograph(&truth, 1, t, 9_500, 4_000_000, 1.0, 0.004).0)
+        SLABS_MM.map(|t| photograph(&truth, 1, t, 9_500, 4_000_000, 1.0, 0.004).0)
     });
     &clean[usize::from(thickness_mm > 0.75)]
 }

@@ -1,23 +1,22 @@
 //! Measurement of strong absorbers by dilution: the inks of the paper's Table 1 from slabs of their mixtures.
 //!
 //! In the normal run two inks are measured in one channel. With `FARM_TEST_EFFORT=8` it is the chart of all 31 equal
-//! mixtures of the five inks, in three channels, with the paper's whole dictionary; `FARM_TEST_TRUTHS=DIR` keeps the
-//! traced profiles. The exposure is off by an unknown factor.
+//! mixtures of the five inks, in three channels, with the paper's whole dictionary. The exposure is off by an unknown
+//! factor.
 
+use farm_tests::coverage::{Answer, Coverage, Estimate, media_table};
 use farm_tests::statistics::{Normal, effort};
-use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure, unmix};
-use optics_model::fit::{FitOptions, Interval, Mixture, Mixtures, MuRange, Unmixed};
-use optics_model::job::JobSpec;
+use farm_tests::stored;
+use optics_fit::{FitDictionary, measure, unmix};
+use optics_model::fit::{FitOptions, Mixture, Mixtures, Unmixed};
 use optics_model::scene::Channel;
-use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
+use optics_model::{Grid, MeasuredProfile, Measurement, Medium};
 use rayon::prelude::*;
 
-use super::NOISE;
-use super::imperfect::truths::records;
 use super::table_1::TABLE_1;
+use super::{NOISE, SLABS_MM, centres_mm, noisy, print_common, traced, unknown_factor, values};
 
 const G: f64 = 0.4;
-const SLABS_MM: [f64; 2] = [0.5, 1.0];
 
 /// Indices of Table 1's inks that are mixed in equal parts.
 type Subset = Vec<usize>;
@@ -49,31 +48,23 @@ fn slab(
     mu: f64,
 ) -> MeasuredProfile {
     let scene = Grid::paper().scene().clone();
-    let point = TransportPoint::new(medium.sigma_t_per_mm(), G, thickness_mm, 1.53).unwrap();
-    let walks = Walks::new(walks).unwrap();
-    let albedo = vec![medium.albedo()];
-    let job = JobSpec::new(scene.clone(), point, albedo, walks, 770_000 + seed, false).unwrap();
-    let exact: Vec<f64> = records(&job).radiance_factors(0, channel).map(|v| f64::from(v) / mu).collect();
-    let mut noise = Normal::new(880_000 + seed);
-    let values = exact.iter().map(|v| v * (1.0 + NOISE * noise.normal())).collect();
-    let std_errors = exact.iter().map(|v| NOISE * v).collect();
-    let x = (0..exact.len()).map(|i| scene.sensor().centre_mm(i)).collect();
-    let channel = scene.channels()[channel].name();
-    MeasuredProfile::new(channel, thickness_mm, x, values, Some(std_errors)).unwrap()
+    let record = traced(&scene, medium, thickness_mm, walks, 770_000 + seed);
+    let exact: Vec<f64> = values(&record, channel).iter().map(|v| v / mu).collect();
+    let slab = (scene.channels()[channel].name(), thickness_mm);
+    noisy(slab, centres_mm(&scene), &exact, |v| NOISE * v, &mut Normal::new(880_000 + seed))
 }
 
-/// Slabs of these mixtures, whose true parts may differ from the nominal ones.
+/// Slabs of equal mixtures.
 fn photographed(
     subsets: &[Subset],
     channels: std::ops::Range<usize>,
     walks: u64,
     mu: f64,
-    parts: impl Fn(&[usize]) -> Vec<(usize, f64)> + Sync,
 ) -> Vec<Measurement> {
     let material = |(number, subset): (usize, &Subset)| {
         let mut profiles = Vec::new();
         for channel in channels.clone() {
-            let medium = mixed(&parts(subset), channel);
+            let medium = mixed(&equal(subset), channel);
             for (i, thickness_mm) in SLABS_MM.into_iter().enumerate() {
                 let seed = ((number * 3 + channel) * 2 + i) as u64;
                 profiles.push(slab(&medium, channel, thickness_mm, seed, walks, mu));
@@ -93,97 +84,58 @@ fn mixtures(subsets: &[Subset]) -> Mixtures {
     Mixtures::new(several.map(mixture).collect()).unwrap()
 }
 
-/// The paper's whole dictionary in three channels.
-fn whole_dictionary() -> FitDictionary {
-    let grid = Grid::paper();
-    let mut builder = DictionaryBuilder::new(grid.clone());
-    for job in 0..grid.job_count() {
-        builder.add(&records(&JobSpec::of(&grid, job)));
-    }
-    builder.build()
-}
-
-fn unmixed(dictionary: &FitDictionary, subsets: &[Subset], slabs: &[Measurement]) -> Unmixed {
-    let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
-    let options = FitOptions::default();
+/// Measures inks and prints them, with their mixtures that deviate. Returns the inks' channels.
+fn unmixed(dictionary: &FitDictionary, subsets: &[Subset], slabs: &[Measurement]) -> (Unmixed, Vec<Answer>) {
+    let (plan, options) = (unknown_factor(), FitOptions::default());
     let measured = measure(dictionary, slabs, &options, &plan).unwrap();
-    println!("measured: {:?}", measured.common.mu_interval);
+    print_common(&measured.common);
     let found = unmix(dictionary, slabs, &mixtures(subsets), &measured, &options, &plan).unwrap();
-    let common = &found.common;
-    println!(
-        "unmixed: μ = {:.4} ± {:.4}, g = {:?} {:?}",
-        common.mu, common.mu_std_error, common.g, common.g_interval
-    );
-    found
-}
-
-/// A comparison: name, truth, found, interval.
-type Line = (&'static str, f64, f64, Interval);
-
-/// Prints a table and returns its lines.
-fn compared(found: &Unmixed) -> Vec<(String, Line)> {
-    println!("{:<18} {:<6} {:>9} {:>9} {:>21}", "ink", "", "truth", "found", "interval");
-    let mut all = Vec::new();
-    for ink in &found.inks {
-        let (_, media) = TABLE_1.iter().find(|(name, _)| *name == ink.material).unwrap();
-        for channel in &ink.channels {
-            let index = Grid::paper().scene().channels().iter().position(|c| c.name() == channel.channel);
-            let (sigma_t, albedo) = media[index.unwrap()];
-            let m = &channel.medium;
-            let (scattering, absorption) = (sigma_t * albedo * (1.0 - G), sigma_t * (1.0 - albedo));
-            let lines: [Line; 4] = [
-                ("σ_t", sigma_t, m.sigma_t_per_mm(), channel.sigma_t_per_mm),
-                (
-                    "1-α",
-                    1.0 - albedo,
-                    1.0 - m.albedo(),
-                    Interval {
-                        low: 1.0 - channel.albedo.high,
-                        high: 1.0 - channel.albedo.low,
-                        open_low: channel.albedo.open_high,
-                        open_high: channel.albedo.open_low,
-                    },
-                ),
-                (
-                    "σ_s'",
-                    scattering,
-                    m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()),
-                    channel.reduced_scattering_per_mm,
-                ),
-                ("σ_a", absorption, m.sigma_t_per_mm() * (1.0 - m.albedo()), channel.absorption_per_mm),
-            ];
-            let mark = if channel.from_mixtures { "*" } else { "" };
-            let resolved = if channel.resolved { "" } else { " unresolved" };
-            let title = format!("{} {}{mark}", ink.material, channel.channel);
-            for line in lines {
-                let (what, truth, value, interval) = line;
-                let held = if interval.contains(truth) { "" } else { " missed" };
-                println!(
-                    "{title:<18} {what:<6} {truth:>9.5} {value:>9.5} {:>10.5} {:>10.5}{}{held}{resolved}",
-                    interval.low,
-                    interval.high,
-                    if interval.open_low || interval.open_high { " open" } else { "" }
-                );
-                all.push((title.clone(), line));
-            }
-        }
-    }
-    all
-}
-
-fn report_mixtures(found: &Unmixed) {
+    print_common(&found.common);
     for mixture in &found.mixtures {
+        let name = format!("{} {}", mixture.material, mixture.channel);
         match (&mixture.agreement, &mixture.left_out) {
             (Some(a), _) if a.pull > 2.0 || a.misfit > 1.2 => {
-                println!(
-                    "{} {}: misfit {:.2}, pull {:.1}",
-                    mixture.material, mixture.channel, a.misfit, a.pull
-                );
+                println!("{name}: misfit {:.2}, pull {:.1}", a.misfit, a.pull);
             }
-            (None, Some(why)) => println!("{} {}: {why}", mixture.material, mixture.channel),
+            (None, Some(why)) => println!("{name}: {why}"),
             _ => {}
         }
     }
+    let (paper, mut answers) = (Grid::paper(), Vec::new());
+    for ink in &found.inks {
+        let number = TABLE_1.iter().position(|row| row.0 == ink.material).unwrap();
+        for of_channel in &ink.channels {
+            let mut channels = paper.scene().channels().iter();
+            let channel = channels.position(|c| c.name() == of_channel.channel).unwrap();
+            let name = format!("{} {}", ink.material, of_channel.channel);
+            let json = serde_json::to_value(of_channel).unwrap();
+            answers.push(Answer::new(name, &mixed(&[(number, 1.0)], channel), json));
+        }
+    }
+    println!("{}", media_table(&answers, &[0, 1, 2, 3]));
+    (found, answers)
+}
+
+/// Intervals of 95 % in correlated pairs: none may miss by more than half its width.
+fn check_near(answers: &[Answer]) {
+    for answer in answers {
+        for e in &answer.medium[..4] {
+            let slack = 0.5 * (e.interval.high - e.interval.low);
+            let near = e.interval.low - slack <= e.truth && e.truth <= e.interval.high + slack;
+            assert!(near, "{}: {e:?}", answer.name);
+        }
+    }
+}
+
+/// The ink in a channel, which its mixtures determine.
+fn from_mixtures<'a>(answers: &'a [Answer], name: &str) -> &'a Answer {
+    let answer = answers.iter().find(|a| a.name == name).unwrap();
+    assert_eq!(answer.json["from_mixtures"], true, "{answer:?}");
+    answer
+}
+
+fn ratio_of_ends(e: &Estimate) -> f64 {
+    e.interval.high / e.interval.low
 }
 
 const CYAN: usize = 0;
@@ -197,20 +149,11 @@ fn two_inks() -> Vec<Subset> {
 #[test]
 fn unresolved_absorber_is_measured_in_white() {
     let subsets = two_inks();
-    let slabs = photographed(&subsets, 0..1, 1_000_000, 1.0, equal);
-    let found = unmixed(super::dictionary(), &subsets, &slabs);
-    report_mixtures(&found);
-    let lines = compared(&found);
-    for (title, (what, truth, value, interval)) in &lines {
-        // Eight intervals of 95 % in correlated pairs: none may miss by more than half its width.
-        let slack = 0.5 * (interval.high - interval.low);
-        let near = interval.low - slack <= *truth && *truth <= interval.high + slack;
-        assert!(near, "{title}: {what} = {value} {interval:?}, not {truth}");
-    }
-    let cyan = &found.inks.iter().find(|i| i.material == "cyan").unwrap().channels[0];
-    assert!(cyan.from_mixtures, "{cyan:?}");
-    let width = (cyan.absorption_per_mm.high / cyan.absorption_per_mm.low).ln();
-    assert!(width < 0.15, "{cyan:?}");
+    let slabs = photographed(&subsets, 0..1, 1_000_000, 1.0);
+    let (found, inks) = unmixed(super::dictionary(), &subsets, &slabs);
+    check_near(&inks);
+    let absorption = from_mixtures(&inks, "cyan R").medium[3];
+    assert!(ratio_of_ends(&absorption).ln() < 0.15, "{absorption:?}");
     assert!(found.mixtures.iter().all(|m| m.agreement.unwrap().pull < 3.0), "{:?}", found.mixtures);
 }
 
@@ -220,10 +163,7 @@ fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
     let paper = Grid::paper().scene().clone();
     let light = paper.channels()[0].rho_light();
     let uniform = paper.with_channels(vec![Channel::new("R", light, light).unwrap()]).unwrap();
-    let point = TransportPoint::new(medium.sigma_t_per_mm(), G, 1.0, 1.53).unwrap();
-    let (albedo, walks) = (vec![medium.albedo()], Walks::new(1_000_000).unwrap());
-    let job = JobSpec::new(uniform, point, albedo, walks, 990_000 + seed, false).unwrap();
-    let traced: Vec<f64> = records(&job).radiance_factors(0, 0).map(f64::from).collect();
+    let traced = values(&traced(&uniform, &medium, 1.0, 1_000_000, 990_000 + seed), 0);
     let exact = traced.iter().sum::<f64>() / traced.len() as f64 / mu;
     let std_error = 0.003 * exact;
     let value = exact + std_error * Normal::new(880_500 + seed).normal();
@@ -236,19 +176,12 @@ fn patch(subset: &[usize], seed: u64, mu: f64) -> Measurement {
 fn absorber_is_measured_from_chart_patches() {
     let subsets = two_inks();
     let mu = 0.95;
-    let mut measured = photographed(&subsets[1..2], 0..1, 1_000_000, mu, equal);
+    let mut measured = photographed(&subsets[1..2], 0..1, 1_000_000, mu);
     measured.extend([0, 2].map(|i| patch(&subsets[i], i as u64, mu)));
-    let found = unmixed(super::dictionary(), &subsets, &measured);
-    let lines = compared(&found);
-    let cyan: Vec<_> = lines.iter().filter(|(title, _)| title == "cyan R*").collect();
-    assert_eq!(cyan.len(), 4, "cyan is not from mixtures");
-    for (_, (what, truth, value, interval)) in cyan {
-        let slack = 0.5 * (interval.high - interval.low);
-        let near = interval.low - slack <= *truth && *truth <= interval.high + slack;
-        assert!(near, "{what} = {value} {interval:?}, not {truth}");
-    }
-    let absorption = found.inks.iter().find(|i| i.material == "cyan").unwrap().channels[0].absorption_per_mm;
-    assert!(absorption.high / absorption.low < 1.55, "{absorption:?}");
+    let (_, inks) = unmixed(super::dictionary(), &subsets, &measured);
+    let cyan = from_mixtures(&inks, "cyan R");
+    check_near(std::slice::from_ref(cyan));
+    assert!(ratio_of_ends(&cyan.medium[3]) < 1.55, "{cyan:?}");
 }
 
 /// The long form, with the whole Table 1.
@@ -257,23 +190,18 @@ fn all_of_table_1_follows_from_mixtures() {
     if effort() < 8 {
         return;
     }
-    let dictionary = whole_dictionary();
     let subsets: Vec<Subset> =
         (1_u32..32).map(|bits| (0..5).filter(|i| (bits >> i) & 1 == 1).collect()).collect();
-    let slabs = photographed(&subsets, 0..3, 4_000_000, 0.913, equal);
-    let found = unmixed(&dictionary, &subsets, &slabs);
-    report_mixtures(&found);
-    let lines = compared(&found);
-    let holds = |(_, (_, truth, _, interval)): &(String, Line)| interval.contains(*truth);
-    let held = lines.iter().filter(|line| holds(line)).count();
-    println!("{held} of {} intervals hold", lines.len());
+    let slabs = photographed(&subsets, 0..3, 4_000_000, 0.913);
+    let (found, inks) = unmixed(stored::dictionary(&Grid::paper()), &subsets, &slabs);
     // Sixty intervals of 95 % in correlated groups of four, all with one g: at least fifty-one.
-    assert!(lines.len() == 60 && held >= 51, "{held} of {}", lines.len());
+    let all = Coverage::of_media([&inks[..]], 0..4);
+    let (held, count) = (all.count(), all.all().count());
+    assert!(count == 60 && held >= 51, "{held} of {count} intervals hold");
     // With relative noise, magenta's green can be measured by itself, although it is dark.
-    for absorber in ["cyan R*", "magenta G", "yellow B*"] {
-        let of_ink: Vec<_> = lines.iter().filter(|(title, _)| title.starts_with(absorber)).collect();
-        assert_eq!(of_ink.len(), 4, "{absorber} is not from mixtures");
-        assert!(of_ink.iter().all(|line| holds(line)), "{of_ink:?}");
+    let magenta = inks.iter().find(|ink| ink.name == "magenta G").unwrap();
+    for ink in [from_mixtures(&inks, "cyan R"), magenta, from_mixtures(&inks, "yellow B")] {
+        assert!(ink.medium[..4].iter().all(Estimate::holds), "{ink:?}");
     }
     let furthest = found.mixtures.iter().filter_map(|m| m.agreement).map(|a| a.pull).fold(0.0, f64::max);
     assert!(furthest < 4.0, "a mixture deviates from its inks by {furthest} standard errors");

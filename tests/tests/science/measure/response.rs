@@ -4,10 +4,10 @@
 use std::sync::OnceLock;
 
 use optics_fit::{MeasurePlan, measure};
-use optics_model::fit::{Cause, FitOptions, FitSettings, MuRange};
+use optics_model::fit::{Cause, FitOptions, FitSettings};
 use optics_model::{MeasuredProfile, Measurement, Medium};
 
-use super::{NOISE, dictionary, photograph};
+use super::{dictionary, materials, unknown_factor};
 
 /// A white, a cyan and a black at g = 0.4, all off the grid, in channels R, G and B.
 fn clean() -> &'static [Measurement] {
@@ -18,18 +18,9 @@ fn clean() -> &'static [Measurement] {
             [(3.3, 0.62), (4.4, 0.966), (7.4, 0.988)],
             [(5.6, 0.33), (5.3, 0.36), (5.1, 0.41)],
         ];
-        let material = |(m, channels): (usize, [(f64, f64); 3])| {
-            let mut profiles = Vec::new();
-            for (channel, (sigma_t, albedo)) in channels.into_iter().enumerate() {
-                let medium = Medium::new(sigma_t, albedo, 0.4).unwrap();
-                for thickness_mm in [0.5, 1.0] {
-                    let seed = 70_000 + (3 * m + channel) as u64;
-                    profiles.push(photograph(&medium, channel, thickness_mm, seed, 1_000_000, 1.0, NOISE).0);
-                }
-            }
-            Measurement::new(format!("m{m}"), profiles).unwrap()
-        };
-        media.into_iter().enumerate().map(material).collect()
+        let medium = |(sigma_t, albedo)| Medium::new(sigma_t, albedo, 0.4).unwrap();
+        let media = media.map(|channels| channels.map(medium));
+        materials(["m0", "m1", "m2"].into_iter().zip(media), 70_000, 1_000_000, 1.0)
     })
 }
 
@@ -47,8 +38,7 @@ fn suspected(change: fn(f64) -> f64, mu: Option<f64>) -> Option<(Cause, f64)> {
         |m: &Measurement| Measurement::new(m.material(), m.profiles().iter().map(profile).collect());
     let changed: Vec<Measurement> = clean().iter().map(|m| material(m).unwrap()).collect();
     let options = FitOptions::new(FitSettings { mu: mu.unwrap_or(1.0), ..FitSettings::default() }).unwrap();
-    let search_mu = mu.is_none().then(MuRange::default);
-    let plan = MeasurePlan { search_mu, ..MeasurePlan::default() };
+    let plan = if mu.is_none() { unknown_factor() } else { MeasurePlan::default() };
     let found = measure(dictionary(), &changed, &options, &plan).unwrap();
     let channels = found.materials.iter().flat_map(|m| &m.channels);
     let all: Vec<_> = channels.map(|c| c.refined.as_ref().unwrap().suspicion).collect();

@@ -35,12 +35,7 @@ impl Traced {
     fn photograph(&self, noise: f64, has_errors: bool, random: &mut Normal) -> MeasuredProfile {
         let values = self.values.iter().map(|v| v * (1.0 + noise * random.normal())).collect();
         let errors = self.std_errors.iter().zip(&self.values).map(|(e, v)| e.hypot(noise * v)).collect();
-        self.with(values, has_errors.then_some(errors))
-    }
-
-    fn with(&self, values: Vec<f64>, errors: Option<Vec<f64>>) -> MeasuredProfile {
-        let x = self.x_mm.clone();
-        MeasuredProfile::new(self.channel.clone(), self.thickness_mm, x, values, errors).unwrap()
+        Self { values, std_errors: errors, ..self.clone() }.measured(has_errors)
     }
 
     fn map(&self, f: impl Fn(f64) -> f64) -> Self {
@@ -55,12 +50,9 @@ impl Traced {
         Self { thickness_mm, ..self.clone() }
     }
 
-    fn named(&self, channel: &str) -> Self {
-        Self { channel: channel.to_owned(), ..self.clone() }
-    }
-
-    fn measured(&self) -> MeasuredProfile {
-        self.with(self.values.clone(), Some(self.std_errors.clone()))
+    fn measured(self, has_errors: bool) -> MeasuredProfile {
+        let errors = has_errors.then_some(self.std_errors);
+        MeasuredProfile::new(self.channel, self.thickness_mm, self.x_mm, self.values, errors).unwrap()
     }
 }
 
@@ -81,15 +73,9 @@ impl Sample {
 fn samples() -> &'static [Sample] {
     static SAMPLES: OnceLock<Vec<Sample>> = OnceLock::new();
     SAMPLES.get_or_init(|| {
-        let mut samples = Vec::new();
-        for sensor in 0..SENSORS.len() {
-            for sigma_t in SIGMA_T_PER_MM {
-                for g in G {
-                    samples.extend(traced(sensor, sigma_t, g));
-                }
-            }
-        }
-        samples
+        let media = || SIGMA_T_PER_MM.into_iter().flat_map(|sigma_t| G.map(|g| (sigma_t, g)));
+        let all = (0..SENSORS.len()).flat_map(|sensor| media().map(move |(sigma_t, g)| (sensor, sigma_t, g)));
+        all.flat_map(|(sensor, sigma_t, g)| traced(sensor, sigma_t, g)).collect()
     })
 }
 
@@ -98,28 +84,23 @@ fn traced(sensor: usize, sigma_t: f64, g: f64) -> Vec<Sample> {
     let (width, pixels) = SENSORS[sensor];
     let scene = Scene::paper().with_sensor(Sensor::new(width, pixels, 0.0).unwrap());
     let x_mm: Vec<f64> = (0..pixels as usize).map(|i| scene.sensor().centre_mm(i)).collect();
-    let sample = |albedo: &f64| Sample {
-        name: format!("σ_t {sigma_t}, α {albedo}, g {g}, sensor {sensor}"),
-        sensor,
-        profiles: Vec::new(),
-    };
+    let name = |albedo: &f64| format!("σ_t {sigma_t}, α {albedo}, g {g}, sensor {sensor}");
+    let sample = |albedo| Sample { name: name(albedo), sensor, profiles: Vec::new() };
     let mut samples: Vec<Sample> = ALBEDO.iter().map(sample).collect();
     for thickness_mm in THICKNESS_MM {
         let point = TransportPoint::new(sigma_t, g, thickness_mm, 1.53).unwrap();
         let walks = Walks::new(50_000 * effort()).unwrap();
         let job = JobSpec::new(scene.clone(), point, ALBEDO.to_vec(), walks, 7, false).unwrap();
-        let records = trace(&job, &AtomicBool::new(false)).unwrap();
-        for (sample, record) in samples.iter_mut().zip(&records) {
-            for (channel, profile) in scene.channels().iter().zip(&record.profiles) {
-                let wide = |v: &[f32]| v.iter().copied().map(f64::from).collect();
-                sample.profiles.push(Traced {
-                    channel: channel.name().to_owned(),
-                    thickness_mm,
-                    x_mm: x_mm.clone(),
-                    values: wide(profile.radiance_factor.values()),
-                    std_errors: wide(profile.radiance_factor.std_errors()),
-                });
-            }
+        for (sample, record) in samples.iter_mut().zip(trace(&job, &AtomicBool::new(false)).unwrap()) {
+            sample.profiles.extend(scene.channels().iter().zip(&record.profiles).map(
+                |(channel, profile)| {
+                    let wide = |v: &[f32]| v.iter().copied().map(f64::from).collect();
+                    let (values, std_errors) =
+                        (wide(profile.radiance_factor.values()), wide(profile.radiance_factor.std_errors()));
+                    let channel = channel.name().to_owned();
+                    Traced { channel, thickness_mm, x_mm: x_mm.clone(), values, std_errors }
+                },
+            ));
         }
     }
     samples
@@ -176,48 +157,38 @@ fn share(hits: impl Iterator<Item = bool>) -> f64 {
     hits.iter().filter(|h| **h).count() as f64 / hits.len() as f64
 }
 
-/// Checks that a mistake is detected in every medium with a visible edge.
-fn always_refused(kind: Kind, mistake: impl Fn(&Traced) -> Traced) {
-    for sample in plain() {
-        let profile = mistake(sample.find("R", 0.5)).measured();
-        let findings = measured(vec![profile]);
-        let found = findings.iter().any(|f| f.certain && f.kind == kind);
-        assert!(found, "{kind:?} in {}: {findings:#?}", sample.name);
-    }
-}
-
 /// For every medium with a visible edge: units, pixel numbers, encoded values, falling profiles, and a misplaced edge.
-#[test]
-fn wrong_units_and_sides_are_detected() {
-    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0));
-    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| (65_535.0 * v).round() + 100.0));
-    always_refused(Kind::ValuesTooLarge, |p| p.map(|v| 100.0 * v + 2.0));
-    always_refused(Kind::PixelNumbers, |p| p.at(|x| ((x + 5.0) * 36.0).floor()));
-    always_refused(Kind::PixelNumbers, |p| p.at(|x| (x * 36.0).floor()));
-    always_refused(Kind::UnitOfX, |p| p.at(|x| 1000.0 * x));
-    always_refused(Kind::UnitOfX, |p| p.at(|x| 0.001 * x));
-    always_refused(Kind::UnitOfThickness, |p| p.slab(500.0));
-    always_refused(Kind::Falling, |p| Traced {
-        values: p.values.iter().rev().copied().collect(),
-        ..p.clone()
-    });
-    // From 0 to 10 mm, and two thirds of a millimetre off an edge that is narrower than this.
-    always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x + 5.0));
-    always_refused(Kind::EdgeElsewhere, |p| p.at(|x| x - 2.5));
-}
-
 /// Positions in centimetres get a note.
 #[test]
-fn x_in_cm_is_noted() {
-    let profile = samples()[3].find("R", 0.5).at(|x| 0.1 * x).measured();
-    let findings = measured(vec![profile]);
+fn wrong_units_and_sides_are_detected() {
+    type Mistake = fn(&Traced) -> Traced;
+    let mistakes: [(Kind, Mistake); 11] = [
+        (Kind::ValuesTooLarge, |p| p.map(|v| 255.0 * v + 2.0)),
+        (Kind::ValuesTooLarge, |p| p.map(|v| (65_535.0 * v).round() + 100.0)),
+        (Kind::ValuesTooLarge, |p| p.map(|v| 100.0 * v + 2.0)),
+        (Kind::PixelNumbers, |p| p.at(|x| ((x + 5.0) * 36.0).floor())),
+        (Kind::PixelNumbers, |p| p.at(|x| (x * 36.0).floor())),
+        (Kind::UnitOfX, |p| p.at(|x| 1000.0 * x)),
+        (Kind::UnitOfX, |p| p.at(|x| 0.001 * x)),
+        (Kind::UnitOfThickness, |p| p.slab(500.0)),
+        (Kind::Falling, |p| Traced { values: p.values.iter().rev().copied().collect(), ..p.clone() }),
+        // From 0 to 10 mm, and two thirds of a millimetre off an edge that is narrower than this.
+        (Kind::EdgeElsewhere, |p| p.at(|x| x + 5.0)),
+        (Kind::EdgeElsewhere, |p| p.at(|x| x - 2.5)),
+    ];
+    for (kind, mistake) in mistakes {
+        for sample in plain() {
+            let profile = mistake(sample.find("R", 0.5)).measured(true);
+            assert!(refused(vec![profile], kind), "{kind:?} in {}", sample.name);
+        }
+    }
+    let findings = measured(vec![samples()[3].find("R", 0.5).at(|x| 0.1 * x).measured(true)]);
     assert!(findings.iter().any(|f| f.kind == Kind::UnitOfX && !f.certain), "{findings:#?}");
 }
 
 #[test]
 fn swapped_thicknesses_are_found_where_they_matter() {
-    let swapped =
-        |s: &Sample| vec![s.find("R", 0.5).slab(1.0).measured(), s.find("R", 1.0).slab(0.5).measured()];
+    let swapped = |s: &Sample| [0.5, 1.0].map(|mm| s.find("R", mm).slab(1.5 - mm).measured(true)).to_vec();
     let refused = share(plain().map(|s| refused(swapped(s), Kind::ThicknessOrder)));
     let warned = share(plain().map(|s| measured(swapped(s)).iter().any(|f| f.kind == Kind::ThicknessOrder)));
     println!("swapped thicknesses: refused {refused:.2}, warned {warned:.2}");
@@ -229,12 +200,10 @@ fn swapped_thicknesses_are_found_where_they_matter() {
 fn equal_data_under_two_names_are_refused() {
     for sample in plain().step_by(8) {
         let red = sample.find("R", 0.5);
-        assert!(
-            refused(vec![red.measured(), red.named("G").measured()], Kind::SameValues),
-            "{}",
-            sample.name
-        );
-        assert!(refused(vec![red.measured(), red.slab(1.0).measured()], Kind::SameValues), "{}", sample.name);
+        for other in [Traced { channel: "G".to_owned(), ..red.clone() }, red.slab(1.0)] {
+            let profiles = vec![red.clone().measured(true), other.measured(true)];
+            assert!(refused(profiles, Kind::SameValues), "{}", sample.name);
+        }
     }
 }
 
@@ -246,7 +215,7 @@ fn srgb(v: f64) -> f64 {
 #[test]
 fn eight_bit_values_are_noted() {
     let in_steps = |v: f64| (255.0 * v.clamp(0.0, 1.0)).round() / 255.0;
-    let eight_bit = |p: &Traced| measured(vec![p.with(p.values.clone(), None)]);
+    let eight_bit = |p: Traced| measured(vec![p.measured(false)]);
     let found = |findings: &[Finding], certain: bool| {
         findings.iter().any(|f| f.kind == Kind::EightBit && (f.certain || !certain))
     };
@@ -255,13 +224,13 @@ fn eight_bit_values_are_noted() {
         let linear = sample.find("R", 0.5).map(in_steps);
         let varies = linear.values.iter().any(|v| *v != linear.values[0]);
         if varies {
-            let findings = eight_bit(&linear);
+            let findings = eight_bit(linear);
             assert!(!findings.iter().any(|f| f.certain), "{}: {findings:#?}", sample.name);
             warned_count += usize::from(found(&findings, false));
         }
     }
     assert!(warned_count > 50, "{warned_count}");
-    let encoded = |s: &Sample| eight_bit(&s.find("R", 0.5).map(|v| in_steps(srgb(v))));
+    let encoded = |s: &Sample| eight_bit(s.find("R", 0.5).map(|v| in_steps(srgb(v))));
     let (warned, refused) =
         (share(plain().map(|s| found(&encoded(s), false))), share(plain().map(|s| found(&encoded(s), true))));
     println!("sRGB of 8 bits: warned {warned:.2}, refused {refused:.2}");

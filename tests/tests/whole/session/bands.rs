@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use farm_tests::cli::{folder, json};
+use farm_tests::coverage::{Answer, Coverage, media_table};
 use farm_tests::dng::dng;
 use farm_tests::photograph::{BandSession, Camera, EXAMPLE_NM, SpectralMaterial, spectral_nm};
 use farm_tests::process::run;
@@ -14,25 +15,21 @@ use farm_tests::statistics::effort;
 use optics_capture::{Frame, Pattern};
 use serde_json::Value;
 
+use super::{append, captured, measured, read_json};
+
 /// Nodes of the short form's dictionary, whose responses are traced at three extinctions.
 const AXES: &str = "sigma_t_per_mm = [2.5, 4.0, 4.5, 5.1, 5.8, 6.6, 7.5, 11.0]\ng = [0.2, 0.3, 0.4, 0.5, 0.6]\n\
     albedo = [0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.997, 0.998, 0.999, 0.9995]\nwalks = 60000\n";
 
-fn read(path: &Path) -> Value {
-    serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap()
-}
-
-/// Captures a session into the folder `out`.
-fn captured(session: &BandSession, folder: &Path) -> Value {
+/// Writes and captures a session into the folder `out`.
+fn capture(session: &BandSession, folder: &Path) -> Value {
     session.write(folder).unwrap();
-    let captured = run(folder, &["capture", "session.toml", "-o", "out", "--json"]);
-    assert_eq!(captured.code, 0, "{}", captured.stderr);
-    json(&captured, "capture")
+    json(&captured(folder, &["--json"]), "capture")
 }
 
 /// Blur, lateral colour and ρ of each band are those of the simulated lens and board.
 fn check_optics(session: &BandSession, folder: &Path) {
-    let found = read(&folder.join("out/session.json"));
+    let found = read_json(&folder.join("out/session.json"));
     for (nm, band) in session.wavelengths_nm.iter().zip(found["bands"].as_array().unwrap()) {
         let number = |path: &str| band.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
         let (lens_mm, magnification) = BandSession::lens(*nm);
@@ -51,35 +48,19 @@ fn check_optics(session: &BandSession, folder: &Path) {
     }
 }
 
-/// Prints estimates and truth, and counts the intervals that hold of σ_t, α, g, σ_s(1 − g) and σ_a.
-fn held(data: &Value, session: &BandSession) -> [(usize, usize); 5] {
-    let mut held = [(0, 0); 5];
+/// Prints estimates and truth.
+fn answers(data: &Value, session: &BandSession) -> Vec<Answer> {
+    let mut answers = Vec::new();
     for material in data["materials"].as_array().unwrap() {
-        let named = |m: &&SpectralMaterial| m.name == material["material"];
-        let truth = session.materials.iter().find(named).unwrap();
-        for channel in material["channels"].as_array().unwrap() {
-            let medium = truth.at(channel["channel"].as_str().unwrap().parse().unwrap());
-            let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
-            let of_truth = [s, a, g, s * a * (1.0 - g), s * (1.0 - a)];
-            let names = ["sigma_t", "albedo", "g", "reduced_scattering", "absorption"];
-            for ((name, truth), held) in names.iter().zip(of_truth).zip(&mut held) {
-                let interval = &channel["refined"][format!("{name}_interval")];
-                let [low, high] = ["low", "high"].map(|end| interval[end].as_f64().unwrap());
-                held.0 += usize::from((low..=high).contains(&truth));
-                held.1 += 1;
-                println!(
-                    "{} {} {name}: {truth:.5} in {low:.5} to {high:.5}",
-                    truth_name(material),
-                    channel["channel"]
-                );
-            }
-        }
+        let name = material["material"].as_str().unwrap();
+        let truth = session.materials.iter().find(|m| m.name == name).unwrap();
+        answers.extend(material["channels"].as_array().unwrap().iter().map(|channel| {
+            let nm = channel["channel"].as_str().unwrap();
+            Answer::new(format!("{name} {nm}"), &truth.at(nm.parse().unwrap()), channel["refined"].clone())
+        }));
     }
-    held
-}
-
-fn truth_name(material: &Value) -> &str {
-    material["material"].as_str().unwrap()
+    println!("{}", media_table(&answers, &[0, 1, 2, 3, 4]));
+    answers
 }
 
 /// The spectra of both media hold the truth, and g is a curve; one g for all wavelengths misleads.
@@ -95,30 +76,25 @@ fn bands_become_spectra() {
     let materials = SpectralMaterial::ALL[..materials].to_vec();
     let session = BandSession { walks, materials, ..BandSession::small(&wavelengths, 1) };
     let folder = folder();
-    let data = captured(&session, folder.path());
+    let data = capture(&session, folder.path());
     let slabs = 2 * session.materials.len();
     assert_eq!(data["profiles"].as_array().unwrap().len(), slabs * wavelengths.len());
     assert_eq!(data["profiles"][0]["channel"], wavelengths[0].to_string());
     check_optics(&session, folder.path());
     if !is_long {
-        let grid = folder.path().join("out/grid.toml");
-        std::fs::write(&grid, std::fs::read_to_string(&grid).unwrap() + AXES).unwrap();
+        append(&folder.path().join("out/grid.toml"), AXES);
     }
-    let measured = run(folder.path(), &["measure", "out", "--json", "-o", "media"]);
-    assert_eq!(measured.code, 0, "{}", measured.stderr);
-    let data = json(&measured, "measure");
-    let found = held(&data, &session);
-    println!("of {} intervals each hold: {found:?}", found[0].1);
+    let data = measured(folder.path(), &["-o", "media"]);
+    let found = answers(&data, &session);
     assert_eq!((&data["common"]["g"], data["common"]["g_change"].as_f64()), (&Value::Null, Some(0.1)));
-    assert!(found.iter().all(|(held, of)| 4 * held >= 3 * of), "{found:?}");
+    let held = |answers: &[Answer], q: usize| Coverage::of_media([answers], [q]).count();
+    assert!((0..5).all(|q| 4 * held(&found, q) >= 3 * found.len()), "too few of {} hold", found.len());
     let media = std::fs::read_to_string(folder.path().join("media/media.xml")).unwrap();
     assert!(media.contains("g differs between wavelengths") && media.contains("<spectrum"), "{media}");
-    let one_g = run(folder.path(), &["measure", "out", "--json", "--g-change", "0"]);
-    let one_g = json(&one_g, "measure");
+    let one_g = measured(folder.path(), &["--g-change", "0"]);
     assert!(one_g["common"]["g"].as_f64().is_some());
-    let [misled, ..] = held(&one_g, &session);
-    println!("with one g: {misled:?} of sigma_t");
-    assert!(misled.0 < found[0].0, "{misled:?}");
+    let misled = held(&answers(&one_g, &session), 0);
+    assert!(misled < held(&found, 0), "with one g, {misled} intervals of σ_t hold");
 }
 
 /// A mosaic that is read as a monochrome camera's pictures is refused, in a file of its kind and in one without kind.
@@ -168,14 +144,14 @@ fn mosaics_are_not_monochrome() {
 /// One colour of a mosaic gives the profiles of a monochrome camera, with the noise of fewer pixels.
 #[test]
 fn colour_cameras_record_bands() {
-    let of = |channel: Option<&'static str>| {
+    let profiles = |channel: Option<&'static str>| {
         let materials = SpectralMaterial::ALL[..1].to_vec();
         let mono = BandSession { walks: 50_000, materials, ..BandSession::small(&[550.0], 1) };
         let camera = Camera { monochrome: channel.is_none(), ..mono.camera.clone() };
         let folder = folder();
-        captured(&BandSession { camera, channel, ..mono }, folder.path())["profiles"].clone()
+        capture(&BandSession { camera, channel, ..mono }, folder.path())["profiles"].clone()
     };
-    let [mono, green, red] = [None, Some("G"), Some("R")].map(of);
+    let [mono, green, red] = [None, Some("G"), Some("R")].map(profiles);
     let number = |profiles: &Value, slab: usize, field: &str| profiles[slab][field].as_f64().unwrap();
     for (other, share) in [(&green, 0.5_f64), (&red, 0.25)] {
         for slab in 0..2 {

@@ -3,9 +3,9 @@
 use farm_tests::statistics::Normal;
 use optics_model::MeasuredProfile;
 
-use super::media::SLABS_MM;
 use super::rows::{Kind, Row};
-use super::truths::{FINE, MARGIN, Truth, scene};
+use super::{FINE, MARGIN, SLABS_MM, scene};
+use crate::measure::{centres_mm, noisy};
 
 /// Noise of a pixel: a share of its value, and a floor.
 const NOISE_SHARE: f64 = 0.004;
@@ -61,7 +61,7 @@ impl Flaws {
         }
     }
 
-    fn of(&self, radiance_factor: f64, x_mm: f64, pixel: f64) -> f64 {
+    fn seen(&self, radiance_factor: f64, x_mm: f64, pixel: f64) -> f64 {
         let light = 1.0 + self.slope_per_10_mm * x_mm / 10.0;
         let dust: f64 = self.specks.iter().map(|s| s.factor(pixel)).product();
         (1.0 + self.gain) * light * dust * radiance_factor / self.mu + self.zero
@@ -84,22 +84,20 @@ impl Speck {
     }
 }
 
-/// The profile of a slab as measured in a laboratory, with its nominal thickness.
-pub(super) fn photographed(truth: &Truth, row: &Row, subject: u64, slab: usize) -> MeasuredProfile {
-    let flaws = Flaws::draw(row, subject, slab);
-    let sensor = scene().sensor();
+/// The profile of a slab as measured in a laboratory, with its nominal thickness, from its exact one on fine pixels.
+pub(super) fn photographed(truth: &[f64], row: &Row, subject: u64, slab: usize) -> MeasuredProfile {
+    let (flaws, scene) = (Flaws::draw(row, subject, slab), scene());
     let seen = seen(truth, flaws.origin_mm, flaws.blur_mm);
-    let x: Vec<f64> = (0..seen.len()).map(|i| sensor.centre_mm(i)).collect();
-    let exact: Vec<f64> = (0..seen.len()).map(|i| flaws.of(seen[i], x[i], i as f64 + 0.5)).collect();
-    let std_errors: Vec<f64> = exact.iter().map(|v| (NOISE_SHARE * v).hypot(NOISE_FLOOR)).collect();
+    let x = centres_mm(&scene);
+    let exact: Vec<f64> = (0..x.len()).map(|i| flaws.seen(seen[i], x[i], i as f64 + 0.5)).collect();
     let mut noise = Normal::new(450_000 + subject * 2 + slab as u64);
-    let values = exact.iter().zip(&std_errors).map(|(v, e)| v + e * noise.normal()).collect();
-    MeasuredProfile::new("R", SLABS_MM[slab], x, values, Some(std_errors)).unwrap()
+    noisy(("R", SLABS_MM[slab]), x, &exact, |v| (NOISE_SHARE * v).hypot(NOISE_FLOOR), &mut noise)
 }
 
 /// The blurred truth averaged over the dictionary's pixels, with the edge at `origin_mm`.
-fn seen(truth: &Truth, origin_mm: f64, blur_mm: f64) -> Vec<f64> {
-    let fine = blurred(&truth.values, blur_mm / truth.pitch_mm);
+fn seen(truth: &[f64], origin_mm: f64, blur_mm: f64) -> Vec<f64> {
+    let pitch_mm = scene().sensor().pitch_mm() / FINE as f64;
+    let fine = blurred(truth, blur_mm / pitch_mm);
     let mut sums = vec![0.0];
     sums.extend(fine.iter().scan(0.0, |sum, v| {
         *sum += v;
@@ -110,7 +108,7 @@ fn seen(truth: &Truth, origin_mm: f64, blur_mm: f64) -> Vec<f64> {
         sums[below as usize] + (edge - below) * fine[below as usize]
     };
     let pixels = fine.len() / FINE - 2 * MARGIN;
-    let edge = |i: usize| ((i + MARGIN) * FINE) as f64 - origin_mm / truth.pitch_mm;
+    let edge = |i: usize| ((i + MARGIN) * FINE) as f64 - origin_mm / pitch_mm;
     (0..pixels).map(|i| (sum_to(edge(i + 1)) - sum_to(edge(i))) / FINE as f64).collect()
 }
 
@@ -131,28 +129,30 @@ fn blurred(values: &[f64], sigma: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::measure::imperfect::fine;
+    use crate::measure::{traced, values};
+    use optics_model::Medium;
 
-    /// A parabola on fine pixels, x in coarse pixels from the edge.
-    fn parabola() -> Truth {
-        let sensor = scene().sensor();
-        let pixels = (sensor.pixels() + 2 * MARGIN) * FINE;
-        let x = |i: usize| (i as f64 + 0.5) / FINE as f64 - 0.5 * (sensor.pixels() + 2 * MARGIN) as f64;
-        let values = (0..pixels).map(|i| 1e-4 * x(i).powi(2) + 1.0).collect();
-        Truth { pitch_mm: sensor.pitch_mm() / FINE as f64, values }
-    }
-
-    /// A shift and a blur change a parabola as calculus predicts.
+    /// A shift and a blur change a parabola as calculus predicts, and without flaws only the stated noise is added.
     #[test]
     fn parabola_is_shifted_and_blurred_exactly() {
-        let pitch = scene().sensor().pitch_mm();
+        let (sensor, pitch) = (fine().sensor(), scene().sensor().pitch_mm());
+        let parabola = |i| 1e-4 * (sensor.centre_mm(i) / pitch).powi(2) + 1.0;
+        let truth: Vec<f64> = (0..sensor.pixels()).map(parabola).collect();
         let (origin, sigma) = (3.3, 2.7);
-        let seen = seen(&parabola(), origin * pitch, sigma * pitch);
+        let found = seen(&truth, origin * pitch, sigma * pitch);
         for i in [60, 180, 300] {
             let x = i as f64 + 0.5 - 180.0 - origin;
             // The variances of Gaussian and pixel add up; with fine pixels as points the latter is (1 − 1/16)/12.
             let expected = 1.0 + 1e-4 * (x * x + sigma * sigma + (1.0 - 1.0 / 16.0) / 12.0);
-            assert!((seen[i] - expected).abs() < 1e-4 * 0.05, "{i}: {} {expected}", seen[i]);
+            assert!((found[i] - expected).abs() < 1e-4 * 0.05, "{i}: {} {expected}", found[i]);
         }
+        let found = photographed(&truth, &Row::named("none"), 7, 0);
+        let exact = seen(&truth, 0.0, 0.0);
+        let errors = found.std_errors().unwrap();
+        let z2: f64 = (0..360).map(|i| ((found.values()[i] - exact[i]) / errors[i]).powi(2)).sum();
+        // χ² of 360 has a standard deviation of 27.
+        assert!((z2 - 360.0).abs() < 4.0 * 27.0, "{z2}");
     }
 
     /// The flaws have the standard deviations that their row states.
@@ -171,15 +171,14 @@ mod tests {
         assert!(drawn.iter().all(|f| f.specks.len() == 45 && f.blur_mm == 3.0 * BLUR_MM && f.mu == 1.0));
     }
 
-    /// Without flaws only the stated noise is added.
+    /// The fine pixels average to those of the dictionary.
     #[test]
-    fn without_flaws_only_noise_is_added() {
-        let (row, truth) = (Row::named("none"), parabola());
-        let found = photographed(&truth, &row, 7, 0);
-        let exact = seen(&truth, 0.0, 0.0);
-        let errors = found.std_errors().unwrap();
-        let z2: f64 = (0..360).map(|i| ((found.values()[i] - exact[i]) / errors[i]).powi(2)).sum();
-        // χ² of 360 has a standard deviation of 27.
-        assert!((z2 - 360.0).abs() < 4.0 * 27.0, "{z2}");
+    fn fine_pixels_sum_to_dictionary_pixels() {
+        let medium = Medium::new(4.0, 0.97, 0.4).unwrap();
+        let [coarse, fine] =
+            [scene(), fine()].map(|scene| values(&traced(&scene, &medium, 0.5, 25_000, 3), 0));
+        for (mean, value) in seen(&fine, 0.0, 0.0).iter().zip(&coarse) {
+            assert!((mean - value).abs() < 1e-5, "{mean} {value}");
+        }
     }
 }

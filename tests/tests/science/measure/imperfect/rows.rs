@@ -49,10 +49,8 @@ impl Row {
 
     /// All rows: at typical size, at three times that size, and at three times with matching priors.
     pub(super) fn all() -> Vec<Self> {
-        let all: Vec<Kind> = ALONE.iter().map(|(_, kind)| *kind).collect();
-        let mut what: Vec<(&str, Vec<Kind>)> =
-            ALONE.iter().map(|(name, kind)| (*name, vec![*kind])).collect();
-        what.push(("all", all));
+        let mut what: Vec<_> = ALONE.iter().map(|(name, kind)| (*name, vec![*kind])).collect();
+        what.push(("all", ALONE.map(|(_, kind)| kind).to_vec()));
         let mut rows = vec![Self::new("none", vec![], 1.0, 1.0)];
         for (size, prior) in [(1.0, 1.0), (3.0, 1.0), (3.0, 3.0)] {
             // Dust has no prior.
@@ -67,12 +65,8 @@ impl Row {
     /// # Panics
     /// If there is no such row.
     pub(super) fn named(name: &str) -> Self {
-        let all = Self::all();
-        let names: Vec<&str> = all.iter().map(|row| row.name.as_str()).collect();
-        all.iter()
-            .find(|row| row.name == name)
-            .unwrap_or_else(|| panic!("{name} is not one of {names:?}"))
-            .clone()
+        let row = Self::all().into_iter().find(|row| row.name == name);
+        row.unwrap_or_else(|| panic!("{name} is not a row"))
     }
 
     /// Whether the priors match the imperfections.

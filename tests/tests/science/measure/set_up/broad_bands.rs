@@ -1,12 +1,14 @@
 //! Bands so wide that the medium changes within them: what a fit with one medium makes of their profiles.
 
+use farm_tests::coverage::Answer;
 use farm_tests::photograph::SpectralMaterial;
 use optics_fit::{MeasurePlan, measure};
-use optics_model::fit::{Bounds, FitOptions, FitSettings};
+use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval};
 use optics_model::{MeasuredProfile, Measurement, Medium};
 
 use super::scenes::lab;
-use super::session::{NOISE, Nodes, SLABS_MM, WALKS, dictionary, traced};
+use super::session::{NOISE, Nodes, WALKS, dictionary};
+use crate::measure::{SLABS_MM, centres_mm, traced, values};
 
 /// Standard deviations of a Gaussian filter over its full width at half maximum.
 const FWHM: f64 = 2.354_820_045;
@@ -22,15 +24,14 @@ const NODES: [(f64, f64); 5] = [
 /// The profile of a slab through a filter, without the error of a photograph but with its noise.
 fn profile(material: &SpectralMaterial, nm: f64, fwhm_nm: f64, slab_mm: f64) -> MeasuredProfile {
     let scene = lab();
-    let mut values = vec![0.0; scene.sensor().pixels()];
+    let mut sum = vec![0.0; scene.sensor().pixels()];
     for (u, weight) in NODES {
         let medium = with_g(&material.at(nm + u * fwhm_nm / FWHM));
-        let of_node = traced(scene.clone(), &medium, slab_mm, WALKS, 7);
-        values.iter_mut().zip(of_node).for_each(|(sum, v)| *sum += weight * v);
+        let of_node = values(&traced(&scene, &medium, slab_mm, WALKS, 7), 0);
+        sum.iter_mut().zip(of_node).for_each(|(sum, v)| *sum += weight * v);
     }
-    let x = (0..values.len()).map(|i| scene.sensor().centre_mm(i)).collect();
-    let std_errors = values.iter().map(|v| NOISE * v).collect();
-    MeasuredProfile::new("R", slab_mm, x, values, Some(std_errors)).unwrap()
+    let std_errors = sum.iter().map(|v| NOISE * v).collect();
+    MeasuredProfile::new("R", slab_mm, centres_mm(&scene), sum, Some(std_errors)).unwrap()
 }
 
 /// g is given: the filter's effect on it is not the subject.
@@ -52,24 +53,22 @@ fn broad_bands_bias_absorption() {
             let options = FitOptions::new(settings).unwrap();
             let found =
                 measure(dictionary(Nodes::Paper, true), &[material], &options, &MeasurePlan::default());
-            found.unwrap().materials[0].channels[0].refined.clone().unwrap()
+            Answer::all(&found.unwrap().materials, [&with_g(&magenta.at(nm))]).remove(0)
         };
-        let truth = with_g(&magenta.at(nm));
-        let of = |m: &Medium| [m.sigma_t_per_mm(), m.absorption_per_mm()];
         let both = fitted(&SLABS_MM);
-        let off = |of_fit: f64, of_truth: f64| 100.0 * (of_fit / of_truth - 1.0);
-        let found = of(&both.best.medium);
-        let ends = [both.absorption_per_mm.low, both.absorption_per_mm.high].map(|v| off(v, of(&truth)[1]));
-        let single = SLABS_MM.map(|mm| off(of(&fitted(&[mm]).best.medium)[1], of(&truth)[1]));
+        let [sigma_t, _, _, absorption, _] = both.medium;
+        let Interval { low, high, .. } = absorption.interval;
+        let ends = [low, high].map(|end| 100.0 * (end / absorption.truth - 1.0));
+        let single = SLABS_MM.map(|mm| 100.0 * fitted(&[mm]).medium[3].error());
         println!(
             "| {nm} | {fwhm_nm} | {:+.1} % | {:+.1} %, {:+.1} to {:+.1} | {:+.1}, {:+.1} % | {:.3} |",
-            off(found[0], of(&truth)[0]),
-            off(found[1], of(&truth)[1]),
+            100.0 * sigma_t.error(),
+            100.0 * absorption.error(),
             ends[0],
             ends[1],
             single[0],
             single[1],
-            both.likelihood.probability
+            both.probability()
         );
         let holds = ends[0] <= 0.0 && ends[1] >= 0.0;
         assert!(holds || fwhm_nm > 20.0, "{nm} nm, {fwhm_nm} nm wide");

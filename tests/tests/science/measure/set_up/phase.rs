@@ -3,45 +3,46 @@
 
 use std::sync::Arc;
 
+use farm_tests::coverage::{Answer, Coverage, Estimate, QUANTITIES};
 use farm_tests::reference;
-use farm_tests::statistics::{Normal, Share, quantile};
+use farm_tests::statistics::Normal;
 use optics_model::fit::PhaseModel;
 use optics_model::phase::{PhaseShape, SecondLobe};
 
-use super::outcome::{QUANTITIES, SetUpOutcome};
 use super::scenes::ChangedSetUp;
 use super::session::{Nodes, SetUpSession, dictionary};
-use super::{Sessions, coverage, print_scene};
+use super::{Sessions, of_quantity, print_compared};
 
 fn lobes(weight: f64, g: f64) -> PhaseShape {
     PhaseShape::Lobes(SecondLobe::new(weight, g).unwrap())
 }
 
-/// The six media of the table with a phase function and the mean cosine g.
-fn six_media(nodes: Nodes, phase: &PhaseShape, g: f64) -> Vec<SetUpOutcome> {
+/// Fits the six media of the table with a phase function and the mean cosine g, and prints errors and half-widths. Returns
+/// the answers and the number of intervals that hold, of 30.
+fn six_media(nodes: Nodes, name: &str, phase: &PhaseShape, g: f64) -> (Vec<Answer>, usize) {
     let set_up = ChangedSetUp::none(6).with_phases(vec![phase.clone(); 6]);
-    SetUpSession::of_row_at(set_up, g).measured(dictionary(nodes, true))
-}
-
-/// Prints how many intervals hold, errors and half-widths, and counts the intervals that hold.
-fn print_row(name: &str, found: &[SetUpOutcome]) -> usize {
-    let per_cent = |values: Vec<f64>| values.iter().map(|v| format!("{v:+.1}")).collect::<Vec<_>>().join(" ");
-    println!("{name}: μ {:.3}, g {:.3}", found[0].mu, found[0].g);
-    let mut all = 0;
+    let session = SetUpSession::of_row_at(set_up, g);
+    let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
+    let answers = session.answers(&found);
+    println!("{name}: μ {:.3}, g {:.3}", found.common.mu, 1.0 - answers[0].medium[4].found);
     for (q, quantity) in QUANTITIES.iter().enumerate() {
-        let holds = found.iter().filter(|o| o.holds(q)).count();
-        let errors = per_cent(found.iter().map(|o| 100.0 * o.error(q)).collect());
-        let widths = per_cent(found.iter().map(|o| 50.0 * o.width(q)).collect());
-        println!("  {quantity}: {holds} of {} hold; errors {errors} %; half-widths {widths} %", found.len());
-        all += holds;
+        let found = Coverage::of_media([&answers[..]], [q]);
+        let per_cent =
+            |number: fn(&Estimate) -> f64| -> Vec<f64> { found.all().map(|e| 100.0 * number(e)).collect() };
+        let (errors, widths) = (per_cent(Estimate::error), per_cent(Estimate::half_width));
+        println!(
+            "  {quantity}: {} of 6 hold; errors {errors:+.1?} %; half-widths {widths:.1?} %",
+            found.count()
+        );
     }
-    all
+    let held = Coverage::of_media([&answers[..]], 0..5).count();
+    (answers, held)
 }
 
 /// A second lobe of twice the expected weight does not mislead a fit that takes its weight as uncertain.
 #[test]
 fn heavier_second_lobe_is_absorbed() {
-    let held = print_row("0.10 of −0.5", &six_media(Nodes::Few, &lobes(0.10, -0.5), 0.4));
+    let (_, held) = six_media(Nodes::Few, "0.10 of −0.5", &lobes(0.10, -0.5), 0.4);
     assert!(held >= 28, "{held} of 30 intervals hold");
 }
 
@@ -51,12 +52,12 @@ fn heavier_second_lobe_is_absorbed() {
 #[ignore = "long form"]
 fn second_lobes_of_six_media_are_absorbed() {
     for (weight, g) in [(0.0, 0.0), (0.05, -0.5), (0.10, -0.5), (0.25, -0.65)] {
-        let found = six_media(Nodes::Paper, &lobes(weight, g), 0.4);
-        let held = print_row(&format!("{weight} of {g}"), &found);
-        let doubted = found.iter().filter(|o| o.is_doubted).count();
+        let name = format!("{weight} of {g}");
+        let (found, held) = six_media(Nodes::Paper, &name, &lobes(weight, g), 0.4);
+        let doubted = found.iter().filter(|a| a.is_doubted()).count();
         println!("  {doubted} of {} answers doubt the scene", found.len());
         let is_honest = if weight > 0.2 { doubted >= 5 } else { held >= 28 && doubted == 0 };
-        assert!(is_honest, "{weight} of {g}: {held} of 30 intervals hold, {doubted} answers doubt the scene");
+        assert!(is_honest, "{name}: {held} of 30 intervals hold, {doubted} answers doubt the scene");
     }
 }
 
@@ -67,26 +68,16 @@ fn random_second_lobes_keep_their_coverage() {
     let set = |number: u64, phase: PhaseModel| {
         let mut random = Normal::new(940_000 + number);
         let phases = (0..6).map(|_| lobes(0.2 * random.uniform(), -0.7 * random.uniform())).collect();
-        SetUpSession::of_phases(number, phases).measured_as(dictionary(Nodes::Paper, true), phase)
+        let session = SetUpSession::of_phases(number, phases);
+        session.answers(&session.fitted(dictionary(Nodes::Paper, true), phase))
     };
     let [found, plain] = [PhaseModel::TwoLobes, PhaseModel::HenyeyGreenstein]
         .map(|phase| (0..20).map(|number| set(number, phase)).collect::<Sessions>());
-    println!("| quantity | hold % | with Henyey–Greenstein | median width over that | median error % |");
+    print_compared("with Henyey–Greenstein", &found, &plain);
     for (q, quantity) in QUANTITIES.iter().enumerate() {
-        let share = |of| -> Share { coverage(of, |o| vec![o.holds(q)]) };
-        let errors = found.iter().flatten().map(|o| 100.0 * o.error(q).abs()).collect();
-        let pairs = found.iter().flatten().zip(plain.iter().flatten());
-        let ratio = quantile(pairs.map(|(o, p)| o.width(q) / p.width(q)).collect(), 0.5);
-        println!(
-            "| {quantity} | {} | {} | {ratio:.2} | {:.2} |",
-            share(&found),
-            share(&plain),
-            quantile(errors, 0.5)
-        );
-        let room = 3.0 * share(&found).std_error;
-        assert!(share(&found).share >= 0.93 - room, "{quantity}: {} %", share(&found));
+        let hold = of_quantity(&found, q).hold();
+        assert!(hold.share >= 0.93 - 3.0 * hold.std_error, "{quantity}: {hold} %");
     }
-    print_scene(&found);
 }
 
 /// Six media of spheres of rutile, and of carbon.
@@ -96,7 +87,7 @@ fn spheres_of_a_pigment_are_absorbed() {
     for name in ["rutile", "carbon"] {
         let table = reference::phase_table(name).unwrap();
         let g = table.mean_cosine();
-        let held = print_row(name, &six_media(Nodes::Paper, &PhaseShape::Table(Arc::new(table)), g));
+        let (_, held) = six_media(Nodes::Paper, name, &PhaseShape::Table(Arc::new(table)), g);
         assert!(held >= 28, "{name}: {held} of 30 intervals hold");
     }
 }

@@ -3,21 +3,21 @@
 use farm_lab::colour::{Colorimetry, Illuminant, StandardObserver, Viewing, delta_e_2000};
 use farm_lab::media_file::{MEDIA_FILE, MeasuredWith, MediaFile};
 use farm_tests::cli::json;
+use farm_tests::coverage::{Coverage, Estimate};
 use farm_tests::process::run;
 use farm_tests::statistics::{Normal, effort, quantile};
 use optics_fit::FitDictionary;
 use optics_layers::{Print, PrintedSlab, Uncertain, radiance_factors};
 use optics_model::Digest;
-use optics_model::fit::{PhaseModel, Z};
+use optics_model::fit::PhaseModel;
 use optics_model::phase::SecondLobe;
 use optics_model::scene::{Channel, Layer, Scene};
 use serde_json::Value;
 
-use super::coverage_of;
 use super::scenes::{LOBE_WEIGHT, SAMPLE_INDEX, lab};
 use super::session::{Nodes, SetUpSession, dictionary, dictionary_of};
+use crate::measure::IOR;
 
-const IOR: f64 = 1.53;
 /// Wavelengths that are enough for colours.
 const NM: [f64; 6] = [460.0, 500.0, 540.0, 580.0, 620.0, 640.0];
 
@@ -77,33 +77,18 @@ impl MeasuredSession {
     }
 }
 
-/// Whether intervals hold, by session; and relative errors and half-widths in per cent.
-#[derive(Default)]
-struct Outcomes {
-    held: Vec<Vec<bool>>,
-    errors: Vec<f64>,
-    widths: Vec<f64>,
-}
-
-impl Outcomes {
-    fn add(&mut self, found: f64, std_error: f64, exact: f64) {
-        let held = (found - exact).abs() <= Z * std_error;
-        self.held.last_mut().unwrap().push(held);
-        self.errors.push(100.0 * (found / exact - 1.0).abs());
-        self.widths.push(100.0 * Z * std_error / exact.abs());
-    }
-
-    fn check(&self, name: &str) {
-        let share = coverage_of(&self.held);
-        let [error, width] = [&self.errors, &self.widths].map(|all| quantile(all.clone(), 0.5));
-        println!("{name}: hold {share} %; median error {error:.2} %, half-width {width:.2} %");
-        let room = 3.0 * share.std_error;
-        assert!((0.93 - room..=0.97 + room).contains(&share.share), "{name}: {share}");
-    }
+fn check(name: &str, found: &Coverage) {
+    let [error, width] = [found.error(0.5), found.median_half_width()].map(|v| 100.0 * v);
+    println!("{name}: hold {} %; median error {error:.2} %, half-width {width:.2} %", found.hold());
+    found.check(name, 3.0);
 }
 
 fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
+}
+
+fn radiance_factor(value: &Value, exact: f64) -> Estimate {
+    Estimate::normal(number(&value["radiance_factor"]), number(&value["std_error"]), exact)
 }
 
 /// Inks with spectra, and mixtures of two of them, 0.2 to 3 mm thick, over black and white at 45:0.
@@ -119,17 +104,14 @@ fn predicted_prints_keep_their_coverage() {
     let dictionary = dictionary_of(&scene, Nodes::Paper);
     let viewing = Viewing { illuminant: Illuminant::D50, observer: StandardObserver::TwoDegrees };
     let colorimetry = Colorimetry::new(&NM, viewing).unwrap();
-    let (mut factors, mut labs) = (Outcomes::default(), [(); 3].map(|()| Outcomes::default()));
+    let (mut factors, mut labs) = (Coverage::default(), [(); 3].map(|()| Coverage::default()));
     let mut differences = Vec::new();
     for number_of in 0..25 * effort() {
         // The truth lies between: flaws of each photograph, and of each slab in all bands.
         let common = number_of % 2 == 1;
-        let session = MeasuredSession::new(SetUpSession::of_inks(number_of, 3, &NM, common), &dictionary);
+        let session = MeasuredSession::new(SetUpSession::of_inks(number_of, 3, &NM, common), dictionary);
         let mut random = Normal::new(940_000 + number_of);
-        factors.held.push(Vec::new());
-        for lab in &mut labs {
-            lab.held.push(Vec::new());
-        }
+        let (mut of_factors, mut of_labs) = (Vec::new(), [const { Vec::new() }; 3]);
         for _ in 0..PRINTS {
             let (a, b) = ((3.0 * random.uniform()) as usize, (3.0 * random.uniform()) as usize);
             let share = (1e3 * random.uniform()).ceil() / 1e3;
@@ -147,34 +129,36 @@ fn predicted_prints_keep_their_coverage() {
             for (base, _) in RHO.iter().enumerate() {
                 for (channel, exact) in exact.iter().enumerate() {
                     let value = &found["channels"][channel]["bases"][base];
-                    factors.add(number(&value["radiance_factor"]), number(&value["std_error"]), exact[base]);
+                    of_factors.push(radiance_factor(value, exact[base]));
                 }
                 let spectrum: Vec<f64> = exact.iter().map(|of| of[base]).collect();
                 let colour = &found["colours"]["bases"][base];
                 let lab: [f64; 3] = std::array::from_fn(|k| number(&colour["lab"][k]));
                 let truth = colorimetry.colour(&spectrum).lab;
                 for k in 0..3 {
-                    labs[k].add(lab[k], number(&colour["lab_std_errors"][k]), truth[k]);
+                    of_labs[k].push(Estimate::normal(lab[k], number(&colour["lab_std_errors"][k]), truth[k]));
                 }
                 differences.push(delta_e_2000(lab, truth));
             }
         }
+        factors.0.push(of_factors);
+        labs.iter_mut().zip(of_labs).for_each(|(lab, of_session)| lab.0.push(of_session));
     }
     let [median, worst] = [0.5, 1.0].map(|at| quantile(differences.clone(), at));
     println!("CIEDE2000: median {median:.2}, greatest {worst:.2}");
-    factors.check("radiance factors");
-    ["L*", "a*", "b*"].iter().zip(&labs).for_each(|(name, lab)| lab.check(name));
+    check("radiance factors", &factors);
+    ["L*", "a*", "b*"].iter().zip(&labs).for_each(|(name, lab)| check(name, lab));
 }
 
 /// Slabs of one medium in the measured set-up, over both sides of its board and a grey.
 #[test]
 #[ignore = "long form"]
 fn predicted_photographs_keep_their_coverage() {
-    let mut factors = Outcomes::default();
+    let mut factors = Coverage::default();
     for number_of in 0..20 * effort() {
         let session = SetUpSession::random(number_of, 6, true);
         let session = MeasuredSession::new(session, dictionary(Nodes::Paper, true));
-        factors.held.push(Vec::new());
+        let mut of_session = Vec::new();
         for (material, thickness_mm) in [0.3, 1.0, 2.0].into_iter().enumerate() {
             let found = session.predicted(&format!("m{material}:{thickness_mm}"), "light,dark,0.5", &[]);
             let scene = session.session.scene(material);
@@ -182,10 +166,10 @@ fn predicted_photographs_keep_their_coverage() {
             let rho = [board.rho_light(), board.rho_dark(), 0.5];
             let exact = session.exact(&scene, &[(material, 1.0)], thickness_mm, 0, &rho);
             for (base, exact) in exact.into_iter().enumerate() {
-                let value = &found["channels"][0]["bases"][base];
-                factors.add(number(&value["radiance_factor"]), number(&value["std_error"]), exact);
+                of_session.push(radiance_factor(&found["channels"][0]["bases"][base], exact));
             }
         }
+        factors.0.push(of_session);
     }
-    factors.check("radiance factors");
+    check("radiance factors", &factors);
 }

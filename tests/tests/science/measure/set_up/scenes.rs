@@ -7,7 +7,7 @@ use optics_model::phase::PhaseShape;
 use optics_model::scene::{Channel, RingLight, Scene, Scope};
 use optics_tracer::SeenBase;
 
-use super::session::SLABS_MM;
+use crate::measure::SLABS_MM;
 
 /// Indices of the priors of the scene `lab`.
 const ROUGHNESS: usize = 0;
@@ -38,55 +38,51 @@ pub(super) struct ChangedSetUp {
     channels: OnceLock<Vec<Channel>>,
 }
 
+/// Set-ups of one changed quantity: name, prior and difference.
+const ROWS: [(&str, usize, f64); 10] = [
+    ("nominal", ROUGHNESS, 0.0),
+    ("sample roughness 0.10", ROUGHNESS, 0.05),
+    ("sample roughness 0.02", ROUGHNESS, -0.03),
+    ("coat roughness 0.25", COAT_ROUGHNESS, 0.10),
+    ("gel 0.05 mm", GEL_THICKNESS, 0.03),
+    ("gel 0.10 mm", GEL_THICKNESS, 0.08),
+    ("sample index 1.56", SAMPLE_INDEX, 0.03),
+    ("gel index 1.38", GEL_INDEX, 0.05),
+    ("ring 2° off", RING, 2.0),
+    (WIDE_RING, RING, 0.0),
+];
+const WIDE_RING: &str = "ring 32–58°";
+
 impl ChangedSetUp {
-    pub(super) const NAMES: [&str; 10] = [
-        "nominal",
-        "sample roughness 0.10",
-        "sample roughness 0.02",
-        "coat roughness 0.25",
-        "gel 0.05 mm",
-        "gel 0.10 mm",
-        "sample index 1.56",
-        "gel index 1.38",
-        "ring 2° off",
-        "ring 32–58°",
-    ];
+    fn new(differences: Vec<[Vec<f64>; 2]>) -> Self {
+        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
+    }
+
+    pub(super) fn names() -> [&'static str; 10] {
+        ROWS.map(|row| row.0)
+    }
 
     /// # Panics
     /// If there is no set-up of this name.
     pub(super) fn named(name: &str) -> Self {
-        let number = Self::NAMES.iter().position(|n| *n == name).unwrap();
-        let changed = [
-            None,
-            Some((ROUGHNESS, 0.05)),
-            Some((ROUGHNESS, -0.03)),
-            Some((COAT_ROUGHNESS, 0.10)),
-            Some((GEL_THICKNESS, 0.03)),
-            Some((GEL_THICKNESS, 0.08)),
-            Some((SAMPLE_INDEX, 0.03)),
-            Some((GEL_INDEX, 0.05)),
-            Some((RING, 2.0)),
-            None,
-        ][number];
-        let mut differences = vec![0.0; lab().priors().len()];
-        if let Some((prior, difference)) = changed {
-            differences[prior] = difference;
-        }
-        let ring = (name == "ring 32–58°").then(|| RingLight::new(32.0, 58.0).unwrap());
-        Self {
-            differences: vec![[differences.clone(), differences]; 6],
-            ring,
-            phases: None,
-            channels: OnceLock::new(),
-        }
+        let (_, prior, difference) = ROWS.iter().find(|row| row.0 == name).unwrap();
+        let mut set_up = Self::none(6);
+        set_up.differences.as_flattened_mut().iter_mut().for_each(|slab| slab[*prior] = *difference);
+        let ring = (name == WIDE_RING).then(|| RingLight::new(32.0, 58.0).unwrap());
+        Self { ring, ..set_up }
+    }
+
+    /// A set-up without differences.
+    pub(super) fn none(materials: usize) -> Self {
+        let zero = vec![0.0; lab().priors().len()];
+        Self::new(vec![[zero.clone(), zero]; materials])
     }
 
     /// All quantities from their priors, within the ranges of the responses.
     pub(super) fn random(random: &mut Normal, materials: usize) -> Self {
         let scene = lab();
         let priors = scene.priors();
-        let zero = || vec![0.0; priors.len()];
-        let mut differences: Vec<_> = (0..materials).map(|_| [zero(), zero()]).collect();
+        let mut set_up = Self::none(materials);
         for (p, prior) in priors.iter().enumerate() {
             let (low, high) = prior.range(&scene);
             let mut draw = || loop {
@@ -96,7 +92,7 @@ impl ChangedSetUp {
                 }
             };
             let of_session = draw();
-            for slabs in &mut differences {
+            for slabs in &mut set_up.differences {
                 let of_material = draw();
                 for slab in slabs {
                     slab[p] = match prior.scope() {
@@ -107,14 +103,7 @@ impl ChangedSetUp {
                 }
             }
         }
-        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
-    }
-
-    /// A set-up without differences.
-    pub(super) fn none(materials: usize) -> Self {
-        let zero = vec![0.0; lab().priors().len()];
-        let differences = vec![[zero.clone(), zero]; materials];
-        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
+        set_up
     }
 
     /// This set-up with these phase functions of the materials.

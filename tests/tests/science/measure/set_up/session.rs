@@ -2,31 +2,27 @@
 
 use std::sync::OnceLock;
 
+use farm_tests::coverage::Answer;
 use farm_tests::statistics::Normal;
-use optics_fit::{DictionaryBuilder, FitDictionary, MeasurePlan, measure};
-use optics_model::fit::{FitOptions, FitSettings, Measured, MuRange, PhaseModel};
+use farm_tests::stored;
+use optics_fit::{FitDictionary, measure};
+use optics_model::fit::{FitOptions, FitSettings, Measured, PhaseModel};
 use optics_model::grid::{Axes, NoiseLevel, Responses};
-use optics_model::job::JobSpec;
 use optics_model::phase::PhaseShape;
-use optics_model::scene::Scene;
-use optics_model::{Grid, MeasuredProfile, Measurement, Medium, TransportPoint, Walks};
+use optics_model::scene::{Scene, Scope};
+use optics_model::{Grid, MeasuredProfile, Measurement, Medium, Walks};
 use optics_tracer::SeenBase;
 use rayon::prelude::*;
 
-use super::outcome::SetUpOutcome;
 use super::scenes::{ChangedSetUp, lab};
-use crate::measure::imperfect::truths::records;
+use crate::measure::{IOR, SLABS_MM, centres_mm, noisy, traced, unknown_factor, values};
 
-pub(super) const SLABS_MM: [f64; 2] = [0.5, 1.0];
 /// Noise of a pixel as a share of its value.
 pub(super) const NOISE: f64 = 0.004;
 /// Walks of a profile.
 pub(super) const WALKS: u64 = 2_000_000;
 /// Error of a level that these walks leave: with flaws it counts as one of the gain.
 const LEVEL: f64 = 0.0008;
-/// Refractive index of the samples in the scene.
-const IOR: f64 = 1.53;
-
 /// Nodes of a dictionary's axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Nodes {
@@ -36,7 +32,7 @@ pub(super) enum Nodes {
 
 /// Dictionary of the scene with its responses, or with those to the phase function alone.
 pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionary {
-    static ALL: [OnceLock<FitDictionary>; 4] = [const { OnceLock::new() }; 4];
+    static ALL: [OnceLock<&FitDictionary>; 4] = [const { OnceLock::new() }; 4];
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
         let mut priors = lab().priors().to_vec();
         priors.retain(|prior| uncertain || prior.kind().is_of_phase());
@@ -45,7 +41,7 @@ pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionar
 }
 
 /// Dictionary of a scene with its responses.
-pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> FitDictionary {
+pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> &'static FitDictionary {
     let grid = match nodes {
         Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
         Nodes::Paper => Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false),
@@ -53,11 +49,7 @@ pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> FitDictionary {
     let (grid, base) = (grid.unwrap(), SeenBase::of(scene));
     let responses = Responses::of(scene, grid.axes(), |varied| base.through(varied)).unwrap();
     let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
-    let mut builder = DictionaryBuilder::new(grid.clone());
-    for job in 0..grid.job_count() {
-        builder.add(&records(&JobSpec::of(&grid, job)));
-    }
-    builder.build()
+    stored::dictionary(&grid)
 }
 
 fn few_nodes() -> Axes {
@@ -68,15 +60,6 @@ fn few_nodes() -> Axes {
         thickness_mm: SLABS_MM.to_vec(),
         sample_ior: vec![IOR],
     }
-}
-
-/// The values of a profile in a scene.
-pub(super) fn traced(scene: Scene, medium: &Medium, thickness_mm: f64, walks: u64, seed: u64) -> Vec<f64> {
-    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
-    let walks = Walks::new(walks).unwrap();
-    let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();
-    let record = records(&job).unpack().remove(0);
-    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
 }
 
 /// Materials in a set-up.
@@ -127,9 +110,8 @@ impl SetUpSession {
         let mut random = Normal::new(910_000 + number);
         let g = 0.1 + 0.6 * random.uniform();
         let mut medium = || {
-            let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
-            let sigma_t = log(1.3, 8.0, random.uniform());
-            Medium::new(sigma_t, 1.0 - log(2e-3, 0.6, random.uniform()), g).unwrap()
+            let sigma_t = random.log_uniform(1.3, 8.0);
+            Medium::new(sigma_t, 1.0 - random.log_uniform(2e-3, 0.6), g).unwrap()
         };
         let media: Vec<Medium> = (0..6).map(|_| medium()).take(materials).collect();
         let drawn = ChangedSetUp::random(&mut random, materials);
@@ -142,10 +124,9 @@ impl SetUpSession {
     pub(super) fn of_inks(number: u64, materials: usize, nm: &[f64], common: bool) -> Self {
         let mut random = Normal::new(950_000 + number);
         let g = 0.1 + 0.6 * random.uniform();
-        let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
         let mut ink = || {
-            let (scattering, power) = (log(1.5, 6.0, random.uniform()), 1.2 * random.uniform());
-            let (base, peak) = (log(0.003, 0.03, random.uniform()), log(0.05, 1.5, random.uniform()));
+            let (scattering, power) = (random.log_uniform(1.5, 6.0), 1.2 * random.uniform());
+            let (base, peak) = (random.log_uniform(0.003, 0.03), random.log_uniform(0.05, 1.5));
             let (centre, width) = (430.0 + 240.0 * random.uniform(), 30.0 + 40.0 * random.uniform());
             let at = |nm: &f64| {
                 let s = scattering * (550.0 / nm).powf(power);
@@ -182,31 +163,35 @@ impl SetUpSession {
         let mut off = |std_error: f64| off(flaws, std_error);
         let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
-        let scene = self.set_up.scene(material, slab);
-        let sensor = scene.sensor();
-        let medium = &self.media[material][channel];
-        let values = traced(scene, medium, thickness_mm, WALKS, 930_000 + of_channel);
-        let x: Vec<f64> = (0..values.len()).map(|i| sensor.centre_mm(i)).collect();
+        let (scene, medium) = (self.set_up.scene(material, slab), &self.media[material][channel]);
+        let values = values(&traced(&scene, medium, thickness_mm, WALKS, 930_000 + of_channel), 0);
+        let x = centres_mm(&scene);
         let exact: Vec<f64> =
             values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
-        let std_errors: Vec<f64> = exact.iter().map(|v| NOISE * v.abs()).collect();
-        let noisy = exact.iter().zip(&std_errors).map(|(v, e)| v + e * random.normal()).collect();
-        let x = x.iter().map(|x| x + origin_mm).collect();
-        let name = &self.channels[channel];
-        MeasuredProfile::new(name, SLABS_MM[slab], x, noisy, Some(std_errors)).unwrap()
+        let (slab, x) = ((&self.channels[channel][..], SLABS_MM[slab]), x.iter().map(|x| x + origin_mm));
+        noisy(slab, x.collect(), &exact, |v| NOISE * v.abs(), &mut random)
     }
 
     /// Fits like `farmctl measure` without further options.
-    pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<SetUpOutcome> {
-        self.measured_as(dictionary, PhaseModel::TwoLobes)
+    pub(super) fn measured(&self, dictionary: &FitDictionary) -> Vec<Answer> {
+        self.answers(&self.fitted(dictionary, PhaseModel::TwoLobes))
     }
 
-    /// The same, with a phase function.
-    pub(super) fn measured_as(&self, dictionary: &FitDictionary, phase: PhaseModel) -> Vec<SetUpOutcome> {
-        let found = self.fitted(dictionary, phase);
-        let truth = |material: usize, slab_mm, prior| self.set_up.difference(material, slab_mm, prior);
-        let outcome = |(m, fit): (usize, &_)| SetUpOutcome::of(m, &found, fit, &self.media[m][0], truth);
-        found.materials.iter().enumerate().map(outcome).collect()
+    /// The first channels of the materials.
+    pub(super) fn answers(&self, found: &Measured) -> Vec<Answer> {
+        let scene = lab();
+        let answer = |(m, fit): (usize, &optics_model::fit::MaterialFit)| {
+            // The quantities of the session are the same for all materials.
+            let truth = |name: &str, slab_mm, prior_mean| {
+                let prior = scene.priors().iter().position(|p| scene.name_of(p) == name).unwrap();
+                let is_counted = m == 0 || scene.priors()[prior].scope() != Scope::Session;
+                let difference = self.set_up.difference(m, slab_mm, prior).filter(|_| is_counted);
+                difference.map(|difference| prior_mean + difference)
+            };
+            let refined = fit.channels[0].refined.as_ref().unwrap();
+            Answer::of_fit(&fit.material, &self.media[m][0], refined).with_scene(truth)
+        };
+        found.materials.iter().enumerate().map(answer).collect()
     }
 
     /// The true media of a material by channel.
@@ -236,7 +221,6 @@ impl SetUpSession {
         let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
-        let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
-        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap()
+        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &unknown_factor()).unwrap()
     }
 }

@@ -22,10 +22,6 @@ const STATED_SQUARE_MM: f64 = 20.0;
 const FLICKER: f64 = 0.001;
 const MOUNTINGS: u64 = 3;
 
-/// Defects that can be left out, to see their effect.
-pub(super) const DEFECTS: [&str; 10] =
-    ["set-up", "white", "thickness", "square", "noise", "flicker", "drift", "light", "glare", "dust"];
-
 /// One session: three media, one for each channel, in two thicknesses.
 #[derive(Debug)]
 pub(super) struct Laboratory {
@@ -39,11 +35,8 @@ pub(super) struct Laboratory {
     camera: Camera,
     /// Relative error of the white reference.
     pub white: f64,
-    flicker: f64,
     /// Relative change of the lamps from the first shot to the last.
     drift: f64,
-    dust: Option<Dust>,
-    exact: bool,
     seed: u64,
 }
 
@@ -51,17 +44,16 @@ impl Laboratory {
     /// Media as in the tests of imperfect measurements: σ_t from 1.1 to 28 /mm and 1 − α from 0.001 to 0.7,
     /// log-uniform; one anisotropy for all, between two of the dictionary's. Defects have the size that the session
     /// file states.
-    pub(super) fn draw(number: u64, (g_min, g_max): (f64, f64), without: &[String]) -> Self {
+    pub(super) fn draw(number: u64, (g_min, g_max): (f64, f64)) -> Self {
         let mut random = Random::new(810_000 + number);
-        let has = |defect: &str| if without.iter().any(|w| w == defect) { 0.0 } else { 1.0 };
         let g = random.between(g_min, g_max);
         let mut log = |low: f64, high: f64| low * (high / low).powf(random.even());
         let media = [0; 3].map(|_| Medium::new(log(1.1, 28.0), 1.0 - log(1e-3, 0.7), g).unwrap());
-        let thickness_mm = STATED_MM.map(|t| t + has("thickness") * THICKNESS_MM * random.normal());
-        let square_mm = STATED_SQUARE_MM + has("square") * SQUARE_MM * random.normal();
-        let white = has("white") * WHITE * random.normal();
+        let thickness_mm = STATED_MM.map(|t| t + THICKNESS_MM * random.normal());
+        let square_mm = STATED_SQUARE_MM + SQUARE_MM * random.normal();
+        let white = WHITE * random.normal();
         let scene = scene(&mut random);
-        let set_ups = set_ups(&scene, &mut Random::new(830_000 + number), has("set-up"));
+        let set_ups = set_ups(&scene, &mut Random::new(830_000 + number));
         let value = |prior| (scene.name_of(prior), [0, 1].map(|slab: usize| set_ups[slab].value_of(prior)));
         Self {
             media,
@@ -69,18 +61,11 @@ impl Laboratory {
             board: board(&set_ups[0], square_mm),
             scene: scene.priors().iter().map(value).collect(),
             set_ups,
-            camera: camera(&mut random, has("light"), has("glare"), has("noise")),
+            camera: camera(&mut random),
             white,
-            flicker: has("flicker") * FLICKER,
-            drift: has("drift") * random.between(-0.002, 0.002),
-            dust: (has("dust") > 0.0).then_some(Dust { specks: 20, scratches: 2 }),
-            exact: has("noise") == 0.0,
+            drift: random.between(-0.002, 0.002),
             seed: 820_000 + 10 * number,
         }
-    }
-
-    pub(super) fn g(&self) -> f64 {
-        self.media[0].g()
     }
 
     /// Writes photographs and session file.
@@ -96,7 +81,8 @@ impl Laboratory {
             for (index, seconds) in shots {
                 let brightness = 1.0 + self.drift * (seconds / LAST_S - 0.5);
                 session.brightness = vec![(what, *index, brightness)];
-                let look = Look { seed, flicker: self.flicker, exact: self.exact, dust: self.dust };
+                let dust = Some(Dust { specks: 20, scratches: 2 });
+                let look = Look { seed, flicker: FLICKER, exact: false, dust };
                 let mut photo = session.shoot(what, *index, &look);
                 photo.seconds = Some(*seconds);
                 std::fs::write(folder.join(format!("{file}_{}.dng", index + 1)), dng(&photo)).unwrap();
@@ -129,13 +115,13 @@ const LAST_S: f64 = 2400.0;
 
 /// The scene of each slab: uncertain quantities are off by their standard errors at random, within the range of the
 /// responses.
-fn set_ups(scene: &Scene, random: &mut Random, size: f64) -> [Scene; 2] {
+fn set_ups(scene: &Scene, random: &mut Random) -> [Scene; 2] {
     let exact = scene.clone().with_priors(Vec::new()).unwrap();
     let mut set_ups = [exact.clone(), exact];
     for prior in scene.priors() {
         let (low, high) = prior.range(scene);
         let mut draw = || loop {
-            let difference = size * prior.std_error() * random.normal();
+            let difference = prior.std_error() * random.normal();
             if (low..=high).contains(&difference) {
                 return difference;
             }
@@ -162,8 +148,7 @@ fn board(scene: &Scene, square_mm: f64) -> Board {
     Board { square_mm, light, dark, sign: 1.0, bow_per_mm: 0.0 }
 }
 
-/// Each switch is 0 or 1.
-fn camera(random: &mut Random, light: f64, glare: f64, noise: f64) -> Camera {
+fn camera(random: &mut Random) -> Camera {
     let lens = random.between(0.02, 0.035);
     Camera {
         width: 1040,
@@ -173,10 +158,10 @@ fn camera(random: &mut Random, light: f64, glare: f64, noise: f64) -> Camera {
         radial: random.between(-0.001, 0.001),
         origin_px: [random.between(-12.0, 12.0), random.between(-12.0, 12.0)],
         lens_mm: [lens, lens * random.between(0.85, 1.0), lens * random.between(0.9, 1.1)],
-        vignetting: light * random.between(0.02, 0.08),
-        slope: [light * random.between(-0.04, 0.04), light * random.between(-0.04, 0.04)],
-        glare: glare * random.between(0.001, 0.005),
-        fixed_pattern: noise * random.between(0.0, 2.0),
+        vignetting: random.between(0.02, 0.08),
+        slope: [random.between(-0.04, 0.04), random.between(-0.04, 0.04)],
+        glare: random.between(0.001, 0.005),
+        fixed_pattern: random.between(0.0, 2.0),
         ..Camera::default()
     }
 }
