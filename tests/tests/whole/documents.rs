@@ -3,7 +3,7 @@
 //!
 //! | fence | what the test does |
 //! |---|---|
-//! | `console` | a line `$ COMMAND` is run; the lines up to the next one are its standard output. A line `…` stands for any number of lines |
+//! | `console` | lines `$ COMMAND` are run; standard output follows, in which a line `…` stands for lines that are cut |
 //! | `sh` | the whole block is run and succeeds |
 //! | `<!-- sh`, to a line `-->` | the same: what a document takes for granted |
 //! | `… long: REASON` | only with `FARM_TEST_EFFORT=10` |
@@ -24,7 +24,7 @@ use farm_tests::reference::root;
 use farm_tests::statistics::effort;
 
 /// Time limit of a block in seconds.
-const LIMIT: &str = "900";
+const LIMIT: &str = "1800";
 /// A line of a document for lines of an output that it leaves out.
 const CUT: &str = "…";
 /// Languages of blocks that are no commands.
