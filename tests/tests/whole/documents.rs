@@ -117,7 +117,7 @@ fn console(folder: &Path, lines: &[&str]) -> Result<Vec<String>, String> {
     Ok(shown)
 }
 
-/// What was done with the blocks of the documents.
+/// Numbers of blocks that were checked, by kind, and the places of others.
 #[derive(Default)]
 struct Tally {
     consoles: usize,
