@@ -49,7 +49,7 @@ bench-fit folder="/tmp/farm-dictionary" filter="":
 
 # 200 independently traced media, fitted with the paper's whole dictionary: errors and coverage; some twelve minutes.
 round-trip-long effort="8":
-    FARM_TEST_EFFORT={{effort}} cargo test --workspace --test science measure -- --nocapture --test-threads 1
+    FARM_TEST_EFFORT={{effort}} cargo test --workspace --test science there_and_back -- --nocapture --test-threads 1
 
 # Mitsuba 3 on the same scene, side by side; `python` must have the packages mitsuba and numpy.
 compare-mitsuba python="python3":
@@ -73,6 +73,12 @@ book:
 audit:
     typos
     cargo deny check
+
+# The present output of programs in all documents, those of Python too; needs a Python package index. Some ten minutes.
+documents:
+    cargo build --workspace --bins
+    FARM_TEST_ACCEPT=1 FARM_TEST_EFFORT=10 cargo test --workspace --test whole documents
+    FARM_TEST_ACCEPT=1 FARM_PROGRAMS=target/debug python/check -k documents
 
 # The Python package: wheel, types and tests in a fresh virtual environment; needs a Python package index.
 python:

@@ -12,7 +12,7 @@ from pathlib import Path
 import programs
 import yaml
 
-CODE = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+CODE = re.compile(r"^```(sh|console)\b[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def of_unit(text):
@@ -51,8 +51,11 @@ def of_containerfile(text):
 
 def of_document(text):
     """Commands of the programs in shell examples, also behind sudo, docker and kubectl."""
-    for block in CODE.findall(text):
-        for line in block.replace("\\\n", " ").splitlines():
+    for language, block in CODE.findall(text):
+        lines = block.replace("\\\n", " ").splitlines()
+        if language == "console":
+            lines = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
+        for line in lines:
             words = shlex.split(line, comments=True)
             for part in split(words, ("&&", "||", "|", ";", "&")):
                 assigned = [word.partition("=")[0] for word in part if re.match(r"^FARM_(?!IMAGE|PUBLISH|CPUS)\w+=", word)]

@@ -162,20 +162,6 @@ fn design_page_lists_the_likelihoods_files() {
     assert!(found > 20, "{found} files");
 }
 
-/// The README prints the rows of an answer that the guide explains.
-#[test]
-fn readme_shows_the_guides_example_rows() {
-    let documents = documents();
-    let rows = |page: &str| -> Vec<String> {
-        let is_row = |line: &&str| line.starts_with("white     ") && line.contains('…');
-        documents[Path::new(page)].lines().filter(is_row).map(str::to_owned).collect()
-    };
-    let (readme, guide) = (rows("README.md"), rows("docs/measuring.md"));
-    assert!(guide.len() >= 3 && readme.len() > guide.len());
-    let missing: Vec<_> = guide.iter().filter(|row| !readme.contains(row)).collect();
-    assert!(missing.is_empty(), "README.md has other rows than docs/measuring.md: {missing:#?}");
-}
-
 /// Every type, method, variant or module of the glossary's second column is defined, in the owner that it names.
 #[test]
 fn glossary_names_exist() {

@@ -1,9 +1,10 @@
-//! Tests the programs as people run them: commands, work, faults, access, sessions of photographs, and a soak.
+//! Tests the programs as people run them: commands, documents, work, faults, access, sessions of photographs, and a soak.
 //!
 //! Most of these tests wait for processes, and run side by side.
 
 mod access;
 mod cli;
+mod documents;
 mod faults;
 mod flow;
 mod session;
