@@ -285,18 +285,13 @@ fn curvature(mu: &[f64], total: &[f64], best: usize) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
+    use crate::testing::{changed, dense, noisy_measurement, remade};
     use optics_model::fit::{Bounds, FitSettings, Objective};
     use optics_model::{MeasuredProfile, Measurement};
 
     /// The measurement as with a wrong exposure: all values divided by μ.
     fn divided(measurement: &Measurement, mu: f64) -> Measurement {
-        let profile = |p: &MeasuredProfile| {
-            let values = p.values().iter().map(|v| v / mu).collect();
-            MeasuredProfile::new(p.channel(), p.thickness_mm(), p.x_mm().to_vec(), values, None).unwrap()
-        };
-        Measurement::new(measurement.material(), measurement.profiles().iter().map(profile).collect())
-            .unwrap()
+        remade(measurement, |p| changed(p, |_, v, _| (v / mu, None)))
     }
 
     fn materials(mu: f64) -> Vec<Measurement> {
@@ -307,7 +302,7 @@ mod tests {
     /// The curve over the scale factor has the values of separate fits.
     #[test]
     fn scale_curve_matches_separate_fits() {
-        let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
+        let dictionary = dense(360, 0.0);
         let materials = materials(0.93);
         let range = MuRange::new(0.85, 1.0, 0.05).unwrap();
         let within = FitSettings {
@@ -340,7 +335,7 @@ mod tests {
     /// Some of the media lie at the ends of the albedos, so that no other factor is as good.
     #[test]
     fn hidden_factor_is_found_within_its_error() {
-        let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
+        let dictionary = dense(360, 0.0);
         for hidden in [0.87, 0.913, 0.98] {
             let curve =
                 scale(&dictionary, &materials(hidden), &FitOptions::default(), &MuRange::default()).unwrap();
@@ -355,7 +350,7 @@ mod tests {
     /// A single channel has no jackknife error, and errors name the material.
     #[test]
     fn one_channel_has_no_jackknife() {
-        let dictionary = noisy_dictionary(dense_axes(), 90, 0.0);
+        let dictionary = dense(90, 0.0);
         let one = &materials(1.0)[..1];
         let curve = scale(&dictionary, one, &FitOptions::default(), &MuRange::default()).unwrap();
         assert_eq!((curve.std_error, curve.points.len()), (None, 301));
