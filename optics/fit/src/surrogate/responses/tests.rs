@@ -64,7 +64,7 @@ fn of_roughness(seed: u64) -> FitDictionary {
     };
     let base = SeenBase::of(&scene);
     let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
-    let grid = Grid::new(scene, axes, Walks::new(1000).unwrap(), seed, false).unwrap();
+    let grid = Grid::new(scene, axes, Walks::new(2500).unwrap(), seed, false).unwrap();
     traced(&grid.with_responses(responses).unwrap())
 }
 
@@ -93,7 +93,7 @@ fn model_errors_are_shares_of_the_change() {
 fn noise_is_the_scatter_between_seeds() {
     const SEEDS: u64 = 24;
     let (mm, x) = (1.0, coordinates(&Medium::new(3.0, 0.93, 0.3).unwrap()));
-    let dictionaries: Vec<FitDictionary> = (1..=SEEDS).map(|seed| of_roughness(seed)).collect();
+    let dictionaries: Vec<FitDictionary> = (1..=SEEDS).map(of_roughness).collect();
     let surrogates = dictionaries.iter().map(|dictionary| Surrogate::new(dictionary, 0, 0));
     let (mut found, mut stated) = ([Vec::new(), Vec::new()], 0.0);
     for surrogate in surrogates {
