@@ -217,8 +217,8 @@ mod tests {
         request("POST", "/farm.v1.Farm/Status", &[&[COOKIE], headers].concat())
     }
 
-    /// Calls are accepted from the page's own origin only. Browsers send an origin with every call; a site may have pointed its
-    /// name at this machine.
+    /// Calls are accepted from the page's own origin only. Browsers send it with every call; sites may have pointed a name
+    /// at this machine.
     #[test]
     fn only_the_page_itself_may_call() {
         const ORIGIN: (&str, &str) = ("origin", "http://127.0.0.1:7780");

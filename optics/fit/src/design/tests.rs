@@ -115,12 +115,12 @@ fn two_shots_halve_only_the_noise_variance() {
         let w = set.g_held;
         [w.sigma_t_per_mm, w.albedo, w.reduced_scattering_per_mm, w.absorption_per_mm]
     };
-    let found = sets(&dictionary, settings(guess(), exact_set_up(), &[&[0.5, 1.0]], &[1, 2]));
+    let found = sets(dictionary, settings(guess(), exact_set_up(), &[&[0.5, 1.0]], &[1, 2]));
     for (one, two) in all(&found[0]).into_iter().zip(all(&found[1])) {
         close(one / two, 2.0_f64.sqrt(), 1e-3);
     }
     // More photographs of the same slab with the same lamp do not determine its thickness or the lamp's evenness.
-    let real = sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1, 2]));
+    let real = sets(dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1, 2]));
     for (one, two) in all(&real[0]).into_iter().zip(all(&real[1])) {
         assert!((1.0..1.35).contains(&(one / two)), "{one} {two}");
     }
@@ -140,7 +140,7 @@ fn more_slabs_never_hurt() {
     for chain in chains {
         for mu_free in [false, true] {
             let asked = DesignSettings { mu_free, ..settings(guess(), FitSettings::default(), chain, &[1]) };
-            let found = sets(&dictionary, asked);
+            let found = sets(dictionary, asked);
             for pair in found.windows(2) {
                 let [fewer, more] = pair else { unreachable!("windows of two") };
                 for (few, many) in all(&fewer.g_held).into_iter().zip(all(&more.g_held)) {
@@ -219,7 +219,7 @@ fn fit_has_the_bound_of_its_design() {
 #[test]
 fn undetermined_parameters_are_reported_so() {
     let dictionary = all_dense();
-    let set = &sets(&dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]))[0];
+    let set = &sets(dictionary, settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]))[0];
     let free = set.g_free.unwrap();
     assert!(free.sigma_t_per_mm.is_infinite() && free.g.is_infinite(), "{free:?}");
     // Their combination is determined nevertheless.
@@ -291,7 +291,7 @@ fn slab_sets_combine_with_best_marked() {
 fn designs_beyond_the_dictionary_are_refused() {
     let dictionary = all_dense();
     let refused = |settings: DesignSettings| -> Invalid {
-        design(&dictionary, &DesignQuestion::new(settings).unwrap()).unwrap_err()
+        design(dictionary, &DesignQuestion::new(settings).unwrap()).unwrap_err()
     };
     let plain = || settings(guess(), FitSettings::default(), &[&[0.5]], &[1]);
     let slab = refused(DesignSettings { slab_sets: vec![vec![0.5], vec![0.5, 0.25]], ..plain() });
@@ -327,7 +327,7 @@ fn fewer_pixels_widen_the_errors() {
     let dictionary = all_dense();
     let with = |pixels: Option<PixelRow>| {
         let asked = settings(guess(), FitSettings::default(), &[&[0.5, 1.0]], &[1]);
-        sets(&dictionary, DesignSettings { pixels, ..asked })[0].g_held.sigma_t_per_mm
+        sets(dictionary, DesignSettings { pixels, ..asked })[0].g_held.sigma_t_per_mm
     };
     let own = with(None);
     close(with(PixelRow::new(-5.0, 5.0, 10.0 / 360.0).ok()), own, 1e-9);

@@ -201,7 +201,7 @@ fn descent_finds_the_global_minimum() {
     for (seed, medium) in [(4, MEDIUM), (5, (1.6, 0.35, 0.05)), (6, (6.4, 0.985, 0.55))] {
         let flaws = Flaws { gain: 0.002, zero: 0.001, ..Flaws::default() };
         let measurement = measured(medium, seed, flaws);
-        let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+        let data = ChannelData::new(dictionary, &measurement, 0, "G", &options).unwrap();
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let starts = channel::starts(&scan, &surrogates);
@@ -335,7 +335,7 @@ fn estimates_do_not_depend_on_the_tolerance() {
     {
         let measurement = measured(medium, seed as u64, Flaws { dust: seed == 0, ..Flaws::default() });
         let options = FitOptions::new(FitSettings { g, ..settings() }).unwrap();
-        let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+        let data = ChannelData::new(dictionary, &measurement, 0, "G", &options).unwrap();
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let ChannelMinimum { system, state, .. } = channel::minimum(&data, &surrogates, &scan);

@@ -218,7 +218,7 @@ mod tests {
         let dictionary = dense(120, 0.003);
         let settings = FitSettings { thickness_std_error_mm: 0.01, ..FitSettings::default() };
         let materials = [measured()];
-        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);
         let answer = set.answer(&joint, &plan, &cells);
@@ -256,7 +256,7 @@ mod tests {
         let settings =
             FitSettings { gain_std_error: 0.03, g: exact, blur_std_error_mm: 0.0, ..FitSettings::default() };
         let materials = [measured()];
-        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let (_, joint) = set.search(&MeasurePlan::default());
         let covariance = joint.covariance.as_ref().unwrap();
         for (a, b) in [(0, 1), (0, 2), (1, 2)] {
@@ -272,7 +272,7 @@ mod tests {
         assert_eq!(principal(&[RowDVector::zeros(0), RowDVector::zeros(0)], 0).shape(), (2, 0));
         let dictionary = dense(120, 0.003);
         let one = Measurement::new("m", measured().profiles()[..1].to_vec()).unwrap();
-        let set = Set::new(&dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
+        let set = Set::new(dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);
         assert_eq!(set.answer(&joint, &plan, &cells).shared_errors, SharedErrors::default());

@@ -43,7 +43,7 @@ fn intervals_cover_the_truth_as_claimed() {
     let mut widths = Vec::new();
     for seed in 0..60 {
         let (sigma_t, albedo, g) = medium(seed);
-        let answer = answer(&dictionary, (sigma_t, albedo, g), seed, Some(g));
+        let answer = answer(dictionary, (sigma_t, albedo, g), seed, Some(g));
         let (r, grid) = (answer.refined.unwrap(), answer.candidates[0].medium);
         sigma_t_held += u32::from(r.sigma_t_per_mm.contains(sigma_t));
         albedo_held += u32::from(r.albedo.contains(albedo));
@@ -69,7 +69,7 @@ fn extinction_anisotropy_valley_is_reported() {
     let mut held = 0;
     for seed in 0..20 {
         let (sigma_t, albedo, g) = medium(seed);
-        let r = refined(&dictionary, (sigma_t, albedo, g), seed, None);
+        let r = refined(dictionary, (sigma_t, albedo, g), seed, None);
         assert!(r.valley && r.resolved_at_g, "{r:?}");
         let ends = &r.sigma_t_per_mm;
         let narrow = ends.high <= 2.0 * ends.low && !ends.open_low && !ends.open_high;
@@ -103,8 +103,8 @@ fn flat_profile_is_unresolved() {
 fn missing_noise_is_estimated() {
     let dictionary = dense(360, 0.003);
     let m = (3.1, 0.62, 0.3);
-    let told = refined(&dictionary, m, 7, Some(0.3));
-    let silent = fit(&dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
+    let told = refined(dictionary, m, 7, Some(0.3));
+    let silent = fit(dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
     let silent = silent.channels[0].refined.clone().unwrap();
     assert!(silent.sigma_t_per_mm.contains(told.best.medium.sigma_t_per_mm()), "{silent:?}");
     let ratio = silent.measurement_noise / told.measurement_noise;
@@ -121,7 +121,7 @@ fn scale_and_gain_errors_widen_the_intervals() {
     let width = |change: fn(&mut FitSettings)| {
         let mut settings = *options(Some(0.3)).settings();
         change(&mut settings);
-        let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+        let found = fit(dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
         let albedo = found.channels[0].refined.as_ref().unwrap().albedo;
         albedo.high - albedo.low
     };
@@ -143,7 +143,7 @@ fn bounds_hold_between_nodes() {
     let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
     let mut settings = *options(Some(0.27)).settings();
     settings.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(3.3), None).unwrap();
-    let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+    let found = fit(dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
     let r = found.channels[0].refined.as_ref().unwrap();
     assert!((r.best.medium.g() - 0.27).abs() < 1e-12);
     assert!(r.best.medium.sigma_t_per_mm() >= 3.3 - 1e-12, "{r:?}");
@@ -170,7 +170,7 @@ fn profiles_beyond_all_records_are_reported() {
     let outside = |factor: f64| {
         let plain = noisy_measurement((3.5, 0.65, 0.3), 1, true);
         let measurement = remade(&plain, |p| changed(p, |_, v, e| (factor * v, Some(factor * e))));
-        fit(&dictionary, &measurement, &options(Some(0.3))).unwrap().channels.remove(0).outside
+        fit(dictionary, &measurement, &options(Some(0.3))).unwrap().channels.remove(0).outside
     };
     assert_eq!(outside(1.0), None);
     assert_eq!([20.0, 0.001].map(outside), [Some(Outside::Brighter), Some(Outside::Darker)]);

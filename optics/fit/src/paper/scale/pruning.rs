@@ -70,7 +70,7 @@ mod tests {
         let (mut kept, mut all) = (0, 0);
         for (medium, seed) in [((2.117, 0.99, 0.3), 1), ((4.17, 0.2, 0.1), 2)] {
             let measured = noisy_measurement(medium, seed, false);
-            let question = questions(&dictionary, &measured, &FitOptions::default()).unwrap().remove(0);
+            let question = questions(dictionary, &measured, &FitOptions::default()).unwrap().remove(0);
             let terms: Vec<Scalable> = question.terms.iter().map(Scalable::new).collect();
             let possible = possible(&question, &terms, &mu);
             for g in question.admissible.g.clone() {
