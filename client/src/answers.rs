@@ -14,6 +14,8 @@ mod scale;
 mod scene;
 mod summary;
 mod table;
+#[cfg(test)]
+mod tests;
 mod verdict;
 
 pub(crate) use budget::budget_text;

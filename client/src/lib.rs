@@ -18,6 +18,8 @@ mod prints;
 mod progress;
 mod renderers;
 mod slurm;
+#[cfg(test)]
+mod testing;
 mod traced;
 mod web;
 

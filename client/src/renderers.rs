@@ -219,8 +219,9 @@ mod tests {
     use farm_figures::testing;
 
     use super::*;
+    use crate::testing::is_stable;
 
-    pub(super) fn channel(name: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelFit {
+    fn channel(name: &str, sigma_t_per_mm: f64, albedo: f64) -> ChannelFit {
         with_g(testing::channel(name, sigma_t_per_mm, 1.0), albedo, 0.4)
     }
 
@@ -230,7 +231,12 @@ mod tests {
         channel
     }
 
-    pub(super) fn medium(material: &str, channels: Vec<ChannelFit>) -> MaterialFit {
+    fn with_lobe(mut channel: ChannelFit, weight: f64) -> ChannelFit {
+        channel.refined.as_mut().unwrap().second_lobe = Some(SecondLobe::new(weight, -0.5).unwrap());
+        channel
+    }
+
+    fn medium(material: &str, channels: Vec<ChannelFit>) -> MaterialFit {
         MaterialFit { material: material.to_owned(), channels }
     }
 
@@ -246,15 +252,55 @@ mod tests {
         ]
     }
 
-    /// A medium whose phase function has a second lobe.
-    pub(super) fn two_lobes() -> MaterialFit {
-        let mut channel = channel("R", 6.0, 0.9991);
-        channel.refined.as_mut().unwrap().second_lobe = Some(SecondLobe::new(0.2, -0.5).unwrap());
-        medium("white", vec![channel])
-    }
-
     fn names(media: &[MaterialFit]) -> Vec<String> {
         blocks(media).into_iter().map(|b| b.name).collect()
+    }
+
+    /// Media of each kind and one of two lobes, as every renderer reads them; `FARM_TEST_ACCEPT=1` writes the files anew.
+    #[test]
+    fn files_for_renderers_are_stable() {
+        let mut media = three_kinds();
+        media.push(medium("white", vec![with_lobe(channel("R", 6.0, 0.9991), 0.2)]));
+        for (name, text) in [
+            ("mitsuba-dict", mitsuba_dict(&media)),
+            ("mitsuba-xml", mitsuba_xml(&media)),
+            ("pbrt", pbrt(&media)),
+            ("blender", blender(&media)),
+            ("materialx", materialx(&media)),
+            ("usd", usd(&media)),
+        ] {
+            is_stable(&format!("renderers/tests/{name}.txt"), &text);
+        }
+    }
+
+    /// Names can end neither the comments nor the quotes that contain them.
+    #[test]
+    fn names_cannot_escape_comments_or_quotes() {
+        let media = [medium(
+            "x --> <scene> \n--- \" \"Skin1\n\rShape \"y\u{2028}\u{202e}\0",
+            vec![channel("c", 1.0, 0.5)],
+        )];
+        let (xml, mtlx) = (mitsuba_xml(&media), materialx(&media));
+        for (xml, root, element) in [(&xml, "scene", "medium"), (&mtlx, "materialx", "open_pbr_surface")] {
+            let document = roxmltree::Document::parse(xml).unwrap();
+            assert_eq!(document.root_element().tag_name().name(), root);
+            assert_eq!(document.descendants().filter(|n| n.has_tag_name(element)).count(), 1, "{xml}");
+        }
+        for line in xml.lines().filter_map(|line| line.trim_start().strip_prefix("<!--")) {
+            assert!(!line.trim_end_matches("-->").contains("--"), "{line}");
+        }
+        let python = mitsuba_dict(&media);
+        assert!(python.lines().nth(3).is_some_and(|line| line.starts_with("    # ")), "{python}");
+        assert_eq!(python.lines().nth(4), Some(r#"    "x_scene_Skin1_Shape_y_c": {"#));
+        let pbrt = pbrt(&media);
+        let statements: Vec<_> = pbrt.lines().filter(|line| !line.starts_with('#')).collect();
+        assert_eq!(statements[0], r#"MakeNamedMedium "x_scene_Skin1_Shape_y_c""#);
+        assert!(statements[1..].iter().all(|line| line.starts_with("    \"")), "{pbrt}");
+        assert!(!pbrt.contains('\r'), "{pbrt:?}");
+        assert!(
+            blocks(&media)[0].notes[0]
+                .starts_with(r#""x --> <scene> \n--- \" \"Skin1\n\rShape \"y\u{2028}\u{202e}\0": "#)
+        );
     }
 
     /// Media whose g is not determined have a note.
@@ -269,126 +315,97 @@ mod tests {
     /// The channels R, G and B are sorted to one medium; it needs all three and no other.
     #[test]
     fn rgb_needs_exactly_three_channels() {
-        let one = |c: &str| channel(c, 1.0, 0.5);
-        let kind = |channels: &[&str]| {
-            let media = [medium("m", channels.iter().map(|c| one(c)).collect())];
-            names(&media).join(" ")
-        };
-        assert_eq!(kind(&["B", "R", "G"]), "m");
-        assert_eq!(kind(&["R", "G"]), "m_R m_G");
-        assert_eq!(kind(&["R", "G", "G"]), "m_R m_G m_G_2");
-        assert_eq!(kind(&["R", "G", "B", "B"]), "m_R m_G m_B m_B_2");
-        let Values::Rgb(values) = &blocks(&three_kinds())[0].values else { panic!("not rgb") };
-        assert_eq!(values.map(|m| m.sigma_t_per_mm()), [6.0, 5.0, 4.0]);
-        assert_eq!(values.map(|m| m.albedo()), [0.9991, 0.99, 0.98]);
+        for (channels, expected) in
+            [("B R G", "m"), ("R G", "m_R m_G"), ("R G G", "m_R m_G m_G_2"), ("R G B B", "m_R m_G m_B m_B_2")]
+        {
+            let channels = channels.split(' ').map(|c| channel(c, 1.0, 0.5)).collect();
+            assert_eq!(names(&[medium("m", channels)]).join(" "), expected);
+        }
     }
 
     /// Spectra increase in wavelength and reach the ends that renderers sample.
     #[test]
     fn spectra_increase_to_the_renderer_ends() {
-        let samples = |wavelengths: &[&str]| {
+        let samples = |wavelengths: &str| {
             let channels: Vec<_> =
-                wavelengths.iter().zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
-            match spectrum(&channels.iter().filter_map(RenderedChannel::of).collect::<Vec<_>>())?.0 {
-                Values::Spectrum(samples) => {
-                    Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm())).collect::<Vec<_>>())
-                }
-                _ => None,
-            }
+                wavelengths.split(',').zip(1..).map(|(w, i)| channel(w, f64::from(i), 0.5)).collect();
+            let rendered = channels.iter().filter_map(RenderedChannel::of).collect::<Vec<_>>();
+            let Values::Spectrum(samples) = spectrum(&rendered)?.0 else { return None };
+            Some(samples.iter().map(|(nm, c)| (*nm, c.sigma_t_per_mm())).collect::<Vec<_>>())
         };
-        assert_eq!(
-            samples(&["650", " 450"]),
-            Some(vec![(360.0, 2.0), (450.0, 2.0), (650.0, 1.0), (830.0, 1.0)])
-        );
-        assert_eq!(samples(&["532.5"]), Some(vec![(360.0, 1.0), (532.5, 1.0), (830.0, 1.0)]));
-        assert_eq!(samples(&["300", "940"]), Some(vec![(300.0, 1.0), (940.0, 2.0)]));
-        assert_eq!(samples(&["360", "830"]), Some(vec![(360.0, 1.0), (830.0, 2.0)]));
-        for not_wavelengths in
-            [vec!["450", "450.0"], vec!["450", "G"], vec!["1", "2"], vec!["nan"], vec!["inf"], vec![]]
-        {
-            assert_eq!(samples(&not_wavelengths), None, "{not_wavelengths:?}");
+        for (wavelengths, expected) in [
+            ("650, 450", vec![(360.0, 2.0), (450.0, 2.0), (650.0, 1.0), (830.0, 1.0)]),
+            ("532.5", vec![(360.0, 1.0), (532.5, 1.0), (830.0, 1.0)]),
+            ("300,940", vec![(300.0, 1.0), (940.0, 2.0)]),
+            ("360,830", vec![(360.0, 1.0), (830.0, 2.0)]),
+        ] {
+            assert_eq!(samples(wavelengths), Some(expected), "{wavelengths}");
+        }
+        for not_wavelengths in ["450,450.0", "450,G", "1,2", "nan", "inf", ""] {
+            assert_eq!(samples(not_wavelengths), None, "{not_wavelengths:?}");
         }
     }
 
     /// Spectra whose g differs have the mean g, weighted by σ_s, and keep σ_s (1 − g) and σ_a.
     #[test]
     fn spectra_with_several_g_become_similar() {
-        let of = |name: &str, sigma_t, albedo, g| with_g(channel(name, sigma_t, albedo), albedo, g);
-        let media = [medium("m", vec![of("450", 10.0, 0.8, 0.5), of("650", 5.0, 0.8, 0.2)])];
+        let own = |name: &str, sigma_t, albedo, g| with_g(channel(name, sigma_t, albedo), albedo, g);
+        let media = [medium("m", vec![own("450", 10.0, 0.8, 0.5), own("650", 5.0, 0.8, 0.2)])];
         let [block] = &blocks(&media)[..] else { panic!("one medium") };
         assert!((block.phase.g - 0.4).abs() < 1e-12, "{}", block.phase.g);
         let Values::Spectrum(samples) = &block.values else { panic!("a spectrum") };
-        let of = |m: &Medium| {
-            let (sigma_t, albedo) = (m.sigma_t_per_mm(), m.albedo());
-            [sigma_t * albedo * (1.0 - m.g()), sigma_t * (1.0 - albedo)]
-        };
-        for ((_, found), expected) in samples[1..].iter().zip([[4.0, 2.0], [3.2, 1.0]]) {
-            let found = of(found);
-            assert!((0..2).all(|i| (found[i] - expected[i]).abs() < 1e-12), "{found:?} {expected:?}");
+        for ((_, m), [reduced, absorption]) in samples[1..].iter().zip([[4.0, 2.0], [3.2, 1.0]]) {
+            assert!((m.sigma_t_per_mm() * m.albedo() * (1.0 - m.g()) - reduced).abs() < 1e-12, "{m:?}");
+            assert!((m.sigma_t_per_mm() * (1.0 - m.albedo()) - absorption).abs() < 1e-12, "{m:?}");
         }
         assert_eq!(block.notes[1], SIMILAR);
     }
 
-    /// Channels that differ in g become separate media.
+    /// Channels that differ in g, or in their second lobe, become separate media.
     #[test]
-    fn channels_with_other_g_are_separate_media() {
-        let mut media = three_kinds();
-        media[0].channels[1] = with_g(media[0].channels[1].clone(), 0.9991, -0.2);
-        let blocks = blocks(&media[..1]);
-        let message: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.phase.g)).collect();
-        assert_eq!(message, [("Clear_resin_B", 0.4), ("Clear_resin_R", -0.2), ("Clear_resin_G", 0.4)]);
-        for block in &blocks {
-            assert!(block.notes.iter().any(|n| n.contains("differ in phase function")), "{block:?}");
+    fn channels_with_other_phases_are_separate_media() {
+        let red = || three_kinds().remove(0).channels.remove(1);
+        for (changed, phase) in [
+            (with_g(red(), 0.9991, -0.2), BlockPhase { g: -0.2, second_lobe: None }),
+            (with_lobe(red(), 0.1), BlockPhase { g: 0.4, second_lobe: SecondLobe::new(0.1, -0.5).ok() }),
+        ] {
+            let mut media = three_kinds();
+            media[0].channels[1] = changed;
+            let blocks = blocks(&media[..1]);
+            let plain = BlockPhase { g: 0.4, second_lobe: None };
+            let found: Vec<_> = blocks.iter().map(|b| (b.name.as_str(), b.phase)).collect();
+            assert_eq!(found, [("Clear_resin_B", plain), ("Clear_resin_R", phase), ("Clear_resin_G", plain)]);
+            assert_eq!(blocks[1].values, Values::Scalar(Medium::new(6.0, 0.9991, phase.g).unwrap()));
+            let notes: Vec<String> = blocks.iter().map(|b| b.notes.join("\n")).collect();
+            assert!(notes.iter().all(|n| n.contains("differ in phase function")), "{notes:?}");
+            let unresolved: Vec<_> = notes.iter().map(|n| n.contains("Unresolved")).collect();
+            assert_eq!(unresolved, [false, false, true]);
         }
-        let expected = Medium::new(6.0, 0.9991, -0.2).unwrap();
-        assert_eq!(blocks[1].values, Values::Scalar(expected));
-        let only_of_green: Vec<_> =
-            blocks.iter().map(|b| b.notes.iter().any(|n| n.contains("Unresolved"))).collect();
-        assert_eq!(only_of_green, [false, false, true]);
-    }
-
-    /// Channels with the same g and another second lobe become separate media.
-    #[test]
-    fn channels_with_other_lobes_are_separate_media() {
-        let mut media = three_kinds();
-        media[0].channels[1].refined.as_mut().unwrap().second_lobe =
-            Some(SecondLobe::new(0.1, -0.5).unwrap());
-        let blocks = blocks(&media[..1]);
-        let weights: Vec<_> = blocks.iter().map(|b| b.phase.second_lobe.map(SecondLobe::weight)).collect();
-        assert_eq!(weights, [None, Some(0.1), None]);
-    }
-
-    #[test]
-    fn unresolved_channels_are_named() {
-        let notes: Vec<_> = blocks(&three_kinds()).into_iter().map(|b| b.notes.join("\n")).collect();
-        assert!(notes[0].contains(r#"does not determine "G""#), "{}", notes[0]);
-        assert!(notes[1..].iter().all(|n| !n.contains("determine")), "{notes:?}");
     }
 
     #[test]
     fn names_are_identifiers() {
-        let message =
-            ["Clear resin", "a.b$c--d", "_x_", "3D\n\"gel\"", "", "树脂", "type", "Größe"].map(identifier);
-        assert_eq!(
-            message,
-            ["Clear_resin", "a_b_c_d", "x", "medium_3D_gel", "medium", "medium", "medium_type", "Gr_e"]
-        );
+        for (name, expected) in [
+            ("Clear resin", "Clear_resin"),
+            ("a.b$c--d", "a_b_c_d"),
+            ("_x_", "x"),
+            ("3D\n\"gel\"", "medium_3D_gel"),
+            ("", "medium"),
+            ("树脂", "medium"),
+            ("type", "medium_type"),
+            ("Größe", "Gr_e"),
+        ] {
+            assert_eq!(identifier(name), expected);
+        }
     }
 
     /// Names are unique, even if one looks like a numbered one.
     #[test]
     fn generated_names_are_unique() {
-        let rgb = || vec![channel("R", 1.0, 0.5), channel("G", 1.0, 0.5), channel("B", 1.0, 0.5)];
+        let rgb = || ["R", "G", "B"].map(|name| channel(name, 1.0, 0.5)).to_vec();
         let media = ["a", "a_2", "a!", "a", "a 2"].map(|name| medium(name, rgb()));
         assert_eq!(names(&media), ["a", "a_2", "a_3", "a_4", "a_2_2"]);
         let clash = [medium("m_R", rgb()), medium("m", vec![channel("R", 1.0, 0.5)])];
         assert_eq!(names(&clash), ["m_R", "m_R_2"]);
-    }
-
-    #[test]
-    fn notes_stay_on_their_line() {
-        let hostile = medium("a\nb\r\u{2028}\u{202e}\0\"", vec![channel("x\ny", 1.0, 0.5)]);
-        let note = &blocks(&[hostile])[0].notes[0];
-        assert_eq!(note, r#""a\nb\r\u{2028}\u{202e}\0\"": channel "x\ny""#);
     }
 }

@@ -65,15 +65,13 @@ fn dry_run_prints_the_script_only() -> Result {
     Ok(())
 }
 
-/// The job number is printed as text, alone, or as JSON.
+/// The job number is printed as text, alone, or as JSON. The environment does not override the script.
 #[test]
 fn job_number_is_text_or_json() -> Result {
     let cluster = Cluster::new("echo '17;green'")?;
-    let message = cluster.farmctl(&FARM)?;
-    assert!(
-        text(&message.stdout)
-            .starts_with("job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, which stop")
-    );
+    let message = text(&cluster.farmctl(&FARM)?.stdout);
+    let begin = "job 17: 4 workers with 1 thread and a walltime of 1-12:00:00, which stop";
+    assert!(message.starts_with(begin), "{message}");
     assert_eq!(text(&cluster.farmctl(&[&FARM[..], &["--quiet"]].concat())?.stdout), "17\n");
     let json = cluster.farmctl(&[&FARM[..], &["--json"]].concat())?;
     let answer: serde_json::Value = serde_json::from_slice(&json.stdout)?;
@@ -81,49 +79,26 @@ fn job_number_is_text_or_json() -> Result {
     assert_eq!((&answer["data"]["job_id"], &answer["data"]["workers"]), (&17.into(), &4.into()));
     assert_eq!(answer["data"]["script"], cluster.read("input")?);
     assert_eq!(cluster.read("args")?, "--parsable\n");
-    Ok(())
-}
-
-#[test]
-fn environment_does_not_override_the_script() -> Result {
-    let cluster = Cluster::new("echo 17")?;
-    cluster.farmctl(&FARM)?;
     let environment = cluster.read("env")?;
-    assert!(!environment.contains("SBATCH_TIMELIMIT"));
-    assert!(environment.contains("SBATCH_ACCOUNT=lab"));
+    assert!(!environment.contains("SBATCH_TIMELIMIT") && environment.contains("SBATCH_ACCOUNT=lab"));
     Ok(())
 }
 
+/// A refusal of `sbatch`, also of one that reads no input, an answer that is no job number, and no `sbatch` at all are
+/// reported.
 #[test]
-fn refusal_of_sbatch_is_shown() -> Result {
-    let cluster = Cluster::new("echo 'sbatch: error: invalid partition specified: x' >&2; exit 1")?;
-    let refused = cluster.farmctl(&FARM)?;
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(text(&refused.stderr).contains("invalid partition specified: x"), "{}", text(&refused.stderr));
-    assert!(refused.stdout.is_empty());
-    Ok(())
-}
-
-/// An `sbatch` that reads no input is reported with its own message.
-#[test]
-fn failed_sbatch_reports_its_message() -> Result {
-    let cluster = Cluster::new("")?;
-    write(&cluster.path("sbatch"), "#!/bin/bash\nexec <&-\necho 'no controller' >&2\nexit 1\n", 0o755)?;
-    let refused = cluster.farmctl(&FARM)?;
-    assert!(text(&refused.stderr).contains("no controller"), "{}", text(&refused.stderr));
-    Ok(())
-}
-
-/// A missing `sbatch` and an answer that is no job number are reported.
-#[test]
-fn missing_sbatch_is_reported() -> Result {
-    let cluster = Cluster::new("echo submitted")?;
-    let strange = cluster.farmctl(&FARM)?;
-    assert!(
-        text(&strange.stderr).contains("\"submitted\", which is no job number"),
-        "{}",
-        text(&strange.stderr)
-    );
+fn failures_of_sbatch_are_reported() -> Result {
+    for (script, message) in [
+        ("cat > input; echo 'invalid partition specified: x' >&2; exit 1", "invalid partition specified: x"),
+        ("exec <&-\necho 'no controller' >&2\nexit 1", "no controller"),
+        ("cat > input\necho submitted", "\"submitted\", which is no job number"),
+    ] {
+        let cluster = Cluster::new("")?;
+        write(&cluster.path("sbatch"), &format!("#!/bin/bash\n{script}\n"), 0o755)?;
+        let refused = cluster.farmctl(&FARM)?;
+        assert_eq!((refused.status.code(), text(&refused.stdout)), (Some(1), String::new()), "{script}");
+        assert!(text(&refused.stderr).contains(message), "{}", text(&refused.stderr));
+    }
     let mut command = Command::new(env!("CARGO_BIN_EXE_farmctl"));
     let missing = command.args(["slurm", "submit"]).args(FARM).env("PATH", "/nowhere").output()?;
     assert!(text(&missing.stderr).contains("sbatch is not on PATH"), "{}", text(&missing.stderr));

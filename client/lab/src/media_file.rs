@@ -362,38 +362,45 @@ mod tests {
     #[test]
     fn wrong_media_files_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let refused = |text: &str| {
+        let is_refused = |text: &str, message: &str| {
             std::fs::write(folder.path().join(MEDIA_FILE), text).unwrap();
-            format!("{:#}", MediaFile::read(folder.path()).unwrap_err())
+            let refused = format!("{:#}", MediaFile::read(folder.path()).unwrap_err());
+            assert!(refused.contains(message), "{refused}");
         };
         let text = media().text().unwrap();
-        assert!(refused("{}").ends_with("its format is null, not \"farmctl-media/1\""));
-        let wrong = refused(&text.replacen("\"sigma_t_per_mm\": 6.0", "\"sigma_t_per_mm\": -6.0", 1));
-        assert!(wrong.contains("media.json: white R: sigma_t_per_mm = -6 is not valid"), "{wrong}");
+        is_refused("{}", "its format is null, not \"farmctl-media/1\"");
+        let twice = "\"materials\": [{\"material\": \"white\", \"channels\": []}, ";
         for (from, to, message) in [
-            ("\"sample_ior\": 1.53", "\"sample_ior\": 0.5", "sample_ior = 0.5 is not valid"),
             (
-                "\"materials\": [",
-                "\"materials\": [{\"material\": \"white\", \"channels\": []}, ",
-                "occurs twice",
+                "\"sigma_t_per_mm\": 6.0",
+                "\"sigma_t_per_mm\": -6.0",
+                "media.json: white R: sigma_t_per_mm = -6 is not valid",
             ),
+            ("\"sample_ior\": 1.53", "\"sample_ior\": 0.5", "sample_ior = 0.5 is not valid"),
+            ("\"materials\": [", twice, "occurs twice"),
         ] {
             assert!(text.contains(from), "{text}");
-            let wrong = refused(&text.replacen(from, to, 1));
-            assert!(wrong.contains(message), "{wrong}");
+            is_refused(&text.replacen(from, to, 1), message);
         }
-        let mut wrong = media();
-        wrong.materials[0].channels[0].covariance[0][0] = -1.0;
-        let wrong = refused(&wrong.text().unwrap());
-        assert!(wrong.contains("a symmetric matrix of finite variances"), "{wrong}");
-        let mut wrong = media();
-        wrong.materials[0].channels[0].shared.pop();
-        let wrong = refused(&wrong.text().unwrap());
-        assert!(wrong.contains("white R: shared = 1 changes is not valid: 2 changes are needed"), "{wrong}");
-        let mut wrong = media();
-        wrong.set_up[1].shared.pop();
-        let wrong = refused(&wrong.text().unwrap());
-        assert!(wrong.contains("set_up coat roughness: it has 1 shared errors, others 2"), "{wrong}");
+        let changes: [(fn(&mut MediaFile), &str); 3] = [
+            (
+                |file| file.materials[0].channels[0].covariance[0][0] = -1.0,
+                "a symmetric matrix of finite variances",
+            ),
+            (
+                |file| drop(file.materials[0].channels[0].shared.pop()),
+                "white R: shared = 1 changes is not valid: 2 changes are needed",
+            ),
+            (
+                |file| drop(file.set_up[1].shared.pop()),
+                "set_up coat roughness: it has 1 shared errors, others 2",
+            ),
+        ];
+        for (change, message) in changes {
+            let mut wrong = media();
+            change(&mut wrong);
+            is_refused(&wrong.text().unwrap(), message);
+        }
         std::fs::remove_file(folder.path().join(MEDIA_FILE)).unwrap();
         let missing = format!("{:#}", MediaFile::read(folder.path()).unwrap_err());
         assert!(missing.contains("`farmctl measure` writes it into the session's folder"), "{missing}");

@@ -150,18 +150,21 @@ mod tests {
         names
     }
 
-    /// Two drafts of one file are separate.
+    /// Two drafts of one file are separate; one that is abandoned leaves the earlier file.
     #[test]
     fn two_drafts_of_one_file_are_separate() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out.csv");
-        let (mut first, mut second) = (DraftFile::create(&path).unwrap(), DraftFile::create(&path).unwrap());
+        let [mut first, mut second, mut third] = [(); 3].map(|()| DraftFile::create(&path).unwrap());
         first.write_all(b"first").unwrap();
         second.write_all(b"the second").unwrap();
+        third.write_all(b"half").unwrap();
+        third.flush().unwrap();
         assert!(!path.exists(), "it has its name only when it is whole");
         second.finish().unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"the second");
         first.finish().unwrap();
+        drop(third);
         assert_eq!(std::fs::read(&path).unwrap(), b"first");
         assert_eq!(names(folder.path()), ["out.csv"]);
     }
@@ -220,20 +223,6 @@ mod tests {
         }
         assert!(std::fs::metadata(&socket).unwrap().file_type().is_socket());
         assert_eq!(names(folder.path()), ["socket"]);
-    }
-
-    /// A draft that is abandoned leaves the earlier file.
-    #[test]
-    fn abandoned_draft_leaves_the_old_file() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("out.csv");
-        write_whole(&path, b"before").unwrap();
-        let mut draft = DraftFile::create(&path).unwrap();
-        draft.write_all(b"half").unwrap();
-        draft.flush().unwrap();
-        drop(draft);
-        assert_eq!(std::fs::read(&path).unwrap(), b"before");
-        assert_eq!(names(folder.path()), ["out.csv"]);
     }
 
     /// A replaced file keeps its permissions; a new one has the usual ones.

@@ -103,21 +103,8 @@ fn hosts_are_names_or_addresses() {
     for host in ["farm", "farm.example.org", "node_1.cluster", "10.0.0.1", "::1", "2001:db8::2"] {
         assert!(is_host(host), "{host}");
     }
-    let long = "a".repeat(64);
-    let wrong = [
-        "",
-        "farm:7700",
-        "https://farm",
-        "a b",
-        "*.example.org",
-        "10.0.0",
-        "a..b",
-        "-a",
-        "[::1]",
-        "ä",
-        &long,
-    ];
-    for host in wrong {
+    let wrong = "|farm:7700|https://farm|a b|*.example.org|10.0.0|a..b|-a|[::1]|ä";
+    for host in wrong.split('|').chain([&*"a".repeat(64)]) {
         assert!(!is_host(host), "{host}");
         let error = certificate_names(&hosts(&["good", host])).unwrap_err();
         assert!(error.to_string().starts_with(&format!("host {host:?} must be")), "{error}");

@@ -68,41 +68,21 @@ fn row(name: &str, value: f64, interval: &Interval, bound: &Ends) -> Vec<String>
 
 #[cfg(test)]
 mod tests {
-    use farm_figures::testing::{channel, scene_estimates};
-    use optics_model::fit::ChannelFit;
-
     use super::*;
 
     /// Half-widths are in per cent of the quantity, followed by their ratio to the bound.
     #[test]
     fn half_widths_are_in_per_cent() {
         let interval = |low, high| Interval { low, high, open_low: false, open_high: false };
-        let cells = |interval, low, high| row("σ_t", 5.0, &interval, &Ends { low, high }).split_off(1);
-        assert_eq!(cells(interval(4.9, 5.1), 4.92, 5.08), ["2", "1.6", "1.2"]);
-        assert_eq!(cells(interval(5.0, 5.0), 5.0, 5.0), ["held", "0", "–"]);
-        assert_eq!(cells(Interval { open_high: true, ..interval(4.0, 9.0) }, 4.0, 6.0), ["–", "20", "–"]);
-        assert_eq!(cells(interval(4.9, 5.1), f64::NEG_INFINITY, f64::INFINITY), ["2", "–", "–"]);
-        let nothing = row("1−α", 0.0, &interval(0.999, 1.0), &Ends { low: 0.999, high: 1.001 });
-        assert_eq!(nothing[1..], ["–", "–", "–"]);
-    }
-
-    /// Every refined channel has its rows; the bound's assumption about the scene follows.
-    #[test]
-    fn every_refined_channel_has_its_rows() {
-        let record = ChannelFit { refined: None, ..channel("G", 9.0, 1.0) };
-        let fit = |channels| [MaterialFit { material: "white".into(), channels }];
-        let text = anstream::adapter::strip_str(&bounds(&fit(vec![channel("R", 6.0, 1.0), record.clone()])))
-            .to_string();
-        assert_eq!(text.lines().filter(|l| l.contains("white")).count(), 1, "{text}");
-        // ± 0.6 of 6 against a bound of ± 0.54.
-        let sigma_t: Vec<&str> =
-            text.lines().find(|l| l.contains("σ_t")).unwrap().split_whitespace().collect();
-        assert_eq!(sigma_t, ["σ_t", "10", "9", "1.1"]);
-        assert!(text.ends_with("\nthe scene is exact in this bound, as in the intervals"), "{text}");
-        let mut uncertain = vec![channel("R", 6.0, 1.0)];
-        uncertain[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
-        assert!(bounds(&fit(uncertain)).ends_with("are unknowns of this bound, with their priors"));
-        let none = bounds(&fit(vec![record]));
-        assert!(none.starts_with("no bound: only"), "{none}");
+        let open = Interval { open_high: true, ..interval(4.0, 9.0) };
+        for (value, interval, [low, high], expected) in [
+            (5.0, interval(4.9, 5.1), [4.92, 5.08], ["2", "1.6", "1.2"]),
+            (5.0, interval(5.0, 5.0), [5.0, 5.0], ["held", "0", "–"]),
+            (5.0, open, [4.0, 6.0], ["–", "20", "–"]),
+            (5.0, interval(4.9, 5.1), [f64::NEG_INFINITY, f64::INFINITY], ["2", "–", "–"]),
+            (0.0, interval(0.999, 1.0), [0.999, 1.001], ["–", "–", "–"]),
+        ] {
+            assert_eq!(row("σ_t", value, &interval, &Ends { low, high })[1..], expected);
+        }
     }
 }

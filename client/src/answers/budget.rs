@@ -15,20 +15,3 @@ pub(crate) fn budget_text(fits: &[MaterialFit]) -> Option<String> {
     }
     Some(text + &format!("\n{}", wrapped(&format!("to improve first: {}", budget.first))))
 }
-
-#[cfg(test)]
-mod tests {
-    use farm_figures::testing::channel;
-
-    use super::*;
-
-    /// The largest source and its remedy are the last line.
-    #[test]
-    fn budget_ends_with_what_to_improve() {
-        assert_eq!(budget_text(&[]), None);
-        let channels = vec![channel("G", 6.0, 1.0)];
-        let text = budget_text(&[MaterialFit { material: "white".into(), channels }]).unwrap();
-        assert!(text.contains("\nwhite G: 5.4…6.6 / mm: g 80 %, thickness 12 %, noise 8 %\n"), "{text}");
-        assert!(text.contains("\nto improve first: g, 80 % of the variance of σ_t on average"), "{text}");
-    }
-}

@@ -217,65 +217,12 @@ fn with_unit(improvement: &Improvement, std_error: f64) -> String {
 #[cfg(test)]
 mod tests {
     use farm_figures::testing::design;
-    use optics_model::fit::{DesignSettings, PixelRow};
 
     use super::*;
 
-    fn text(design: &Design) -> String {
-        let question = DesignQuestion::new(DesignSettings::of(design.medium)).unwrap();
-        anstream::adapter::strip_str(&design_text(design, &question)).to_string()
-    }
-
-    /// Cells of the row of a set.
-    fn row(text: &str, slabs: &str, which: usize) -> Vec<String> {
-        let rows: Vec<&str> = text.lines().filter(|l| l.starts_with(slabs)).collect();
-        rows[which].split_whitespace().map(str::to_owned).collect()
-    }
-
-    /// Every set has a row with g held and one with g free.
-    #[test]
-    fn sets_have_rows_for_both_g_modes() {
-        let text = text(&design());
-        assert_eq!(row(&text, "0.5 ", 0)[1..8], ["1", "4", "20", "4", ">", "100", "noise"]);
-        let both = row(&text, "0.5 + 1 ", 0);
-        assert_eq!(both[3..], ["2", "2", "10", "2", "12", "thickness", "any"]);
-        assert_eq!(row(&text, "0.5 + 1 ", 1)[3..], ["2", "15", "19", "2", "12", "0.3"]);
-        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
-    }
-
-    /// The limits of the best set are named, with the improvement that would help.
-    #[test]
-    fn best_design_names_limits_and_remedies() {
-        let message = text(&design());
-        let lines = message.replace("\n  ", " ");
-        assert!(lines.contains("Best: 0.5 + 1 mm, 2 photographs of each slab."), "{message}");
-        let thickness = "σ_t is limited by the thickness: ± 2 %; with a standard error of 2.5 µm instead of 5 µm \
-                         ± 1.5 %; if it were known exactly ± 1 %.";
-        assert!(lines.contains(thickness), "{message}");
-        assert!(
-            lines.contains("1 − α is limited by the noise: ± 10 %; with four times the shots ± 5 %."),
-            "{message}"
-        );
-        let mut hopeless = design();
-        hopeless.sets.iter_mut().for_each(|set| set.best = false);
-        assert!(text(&hopeless).contains("No set determines σ_t"));
-    }
-
-    /// A dictionary of one anisotropy has one table.
-    #[test]
-    fn single_anisotropy_has_one_table() {
-        let mut design = design();
-        design.pixels = PixelRow::new(-1.0, 1.0, 0.1).unwrap();
-        design.sets.iter_mut().for_each(|set| set.g_free = None);
-        let text = text(&design);
-        assert!(!text.contains("g free") && text.contains("20 pixels"), "{text}");
-    }
-
-    /// Quantities of the scene are listed with what the photographs add to their priors.
-    #[test]
-    fn determined_quantities_are_listed() {
-        let mut set = design().sets.remove(0);
-        let of = |name: &str, unit: &str, prior, estimated, estimated_g_free| Improvement {
+    /// Something to improve of the scene, with what the photographs add to its prior.
+    fn of_scene(name: &str, unit: &str, [prior, estimated]: [f64; 2], g_free: Option<f64>) -> Improvement {
+        Improvement {
             limitation: Limitation::Scene,
             quantity: Some(name.to_owned()),
             unit: Some(unit.to_owned()),
@@ -283,12 +230,18 @@ mod tests {
             halved: None,
             removed: None,
             estimated: Some(estimated),
-            estimated_g_free,
-        };
+            estimated_g_free: g_free,
+        }
+    }
+
+    /// Quantities of the scene are listed with what the photographs add to their priors.
+    #[test]
+    fn determined_quantities_are_listed() {
+        let mut set = design().sets.remove(0);
         set.improvements = vec![
-            of("gel thickness", "mm", 0.02, 0.004, None),
-            of("ring angle", "°", 1.0, 0.95, None),
-            of("sample second lobe weight", "", 0.05, 0.012, Some(0.03)),
+            of_scene("gel thickness", "mm", [0.02, 0.004], None),
+            of_scene("ring angle", "°", [1.0, 0.95], None),
+            of_scene("sample second lobe weight", "", [0.05, 0.012], Some(0.03)),
         ];
         let expected = "The photographs determine, with g held: gel thickness ± 0.004 mm (prior 0.02 mm); \
                         sample second lobe weight ± 0.012 (prior 0.05, 0.03 with g free).";
@@ -298,23 +251,15 @@ mod tests {
     /// Limitations are given in practical units such as µm and per cent.
     #[test]
     fn limitations_have_practical_units() {
-        let unit = |limitation, std_error| {
-            let improvement = Improvement {
-                limitation,
-                quantity: None,
-                unit: Some("mm".to_owned()),
-                std_error: None,
-                halved: None,
-                removed: None,
-                estimated: None,
-                estimated_g_free: None,
-            };
-            with_unit(&improvement, std_error)
-        };
-        assert_eq!(unit(Limitation::Scene, 0.02), "0.02 mm");
-        assert_eq!(unit(Limitation::Blur, 0.03), "30 µm");
-        assert_eq!(unit(Limitation::Gain, 0.003), "0.3 %");
-        assert_eq!(unit(Limitation::Slope, 0.002), "0.2 % per 10 mm");
-        assert_eq!(unit(Limitation::Zero, 0.001), "0.001");
+        for (limitation, std_error, expected) in [
+            (Limitation::Scene, 0.02, "0.02 mm"),
+            (Limitation::Blur, 0.03, "30 µm"),
+            (Limitation::Gain, 0.003, "0.3 %"),
+            (Limitation::Slope, 0.002, "0.2 % per 10 mm"),
+            (Limitation::Zero, 0.001, "0.001"),
+        ] {
+            let improvement = Improvement { limitation, ..of_scene("", "mm", [0.0; 2], None) };
+            assert_eq!(with_unit(&improvement, std_error), expected);
+        }
     }
 }

@@ -92,31 +92,3 @@ fn furthest(mixtures: &[MixtureFit]) -> Option<String> {
     let pull = significant(*pull, 2);
     Some(format!("{} slabs and channels; largest deviation from the ink model: {who}, {pull} σ", all.len()))
 }
-
-#[cfg(test)]
-mod tests {
-    use farm_figures::testing::unmixed;
-
-    use super::*;
-
-    /// Inks are shown in 80 columns, with the mixtures that disagree.
-    #[test]
-    fn inks_are_shown_in_80_columns() {
-        let text = anstream::adapter::strip_str(&inks_text(&unmixed())).to_string();
-        for line in text.lines() {
-            assert!(line.chars().count() <= 80, "{} columns: {line}", line.chars().count());
-        }
-        let flat = text.replace("\n  ", " ");
-        for message in [
-            "cyan  R*",
-            "8.69…9.64",
-            "0.12…0.62",
-            "paler R: it deviates from the ink model: σ_t and α by 7.3 σ",
-            "deep R: left out: sigma_t_per_mm = 35",
-            "2 slabs and channels; largest deviation from the ink model: paler R, 7.3 σ",
-        ] {
-            assert!(flat.contains(message), "{message}\n{text}");
-        }
-        assert!(!text.contains("pale R: "), "{text}");
-    }
-}

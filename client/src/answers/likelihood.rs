@@ -135,17 +135,18 @@ mod tests {
     /// Each nuisance is given in its unit.
     #[test]
     fn each_nuisance_is_given_in_its_unit() {
-        let all = |nuisance, value, std_error| {
-            let n = estimate(nuisance, value, std_error, (0.0, 1.0));
-            super::nuisance(&NuisanceEstimate { profile_mm: None, ..n })
-        };
-        assert_eq!(all(Nuisance::Scale, 1.25, 0.005), "μ 0.800 ± 0.003");
-        assert_eq!(all(Nuisance::BlurVariance, 6.25e-4, 1e-5), "blur 25.0 ± 0.2 µm");
-        assert_eq!(all(Nuisance::Thickness, 0.5123, 0.0021), "thickness 0.512 ± 0.002 mm");
-        assert_eq!(all(Nuisance::Origin, -0.0701, 0.0038), "origin −0.070 ± 0.004 mm");
-        assert_eq!(all(Nuisance::Gain, 0.0042, 0.001), "gain 0.4 ± 0.1 %");
-        assert_eq!(all(Nuisance::Zero, -0.001_25, 0.000_31), "zero −0.0013 ± 0.0003");
-        assert_eq!(all(Nuisance::Slope, 0.0203, 0.0006), "slope 2.03 ± 0.06 % per 10 mm");
+        for (kind, value, std_error, expected) in [
+            (Nuisance::Scale, 1.25, 0.005, "μ 0.800 ± 0.003"),
+            (Nuisance::BlurVariance, 6.25e-4, 1e-5, "blur 25.0 ± 0.2 µm"),
+            (Nuisance::Thickness, 0.5123, 0.0021, "thickness 0.512 ± 0.002 mm"),
+            (Nuisance::Origin, -0.0701, 0.0038, "origin −0.070 ± 0.004 mm"),
+            (Nuisance::Gain, 0.0042, 0.001, "gain 0.4 ± 0.1 %"),
+            (Nuisance::Zero, -0.001_25, 0.000_31, "zero −0.0013 ± 0.0003"),
+            (Nuisance::Slope, 0.0203, 0.0006, "slope 2.03 ± 0.06 % per 10 mm"),
+        ] {
+            let estimate = estimate(kind, value, std_error, (0.0, 1.0));
+            assert_eq!(nuisance(&NuisanceEstimate { profile_mm: None, ..estimate }), expected);
+        }
     }
 
     /// A blur that is compatible with zero has an upper end only.
@@ -194,21 +195,5 @@ mod tests {
         let message = "1 pixel left out: 0.5 mm at x = 1 mm; and 2 at its rim";
         assert_eq!(outliers(&[rim(0.9), pixel(0.5, 1.0), rim(1.1)]).unwrap(), message);
         assert!(outliers(&[rim(0.9), many[0], many[1]]).unwrap().ends_with("; and 1 at their rims"));
-    }
-
-    /// The findings are goodness of fit, nuisances, left-out pixels and runs of too bright or too dark ones. A warning
-    /// reports χ² itself, so the findings do not repeat it.
-    #[test]
-    fn findings_give_goodness_of_fit_and_nuisances() {
-        let mut refined = farm_figures::testing::channel("R", 6.21, 1.0).refined.unwrap();
-        refined.likelihood = likelihood(712.4, 0.5312);
-        let expected = [
-            "χ² 712 of 716, p = 0.53; μ 0.969 ± 0.004, blur < 20 µm, origin −0.070 ± 0.004 mm (0.5 mm)",
-            "2 pixels left out: 0.5 mm at x = −1.23 mm; 1 mm at x = 0.48 mm",
-            "0.5 mm: x = 1.2…1.6 mm is too bright by 4.1 σ together; 1 mm: x = −2…−1.5 mm is too dark by 5 σ together",
-        ];
-        assert_eq!(findings(&refined), expected);
-        refined.likelihood = likelihood(1130.2, 2e-9);
-        assert!(findings(&refined)[0].starts_with("μ 0.969"), "the warning reports χ²");
     }
 }

@@ -65,39 +65,3 @@ fn reason(s: &Suspicion) -> String {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use farm_figures::misfit::misfit_short;
-    use farm_figures::testing::{channel, likelihood};
-
-    use super::*;
-
-    /// An unlikely χ² causes a warning, whatever the misfit.
-    #[test]
-    fn unlikely_chi2_warns_at_any_misfit() {
-        let mut refined = channel("R", 6.0, 3.4).refined.unwrap();
-        refined.likelihood = likelihood(1130.2, 2e-9);
-        let with_reason = "χ² 1130 of 716, p < 0.001: noise and the priors of the set-up do not explain the data; the \
-                           intervals were widened and may still be wrong; most likely cause: an edge at x = 0.071 mm \
-                           instead of 0 in the profile of 0.5 mm; shift its x_mm (misfit 1 without that)";
-        assert_eq!(misfit(&refined).unwrap(), with_reason);
-        assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: edge 0.071 mm off?");
-        refined.suspicion = None;
-        assert!(misfit(&refined).unwrap().ends_with("may still be wrong"));
-        assert_eq!(misfit_short(&refined).unwrap(), "χ² 1130 of 716, p < 0.001: not explained");
-        refined.likelihood = likelihood(712.0, 0.5);
-        let (cause, amount) = (Cause::Exponent, 0.9);
-        refined.suspicion = Some(Suspicion { cause, amount, thickness_mm: None, misfit_left: 1.0 });
-        let absorbed = misfit(&refined).unwrap();
-        assert!(
-            absorbed.starts_with("the intervals are not to be trusted, although χ² is small"),
-            "{absorbed}"
-        );
-        assert!(absorbed.contains("the power 0.9 of linear ones"), "{absorbed}");
-        assert_eq!(misfit_short(&refined).unwrap(), "not to be trusted: power 0.9 of linear values?");
-        refined.suspicion = None;
-        refined.likelihood = likelihood(712.0, 0.001);
-        assert_eq!((misfit(&refined), misfit_short(&refined)), (None, None));
-    }
-}

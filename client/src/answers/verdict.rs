@@ -115,33 +115,3 @@ fn precision(fit: &MaterialFit) -> Option<PrecisionRow> {
 fn half(interval: &Interval) -> f64 {
     if interval.open_low || interval.open_high { f64::INFINITY } else { 0.5 * (interval.high - interval.low) }
 }
-
-#[cfg(test)]
-mod tests {
-    use farm_figures::testing::channel;
-
-    use super::*;
-
-    /// Median and greatest half-widths of what is determined, and the channel that is not by its name.
-    #[test]
-    fn verdicts_name_what_is_not_determined() {
-        let mut channels: Vec<_> = ["R", "G", "B"].map(|name| channel(name, 6.0, 1.0)).to_vec();
-        channels[0].refined.as_mut().unwrap().resolved_at_g = false;
-        let sigma_t = &mut channels[1].refined.as_mut().unwrap().sigma_t_per_mm;
-        (sigma_t.low, sigma_t.high) = (5.88, 6.12);
-        let found = verdict(&[MaterialFit { material: "white".into(), channels }]);
-        assert_eq!(found.sentences[..2], ["2 of 3 media are determined.", "Undetermined: white R."]);
-        assert!(found.sentences[2].starts_with("σ_t and g trade off"), "{found:?}");
-        assert_eq!(found.precision[0].half_widths[2], "± 10 %");
-        assert!(found.warnings[0].starts_with("white R: unresolved"), "{found:?}");
-        assert!(found.improve_first.unwrap().contains("% of the variance"));
-    }
-
-    #[test]
-    fn precise_measurements_need_no_names() {
-        let channels = ["R", "G"].map(|name| channel(name, 6.0, 1.0)).to_vec();
-        let found = verdict(&[MaterialFit { material: "white".into(), channels }]);
-        assert_eq!(found.sentences[0], "All 2 media are determined.");
-        assert!(verdict(&[]).precision.is_empty());
-    }
-}

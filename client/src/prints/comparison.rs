@@ -234,10 +234,8 @@ mod tests {
         let sigma_t = of("σ_t");
         assert!((sigma_t.e_n.unwrap() - 3.0 / (Z * 2_f64.sqrt())).abs() < 0.01, "{sigma_t:?}");
         let [mean, half] = sigma_t.pooled.unwrap();
-        assert!(
-            (mean / 6.09 - 1.0).abs() < 2e-3 && (half / (6.0 * Z * 0.01 * 1.5) - 1.0).abs() < 0.03,
-            "{sigma_t:?}"
-        );
+        assert!((mean / 6.09 - 1.0).abs() < 2e-3, "{sigma_t:?}");
+        assert!((half / (6.0 * Z * 0.01 * 1.5) - 1.0).abs() < 0.03, "{sigma_t:?}");
         assert_eq!((of("α").e_n, of("g").e_n), (None, None), "held, and open");
     }
 

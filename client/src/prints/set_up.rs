@@ -179,13 +179,8 @@ mod tests {
 
     use super::*;
 
-    fn estimate(
-        quantity: &str,
-        material: Option<&str>,
-        channel: Option<&str>,
-        difference: f64,
-    ) -> MediaSetUp {
-        let [material, channel] = [material, channel].map(|name| name.map(ToOwned::to_owned));
+    fn estimate(quantity: &str, of: [Option<&str>; 2], difference: f64) -> MediaSetUp {
+        let [material, channel] = of.map(|name| name.map(ToOwned::to_owned));
         MediaSetUp { quantity: quantity.to_owned(), material, channel, difference, shared: vec![0.01, 0.0] }
     }
 
@@ -206,7 +201,7 @@ mod tests {
     /// Indices of materials are averaged by volume; a print of one of them differs from the average by steps.
     #[test]
     fn materials_are_averaged_by_volume() {
-        let of = |name, difference| estimate("sample index", Some(name), None, difference);
+        let of = |name, difference| estimate("sample index", [Some(name), None], difference);
         let slabs = [slab(&[("a", 1.0)], 3.0), slab(&[("b", 1.0)], 1.0)];
         let found = set_up(&Scene::lab(), &[of("a", 0.02), of("b", -0.02)], &slabs).unwrap();
         assert!((found.scene("R").unwrap().sample_ior_offset() - 0.01).abs() < 1e-12);
@@ -221,7 +216,7 @@ mod tests {
     /// An index of each channel is that channel's.
     #[test]
     fn channels_have_their_own_estimates() {
-        let of = |name, difference| estimate("sample index", Some("a"), Some(name), difference);
+        let of = |name, difference| estimate("sample index", [Some("a"), Some(name)], difference);
         let found = [of("R", 0.01), of("G", 0.02), of("B", 0.03)];
         let found = set_up(&Scene::lab(), &found, &[slab(&[("a", 1.0)], 1.0)]).unwrap();
         let offset = |channel| found.scene(channel).unwrap().sample_ior_offset();
@@ -231,7 +226,7 @@ mod tests {
     /// Angles that a fit follows beyond the horizontal are those at the horizontal.
     #[test]
     fn impossible_angles_are_the_nearest_possible() {
-        let ring = estimate("ring angle", None, None, 45.0);
+        let ring = estimate("ring angle", [None, None], 45.0);
         let found = set_up(&Scene::lab(), &[ring], &[slab(&[("a", 1.0)], 1.0)]).unwrap();
         assert_eq!(found.scene("R").unwrap().light().outer_deg(), 90.0);
         // The step goes downwards there.

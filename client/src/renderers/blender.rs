@@ -66,20 +66,3 @@ pub(crate) fn blender(fits: &[MaterialFit]) -> String {
     }
     text
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::renderers::tests::three_kinds;
-
-    /// Each medium is one call, with its notes.
-    #[test]
-    fn every_medium_is_a_blender_material() {
-        let text = blender(&three_kinds());
-        let expected = "\n# \"Clear resin\": R, G, B\n# Unresolved: the measurement does not determine \"G\"; best values.\n\
-            resin(\n    \"Clear_resin\",\n    absorption=(0.005400000, 0.050000000, 0.080000000),\n    \
-            scattering=(5.994600000, 4.950000000, 3.920000000),\n    g=0.4,\n    ior=1.53,\n)\n";
-        assert!(text.contains(expected), "{text}");
-        assert_eq!(text.matches("\nresin(").count(), 3);
-    }
-}

@@ -79,39 +79,3 @@ pub(crate) fn usd(fits: &[MaterialFit]) -> String {
     }
     text + "}\n"
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::renderers::tests::{channel, medium, three_kinds};
-
-    /// σ_t 6, 5 and 4 /mm: λ = 1/6 mm, T = exp(−σ_t λ), S = σ_s λ.
-    #[test]
-    fn media_are_open_pbr_surfaces() {
-        let (mtlx, usda) = (materialx(&three_kinds()), usd(&three_kinds()));
-        let (colour, scatter) =
-            ("0.367879441, 0.434598209, 0.513417119", "0.999100000, 0.825000000, 0.653333333");
-        for (text, expected) in [
-            (&mtlx, format!("<input name=\"transmission_color\" type=\"color3\" value=\"{colour}\" />")),
-            (&mtlx, format!("<input name=\"transmission_scatter\" type=\"color3\" value=\"{scatter}\" />")),
-            (&mtlx, "<input name=\"transmission_depth\" type=\"float\" value=\"0.166666667\" />".to_owned()),
-            (&usda, format!("color3f inputs:transmission_color = ({colour})")),
-            (&usda, format!("color3f inputs:transmission_scatter = ({scatter})")),
-            (&usda, "float inputs:transmission_depth = 0.166666667".to_owned()),
-        ] {
-            assert!(text.contains(&expected), "{expected}\n{text}");
-        }
-        assert_eq!(mtlx.matches("<surfacematerial").count(), 3);
-        assert_eq!(usda.matches("def Material").count(), 3);
-        roxmltree::Document::parse(&mtlx).unwrap();
-    }
-
-    /// Names of materials cannot end the comments that contain them.
-    #[test]
-    fn names_cannot_escape_xml_comments() {
-        let text = materialx(&[medium("a---><b x=\"", vec![channel("R", 1.0, 0.5)])]);
-        let document = roxmltree::Document::parse(&text).unwrap();
-        let surfaces = document.descendants().filter(|node| node.has_tag_name("open_pbr_surface"));
-        assert_eq!(surfaces.count(), 1, "{text}");
-    }
-}

@@ -87,17 +87,22 @@ fn workers_get_a_clean_environment() -> Result<(), Box<dyn std::error::Error>> {
     let mut submission = submission()?;
     submission.coordinator.access = Some("/home/it's me/a \"b\"/$x.toml".to_owned());
     let call = called(&submission.script(), &[])?;
-    assert_eq!(value(&call, "--access"), Some("/home/it's me/a \"b\"/$x.toml"));
-    assert_eq!(value(&call, "--server"), Some("https://farm:7700"));
-    assert_eq!(value(&call, "--threads"), Some("4"));
-    assert_eq!(value(&call, "--label"), Some("slurm:17.2@node1"));
-    assert_eq!(value(&call, "--grace"), Some("10s"));
-    assert_eq!(value(&call, "--idle-exit"), Some("5m"));
+    for (option, expected) in [
+        ("--access", "/home/it's me/a \"b\"/$x.toml"),
+        ("--server", "https://farm:7700"),
+        ("--threads", "4"),
+        ("--label", "slurm:17.2@node1"),
+        ("--grace", "10s"),
+        ("--idle-exit", "5m"),
+    ] {
+        assert_eq!(value(&call, option), Some(expected), "{option}");
+    }
     assert_eq!(call.last().map(String::as_str), Some("unset"));
     Ok(())
 }
 
-/// The time limit is the time that Slurm leaves.
+/// The time limit is the time that Slurm leaves, by its environment or by squeue; without an answer it is the requested
+/// walltime.
 #[test]
 fn time_limit_is_the_remaining_slurm_time() -> Result<(), Box<dyn std::error::Error>> {
     let script = submission()?.script();
@@ -105,34 +110,13 @@ fn time_limit_is_the_remaining_slurm_time() -> Result<(), Box<dyn std::error::Er
         let (_dir, path) = squeue(&format!("echo {left}"))?;
         assert_eq!(value(&called(&script, &[("PATH", &path)])?, "--time-limit"), Some(left));
     }
-    Ok(())
-}
-
-/// Without an answer from Slurm, the time limit is the requested walltime.
-#[test]
-fn walltime_replaces_a_missing_answer() -> Result<(), Box<dyn std::error::Error>> {
-    let script = submission()?.script();
-    let answers = [
-        "exit 1",
-        "true",
-        "echo UNLIMITED",
-        "echo INVALID",
-        "echo NOT_SET",
-        "echo 0:00",
-        "printf '1:00\\n1:00\\n'",
-    ];
-    for answer in answers {
+    for answer in
+        "exit 1|true|echo UNLIMITED|echo INVALID|echo NOT_SET|echo 0:00|printf '1:00\\n1:00\\n'".split('|')
+    {
         let (_dir, path) = squeue(answer)?;
         let call = called(&script, &[("PATH", &path)])?;
         assert_eq!(value(&call, "--time-limit"), Some("0-02:00:00"), "{answer}");
     }
-    Ok(())
-}
-
-/// The end time in Slurm's environment has precedence.
-#[test]
-fn end_time_from_slurm_has_precedence() -> Result<(), Box<dyn std::error::Error>> {
-    let script = submission()?.script();
     // In the year 2100, which is certainly after the current time of this machine.
     let call = called(&script, &[("SLURM_JOB_END_TIME", "4102444800")])?;
     let left = value(&call, "--time-limit").and_then(|t| t.strip_suffix('s')).ok_or("no seconds")?;
@@ -157,10 +141,12 @@ fn further_options_are_checked() {
 
 #[test]
 fn log_patterns_that_mix_tasks_are_refused() {
-    for pattern in ["farm-%A_%a.log", "a b/%j", "/dev/null"] {
-        assert!(pattern.parse::<LogPattern>().is_ok(), "{pattern}");
-    }
-    for pattern in ["", "farm.log", "%A.log", "%%A_%%a", r"a\%A_%a", "%A\n%a"] {
-        assert!(pattern.parse::<LogPattern>().is_err(), "{pattern:?}");
+    for (patterns, is_sound) in [
+        (&["farm-%A_%a.log", "a b/%j", "/dev/null"][..], true),
+        (&["", "farm.log", "%A.log", "%%A_%%a", r"a\%A_%a", "%A\n%a"], false),
+    ] {
+        for pattern in patterns {
+            assert_eq!(pattern.parse::<LogPattern>().is_ok(), is_sound, "{pattern:?}");
+        }
     }
 }

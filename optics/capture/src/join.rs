@@ -152,19 +152,12 @@ impl Departure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Colour;
+    use crate::testing::profile;
 
     fn shot(gain: f64, error: f64, noise: impl Fn(usize) -> f64) -> EdgeProfile {
         let x_mm: Vec<f64> = (0..360).map(|k| (f64::from(k) + 0.5) / 36.0 - 5.0).collect();
         let values = x_mm.iter().enumerate().map(|(k, x)| gain * (0.5 + 0.3 * x.tanh()) + noise(k)).collect();
-        EdgeProfile {
-            colour: Colour::Green,
-            x_mm,
-            values,
-            std_errors: vec![error; 360],
-            counts: vec![100; 360],
-            rejected: vec![0.0; 360],
-        }
+        profile(x_mm, values, error)
     }
 
     /// Alternating by one standard error: scatter that does not exceed the noise.

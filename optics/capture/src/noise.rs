@@ -192,8 +192,7 @@ fn group(blocks: &[NoiseBlock]) -> (NoiseBlock, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Pattern;
-    use crate::testing::normal;
+    use crate::testing::{RGGB, normal};
 
     /// Eight grey stripes with σ_r = 4 and K = 0.7 over a black level of 100.
     fn frame(seed: u64) -> Frame {
@@ -205,8 +204,7 @@ mod tests {
                 (100.0 + signal + sigma * normal(&mut state)).round().max(0.0) as u16
             })
             .collect();
-        let mosaic = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
-        Frame::new(512, 256, mosaic, samples).unwrap()
+        Frame::new(512, 256, RGGB, samples).unwrap()
     }
 
     /// Pairs of frames give the noise without light and the numbers per electron.

@@ -55,6 +55,7 @@ const BLOCK_SAMPLES: f64 = (crate::noise::SIDE * crate::noise::SIDE) as f64;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::RGGB;
 
     /// Light that falls off to one side, with noise; `scale` multiplies the colours.
     fn frame(pattern: Pattern, scale: [f64; 3], grey: bool) -> Frame {
@@ -84,7 +85,7 @@ mod tests {
     /// Three colours that agree within noise count as one.
     #[test]
     fn equal_colours_count_as_one() {
-        let mosaic = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
+        let mosaic = RGGB;
         let black = [Estimate::new(64.0, 0.0); 4];
         let one =
             |pattern, scale, grey| are_one(&frame(pattern, scale, grey), &black, Saturation::all(65_535.0));

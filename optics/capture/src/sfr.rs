@@ -83,7 +83,7 @@ fn sinc(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Colour;
+    use crate::testing::profile;
 
     /// Bins of 7 µm of an edge that a Gaussian has blurred.
     fn edge(sigma_mm: f64, origin_mm: f64) -> EdgeProfile {
@@ -99,14 +99,8 @@ mod tests {
             let z = x - origin_mm;
             0.05 + 0.8 * (primitive(z + 0.5 * width) - primitive(z - 0.5 * width)) / width
         };
-        EdgeProfile {
-            colour: Colour::Green,
-            values: x_mm.iter().map(value).collect(),
-            std_errors: vec![1e-4; x_mm.len()],
-            counts: vec![100; x_mm.len()],
-            rejected: vec![0.0; x_mm.len()],
-            x_mm,
-        }
+        let values = x_mm.iter().map(value).collect();
+        profile(x_mm, values, 1e-4)
     }
 
     /// The response of a Gaussian of σ is exp(−2π²σ²f²), which is a half at f = √(ln 2/2)/(πσ).

@@ -1,4 +1,16 @@
-//! Noise for the tests of this crate.
+//! Noise and profiles for the tests of this crate.
+
+use crate::bins::EdgeProfile;
+use crate::frame::{Colour, Pattern};
+
+pub const RGGB: Pattern = Pattern::Bayer([Colour::Red, Colour::Green, Colour::Green, Colour::Blue]);
+
+/// A profile of green with an error that is the same everywhere.
+pub fn profile(x_mm: Vec<f64>, values: Vec<f64>, error: f64) -> EdgeProfile {
+    let n = x_mm.len();
+    let (std_errors, counts, rejected) = (vec![error; n], vec![100; n], vec![0.0; n]);
+    EdgeProfile { colour: Colour::Green, x_mm, values, std_errors, counts, rejected }
+}
 
 /// Numbers by a linear congruence, summed to nearly normal ones.
 pub fn normal(state: &mut u64) -> f64 {

@@ -1,9 +1,15 @@
 //! Makes dictionaries and measurements for tests from a formula.
 
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use optics_model::fit::FitSettings;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Scene, Sensor};
-use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, PackedRecords, Profile, Record, Walks};
+use optics_model::{
+    Estimate, Grid, MeasuredProfile, Measurement, Medium, PackedRecords, Profile, Record, Walks,
+};
 
 use super::{DictionaryBuilder, FitDictionary};
 
@@ -45,28 +51,49 @@ pub(super) fn noisy_dictionary(axes: Axes, pixels: u32, noise: f64) -> FitDictio
     dictionary_of(&grid, record)
 }
 
+/// Dictionaries with dense axes. Each is built once.
+pub(super) fn dense(pixels: u32, noise: f64) -> &'static FitDictionary {
+    static ALL: Mutex<BTreeMap<(u32, u64), &FitDictionary>> = Mutex::new(BTreeMap::new());
+    let build = || &*Box::leak(Box::new(noisy_dictionary(dense_axes(), pixels, noise)));
+    ALL.lock().unwrap().entry((pixels, noise.to_bits())).or_insert_with(build)
+}
+
 /// The grid of such records, and a function that makes the record of an index.
 pub(super) fn noisy_records(axes: Axes, pixels: u32, noise: f64) -> (Grid, impl Fn(usize) -> Record) {
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, pixels, 0.0).unwrap());
     let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
-    let of = grid.clone();
-    let record = move |index: usize| {
-        let (point, medium) = of.parameters(index);
-        let sensor = of.scene().sensor();
-        let gain = 1.0 + noise * normal(index as u64 / of.albedo().len() as u64);
-        let profile = |channel: usize| {
-            let value = |i| {
+    let record = {
+        let grid = grid.clone();
+        move |index: usize| {
+            let gain = 1.0 + noise * normal(index as u64 / grid.albedo().len() as u64);
+            exact_record(&grid, index, 3, |x, medium, thickness, channel| {
                 let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
-                let x = sensor.centre_mm(i);
-                (gain * profile_value(x, s, a, g, point.thickness_mm(), channel as f64)) as f32
-            };
-            let values: Vec<f32> = (0..sensor.pixels()).map(value).collect();
-            let std_errors = vec![0.0; values.len()];
-            Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
-        };
-        Record { index, profiles: (0..3).map(profile).collect() }
+                gain * profile_value(x, s, a, g, thickness, channel as f64)
+            })
+        }
     };
     (grid, record)
+}
+
+/// A record without noise, whose channels have these values at x, for a medium and a thickness.
+pub(super) fn exact_record(
+    grid: &Grid,
+    index: usize,
+    channels: usize,
+    value: impl Fn(f64, &Medium, f64, usize) -> f64,
+) -> Record {
+    let (point, medium) = grid.parameters(index);
+    let sensor = grid.scene().sensor();
+    let profile = |channel: usize| {
+        let at = |i| value(sensor.centre_mm(i), &medium, point.thickness_mm(), channel) as f32;
+        exact_profile((0..sensor.pixels()).map(at).collect())
+    };
+    Record { index, profiles: (0..channels).map(profile).collect() }
+}
+
+pub(super) fn exact_profile(values: Vec<f32>) -> Profile {
+    let std_errors = vec![0.0; values.len()];
+    Profile { radiance_factor: Estimate::new(values, std_errors).unwrap(), derivatives: None }
 }
 
 /// The dictionary of these records.
@@ -100,20 +127,70 @@ pub(super) fn normal(n: u64) -> f64 {
     (0..12).map(uniform).sum::<f64>() - 6.0
 }
 
+/// Centres of pixels over 10 mm.
+pub(super) fn centres(pixels: usize) -> Vec<f64> {
+    (0..pixels).map(|i| (i as f64 + 0.5) * 10.0 / pixels as f64 - 5.0).collect()
+}
+
+/// A profile over 10 mm of these exact values, with noise as it is stated: this standard error of a value, and normal
+/// numbers from the first one.
+pub(super) fn noisy_profile(
+    (channel, thickness_mm, pixels): (&str, f64, usize),
+    exact: impl Fn(f64) -> f64,
+    std_error: impl Fn(f64) -> f64,
+    first: u64,
+) -> MeasuredProfile {
+    let x = centres(pixels);
+    let exact: Vec<f64> = x.iter().map(|x| exact(*x)).collect();
+    let noisy = |(i, v): (usize, &f64)| v + std_error(*v) * normal(first + i as u64);
+    let values = exact.iter().enumerate().map(noisy).collect();
+    let std_errors = exact.iter().map(|v| std_error(*v)).collect();
+    MeasuredProfile::new(channel, thickness_mm, x, values, Some(std_errors)).unwrap()
+}
+
 /// A measurement in channel G at both thicknesses with 1 % of normal noise, which is stated as standard errors if `told`.
 pub(super) fn noisy_measurement(medium: (f64, f64, f64), seed: u64, told: bool) -> Measurement {
     let (sigma_t, albedo, g) = medium;
     let profile = |(t, thickness): (u64, f64)| {
-        let x: Vec<f64> = (0..360).map(|i| (f64::from(i) + 0.5) / 36.0 - 5.0).collect();
-        let exact: Vec<f64> =
-            x.iter().map(|x| profile_value(*x, sigma_t, albedo, g, thickness, 1.0)).collect();
-        let noise =
-            |(i, v): (usize, &f64)| v * (1.0 + 0.01 * normal((seed * 2 + t) * 360 + i as u64 + 1_000_000));
-        let values = exact.iter().enumerate().map(noise).collect();
-        let std_errors = told.then(|| exact.iter().map(|v| 0.01 * v).collect());
-        MeasuredProfile::new("G", thickness, x, values, std_errors).unwrap()
+        let exact = |x| profile_value(x, sigma_t, albedo, g, thickness, 1.0);
+        let noisy =
+            noisy_profile(("G", thickness, 360), exact, |v| 0.01 * v, (seed * 2 + t) * 360 + 1_000_000);
+        if told { noisy } else { changed(&noisy, |_, v, _| (v, None)) }
     };
     Measurement::new("test", vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
+}
+
+/// The profile with another value and standard error at x.
+pub(super) fn changed(
+    p: &MeasuredProfile,
+    pixel: impl Fn(f64, f64, f64) -> (f64, Option<f64>),
+) -> MeasuredProfile {
+    let error = |i: usize| p.std_errors().map_or(0.0, |errors| errors[i]);
+    let pixels = p.x_mm().iter().zip(p.values()).enumerate().map(|(i, (x, v))| pixel(*x, *v, error(i)));
+    let (values, errors): (Vec<f64>, Vec<Option<f64>>) = pixels.unzip();
+    let errors = errors.into_iter().collect();
+    MeasuredProfile::new(p.channel(), p.thickness_mm(), p.x_mm().to_vec(), values, errors).unwrap()
+}
+
+/// The measurement with other profiles.
+pub(super) fn remade(
+    m: &Measurement,
+    profile: impl FnMut(&MeasuredProfile) -> MeasuredProfile,
+) -> Measurement {
+    Measurement::new(m.material(), m.profiles().iter().map(profile).collect()).unwrap()
+}
+
+/// A set-up without errors.
+pub(super) fn exact_set_up() -> FitSettings {
+    FitSettings {
+        thickness_std_error_mm: 0.0,
+        origin_std_error_mm: 0.0,
+        blur_std_error_mm: 0.0,
+        gain_std_error: 0.0,
+        offset_std_error: 0.0,
+        slope_std_error: 0.0,
+        ..FitSettings::default()
+    }
 }
 
 /// A measurement of a medium at both thicknesses, in channel G, over `width` mm.

@@ -295,19 +295,14 @@ mod tests {
     /// The values of an axis must rise strictly, and there must be at least one.
     #[test]
     fn axes_must_rise_and_be_non_empty() {
-        let with_g = |g: Vec<f64>| {
-            let axes = Axes {
-                sigma_t_per_mm: vec![1.0],
-                albedo: vec![0.5],
-                g,
-                thickness_mm: vec![1.0],
-                sample_ior: vec![1.5],
-            };
-            Grid::new(Scene::smooth(), axes, Walks::PAPER, 1, false)
-        };
-        assert!(with_g(vec![0.0, 0.4]).is_ok());
-        assert_eq!(with_g(vec![0.4, 0.4]).unwrap_err().field(), "g[1]");
-        assert_eq!(with_g(vec![0.0, 1.0]).unwrap_err().field(), "g[1]");
-        assert_eq!(with_g(vec![]).unwrap_err().field(), "g");
+        for (g, field) in [
+            (vec![0.0, 0.4], None),
+            (vec![0.4, 0.4], Some("g[1]")),
+            (vec![0.0, 1.0], Some("g[1]")),
+            (vec![], Some("g")),
+        ] {
+            let grid = Grid::new(Scene::smooth(), Axes { g, ..Grid::paper().axes }, Walks::PAPER, 1, false);
+            assert_eq!(grid.err().as_ref().map(Invalid::field), field);
+        }
     }
 }

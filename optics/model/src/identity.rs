@@ -94,22 +94,19 @@ mod tests {
     #[test]
     fn grids_that_differ_anywhere_have_different_digests() {
         let grid = |seed, walks, scene| {
-            let axes = Axes {
-                sigma_t_per_mm: vec![1.0],
-                albedo: vec![0.5],
-                g: vec![0.0],
-                thickness_mm: vec![1.0],
-                sample_ior: vec![1.5],
-            };
+            let axes = Axes { g: vec![0.0], thickness_mm: vec![1.0], ..Grid::paper().axes().clone() };
             Grid::new(scene, axes, Walks::new(walks).unwrap(), seed, false).unwrap()
         };
-        let base = Digest::of_grid(&grid(1, 5000, Scene::smooth()));
-        assert_eq!(base.physics_version_of(&grid(1, 5000, Scene::smooth())), Some(PHYSICS_VERSION));
-        assert_eq!(base.physics_version_of(&grid(2, 5000, Scene::smooth())), None);
+        let same = grid(1, 5000, Scene::smooth());
+        let base = Digest::of_grid(&same);
         assert_eq!(base, Digest::of_grid(&grid(1, 5000, Scene::smooth())));
-        assert_ne!(base, Digest::of_grid(&grid(2, 5000, Scene::smooth())));
-        assert_ne!(base, Digest::of_grid(&grid(1, 7500, Scene::smooth())));
-        assert_ne!(base, Digest::of_grid(&grid(1, 5000, Scene::paper())));
+        assert_eq!(base.physics_version_of(&same), Some(PHYSICS_VERSION));
+        for other in
+            [grid(2, 5000, Scene::smooth()), grid(1, 7500, Scene::smooth()), grid(1, 5000, Scene::paper())]
+        {
+            assert_ne!(base, Digest::of_grid(&other));
+            assert_eq!(base.physics_version_of(&other), None);
+        }
         assert_eq!(Digest::from_hex(&base.to_string()), Some(base));
     }
 
@@ -128,13 +125,13 @@ mod tests {
     /// Points with the same walks share a stream: of extinction and thickness, only the product counts.
     #[test]
     fn streams_depend_on_seed_depth_and_g() {
-        let point = |g| TransportPoint::new(1.0, g, 0.5, 1.53).unwrap();
-        let [as_thick, thicker] =
-            [0.25, 1.0].map(|thickness| TransportPoint::new(2.0, 0.0, thickness, 1.53).unwrap());
-        assert_eq!(stream_key(1, &point(0.0)), stream_key(1, &as_thick));
-        assert_ne!(stream_key(1, &point(0.0)), stream_key(1, &thicker));
-        assert_eq!(stream_key(1, &point(0.0)), stream_key(1, &point(-0.0)));
-        assert_ne!(stream_key(1, &point(0.0)), stream_key(2, &point(0.0)));
-        assert_ne!(stream_key(1, &point(0.0)), stream_key(1, &point(0.1)));
+        let key = |seed, sigma_t, g, thickness| {
+            stream_key(seed, &TransportPoint::new(sigma_t, g, thickness, 1.53).unwrap())
+        };
+        let one = key(1, 1.0, 0.0, 0.5);
+        assert_eq!([key(1, 2.0, 0.0, 0.25), key(1, 1.0, -0.0, 0.5)], [one; 2]);
+        for other in [key(1, 2.0, 0.0, 1.0), key(2, 1.0, 0.0, 0.5), key(1, 1.0, 0.1, 0.5)] {
+            assert_ne!(other, one);
+        }
     }
 }

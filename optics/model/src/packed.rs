@@ -269,7 +269,7 @@ mod tests {
         vec![record(7), record(8)]
     }
 
-    /// Records are unchanged after packing, and have the same digest.
+    /// Records are unchanged after packing, whole or one channel of one of them, and have the same digest.
     #[test]
     fn packed_records_keep_their_digest() {
         for derivatives in [false, true] {
@@ -279,20 +279,8 @@ mod tests {
             assert_eq!(packed.unpack(), records);
             assert_eq!(packed.digest(), Digest::of_records(&records));
             assert_eq!(PackedRecords::new(&job, packed.bytes().clone()).unwrap(), packed);
-            let each: Vec<u8> = packed.each().flatten().collect();
-            assert_eq!(each, packed.bytes()[..]);
-        }
-    }
-
-    /// A single record, and a single channel of it, can be read from the packed bytes.
-    #[test]
-    fn single_record_and_channel_are_located() {
-        for derivatives in [false, true] {
-            let job = job(derivatives);
-            let records = records(&job);
-            let packed = PackedRecords::pack(&job, &records);
-            assert_eq!(packed.numbers(), 7..9);
-            assert_eq!(packed.shape(), RecordShape::of_job(&job));
+            assert_eq!(packed.each().flatten().collect::<Vec<u8>>(), packed.bytes()[..]);
+            assert_eq!((packed.numbers(), packed.shape()), (7..9, RecordShape::of_job(&job)));
             for (number, record) in (7..).zip(&records) {
                 assert_eq!(packed.record(number), *record);
                 for (channel, profile) in record.profiles.iter().enumerate() {
@@ -357,30 +345,32 @@ mod tests {
         let job = job(false);
         let good = PackedRecords::pack(&job, &records(&job));
         let pixels = job.scene().sensor().pixels();
-        let with = |place: usize, number: &[u8]| {
-            let mut bytes = good.bytes().to_vec();
+        let with = |mut bytes: Vec<u8>, layout, place: usize, number: &[u8]| {
             bytes[place..][..number.len()].copy_from_slice(number);
-            PackedRecords::new(&job, bytes.into())
+            let read = PackedRecords::in_layout(layout, &job, bytes.into());
+            read.map(drop).map_err(|error| error.field().to_owned())
         };
-        let field = |place, number: &[u8]| with(place, number).unwrap_err().field().to_owned();
-        let errors_of_second = RecordShape::of_job(&job).bytes() + pixels * NUMBER;
-        assert_eq!(
-            field(3 * NUMBER, &f32::NAN.to_le_bytes()),
-            "record 7.profiles[0].radiance_factor.values[3]"
-        );
-        assert_eq!(
-            field(errors_of_second, &f32::INFINITY.to_le_bytes()[2..]),
-            "record 8.profiles[0].radiance_factor.std_errors"
-        );
-        assert!(with(0, &(-1.0_f32).to_le_bytes()).is_ok(), "radiance factors may be below zero");
-        let floats = |place: usize, number: f32| {
-            let mut bytes = with_floats(&good.unpack());
-            bytes[place * NUMBER..][..NUMBER].copy_from_slice(&number.to_le_bytes());
-            let error = PackedRecords::in_layout(Layout::Floats, &job, bytes.into()).unwrap_err();
-            error.field().to_owned()
-        };
-        assert_eq!(floats(7 * pixels + 5, -0.5), "record 8.profiles[0].radiance_factor.std_errors[5]");
-        assert_eq!(floats(7 * pixels, f32::INFINITY), "record 8.profiles[0].radiance_factor.std_errors[0]");
+        let second = RecordShape::of_job(&job).bytes() + pixels * NUMBER;
+        let of_second = "record 8.profiles[0].radiance_factor.std_errors";
+        for (place, number, field) in [
+            (3 * NUMBER, f32::NAN.to_le_bytes(), "record 7.profiles[0].radiance_factor.values[3]"),
+            (second, [0x80, 0x7f, 0x80, 0x7f], of_second),
+        ] {
+            let found = with(
+                good.bytes().to_vec(),
+                Layout::Bytes,
+                place,
+                &number[..if place == second { 2 } else { 4 }],
+            );
+            assert_eq!(found.unwrap_err(), field);
+        }
+        let negative = with(good.bytes().to_vec(), Layout::Bytes, 0, &(-1.0_f32).to_le_bytes());
+        assert_eq!(negative, Ok(()), "radiance factors may be below zero");
+        for (pixel, number) in [(5, -0.5_f32), (0, f32::INFINITY)] {
+            let place = (7 * pixels + pixel) * NUMBER;
+            let found = with(with_floats(&good.unpack()), Layout::Floats, place, &number.to_le_bytes());
+            assert_eq!(found.unwrap_err(), format!("{of_second}[{pixel}]"));
+        }
     }
 
     /// Bytes for another number of records are refused.

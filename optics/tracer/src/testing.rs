@@ -1,4 +1,20 @@
-//! Statistics for the unit tests of distributions.
+//! Scenes, and statistics for the unit tests of distributions.
+
+use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+
+/// Layers over a white base in a ring light, seen from this angle.
+pub(crate) fn scene(layers: Vec<Layer>, [inner, outer]: [f64; 2], polar_deg: f64) -> Scene {
+    let (white, ring) = (Channel::new("mono", 1.0, 1.0).unwrap(), RingLight::new(inner, outer).unwrap());
+    Scene::new(layers, vec![white], ring, Sensor::new(10.0, 8, polar_deg).unwrap(), false).unwrap()
+}
+
+pub(crate) fn sample(roughness: f64) -> Layer {
+    Layer::sample("sample", roughness).unwrap()
+}
+
+pub(crate) fn clear(ior: f64, thickness_mm: f64, roughness: f64) -> Layer {
+    Layer::clear("clear", ior, thickness_mm, roughness).unwrap()
+}
 
 /// p-value of Pearson's χ² test: the probability of a fit at least this bad if the counts follow the
 /// probabilities (Wilson–Hilferty approximation of the χ² distribution).

@@ -235,11 +235,6 @@ mod tests {
         BandTable { name: None, wavelength_nm: 550.0, fwhm_nm, transmission, channel: None }
     }
 
-    fn spectrum(pairs: &[(f64, f64)]) -> Spectrum {
-        let rows: String = pairs.iter().map(|(nm, v)| format!("{nm},{v}\n")).collect();
-        Spectrum::parse(&format!("wavelength_nm,value\n{rows}")).unwrap().remove(0)
-    }
-
     fn gaussian() -> Band {
         Band::new(table(Some(10.0), None), |_| unreachable!()).unwrap()
     }
@@ -247,13 +242,12 @@ mod tests {
     /// The mean of a linear quantity is its value in the middle; that of a parabola is larger by the filter's variance.
     #[test]
     fn means_over_a_gaussian_band_are_exact() {
-        let line = spectrum(&[(500.0, 0.4), (600.0, 0.6)]);
-        assert!((gaussian().mean("rho", &line, None).unwrap() - 0.5).abs() < 1e-12);
-        let square = |nm: f64| (nm - 550.0).powi(2);
-        let parabola: Vec<(f64, f64)> =
-            (0..=600).map(|i| 520.0 + 0.1 * f64::from(i)).map(|nm| (nm, square(nm))).collect();
+        let mean = |table: &str| gaussian().mean("rho", &spectrum_of(table), None).unwrap();
+        assert!((mean("500,0.4 600,0.6") - 0.5).abs() < 1e-12);
+        let parabola =
+            (0..=600).map(|i| 520.0 + 0.1 * f64::from(i)).map(|nm| format!("{nm},{}", (nm - 550.0).powi(2)));
+        let found = mean(&parabola.collect::<Vec<_>>().join(" "));
         let variance = (10.0 / FWHM).powi(2);
-        let found = gaussian().mean("rho", &spectrum(&parabola), None).unwrap();
         // The filter ends at three standard deviations, where its weight is 1 %.
         assert!((found / variance - 0.973).abs() < 0.003, "{found} for {variance}");
     }
@@ -261,32 +255,31 @@ mod tests {
     /// Light that is stronger on one side moves the mean there: by the variance times the slope of its logarithm.
     #[test]
     fn light_moves_the_mean_of_a_band() {
-        let line = spectrum(&[(500.0, 0.0), (600.0, 100.0)]);
-        let light = spectrum(&[(500.0, 1.0), (600.0, 3.0)]);
-        let shift = gaussian().mean("rho", &line, Some(&light)).unwrap() - 50.0;
+        let shift =
+            gaussian().mean("rho", &spectrum_of("500,0 600,100"), Some(&spectrum_of("500,1 600,3"))).unwrap()
+                - 50.0;
         let expected = 0.973 * (10.0 / FWHM).powi(2) * 0.02 / 2.0;
         assert!((shift / expected - 1.0).abs() < 0.01, "{shift} for {expected}");
+    }
+
+    /// The table of a filter, or of a lamp, as pairs of wavelength and value.
+    fn spectrum_of(pairs: &str) -> Spectrum {
+        Spectrum::parse(&format!("wavelength_nm,value\n{}\n", pairs.replace(' ', "\n"))).unwrap().remove(0)
+    }
+
+    fn filter(pairs: &str) -> Band {
+        Band::new(table(None, Some("filter.csv")), |_| Ok(spectrum_of(pairs))).unwrap()
     }
 
     /// A filter that leaks far away mixes in what is there.
     #[test]
     fn leaks_of_a_filter_count() {
-        let filter = spectrum(&[
-            (400.0, 0.01),
-            (544.9, 0.01),
-            (545.0, 1.0),
-            (555.0, 1.0),
-            (555.1, 0.01),
-            (700.0, 0.01),
-        ]);
-        let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
-        let step = spectrum(&[(400.0, 1.0), (500.0, 1.0), (500.1, 0.0), (700.0, 0.0)]);
+        let band = filter("400,0.01 544.9,0.01 545,1 555,1 555.1,0.01 700,0.01");
+        let step = spectrum_of("400,1 500,1 500.1,0 700,0");
         // The box of 10 nm has a standard deviation of 2.9 nm; 22 % of the light leaks.
         let stray = band.stray_share(None).unwrap();
-        assert!(
-            (stray / (2.9 / 12.9) - 1.0).abs() < 0.05 && gaussian().stray_share(None).unwrap() == 0.0,
-            "{stray}"
-        );
+        assert!((stray / (2.9 / 12.9) - 1.0).abs() < 0.05, "{stray}");
+        assert_eq!(gaussian().stray_share(None).unwrap(), 0.0);
         assert!((40.0..60.0).contains(&band.std_dev_nm()), "{}", band.std_dev_nm());
         let leaked = 1.0 / (10.0 + 2.9);
         let found = band.mean("rho", &step, None).unwrap();
@@ -296,37 +289,33 @@ mod tests {
     /// Tables must cover the band.
     #[test]
     fn short_tables_are_refused() {
-        let short = spectrum(&[(500.0, 0.5), (548.0, 0.5)]);
-        let refused = gaussian().mean("neutral.rho", &short, None).unwrap_err().to_string();
-        assert_eq!(refused, "neutral.rho = 548.25 nm is not valid: the table has 500 to 548 nm");
+        let refused = gaussian().mean("neutral.rho", &spectrum_of("500,0.5 548,0.5"), None).unwrap_err();
+        assert_eq!(refused.to_string(), "neutral.rho = 548.25 nm is not valid: the table has 500 to 548 nm");
         for (fwhm, file, message) in [
             (None, None, "fwhm_nm = no filter is not valid"),
             (Some(5.0), Some("x"), "fwhm_nm = two filters is not valid"),
             (Some(400.0), None, "fwhm_nm = 400 is not valid: allowed are 0.1 nm to half of the wavelength"),
+            (None, Some("450.csv"), "transmission = \"450.csv\" with 0 of its greatest 0.8 at 550 nm"),
         ] {
-            let refused = Band::new(table(fwhm, file), |_| unreachable!()).unwrap_err().to_string();
+            let blue = |_: &str| Ok(spectrum_of("440,0 450,0.8 460,0"));
+            let refused = Band::new(table(fwhm, file), blue).unwrap_err().to_string();
             assert!(refused.starts_with(message), "{refused}");
         }
-        let other = |_: &str| Ok(spectrum(&[(440.0, 0.0), (450.0, 0.8), (460.0, 0.0)]));
-        let refused = Band::new(table(None, Some("450.csv")), other).unwrap_err().to_string();
-        assert!(
-            refused.starts_with("transmission = \"450.csv\" with 0 of its greatest 0.8 at 550 nm"),
-            "{refused}"
-        );
     }
 
     /// A lamp's table need not reach where the filter transmits nothing.
     #[test]
     fn lamps_are_needed_within_the_filter_only() {
-        let filter =
-            spectrum(&[(300.0, 0.0), (545.0, 0.0), (546.0, 1.0), (554.0, 1.0), (555.0, 0.0), (900.0, 0.0)]);
-        let band = Band::new(table(None, Some("filter.csv")), |_| Ok(filter.clone())).unwrap();
-        let line = spectrum(&[(500.0, 0.0), (600.0, 1.0)]);
-        let mean = |lamp: &[(f64, f64)]| band.mean("rho", &line, Some(&spectrum(lamp)));
-        assert!((mean(&[(500.0, 1.0), (600.0, 1.0)]).unwrap() - 0.5).abs() < 1e-9);
-        let short = mean(&[(500.0, 1.0), (550.0, 1.0)]).unwrap_err().to_string();
-        assert!(short.starts_with("light.spectrum = 550.5 nm is not valid"), "{short}");
-        let dark = mean(&[(500.0, 0.0), (600.0, 0.0)]).unwrap_err().to_string();
-        assert!(dark.starts_with("light.spectrum = 0 in the whole band of 550 nm"), "{dark}");
+        let band = filter("300,0 545,0 546,1 554,1 555,0 900,0");
+        let line = spectrum_of("500,0 600,1");
+        let mean = |lamp: &str| band.mean("rho", &line, Some(&spectrum_of(lamp)));
+        assert!((mean("500,1 600,1").unwrap() - 0.5).abs() < 1e-9);
+        for (lamp, message) in [
+            ("500,1 550,1", "light.spectrum = 550.5 nm is not valid"),
+            ("500,0 600,0", "light.spectrum = 0 in the whole band of 550 nm"),
+        ] {
+            let refused = mean(lamp).unwrap_err().to_string();
+            assert!(refused.starts_with(message), "{refused}");
+        }
     }
 }

@@ -88,24 +88,3 @@ pub(super) fn alike_thicknesses(thicknesses: &mut [(f64, u64)]) -> Option<String
          write one thickness"
     ))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Names that look the same are read as one name.
-    #[test]
-    fn visually_equal_names_are_equal() {
-        for spelling in ["we\u{ed}\u{df} 1", "wei\u{301}\u{df} 1", "we\u{ed}\u{200b}\u{df}\u{a0}1\u{feff}"] {
-            assert_eq!(normal(spelling), "we\u{ed}\u{df} 1", "{spelling:?}");
-        }
-        assert_eq!(normal("White_1"), "White_1");
-    }
-
-    #[test]
-    fn only_thicknesses_of_one_slab_are_alike() {
-        assert_eq!(alike_thicknesses(&mut [(0.5, 2), (1.0, 3), (0.5, 4), (0.512, 5)]), None);
-        let message = alike_thicknesses(&mut [(1.0, 2), (0.500_000_001, 9), (0.5, 3)]).unwrap();
-        assert!(message.starts_with("thicknesses 0.5 mm (line 3) and 0.500000001 mm (line 9)"), "{message}");
-    }
-}

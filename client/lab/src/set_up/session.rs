@@ -190,35 +190,25 @@ mod tests {
     /// Invalid fields are refused with the allowed values.
     #[test]
     fn invalid_fields_are_refused_with_range() {
-        let with = |field: &str| {
-            parse(&format!(r#"{{"format": "farmctl-session/1", {field}}}"#)).unwrap_err().to_string()
-        };
-        for (field, message) in [
-            (r#""gain_std_error": -1"#, "gain_std_error = -1 is not valid: allowed are 0 to 1"),
+        for (text, message) in [
+            (r#"FORMAT, "gain_std_error": -1}"#, "gain_std_error = -1 is not valid: allowed are 0 to 1"),
+            (r#"FORMAT, "slope_std_error": "small"}"#, "slope_std_error = \"small\" NUMBERS"),
+            (r#"FORMAT, "origin_std_error_mm": {"R": 0.1}}"#, "origin_std_error_mm = an object NUMBERS"),
+            (r#"FORMAT, "blur_mm": {"R": 0.02, "G": 2}}"#, "blur_mm.G = 2 is not valid: allowed are 0 to 1"),
             (
-                r#""slope_std_error": "small""#,
-                "slope_std_error = \"small\" is not valid: allowed are numbers from 0 to 1",
+                r#"FORMAT, "blur_std_error_mm": [0.1]}"#,
+                "blur_std_error_mm = a list NUMBERS, or an object of these by the channels' names",
             ),
+            ("{}", "format = nothing is not valid: allowed is \"farmctl-session/1\""),
             (
-                r#""origin_std_error_mm": {"R": 0.1}"#,
-                "origin_std_error_mm = an object is not valid: allowed are numbers from 0 to 1",
+                r#"{"format": "farmctl-session/2"}"#,
+                "format = \"farmctl-session/2\" is not valid: allowed is \"farmctl-session/1\"",
             ),
-            (r#""blur_mm": {"R": 0.02, "G": 2}"#, "blur_mm.G = 2 is not valid: allowed are 0 to 1"),
-            (
-                r#""blur_std_error_mm": [0.1]"#,
-                "blur_std_error_mm = a list is not valid: allowed are numbers from 0 to 1, or an object of these by \
-                 the channels' names",
-            ),
+            ("[]", "session = a list is not valid: must be a JSON object"),
         ] {
-            assert_eq!(with(field), message);
+            let refused = parse(&text.replace("FORMAT", r#"{"format": "farmctl-session/1""#)).unwrap_err();
+            let numbers = "is not valid: allowed are numbers from 0 to 1";
+            assert_eq!(refused.to_string(), message.replace("NUMBERS", numbers));
         }
-        let refused = |text: &str| parse(text).unwrap_err().to_string();
-        let format = "is not valid: allowed is \"farmctl-session/1\"";
-        assert_eq!(refused("{}"), format!("format = nothing {format}"));
-        assert_eq!(
-            refused(r#"{"format": "farmctl-session/2"}"#),
-            format!("format = \"farmctl-session/2\" {format}")
-        );
-        assert_eq!(refused("[]"), "session = a list is not valid: must be a JSON object");
     }
 }

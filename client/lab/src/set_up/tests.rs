@@ -51,48 +51,43 @@ fn set_up_precedence_is_measurement_first() {
 
 #[test]
 fn defaulted_quantities_are_listed_as_assumed() {
-    let default = FitSettings::default();
-    let assumed = |given: &Session, setup: ProfileSetup| {
-        let set_up = SetUp::new(None, given.clone()).unwrap();
-        let mut exact = ProfileSetup::default();
-        exact.values_mut().for_each(|(_, value)| *value = Some(0.0));
-        let assumed = set_up.assumed(&[measurement(&[("R", exact), ("G", setup)])]);
-        assumed.text(&set_up.settings(default))
-    };
     let nothing = ProfileSetup::default();
-    let all = "assumed: thickness ± 0.005 mm, origin ± 0.05 mm, blur unknown up to 0.03 mm, gain ± 0.3 %, zero ± 0.001, \
-               slope ± 0.2 % per 10 mm";
-    assert_eq!(assumed(&Session::default(), nothing).unwrap(), all);
-    let set_up = ProfileSetup {
+    let some = ProfileSetup {
         thickness_std_error_mm: Some(0.001),
         origin_std_error_mm: Some(0.01),
         blur_mm: Some(0.02),
         ..nothing
     };
-    let some = "assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm";
-    assert_eq!(assumed(&Session::default(), set_up).unwrap(), some);
-    let values = Session {
-        gain_std_error: Some(ByChannel::All(0.003)),
-        offset_std_error: Some(ByChannel::All(0.001)),
-        slope_std_error: Some(ByChannel::All(0.002)),
-        blur_std_error_mm: Some(ByChannel::All(0.0)),
+    let [gain_std_error, offset_std_error, slope_std_error, blur_std_error_mm] =
+        [0.003, 0.001, 0.002, 0.0].map(|value| Some(ByChannel::All(value)));
+    let exact_light = Session {
+        gain_std_error,
+        offset_std_error,
+        slope_std_error,
+        blur_std_error_mm,
         ..Session::default()
     };
-    assert_eq!(assumed(&values, set_up), None);
-    assert_eq!(assumed(&values, nothing).unwrap(), "assumed: thickness ± 0.005 mm, origin ± 0.05 mm");
-}
-
-/// A wrong session file is refused with its name.
-#[test]
-fn wrong_session_file_is_refused_by_name() {
-    let refused = |text: &str| {
-        let file = session(text);
-        let error = format!("{:#}", SetUp::new(Some(file.path()), Session::default()).unwrap_err());
-        let place = format!("session file {}: ", file.path().display());
-        error.strip_prefix(&place).unwrap_or_else(|| panic!("{error}")).to_owned()
-    };
-    let format = "format = nothing is not valid: allowed is \"farmctl-session/1\"";
-    assert_eq!(refused("{}"), format);
-    assert!(refused("{").starts_with("EOF while parsing"));
-    assert!(refused(&SESSION.replace("0.001}", "7}")).starts_with("blur_std_error_mm = 7 is not valid"));
+    for (given, setup, expected) in [
+        (
+            Session::default(),
+            nothing,
+            Some(
+                "assumed: thickness ± 0.005 mm, origin ± 0.05 mm, blur unknown up to 0.03 mm, gain ± 0.3 %, zero ± 0.001, \
+                 slope ± 0.2 % per 10 mm",
+            ),
+        ),
+        (
+            Session::default(),
+            some,
+            Some("assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm"),
+        ),
+        (exact_light.clone(), some, None),
+        (exact_light, nothing, Some("assumed: thickness ± 0.005 mm, origin ± 0.05 mm")),
+    ] {
+        let set_up = SetUp::new(None, given).unwrap();
+        let mut exact = ProfileSetup::default();
+        exact.values_mut().for_each(|(_, value)| *value = Some(0.0));
+        let assumed = set_up.assumed(&[measurement(&[("R", exact), ("G", setup)])]);
+        assert_eq!(assumed.text(&set_up.settings(FitSettings::default())).as_deref(), expected);
+    }
 }

@@ -38,6 +38,13 @@ fn page_of(record: &SessionRecord, errors: &SharedErrors) -> String {
     .page()
 }
 
+/// Asserts that a page has all of these parts.
+fn has(page: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(page.contains(part), "{part}: {page}");
+    }
+}
+
 /// Values have their combined uncertainty, k, ν_eff and interval; names are escaped; contributions add up to u_c.
 #[test]
 fn statements_have_results_and_budget() {
@@ -50,14 +57,16 @@ fn statements_have_results_and_budget() {
     let squares: f64 = m.contributions.iter().map(|(_, part)| part * part).sum();
     let relative = 100.0 * u / m.value;
     assert!((squares.sqrt() / relative - 1.0).abs() < 0.01, "{squares} {relative}");
-    for part in
-        ["<td>σ_t</td><td>6</td>", "<td>&lt;cyan&gt;</td>", "<h2>Budget</h2>", "<th>&lt;cyan&gt; R</th>"]
-    {
-        assert!(page.contains(part), "{part}: {page}");
-    }
-    assert!(page.contains(
-        "No certificate is stated for the white reference, the thickness of the slabs and the board's squares"
-    ));
+    has(
+        &page,
+        &["<td>σ_t</td><td>6</td>", "<td>&lt;cyan&gt;</td>", "<h2>Budget</h2>", "<th>&lt;cyan&gt; R</th>"],
+    );
+    has(
+        &page,
+        &[
+            "No certificate is stated for the white reference, the thickness of the slabs and the board's squares",
+        ],
+    );
 }
 
 /// Correlations of two channels follow from the errors that they share.
@@ -84,11 +93,10 @@ fn certificates_are_stated() {
         ..SessionRecord::default()
     };
     let page = page_of(&record, &SharedErrors::default());
-    for part in
-        ["<td>Operator</td><td>A. B.</td>", "<td>W-1</td>", "are traceable through these certificates"]
-    {
-        assert!(page.contains(part), "{part}: {page}");
-    }
+    has(
+        &page,
+        &["<td>Operator</td><td>A. B.</td>", "<td>W-1</td>", "are traceable through these certificates"],
+    );
     let wrong = SessionRecord { conditions: text("a\nb"), ..record }.checked().unwrap_err().to_string();
     assert!(wrong.starts_with("record.conditions = \"a\\nb\""), "{wrong}");
 }
@@ -131,12 +139,13 @@ fn doubtful_results_are_marked() {
     assert_eq!(channels[1].measurands[0].std_uncertainty, None);
     assert!(channels[1].measurands[1].contributions.is_empty());
     let page = results(&channels);
-    for part in [
-        "do not determine σ_t and the albedo separately: &lt;cyan&gt; R",
-        "(up to 4.7 times)",
-        "from mixtures",
-    ] {
-        assert!(page.contains(part), "{part}: {page}");
-    }
+    has(
+        &page,
+        &[
+            "do not determine σ_t and the albedo separately: &lt;cyan&gt; R",
+            "(up to 4.7 times)",
+            "from mixtures",
+        ],
+    );
     assert!(!page.contains("white R."), "{page}");
 }

@@ -249,29 +249,23 @@ impl Autoscaler<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     /// Options and variables of sbatch alone are refused: squeue and scancel would use another cluster.
     #[test]
     fn clusters_are_selected_by_slurm_clusters_only() {
-        let check = |option: &str, variable: (&str, &str)| {
-            let is = |name: &str| (name == variable.0).then(|| variable.1.to_owned());
-            is_one_cluster(&[option.parse().unwrap()], is)
-        };
-        assert!(
-            check("--account=lab", ("", "")).is_ok() && check("--cluster-constraint=gpu", ("", "")).is_ok()
-        );
-        assert!(check("--account=lab", ("SLURM_CLUSTERS", "b")).is_ok());
-        for (option, variable) in [
-            ("--clusters=b", ("", "")),
-            ("--cluster b", ("", "")),
-            ("--account=lab", ("SBATCH_CLUSTERS", "b")),
-            ("--account=lab", ("SLURM_CLUSTERS", "a,b")),
-            ("--account=lab", ("SLURM_CLUSTERS", "all")),
+        for (option, variable, value, is_one) in [
+            ("--account=lab", "", "", true),
+            ("--cluster-constraint=gpu", "", "", true),
+            ("--account=lab", "SLURM_CLUSTERS", "b", true),
+            ("--clusters=b", "", "", false),
+            ("--cluster b", "", "", false),
+            ("--account=lab", "SBATCH_CLUSTERS", "b", false),
+            ("--account=lab", "SLURM_CLUSTERS", "a,b", false),
+            ("--account=lab", "SLURM_CLUSTERS", "all", false),
         ] {
-            assert!(
-                check(option, variable).unwrap_err().to_string().contains("SLURM_CLUSTERS"),
-                "{option} {variable:?}"
-            );
+            let of_name = |name: &str| (name == variable).then(|| value.to_owned());
+            let refused = is_one_cluster(&[option.parse().unwrap()], of_name).err().map(|e| e.to_string());
+            assert_eq!(refused.is_none(), is_one, "{option} {variable}={value}");
+            assert!(refused.is_none_or(|refused| refused.contains("SLURM_CLUSTERS")));
         }
     }
 }

@@ -4,30 +4,29 @@ use super::*;
 #[test]
 fn squeue_lines_are_matched_by_job_name() {
     let task = |line: &str| task(line, "farm-worker@login:7700");
-    let message = |state: &str, reason: &str| {
-        let found = task(&format!("1234|17|{state}|{reason}|farm-worker@login:7700"));
-        found.map(|(id, state)| (id.to_string(), state))
-    };
-    let is = |state: TaskState| Some(("1234_17".to_owned(), state));
-    for waiting in ["PENDING", "REQUEUED"] {
-        assert_eq!(message(waiting, "Resources"), is(TaskState::Waiting));
-    }
-    for held in ["JobHeldUser", "JobHeldAdmin", "launch failed requeued held"] {
-        assert_eq!(message("PENDING", held), is(TaskState::Held), "{held}");
-    }
-    assert_eq!(message("SPECIAL_EXIT", "None"), is(TaskState::Held));
     // Completing tasks may be queued again; states of later versions of Slurm count as running, too.
-    for running in ["RUNNING", "CONFIGURING", "SUSPENDED", "COMPLETING", "EXPEDITING"] {
-        assert_eq!(message(running, "None"), is(TaskState::Running), "{running}");
+    for (state, reasons, expected) in [
+        ("PENDING REQUEUED", "Resources", Some(TaskState::Waiting)),
+        ("PENDING", "JobHeldUser,JobHeldAdmin,launch failed requeued held", Some(TaskState::Held)),
+        ("SPECIAL_EXIT", "None", Some(TaskState::Held)),
+        ("RUNNING CONFIGURING SUSPENDED COMPLETING EXPEDITING", "None", Some(TaskState::Running)),
+        ("CANCELLED FAILED TIMEOUT COMPLETED NODE_FAIL", "None", None),
+    ] {
+        for (state, reason) in state.split(' ').flat_map(|s| reasons.split(',').map(move |r| (s, r))) {
+            let found = task(&format!("1234|17|{state}|{reason}|farm-worker@login:7700"));
+            let found = found.map(|(id, state)| (id.to_string(), state));
+            assert_eq!(found, expected.map(|state| ("1234_17".to_owned(), state)), "{state} {reason}");
+        }
     }
-    for over in ["CANCELLED", "FAILED", "TIMEOUT", "COMPLETED", "NODE_FAIL"] {
-        assert_eq!(message(over, "None"), None, "{over}");
+    for (line, what) in [
+        ("1234|17|RUNNING|None|farm-worker@login:7701", "another farm's"),
+        ("1234|17|RUNNING|None|my farm-worker@login:7700", "another name"),
+        ("1234|N/A|RUNNING|None|farm-worker@login:7700", "no array"),
+        ("CLUSTER: b", "a heading where SLURM_CLUSTERS is set"),
+        ("", "no line"),
+    ] {
+        assert_eq!(task(line), None, "{what}");
     }
-    assert_eq!(task("1234|17|RUNNING|None|farm-worker@login:7701"), None, "another farm's");
-    assert_eq!(task("1234|17|RUNNING|None|my farm-worker@login:7700"), None);
-    assert_eq!(task("1234|N/A|RUNNING|None|farm-worker@login:7700"), None, "no array");
-    assert_eq!(task("CLUSTER: b"), None, "a heading where SLURM_CLUSTERS is set");
-    assert_eq!(task(""), None);
 }
 
 #[test]

@@ -97,15 +97,6 @@ fn workers_double_until_there_are_enough() {
     assert_eq!(cluster.states(), (12, 0));
 }
 
-/// Waiting workers count towards the limit: a full cluster gets no further ones.
-#[test]
-fn workers_never_exceed_the_limit() {
-    let mut cluster = Cluster::new(6, 2);
-    cluster.looks(100, 10_000);
-    assert_eq!(cluster.states(), (2, 4));
-    assert_eq!(cluster.submissions.iter().sum::<u32>(), 6);
-}
-
 /// Jobs that other workers compute already start no worker.
 #[test]
 fn foreign_work_starts_no_worker() {

@@ -6,9 +6,7 @@ mod scene;
 
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Objective, Refined};
 use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
-use optics_model::{
-    Estimate, Grid, MeasuredProfile, Measurement, Medium, Profile, ProfileSetup, Record, Walks,
-};
+use optics_model::{Grid, MeasuredProfile, Measurement, Medium, ProfileSetup, Walks};
 
 use crate::dictionary::FitDictionary;
 use crate::fit;
@@ -20,13 +18,14 @@ use crate::likelihood::problem::start::Start;
 use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::testing::{
-    dense_axes, dictionary_of, noisy_dictionary, noisy_records, normal, profile_value, rounded_dictionary_of,
+    changed, dense, dense_axes, dictionary_of, exact_record, exact_set_up, noisy_profile, noisy_records,
+    profile_value, remade, rounded_dictionary_of,
 };
 
 const MEDIUM: (f64, f64, f64) = (3.1, 0.93, 0.33);
 
-fn dictionary() -> FitDictionary {
-    noisy_dictionary(dense_axes(), 120, 0.0)
+fn dictionary() -> &'static FitDictionary {
+    dense(120, 0.0)
 }
 
 /// Errors of a profile.
@@ -40,37 +39,37 @@ struct Flaws {
 }
 
 /// Channel G at both thicknesses with 0.3 % of noise, as its standard errors state.
-fn measured(medium: (f64, f64, f64), seed: u64, flaws: Flaws) -> Measurement {
+fn measured((sigma_t, albedo, g): (f64, f64, f64), seed: u64, flaws: Flaws) -> Measurement {
     let profile = |(slab, thickness): (u64, f64)| {
-        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
-        let (sigma_t, albedo, g) = medium;
         let at = |x: f64| profile_value(x, sigma_t, albedo, g, thickness, 1.0);
         let light = |x: f64| 1.0 + flaws.gain + flaws.slope * x / 10.0;
-        let exact: Vec<f64> = x.iter().map(|x| at(x - flaws.origin_mm) * light(*x) + flaws.zero).collect();
-        let noise = |(i, v): (usize, &f64)| {
-            let speck = if flaws.dust && i % 17 == 5 { 0.8 } else { 1.0 };
-            v * speck * (1.0 + 0.003 * normal((seed * 2 + slab) * 120 + i as u64 + 5_000_000))
-        };
-        let values = exact.iter().enumerate().map(noise).collect();
-        let std_errors = exact.iter().map(|v| 0.003 * v).collect();
-        MeasuredProfile::new("G", thickness, x, values, Some(std_errors)).unwrap()
+        let exact = |x: f64| at(x - flaws.origin_mm) * light(x) + flaws.zero;
+        let clean =
+            noisy_profile(("G", thickness, 120), exact, |v| 0.003 * v, (seed * 2 + slab) * 120 + 5_000_000);
+        let speck = |x: f64| flaws.dust && (12.0 * (x + 5.0)) as usize % 17 == 5;
+        changed(&clean, |x, v, error| (if speck(x) { 0.8 * v } else { v }, Some(error)))
     };
     Measurement::new("m", vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
 }
 
 fn settings() -> FitSettings {
     // The formula is no physics: its lengths do not scale with the thickness, and nothing blurs it.
+    let (objective, refine) = (Some(Objective::Likelihood), true);
     FitSettings {
-        objective: Some(Objective::Likelihood),
+        objective,
         thickness_std_error_mm: 0.0,
         blur_std_error_mm: 0.0,
-        refine: true,
+        refine,
         ..FitSettings::default()
     }
 }
 
+fn exact_settings() -> FitSettings {
+    FitSettings { objective: Some(Objective::Likelihood), refine: true, ..exact_set_up() }
+}
+
 fn refined(measurement: &Measurement, settings: FitSettings) -> Refined {
-    refined_with(&dictionary(), measurement, settings)
+    refined_with(dictionary(), measurement, settings)
 }
 
 fn refined_with(dictionary: &FitDictionary, measurement: &Measurement, settings: FitSettings) -> Refined {
@@ -140,18 +139,16 @@ fn absorption_is_open_where_the_dictionary_ends() {
 /// One pixel without noise among others is refused, with its place.
 #[test]
 fn zero_standard_error_is_refused_with_place() {
-    let exact = measured(MEDIUM, 1, Flaws::default());
-    let with = |errors: fn(usize, f64) -> f64| {
-        let profiles = exact.profiles().iter().map(|p| {
-            let std_errors = p.std_errors().unwrap().iter().enumerate().map(|(i, e)| errors(i, *e)).collect();
-            let (x, values) = (p.x_mm().to_vec(), p.values().to_vec());
-            MeasuredProfile::new("G", p.thickness_mm(), x, values, Some(std_errors)).unwrap()
-        });
-        let measurement = Measurement::new("m", profiles.collect()).unwrap();
-        let options = FitOptions::new(FitSettings { objective: None, ..settings() }).unwrap();
-        fit(&dictionary(), &measurement, &options)
+    let with = |error: fn(f64, f64) -> f64| {
+        let pixel = |x, v, e| (v, Some(error(x, e)));
+        let measurement = remade(&measured(MEDIUM, 1, Flaws::default()), |p| changed(p, pixel));
+        fit(
+            dictionary(),
+            &measurement,
+            &FitOptions::new(FitSettings { objective: None, ..settings() }).unwrap(),
+        )
     };
-    let refused = with(|i, e| if i == 40 { 0.0 } else { e }).unwrap_err();
+    let refused = with(|x, e| if (12.0 * (x + 5.0)) as usize == 40 { 0.0 } else { e }).unwrap_err();
     assert!(refused.to_string().contains("std_errors[40]"), "{refused}");
     // Exact data have no noise at all: it is estimated.
     let exact = with(|_, _| 0.0).unwrap();
@@ -161,19 +158,12 @@ fn zero_standard_error_is_refused_with_place() {
 /// A quantity with a standard error of 0 is no nuisance, and a large standard error of the gain widens the interval.
 #[test]
 fn exactly_given_quantities_are_no_nuisances() {
-    let exact = FitSettings {
-        origin_std_error_mm: 0.0,
-        gain_std_error: 0.0,
-        offset_std_error: 0.0,
-        slope_std_error: 0.0,
-        g: Bounds::fixed(0.33),
-        ..settings()
-    };
-    let sure = refined(&measured(MEDIUM, 2, Flaws::default()), exact);
+    let exact = FitSettings { g: Bounds::fixed(0.33), ..exact_settings() };
+    let measured = measured(MEDIUM, 2, Flaws::default());
+    let sure = refined(&measured, exact);
     assert!(sure.likelihood.nuisances.is_empty());
     assert!(sure.sigma_t_per_mm.contains(MEDIUM.0));
-    let loose =
-        refined(&measured(MEDIUM, 2, Flaws::default()), FitSettings { gain_std_error: 0.05, ..exact });
+    let loose = refined(&measured, FitSettings { gain_std_error: 0.05, ..exact });
     let width = |r: &Refined| r.albedo.high - r.albedo.low;
     assert!(width(&loose) > 3.0 * width(&sure), "{} {}", width(&loose), width(&sure));
 }
@@ -181,15 +171,7 @@ fn exactly_given_quantities_are_no_nuisances() {
 /// With everything but σ_t given, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
 #[test]
 fn single_parameter_bound_matches_the_formula() {
-    let one = FitSettings {
-        origin_std_error_mm: 0.0,
-        gain_std_error: 0.0,
-        offset_std_error: 0.0,
-        slope_std_error: 0.0,
-        g: Bounds::fixed(0.3),
-        albedo: Bounds::fixed(0.9),
-        ..settings()
-    };
+    let one = FitSettings { g: Bounds::fixed(0.3), albedo: Bounds::fixed(0.9), ..exact_settings() };
     let medium = (3.1, 0.9, 0.3);
     let found = refined(&measured(medium, 3, Flaws::default()), one);
     let bound = found.likelihood.bound.sigma_t_per_mm;
@@ -219,7 +201,7 @@ fn descent_finds_the_global_minimum() {
     for (seed, medium) in [(4, MEDIUM), (5, (1.6, 0.35, 0.05)), (6, (6.4, 0.985, 0.55))] {
         let flaws = Flaws { gain: 0.002, zero: 0.001, ..Flaws::default() };
         let measurement = measured(medium, seed, flaws);
-        let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+        let data = ChannelData::new(dictionary, &measurement, 0, "G", &options).unwrap();
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let starts = channel::starts(&scan, &surrogates);
@@ -259,26 +241,21 @@ fn coarser_pixels_give_the_same_medium() {
 /// Measurements for which there is no likelihood are refused with the field.
 #[test]
 fn unweighable_measurements_are_refused() {
-    let dictionary = dictionary();
     let options = FitOptions::new(settings()).unwrap();
     let good = measured(MEDIUM, 8, Flaws::default());
-    let with = |change: &dyn Fn(&MeasuredProfile) -> MeasuredProfile| {
-        let measurement = Measurement::new("m", good.profiles().iter().map(change).collect()).unwrap();
-        fit(&dictionary, &measurement, &options).unwrap_err().field().to_owned()
+    let field = |change: &dyn Fn(&MeasuredProfile) -> MeasuredProfile| {
+        fit(dictionary(), &remade(&good, change), &options).unwrap_err().field().to_owned()
     };
-    let remade = |p: &MeasuredProfile, thickness: f64, errors: Vec<f64>| {
-        MeasuredProfile::new("G", thickness, p.x_mm().to_vec(), p.values().to_vec(), Some(errors)).unwrap()
+    let zero = |x: f64, v, e| (v, Some(if (12.0 * (x + 5.0)) as usize == 7 { 0.0 } else { e }));
+    assert_eq!(field(&|p| changed(p, zero)), "std_errors[7]");
+    let thicker = |p: &MeasuredProfile| {
+        let (x, values, errors) =
+            (p.x_mm().to_vec(), p.values().to_vec(), p.std_errors().map(<[f64]>::to_vec));
+        MeasuredProfile::new("G", 4.0 * p.thickness_mm(), x, values, errors).unwrap()
     };
-    let errors = |p: &MeasuredProfile| p.std_errors().unwrap().to_vec();
-    let zero = |p: &MeasuredProfile| {
-        let mut errors = errors(p);
-        errors[7] = 0.0;
-        remade(p, p.thickness_mm(), errors)
-    };
-    assert_eq!(with(&zero), "std_errors[7]");
-    assert_eq!(with(&|p| remade(p, 4.0 * p.thickness_mm(), errors(p))), "thickness_mm");
+    assert_eq!(field(&thicker), "thickness_mm");
     let setup = ProfileSetup { origin_mm: Some(9.9), ..ProfileSetup::default() };
-    assert_eq!(with(&|p| p.clone().with_setup(setup).unwrap()), "x_mm");
+    assert_eq!(field(&|p| p.clone().with_setup(setup).unwrap()), "x_mm");
 }
 
 /// The response of a profile of the formula to a brighter white reference through ρ: light comes from the bright side
@@ -293,20 +270,10 @@ fn dictionary_of_channels(names: &[String], value: impl Fn(f64, f64, usize) -> f
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
     let scene = scene.with_channels(channels).unwrap();
     let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
-    let record = |index: usize| {
-        let (point, medium) = grid.parameters(index);
-        let (sigma_t, albedo, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
-        let profile = |channel: usize| {
-            let at = |i| {
-                let x = grid.scene().sensor().centre_mm(i);
-                value(x, profile_value(x, sigma_t, albedo, g, point.thickness_mm(), 1.0), channel) as f32
-            };
-            let values: Vec<f32> = (0..120).map(at).collect();
-            Profile { radiance_factor: Estimate::new(values, vec![0.0; 120]).unwrap(), derivatives: None }
-        };
-        Record { index, profiles: (0..names.len()).map(profile).collect() }
+    let at = |x: f64, m: &Medium, thickness: f64, channel: usize| {
+        value(x, profile_value(x, m.sigma_t_per_mm(), m.albedo(), m.g(), thickness, 1.0), channel)
     };
-    dictionary_of(&grid, record)
+    dictionary_of(&grid, |index| exact_record(&grid, index, names.len(), at))
 }
 
 /// A dictionary of one channel and, with `knows_white`, of that channel under a darker white reference.
@@ -368,7 +335,7 @@ fn estimates_do_not_depend_on_the_tolerance() {
     {
         let measurement = measured(medium, seed as u64, Flaws { dust: seed == 0, ..Flaws::default() });
         let options = FitOptions::new(FitSettings { g, ..settings() }).unwrap();
-        let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
+        let data = ChannelData::new(dictionary, &measurement, 0, "G", &options).unwrap();
         let surrogates = data.surrogates();
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let ChannelMinimum { system, state, .. } = channel::minimum(&data, &surrogates, &scan);
@@ -387,46 +354,20 @@ fn estimates_do_not_depend_on_the_tolerance() {
 #[test]
 fn white_reference_errors_propagate_to_reflectance() {
     let error = 0.015;
-    let exact = measured(MEDIUM, 3, Flaws::default());
-    let spoilt = exact.profiles().iter().map(|p| {
+    let spoilt = remade(&measured(MEDIUM, 3, Flaws::default()), |p| {
         let (sigma_t, albedo, g) = MEDIUM;
         let at = |x: f64| by_white(x, profile_value(x, sigma_t, albedo, g, p.thickness_mm(), 1.0));
-        let value = |(x, v): (&f64, &f64)| (1.0 + error) * (v - error * at(*x));
-        let values = p.x_mm().iter().zip(p.values()).map(value).collect();
-        MeasuredProfile::new(
-            "G",
-            p.thickness_mm(),
-            p.x_mm().to_vec(),
-            values,
-            p.std_errors().map(<[f64]>::to_vec),
-        )
-        .unwrap()
+        changed(p, |x, v, e| ((1.0 + error) * (v - error * at(x)), Some(e)))
     });
-    let spoilt = Measurement::new("m", spoilt.collect()).unwrap();
     // No other nuisance can take its place.
-    let told = FitSettings {
-        mu_std_error: 0.01,
-        origin_std_error_mm: 0.0,
-        gain_std_error: 0.0,
-        offset_std_error: 0.0,
-        slope_std_error: 0.0,
-        g: Bounds::fixed(MEDIUM.2),
-        ..settings()
-    };
-    let of = |knows_white: bool| {
-        let found =
-            fit(&dictionary_with_white(knows_white), &spoilt, &FitOptions::new(told).unwrap()).unwrap();
-        found.channels.into_iter().next().unwrap().refined.unwrap()
-    };
-    let knowing = of(true);
+    let told = FitSettings { mu_std_error: 0.01, g: Bounds::fixed(MEDIUM.2), ..exact_settings() };
+    let [knowing, ignorant] =
+        [true, false].map(|knows_white| refined_with(&dictionary_with_white(knows_white), &spoilt, told));
     assert!(knowing.misfit < 1.3 && knowing.sigma_t_per_mm.contains(MEDIUM.0), "{knowing:?}");
     assert!(knowing.albedo.contains(MEDIUM.1), "{knowing:?}");
     let nuisances = &knowing.likelihood.nuisances;
     let scale = nuisances.iter().find(|n| n.nuisance == Nuisance::Scale).unwrap();
-    assert!(
-        (scale.value - (1.0 + error)).abs() < 3.0 * scale.std_error && scale.std_error < 0.005,
-        "{scale:?}"
-    );
-    let ignorant = of(false);
+    assert!((scale.value - (1.0 + error)).abs() < 3.0 * scale.std_error, "{scale:?}");
+    assert!(scale.std_error < 0.005, "{scale:?}");
     assert!(ignorant.misfit > 1.3 || !ignorant.sigma_t_per_mm.contains(MEDIUM.0), "{ignorant:?}");
 }

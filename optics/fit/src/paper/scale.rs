@@ -285,18 +285,13 @@ fn curvature(mu: &[f64], total: &[f64], best: usize) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
+    use crate::testing::{changed, dense, noisy_measurement, remade};
     use optics_model::fit::{Bounds, FitSettings, Objective};
     use optics_model::{MeasuredProfile, Measurement};
 
     /// The measurement as with a wrong exposure: all values divided by μ.
     fn divided(measurement: &Measurement, mu: f64) -> Measurement {
-        let profile = |p: &MeasuredProfile| {
-            let values = p.values().iter().map(|v| v / mu).collect();
-            MeasuredProfile::new(p.channel(), p.thickness_mm(), p.x_mm().to_vec(), values, None).unwrap()
-        };
-        Measurement::new(measurement.material(), measurement.profiles().iter().map(profile).collect())
-            .unwrap()
+        remade(measurement, |p| changed(p, |_, v, _| (v / mu, None)))
     }
 
     fn materials(mu: f64) -> Vec<Measurement> {
@@ -307,7 +302,7 @@ mod tests {
     /// The curve over the scale factor has the values of separate fits.
     #[test]
     fn scale_curve_matches_separate_fits() {
-        let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
+        let dictionary = dense(360, 0.0);
         let materials = materials(0.93);
         let range = MuRange::new(0.85, 1.0, 0.05).unwrap();
         let within = FitSettings {
@@ -317,12 +312,12 @@ mod tests {
             ..FitSettings::default()
         };
         let options = FitOptions::new(within).unwrap();
-        let curve = scale(&dictionary, &materials, &options, &range).unwrap();
+        let curve = scale(dictionary, &materials, &options, &range).unwrap();
         for point in &curve.points {
             let at = options.with_mu(point.mu, 0.0).unwrap();
             let sum: f64 = materials
                 .iter()
-                .map(|m| crate::fit(&dictionary, m, &at).unwrap().channels[0].candidates[0].error)
+                .map(|m| crate::fit(dictionary, m, &at).unwrap().channels[0].candidates[0].error)
                 .sum();
             assert!((sum / point.mu - point.error).abs() < 1e-9, "{point:?} {}", sum / point.mu);
         }
@@ -330,7 +325,7 @@ mod tests {
             let at = options.with_mu(curve.best.mu, 0.0).unwrap().with_g(e.g).unwrap();
             let sum: f64 = materials
                 .iter()
-                .map(|m| crate::fit(&dictionary, m, &at).unwrap().channels[0].candidates[0].error)
+                .map(|m| crate::fit(dictionary, m, &at).unwrap().channels[0].candidates[0].error)
                 .sum();
             assert!((sum / curve.best.mu - e.error).abs() < 1e-9, "{e:?}");
             assert!(e.best_mu_error <= e.error);
@@ -340,30 +335,30 @@ mod tests {
     /// Some of the media lie at the ends of the albedos, so that no other factor is as good.
     #[test]
     fn hidden_factor_is_found_within_its_error() {
-        let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
+        let dictionary = dense(360, 0.0);
         for hidden in [0.87, 0.913, 0.98] {
             let curve =
-                scale(&dictionary, &materials(hidden), &FitOptions::default(), &MuRange::default()).unwrap();
+                scale(dictionary, &materials(hidden), &FitOptions::default(), &MuRange::default()).unwrap();
             assert!((curve.best.mu - hidden).abs() <= 0.005, "{hidden}: {:?}", curve.best);
             assert!(!curve.at_end && curve.curvature.unwrap() > 0.0 && curve.std_error.unwrap() < 0.02);
         }
         let beyond = MuRange::new(0.95, 1.0, 0.001).unwrap();
-        let curve = scale(&dictionary, &materials(0.9), &FitOptions::default(), &beyond).unwrap();
+        let curve = scale(dictionary, &materials(0.9), &FitOptions::default(), &beyond).unwrap();
         assert!(curve.at_end && curve.best.mu == 0.95);
     }
 
     /// A single channel has no jackknife error, and errors name the material.
     #[test]
     fn one_channel_has_no_jackknife() {
-        let dictionary = noisy_dictionary(dense_axes(), 90, 0.0);
+        let dictionary = dense(90, 0.0);
         let one = &materials(1.0)[..1];
-        let curve = scale(&dictionary, one, &FitOptions::default(), &MuRange::default()).unwrap();
+        let curve = scale(dictionary, one, &FitOptions::default(), &MuRange::default()).unwrap();
         assert_eq!((curve.std_error, curve.points.len()), (None, 301));
         let mut two = materials(1.0)[..2].to_vec();
         let p = &two[1].profiles()[0];
         let other = MeasuredProfile::new("X", 0.5, p.x_mm().to_vec(), p.values().to_vec(), None).unwrap();
         two[1] = Measurement::new("x", vec![other]).unwrap();
-        let error = scale(&dictionary, &two, &FitOptions::default(), &MuRange::default()).unwrap_err();
+        let error = scale(dictionary, &two, &FitOptions::default(), &MuRange::default()).unwrap_err();
         assert_eq!(error.field(), "materials[1].channel");
     }
 }

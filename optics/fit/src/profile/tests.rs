@@ -4,7 +4,7 @@ use optics_model::Medium;
 use optics_model::fit::ProfileQuestion;
 
 use super::profile;
-use crate::testing::{dense_axes, dictionary, noisy_dictionary, profile_value};
+use crate::testing::{dense, dictionary, profile_value};
 
 const PIXELS: u32 = 360;
 
@@ -17,8 +17,8 @@ fn question(medium: Medium, thickness_mm: f64, channels: &[&str]) -> ProfileQues
 #[test]
 fn interpolated_profiles_match_within_their_errors() {
     const NOISE: f64 = 0.002;
-    let quiet = noisy_dictionary(dense_axes(), PIXELS, 0.0);
-    let noisy = noisy_dictionary(dense_axes(), PIXELS, NOISE);
+    let quiet = dense(PIXELS, 0.0);
+    let noisy = dense(PIXELS, NOISE);
     let medium = Medium::new(3.1, 0.62, 0.33).unwrap();
     let question = question(medium, 0.5, &["G", "R"]);
     let [exact, found] = [&quiet, &noisy].map(|dictionary| profile(dictionary, &question).unwrap());

@@ -1,10 +1,10 @@
 use optics_model::grid::Axes;
 use optics_model::scene::{Scene, Sensor};
-use optics_model::{Estimate, Grid, Medium, Profile, Record, Walks};
+use optics_model::{Grid, Medium, Walks};
 
 use super::*;
 use crate::FitDictionary;
-use crate::testing::dictionary_of;
+use crate::testing::{dictionary_of, exact_record};
 
 /// Reflectances of the base's halves, reduced by the losses on the way.
 const BASE: [f64; 2] = [0.02, 0.8];
@@ -27,12 +27,8 @@ fn dark_media() -> FitDictionary {
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 2, 0.0).unwrap());
     let channels = scene.channels().len();
     let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
-    dictionary_of(&grid, |index| {
-        let (point, medium) = grid.parameters(index);
-        let value = |base| scattered_once(&medium, point.thickness_mm(), base) as f32;
-        let radiance_factor = Estimate::new(BASE.map(value).to_vec(), vec![0.0; 2]).unwrap();
-        Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; channels] }
-    })
+    let value = |x: f64, m: &Medium, mm: f64, _| scattered_once(m, mm, BASE[usize::from(x > 0.0)]);
+    dictionary_of(&grid, |index| exact_record(&grid, index, channels, value))
 }
 
 /// Media between the nodes.

@@ -303,16 +303,14 @@ mod tests {
                     roughness = 'resin'\n";
         let scene = scene(text).unwrap();
         assert_eq!(scene.layers()[1].roughness(), 0.1);
-        let named: Vec<_> =
-            scene.priors().iter().map(|p| (scene.name_of(p), p.layers(), p.scope())).collect();
-        assert_eq!(
-            named,
-            [
-                ("resin roughness".to_owned(), &[0, 1][..], Scope::Material),
-                ("gel thickness".to_owned(), &[1][..], Scope::Session),
-                ("resin index".to_owned(), &[0][..], Scope::Material),
-            ]
-        );
+        for (prior, (name, layers, scope)) in scene.priors().iter().zip([
+            ("resin roughness", &[0, 1][..], Scope::Material),
+            ("gel thickness", &[1], Scope::Session),
+            ("resin index", &[0], Scope::Material),
+        ]) {
+            assert_eq!((&*scene.name_of(prior), prior.layers(), prior.scope()), (name, layers, scope));
+        }
+        assert_eq!(scene.priors().len(), 3);
     }
 
     /// Refusals name the number as it stands in the file.
@@ -320,29 +318,21 @@ mod tests {
     fn wrong_uncertain_numbers_are_refused() {
         let sample = "[[layer]]\nname = 's'\nsample = true\n";
         for (text, expected) in [
+            ("roughness = 'gel'", "layer[0].roughness = gel is not valid: a number, or the name"),
+            ("roughness = { value = 0.05, std_error = 0 }", "layer[0].roughness.std_error = 0"),
+            ("roughness = { std_error = 0.1 }", "layer[0].roughness = missing"),
             (
-                format!("{sample}roughness = 'gel'"),
-                "layer[0].roughness = gel is not valid: a number, or the name",
-            ),
-            (
-                format!("{sample}roughness = {{ value = 0.05, std_error = 0 }}"),
-                "layer[0].roughness.std_error = 0",
-            ),
-            (format!("{sample}roughness = {{ std_error = 0.1 }}"), "layer[0].roughness = missing"),
-            (
-                format!("{sample}ior = {{ std_error = 0.1, per = 'day' }}"),
+                "ior = { std_error = 0.1, per = 'day' }",
                 "layer[0].ior.per = day is not valid: allowed are session, slab, material and channel",
             ),
-            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = -1"), "light.std_error_deg = -1"),
-            (format!("{sample}[light]\nring_deg = [40, 50]\nstd_error_deg = 60"), "light.std_error_deg = 60"),
+            ("[light]\nring_deg = [40, 50]\nstd_error_deg = -1", "light.std_error_deg = -1"),
+            ("[light]\nring_deg = [40, 50]\nstd_error_deg = 60", "light.std_error_deg = 60"),
             (
-                format!(
-                    "{sample}[[layer]]\nname = 'g'\nior = {{ value = 1.3, std_error = 4 }}\nthickness_mm = 1"
-                ),
+                "[[layer]]\nname = 'g'\nior = { value = 1.3, std_error = 4 }\nthickness_mm = 1",
                 "layer[1].ior.std_error = 4 is not valid: the response of the g index would be traced at ior = -8.7",
             ),
         ] {
-            let error = scene(&text).unwrap_err().to_string();
+            let error = scene(&format!("{sample}{text}")).unwrap_err().to_string();
             assert!(error.starts_with(expected), "{error}");
         }
         let error = toml::from_str::<SceneFile>(&format!("{sample}roughness = {{ mean = 1 }}")).unwrap_err();

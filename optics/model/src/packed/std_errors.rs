@@ -164,15 +164,19 @@ mod tests {
     #[test]
     fn impossible_bytes_are_not_sound() {
         let [low, high] = (largest_grade(&[1e-3]) as u16).to_le_bytes();
-        assert!(is_sound(&[low, high, 255, 7]));
-        assert!(!is_sound(&[low, high, 254, 7]), "none is the largest");
+        for (bytes, sound, what) in [
+            ([low, high, 255, 7], true, "the largest is there"),
+            ([low, high, 254, 7], false, "none is the largest"),
+            ([low, high, 0, 0], false, "none is the largest"),
+            ([0, 0, 255, 0], false, "the largest is none"),
+            ([0xf8, 0x0f, 255, 0], false, "infinite"),
+            ([3, 0, 255, 252], false, "below the smallest"),
+            ([3, 0, 255, 253], true, "the smallest"),
+        ] {
+            assert_eq!(is_sound(&bytes), sound, "{what}");
+        }
         let error = read(&[low, high, 254, 7]).unwrap_err();
         assert_eq!(error.field(), "std_errors");
         assert!(error.to_string().contains("254 as the largest byte"), "{error}");
-        assert!(!is_sound(&[low, high, 0, 0]), "none is the largest");
-        assert!(!is_sound(&[0, 0, 255, 0]), "the largest is none");
-        assert!(!is_sound(&[0xf8, 0x0f, 255, 0]), "infinite");
-        assert!(!is_sound(&[3, 0, 255, 252]), "below the smallest");
-        assert!(is_sound(&[3, 0, 255, 253]), "the smallest");
     }
 }

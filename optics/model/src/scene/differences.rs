@@ -112,33 +112,38 @@ mod tests {
     /// Every number of a scene is compared, with its prior.
     #[test]
     fn differences_have_both_values() {
-        let lab = Scene::lab();
-        assert_eq!(texts(&lab, &lab), [""; 0]);
-        let gel = lab.priors().iter().position(|p| lab.name_of(p) == "gel thickness").unwrap();
-        let mut priors = lab.priors().to_vec();
-        let wide = priors.remove(gel);
-        priors.push(Prior::new(wide.kind(), wide.layers().to_vec(), 0.004, wide.scope()).unwrap());
-        let narrower = lab.clone().with_priors(priors).unwrap();
-        assert_eq!(
-            texts(&narrower, &lab),
-            ["gel thickness: 0.02 ± 0.004 mm per slab | 0.02 ± 0.02 mm per slab"]
-        );
-        let light = Scene::paper().with_light(RingLight::new(40.0, 55.0).unwrap());
-        assert_eq!(texts(&light, &Scene::paper()), ["ring: 40…55° | 40…50°"]);
+        let (lab, paper) = (Scene::lab(), Scene::paper());
+        let narrow = |prior: &Prior| {
+            let is_gel = lab.name_of(prior) == "gel thickness";
+            let std_error = if is_gel { 0.004 } else { prior.std_error() };
+            Prior::new(prior.kind(), prior.layers().to_vec(), std_error, prior.scope()).unwrap()
+        };
+        let narrower = lab.clone().with_priors(lab.priors().iter().map(narrow).collect()).unwrap();
         let tilted = |pixels| Scene::paper().with_sensor(Sensor::new(10.0, pixels, 8.0).unwrap());
-        assert_eq!(texts(&tilted(100), &Scene::paper()), ["sensor angle: 8° | 0°"]);
-        assert_eq!(texts(&tilted(100), &tilted(200)), [""; 0]);
         let darker = vec![Channel::new("R", 0.95, 0.024).unwrap()];
-        let channels = Scene::paper().with_channels(darker).unwrap();
-        assert_eq!(
-            texts(&channels, &Scene::paper()),
-            ["channels: R | R, G, B", "rho_light of R: 0.95 | 0.985"]
-        );
-        let kept = Scene::paper().with_multiple_scattering(true);
-        assert_eq!(
-            texts(&kept, &Scene::paper()),
-            ["light scattered repeatedly by rough surfaces: kept | lost"]
-        );
+        for (own, other, expected) in [
+            (&lab, &lab, &[][..]),
+            (&narrower, &lab, &["gel thickness: 0.02 ± 0.004 mm per slab | 0.02 ± 0.02 mm per slab"]),
+            (
+                &Scene::paper().with_light(RingLight::new(40.0, 55.0).unwrap()),
+                &paper,
+                &["ring: 40…55° | 40…50°"],
+            ),
+            (&tilted(100), &paper, &["sensor angle: 8° | 0°"]),
+            (&tilted(100), &tilted(200), &[]),
+            (
+                &Scene::paper().with_channels(darker).unwrap(),
+                &paper,
+                &["channels: R | R, G, B", "rho_light of R: 0.95 | 0.985"],
+            ),
+            (
+                &Scene::paper().with_multiple_scattering(true),
+                &paper,
+                &["light scattered repeatedly by rough surfaces: kept | lost"],
+            ),
+        ] {
+            assert_eq!(texts(own, other), expected);
+        }
     }
 
     /// Layers of one name share a text, from top to bottom.

@@ -231,33 +231,31 @@ mod tests {
     #[test]
     fn wrong_curves_are_refused() {
         let none = DispersionCurve::default;
+        let of_table = |wavelength_nm: [f64; 2], ior: [f64; 2]| DispersionCurve {
+            wavelength_nm: wavelength_nm.to_vec(),
+            ior: ior.to_vec(),
+            ..none()
+        };
+        let (two, other, one) = (
+            DispersionCurve { cauchy_b_um2: 0.004, ..glass() },
+            DispersionCurve { sellmeier_c_um2: vec![1.0], ..glass() },
+            DispersionCurve { sellmeier_b: vec![1.0], sellmeier_c_um2: vec![0.4], ..none() },
+        );
         for (curve, expected) in [
             (none(), "dispersion = no formula is not valid: give cauchy_b_um2"),
-            (
-                DispersionCurve { cauchy_b_um2: 0.004, ..glass() },
-                "dispersion = several formulas is not valid",
-            ),
+            (two, "dispersion = several formulas is not valid"),
             (DispersionCurve { cauchy_b_um2: f64::NAN, ..none() }, "cauchy_b_um2 = NaN"),
+            (other, "sellmeier_b = 3 and 1 numbers is not valid"),
+            (one, "sellmeier_b = n² = -5"),
             (
-                DispersionCurve { sellmeier_c_um2: vec![1.0], ..glass() },
-                "sellmeier_b = 3 and 1 numbers is not valid",
+                of_table([400.0, 500.0], [1.5, 1.4]),
+                "wavelength_nm = 400 to 500 nm is not valid: the index at 589.3 nm",
             ),
             (
-                DispersionCurve { sellmeier_b: vec![1.0], sellmeier_c_um2: vec![0.4], ..none() },
-                "sellmeier_b = n² = -5",
+                of_table([700.0, 500.0], [1.5, 1.4]),
+                "wavelength_nm[1] = 500 is not valid: wavelengths must be strictly",
             ),
-            (
-                DispersionCurve { wavelength_nm: vec![400.0, 500.0], ior: vec![1.5, 1.4], ..none() },
-                "wavelength_nm = 400 to 500 nm is not valid: the index at 589.3 nm is needed",
-            ),
-            (
-                DispersionCurve { wavelength_nm: vec![700.0, 500.0], ior: vec![1.5, 1.4], ..none() },
-                "wavelength_nm[1] = 500 is not valid: wavelengths must be strictly rising",
-            ),
-            (
-                DispersionCurve { wavelength_nm: vec![400.0, 700.0], ior: vec![1.5, 0.4], ..none() },
-                "ior = 0.4 is not valid",
-            ),
+            (of_table([400.0, 700.0], [1.5, 0.4]), "ior = 0.4 is not valid"),
         ] {
             let error = Dispersion::new(curve).unwrap_err().to_string();
             assert!(error.starts_with(expected), "{error}");

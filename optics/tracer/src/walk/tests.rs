@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 use optics_model::TransportPoint;
-use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+use optics_model::scene::{RingLight, Scene};
 use rayon::prelude::*;
 
 use super::{Walk, WalkEvent};
@@ -10,6 +10,7 @@ use crate::light::Light;
 use crate::math::unit_vector;
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
+use crate::testing::{clear, sample, scene};
 
 /// Mean and standard error.
 fn statistics(samples: impl Iterator<Item = f64>) -> (f64, f64) {
@@ -29,19 +30,8 @@ fn assert_close((mean, error): (f64, f64), expected: f64, tolerance: f64, most_e
     assert!(z.abs() < 3.5, "{mean} ± {error}, expected {expected}: z = {z:.2}");
 }
 
-fn scene(layers: Vec<Layer>) -> Scene {
-    Scene::new(
-        layers,
-        vec![Channel::new("mono", 1.0, 1.0).unwrap()],
-        RingLight::new(0.0, 90.0).unwrap(),
-        Sensor::new(10.0, 8, 0.0).unwrap(),
-        false,
-    )
-    .unwrap()
-}
-
-fn sample_over_air(roughness: f64) -> Vec<Layer> {
-    vec![Layer::sample("sample", roughness).unwrap(), Layer::clear("air", 1.0, 1.0, roughness).unwrap()]
+fn sample_over_air() -> Scene {
+    scene(vec![sample(0.0), clear(1.0, 1.0, 0.0)], [0.0, 90.0], 0.0)
 }
 
 /// Runs walks with the given directions to their first event of a kind at which `end` holds.
@@ -80,29 +70,28 @@ fn left(event: WalkEvent) -> bool {
     matches!(event, WalkEvent::Left | WalkEvent::Lost)
 }
 
+/// Shares of the light that ends so, at an albedo of 0.9.
+fn fate(stack: &Stack, n: u32, key: u32, wanted: WalkEvent) -> (f64, f64) {
+    let weight = |(walk, event): (Walk, WalkEvent)| {
+        if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
+    };
+    statistics(walks(stack, n, key, down, left_or_through).map(weight))
+}
+
 /// van de Hulst 1980, "Multiple light scattering", table 35: R 0.09739, T 0.66096.
 #[test]
 fn matched_slab_reflects_and_transmits_as_tabulated() {
-    let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
-    let fate =
-        |wanted: WalkEvent| {
-            statistics(walks(&stack, 1_000_000, 1, down, left_or_through).map(|(walk, event)| {
-                if event == wanted { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
-            }))
-        };
-    assert_close(fate(WalkEvent::Left), 0.09739, 1e-5, 3e-4);
-    assert_close(fate(WalkEvent::Base), 0.66096, 1e-5, 5e-4);
+    let stack = Stack::new(&sample_over_air(), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
+    assert_close(fate(&stack, 1_000_000, 1, WalkEvent::Left), 0.09739, 1e-5, 3e-4);
+    assert_close(fate(&stack, 1_000_000, 1, WalkEvent::Base), 0.66096, 1e-5, 5e-4);
 }
 
 /// Giovanelli 1955: albedo 0.9, isotropic, n = 1.5, normal incidence, R 0.2600 with the specular part. A slab of 40
 /// mean free paths represents the half space: the loss below is less than exp(−20).
 #[test]
 fn half_space_reflects_as_tabulated() {
-    let stack = Stack::new(&scene(sample_over_air(0.0)), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
-    let reflected = walks(&stack, 400_000, 2, down, left_or_through).map(|(walk, event)| {
-        if event == WalkEvent::Left { 0.9_f64.powi(walk.scatterings as i32) } else { 0.0 }
-    });
-    assert_close(statistics(reflected), 0.2600, 5e-5, 6e-4);
+    let stack = Stack::new(&sample_over_air(), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
+    assert_close(fate(&stack, 400_000, 2, WalkEvent::Left), 0.2600, 5e-5, 6e-4);
 }
 
 /// Mean path length of diffuse light in a slab, whatever σ_t and g (Blanco and Fournier 2003, with the factor n² of
@@ -111,14 +100,16 @@ fn half_space_reflects_as_tabulated() {
 fn mean_path_depends_on_thickness_and_index() {
     for (sigma_t, g) in [(0.5, 0.0), (5.0, 0.8), (20.0, 0.4)] {
         let point = TransportPoint::new(sigma_t, g, 0.5, 1.5).unwrap();
-        let open = Stack::new(&scene(sample_over_air(0.0)), &point);
-        let lengths =
-            walks(&open, 300_000, 3, lambertian, left_or_through).map(|(w, _)| f64::from(w.length) / sigma_t);
-        assert_close(statistics(lengths), 2.0 * 0.5 * 2.25, 0.0, 0.02);
-        let closed = Stack::new(&scene(vec![Layer::sample("sample", 0.0).unwrap()]), &point);
-        let lengths =
-            walks(&closed, 300_000, 4, lambertian, left).map(|(w, _)| f64::from(w.length) / sigma_t);
-        assert_close(statistics(lengths), 4.0 * 0.5 * 2.25, 0.0, 0.05);
+        let closed = scene(vec![sample(0.0)], [0.0, 90.0], 0.0);
+        for (scene, key, end, factor, most_error) in [
+            (sample_over_air(), 3, left_or_through as fn(WalkEvent) -> bool, 2.0, 0.02),
+            (closed, 4, left, 4.0, 0.05),
+        ] {
+            let stack = Stack::new(&scene, &point);
+            let lengths =
+                walks(&stack, 300_000, key, lambertian, end).map(|(w, _)| f64::from(w.length) / sigma_t);
+            assert_close(statistics(lengths), factor * 0.5 * 2.25, 0.0, most_error);
+        }
     }
 }
 
@@ -151,7 +142,7 @@ fn single_scattering_on_rough_interfaces_loses_energy() {
 #[test]
 fn roulette_in_very_thick_slabs_is_unbiased() {
     let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).unwrap();
-    let stack = Stack::new(&scene(vec![Layer::sample("sample", 0.0).unwrap()]), &point);
+    let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
     let mut long = 0;
     let weights = walks(&stack, 20_000, 7, lambertian, left).map(|(walk, event)| {
         long += u32::from(walk.weight > 1.0);

@@ -153,22 +153,11 @@ mod tests {
 
     use super::*;
 
-    fn page(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> String {
-        media(estimates, budget).section(&[])
-    }
-
-    fn media(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>) -> Media {
-        let (figures, simulated) = (Vec::new(), Vec::new());
-        Media {
-            verdict: MeasureVerdict::default(),
-            rows: rows(),
-            text: "σ_t".to_owned(),
-            estimates,
-            budget,
-            spectra: None,
-            figures,
-            simulated,
-        }
+    /// The section of media with these estimates and this budget, without slabs.
+    fn section(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>, spectra: Option<&str>) -> String {
+        let (verdict, rows, text) = (MeasureVerdict::default(), rows(), "σ_t".to_owned());
+        let (spectra, figures, simulated) = (spectra.map(str::to_owned), Vec::new(), Vec::new());
+        Media { verdict, rows, text, estimates, budget, spectra, figures, simulated }.section(&[])
     }
 
     fn rows() -> Vec<Vec<String>> {
@@ -178,17 +167,15 @@ mod tests {
     const TEXT: &str = "<details><summary>The answer as text</summary>\n<div class=\"wide\"><pre>σ_t</pre></div>\n\
         </details>\n";
 
-    /// With bands the figure of the media comes first, and the numbers are folded.
+    /// With bands the figure of the media comes first, and the numbers are folded. A scene that was taken as exact has no
+    /// table.
     #[test]
     fn spectra_come_before_numbers() {
-        let page = Media { spectra: Some("<svg/>".to_owned()), ..media(Vec::new(), None) }.section(&[]);
-        assert_eq!(
-            page,
-            format!(
-                "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n{}</details>\n{TEXT}",
-                cards(&Media::COLUMNS, &rows())
-            )
-        );
+        let numbers = cards(&Media::COLUMNS, &rows());
+        let figure = "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n";
+        let folded = format!("{figure}{numbers}</details>\n{TEXT}");
+        assert_eq!(section(Vec::new(), None, Some("<svg/>")), folded);
+        assert_eq!(section(Vec::new(), None, None), numbers + TEXT);
     }
 
     /// Estimates that contradict a prior, or lie at an end of the responses, are marked and explained.
@@ -197,25 +184,17 @@ mod tests {
         let mut channels = vec![channel("R", 6.0, 1.0)];
         channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
         let fits = [MaterialFit { material: "<white>".into(), channels }];
-        let page = page(estimate_rows(&fits), error_budget(&fits));
-        let doubtful = "<tr class=\"doubtful\"><td data-name=\"quantity\">gel thickness</td><td data-name=\"of\">&lt;white&gt; 0.5 \
-                        mm</td><td data-name=\"estimate\">0.097 ± 0.003 mm</td><td data-name=\"prior\">0.02 ± 0.02 mm</td></tr>";
-        assert!(page.contains(doubtful), "{page}");
-        assert!(page.contains(
-            "<td data-name=\"estimate\">45.2 ± 0.9 °</td><td data-name=\"prior\">45 ± 1 °</td></tr>"
-        ));
-        for warning in
-            ["is 3.9 standard deviations from its prior", "lies where the dictionary's responses end"]
-        {
-            assert!(page.contains(warning), "{warning}: {page}");
+        let page = section(estimate_rows(&fits), error_budget(&fits), None);
+        for part in [
+            "<tr class=\"doubtful\"><td data-name=\"quantity\">gel thickness</td><td data-name=\"of\">&lt;white&gt; 0.5 \
+             mm</td><td data-name=\"estimate\">0.097 ± 0.003 mm</td><td data-name=\"prior\">0.02 ± 0.02 mm</td></tr>",
+            "<td data-name=\"estimate\">45.2 ± 0.9 °</td><td data-name=\"prior\">45 ± 1 °</td></tr>",
+            "is 3.9 standard deviations from its prior",
+            "lies where the dictionary's responses end",
+            "<td>&lt;white&gt; R</td><td>5.4…6.6 / mm</td>",
+            "<span style=\"width:80.0%\" title=\"g\"></span>",
+        ] {
+            assert!(page.contains(part), "{part}: {page}");
         }
-        assert!(page.contains("<td>&lt;white&gt; R</td><td>5.4…6.6 / mm</td>"), "{page}");
-        assert!(page.contains("<span style=\"width:80.0%\" title=\"g\"></span>"), "{page}");
-    }
-
-    /// A scene that was taken as exact has no table.
-    #[test]
-    fn exact_scene_has_no_table() {
-        assert_eq!(page(Vec::new(), None), cards(&Media::COLUMNS, &rows()) + TEXT);
     }
 }

@@ -21,18 +21,32 @@ thickness_mm = 0.512
 shots = ["white_*.pgm"]
 "#;
 
-/// A folder with a session and empty photographs; `change` replaces a part of the session by another.
-fn read(change: (&str, &str)) -> Result<CaptureSession> {
+/// A folder with a session, empty photographs of these names, and tables; `change` replaces a part of the session by
+/// another.
+fn read_in(
+    names: &[&str],
+    tables: &[(&str, &str)],
+    session: &str,
+    change: (&str, &str),
+) -> Result<CaptureSession> {
     let folder = tempfile::tempdir().unwrap();
-    for name in ["dark_1", "dark_2", "chart", "board", "white_2", "white_1", "white_10"] {
+    for name in names {
         write(folder.path().join(format!("{name}.pgm")), "").unwrap();
     }
-    assert!(SOUND.contains(change.0), "{}", change.0);
+    for (name, text) in tables {
+        write(folder.path().join(name), text).unwrap();
+    }
+    assert!(session.contains(change.0), "{}", change.0);
     let path = folder.path().join("session.toml");
-    write(&path, SOUND.replacen(change.0, change.1, 1)).unwrap();
-    let read = CaptureSession::read(&path);
+    write(&path, session.replacen(change.0, change.1, 1)).unwrap();
     // The temporary folder in paths is replaced by DIR.
-    read.map_err(|e| anyhow::anyhow!(format!("{e:#}").replace(&folder.path().display().to_string(), "DIR")))
+    let named = |text: String| text.replace(&folder.path().display().to_string(), "DIR");
+    CaptureSession::read(&path).map_err(|e| anyhow::anyhow!(named(format!("{e:#}"))))
+}
+
+fn read(change: (&str, &str)) -> Result<CaptureSession> {
+    let names = ["dark_1", "dark_2", "chart", "board", "white_2", "white_1", "white_10"];
+    read_in(&names, &[], SOUND, change)
 }
 
 fn refused(from: &str, to: &str) -> String {
@@ -56,50 +70,41 @@ fn absent_session_fields_have_defaults() {
 #[test]
 fn invalid_values_are_refused_with_range() {
     let message = refused("thickness_mm = 0.512", "thickness_mm = -1");
-    assert_eq!(
-        message,
-        "session file DIR/session.toml, line 16: sample[0].thickness_mm = -1 is not valid: allowed are 0.01 to 100"
-    );
-    for (from, to, expected) in [
-        ("thickness_mm = 0.512", "", "missing field `thickness_mm`"),
-        ("thickness_mm = 0.512", "thickness_mm = nan", "sample[0].thickness_mm = NaN is not valid"),
-        ("thickness_mm", "height_mm", "unknown field `height_mm`"),
-        ("[target]", "[target]\nsquare_mm = 0", "target.square_mm = 0 is not valid"),
-        (
-            "[target]",
-            "[target]\ndark_side = \"west\"",
-            "allowed are \"left\", \"right\", \"top\" and \"bottom\"",
-        ),
-        ("\"RGGB\"", "\"RGBG\"", "camera.pattern = \"RGBG\" is not valid: allowed are \"RGGB\", \"BGGR\""),
-        ("\"white\"", "\" white\"", "sample[0].material = \" white\" is not valid"),
-        ("white_*", "cyan_*", "sample[0].shots[0] = \"cyan_*.pgm\" is not valid: no such file is in DIR"),
-        (
-            "bare = [\"board.pgm\"]",
-            "bare = []",
-            "target.bare = [] is not valid: at least one photograph is needed",
-        ),
-        ("white_*.pgm", "board.pgm", "the photograph is also in target.bare; each may be used once"),
-        (", 0.1]", "]", "neutral.rho = 2 patches is not valid"),
-        ("rho = [0.9", "rho = [9", "neutral.rho[0] = [9.0, 9.0, 9.0] is not valid"),
-        ("[40, 0, 20, 20]", "[40, 0, 20]", "invalid length 3"),
-        (
-            "[camera]",
-            "scene = \"none.toml\"\n[camera]",
-            "scene \"none.toml\" is none of \"lab\", \"paper\", \"smooth\", and no file",
-        ),
-    ] {
-        let message = refused(from, to);
+    let place = "session file DIR/session.toml, line 16: sample[0].thickness_mm = -1";
+    assert_eq!(message, format!("{place} is not valid: allowed are 0.01 to 100"));
+    let changes = r#"
+thickness_mm = 0.512 >> >> missing field `thickness_mm`
+thickness_mm = 0.512 >> thickness_mm = nan >> sample[0].thickness_mm = NaN is not valid
+thickness_mm >> height_mm >> unknown field `height_mm`
+[target] >> [target] | square_mm = 0 >> target.square_mm = 0 is not valid
+[target] >> [target] | dark_side = "west" >> allowed are "left", "right", "top" and "bottom"
+"RGGB" >> "RGBG" >> camera.pattern = "RGBG" is not valid: allowed are "RGGB", "BGGR"
+"white" >> " white" >> sample[0].material = " white" is not valid
+white_* >> cyan_* >> sample[0].shots[0] = "cyan_*.pgm" is not valid: no such file is in DIR
+bare = ["board.pgm"] >> bare = [] >> target.bare = [] is not valid: at least one photograph is needed
+white_*.pgm >> board.pgm >> the photograph is also in target.bare; each may be used once
+, 0.1] >> ] >> neutral.rho = 2 patches is not valid
+rho = [0.9 >> rho = [9 >> neutral.rho[0] = [9.0, 9.0, 9.0] is not valid
+[40, 0, 20, 20] >> [40, 0, 20] >> invalid length 3
+[camera] >> scene = "none.toml" | [camera] >> scene "none.toml" is none of "lab", "paper", "smooth", and no file
+0.512 >> 0,512 >> session.toml, line 16: 0,512 seems to have a decimal comma; write 0.512
+[[sample]] >> [[sample]] | material = "white" | thickness_mm = 0.512 | shots = ["white_1.pgm"] | [[sample]] >> also in sample[0].shots
+white_*.pgm >> {band}_white.pgm >> {band} stands for the name of a band: add a [[band]] for each
+"#;
+    for (from, to, expected) in table(changes) {
+        let message = refused(from, &to);
         assert!(message.starts_with("session file DIR/session.toml"), "{message}");
         assert!(message.contains(expected), "{to}: {message}");
     }
 }
 
-#[test]
-fn slab_has_one_entry() {
-    let twice =
-        "[[sample]]\nmaterial = \"white\"\nthickness_mm = 0.512\nshots = [\"white_1.pgm\"]\n\n[[sample]]";
-    let message = refused("[[sample]]", twice).replace("white_*", "white_2");
-    assert!(message.contains("also in sample[0].shots"), "{message}");
+/// Changes of a session, one a line: a part of it, its replacement with its lines, and what the message contains.
+fn table(changes: &str) -> impl Iterator<Item = (&str, String, &str)> {
+    changes.trim().lines().map(|line| {
+        let (from, rest) = line.split_once(" >> ").unwrap();
+        let (to, expected) = rest.split_once(">> ").unwrap();
+        (from, to.trim_end().replace(" | ", "\n"), expected)
+    })
 }
 
 /// `mono` is the pattern of a monochrome camera; other names are refused.
@@ -115,37 +120,31 @@ fn mono_is_a_valid_pattern() {
 fn implausible_numbers_are_named() {
     let doubts = |from: &str, to: &str| read((from, to)).unwrap().doubts.join("; ");
     assert_eq!(doubts("", ""), "");
-    for (from, to, message) in [
-        ("[neutral]", "[neutral]\nstd_error = 0.5", "neutral.std_error = 0.5 is 50 % of each reflectance"),
-        ("[target]", "[target]\nsquare_mm = 2", "target.square_mm = 2: boards have squares of 5 to 100 mm"),
-        ("0.512", "51.2", "sample[0].thickness_mm = 51.2: slabs have about 0.5 to 2 mm"),
-        ("0.512", "0.512\nthickness_std_error_mm = 0.1", "sample[0].thickness_std_error_mm = 0.1 is 20 %"),
-    ] {
-        assert!(doubts(from, to).starts_with(message), "{}", doubts(from, to));
+    let changes = r"
+[neutral] >> [neutral] | std_error = 0.5 >> neutral.std_error = 0.5 is 50 % of each reflectance
+[target] >> [target] | square_mm = 2 >> target.square_mm = 2: boards have squares of 5 to 100 mm
+0.512 >> 51.2 >> sample[0].thickness_mm = 51.2: slabs have about 0.5 to 2 mm
+0.512 >> 0.512 | thickness_std_error_mm = 0.1 >> sample[0].thickness_std_error_mm = 0.1 is 20 %
+";
+    for (from, to, message) in table(changes) {
+        assert!(doubts(from, &to).starts_with(message), "{}", doubts(from, &to));
     }
-    let other = |name: &str, mm: f64| {
-        let table =
+    for (name, mm, message) in [
+        ("White", 1.0, "sample[1].material = \"White\" differs from \"white\" only in case"),
+        ("white", 0.5121, "sample[1].thickness_mm = 0.5121 is nearly that of another slab, 0.512"),
+        ("white", 1.0, ""),
+    ] {
+        let other =
             format!("[[sample]]\nmaterial = \"{name}\"\nthickness_mm = {mm}\nshots = [\"white_2.pgm\"]\n");
-        let first = "shots = [\"white_*.pgm\"]\n";
-        doubts(first, &format!("shots = [\"white_1*.pgm\"]\n{table}"))
-    };
-    assert_eq!(other("White", 1.0), "sample[1].material = \"White\" differs from \"white\" only in case");
-    assert!(
-        other("white", 0.5121)
-            .starts_with("sample[1].thickness_mm = 0.5121 is nearly that of another slab, 0.512")
-    );
-    assert_eq!(other("white", 1.0), "");
+        let found = doubts("shots = [\"white_*.pgm\"]\n", &format!("shots = [\"white_1*.pgm\"]\n{other}"));
+        assert!(found.starts_with(message) && found.is_empty() == message.is_empty(), "{found}");
+    }
 }
 
-/// Byte-order marks, which editors of Windows write, are read; a decimal comma is reported.
+/// Byte-order marks, which editors of Windows write, are read.
 #[test]
 fn byte_order_marks_are_read() {
     assert_eq!(read(("\n[camera]", "\u{feff}[camera]")).unwrap().parts[0].dark.len(), 2);
-    let comma = refused("0.512", "0,512");
-    assert!(
-        comma.contains("session.toml, line 16: 0,512 seems to have a decimal comma; write 0.512"),
-        "{comma}"
-    );
 }
 
 /// A session file with two bands, in a folder with their photographs; `change` replaces a part of it by another.
@@ -155,16 +154,9 @@ fn read_bands(change: (&str, &str)) -> Result<CaptureSession> {
 
 /// The same, with the table of a filter.
 fn read_bands_with(change: (&str, &str), filter: &str) -> Result<CaptureSession> {
-    let folder = tempfile::tempdir().unwrap();
-    write(folder.path().join("filter.csv"), filter).unwrap();
-    for band in ["blue", "630"] {
-        for name in ["chart", "board", "white"] {
-            write(folder.path().join(format!("{band}_{name}.pgm")), "").unwrap();
-        }
-    }
-    write(folder.path().join("dark.pgm"), "").unwrap();
-    write(folder.path().join("rho.csv"), "wavelength_nm,a,b,c\n400,0.8,0.4,0.1\n700,0.95,0.4,0.1\n").unwrap();
-    let text = r#"
+    let names = ["dark", "blue_chart", "blue_board", "blue_white", "630_chart", "630_board", "630_white"];
+    let rho = "wavelength_nm,a,b,c\n400,0.8,0.4,0.1\n700,0.95,0.4,0.1\n";
+    let session = r#"
 [camera]
 dark = ["dark.pgm"]
 [neutral]
@@ -184,10 +176,7 @@ material = "white"
 thickness_mm = 0.5
 shots = ["{band}_white.pgm"]
 "#;
-    assert!(text.contains(change.0), "{}", change.0);
-    let path = folder.path().join("session.toml");
-    write(&path, text.replacen(change.0, change.1, 1)).unwrap();
-    CaptureSession::read(&path)
+    read_in(&names, &[("filter.csv", filter), ("rho.csv", rho)], session, change)
 }
 
 /// Each band has its own photographs and reflectances; dark shots may be shared.
@@ -225,37 +214,20 @@ fn leaking_filters_are_doubted() {
     );
 }
 
-/// Messages name the band's field and the remedy.
+/// The message names the field and the remedy.
 #[test]
 fn wrong_bands_are_refused() {
-    for (from, to, message) in [
-        (
-            "{band}_board",
-            "630_board",
-            "the photograph is also in target.bare; each may be used once, and {band}",
-        ),
-        ("name = \"blue\"", "name = \"630\"", "band[1].name = 630 is not valid: each band needs another one"),
-        (
-            "\"rho.csv\"",
-            "[[0.9, 0.9, 0.9], 0.5, 0.1]",
-            "bands need one number a patch, or a table over wavelength",
-        ),
-        (
-            "[target]",
-            "[light]\nspectrum = \"rho.csv\"\n[target]",
-            "\"rho.csv\" with 3 columns of values is not valid",
-        ),
-        ("\"rho.csv\"", "true", "must be a list with a number or three for each patch"),
-        ("fwhm_nm = 10", "fwhm_nm = 200", "neutral.rho = 198.7 nm is not valid: the table has 400 to 700 nm"),
-        (
-            "fwhm_nm = 10",
-            "fwhm_nm = 10\nchannel = \"IR\"",
-            "band[0].channel = \"IR\" is not valid: allowed are \"mono\"",
-        ),
-    ] {
-        let refused = format!("{:#}", read_bands((from, to)).unwrap_err());
+    let changes = r#"
+{band}_board >> 630_board >> the photograph is also in target.bare; each may be used once, and {band}
+name = "blue" >> name = "630" >> band[1].name = 630 is not valid: each band needs another one
+"rho.csv" >> [[0.9, 0.9, 0.9], 0.5, 0.1] >> bands need one number a patch, or a table over wavelength
+[target] >> [light] | spectrum = "rho.csv" | [target] >> "rho.csv" with 3 columns of values is not valid
+"rho.csv" >> true >> must be a list with a number or three for each patch
+fwhm_nm = 10 >> fwhm_nm = 200 >> neutral.rho = 198.7 nm is not valid: the table has 400 to 700 nm
+fwhm_nm = 10 >> fwhm_nm = 10 | channel = "IR" >> band[0].channel = "IR" is not valid: allowed are "mono"
+"#;
+    for (from, to, message) in table(changes) {
+        let refused = format!("{:#}", read_bands((from, &to)).unwrap_err());
         assert!(refused.contains(message), "{refused}");
     }
-    let plain = refused("white_*.pgm", "{band}_white.pgm");
-    assert!(plain.contains("{band} stands for the name of a band: add a [[band]] for each"), "{plain}");
 }

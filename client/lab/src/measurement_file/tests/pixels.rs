@@ -2,10 +2,6 @@
 
 use super::*;
 
-fn codes(file: &MeasurementFile) -> Vec<&'static str> {
-    file.notes.iter().map(|n| n.code).collect()
-}
-
 #[test]
 fn rounded_places_are_even_with_a_note() {
     let row = |(x, v): (f64, f64)| format!("w,R,0.5,{x:.2},{v:.5},0.002\n");
@@ -19,33 +15,46 @@ fn rounded_places_are_even_with_a_note() {
     );
 }
 
+/// The rows of a profile, of which those of these numbers have this cell as value and error, or are absent.
+fn without(numbers: &[usize], cell: Option<&str>) -> String {
+    let row = |(i, line): (usize, &str)| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let keep = !numbers.contains(&i);
+        if keep {
+            Some(format!("{line}\n"))
+        } else {
+            cell.map(|c| format!("{},{c},{c}\n", cells[..4].join(",")))
+        }
+    };
+    rows("w", "R", 0.5).lines().enumerate().filter_map(row).collect()
+}
+
 #[test]
 fn pixels_without_a_value_have_no_weight() {
     let whole = parse(&(HEAD.to_owned() + &rows("w", "R", 0.5)));
-    let lines: Vec<String> = rows("w", "R", 0.5).lines().map(ToOwned::to_owned).collect();
-    let masked = |cell: &str| {
-        let row = |(i, line): (usize, &String)| {
-            let cells: Vec<&str> = line.split(',').collect();
-            let keep = ![20, 21, 40].contains(&i);
-            if keep { line.clone() } else { format!("{},{cell},{cell}", cells[..4].join(",")) }
-        };
-        lines.iter().enumerate().map(row).collect::<Vec<_>>().join("\n")
-    };
-    let absent = lines.iter().enumerate().filter(|(i, _)| ![20, 21, 40].contains(i)).map(|(_, l)| l.clone());
-    let absent = absent.collect::<Vec<_>>().join("\n");
-    for body in [masked("NaN"), masked(""), masked("--"), absent] {
-        let file = parse(&format!("{HEAD}{body}\n"));
+    let whole = &whole.materials[0].profiles()[0];
+    for cell in [Some("NaN"), Some(""), Some("--"), None] {
+        let file = parse(&format!("{HEAD}{}", without(&[20, 21, 40], cell)));
         assert_eq!(codes(&file), ["MISSING_PIXELS"]);
-        assert!(
-            file.notes[0].text.starts_with("3 pixels without a value are interpolated"),
-            "{:?}",
-            file.notes
-        );
-        let (profile, whole) = (&file.materials[0].profiles()[0], &whole.materials[0].profiles()[0]);
-        let errors = profile.std_errors().unwrap();
-        assert_eq!((profile.values().len(), errors[20], errors[22]), (60, 1.0, 0.002));
+        let text = &file.notes[0].text;
+        assert!(text.starts_with("3 pixels without a value are interpolated"), "{text}");
+        let profile = &file.materials[0].profiles()[0];
+        assert!(profile.x_mm().iter().zip(whole.x_mm()).all(|(a, b)| (a - b).abs() < 1e-4), "{cell:?}");
+        for (i, error) in profile.std_errors().unwrap().iter().enumerate() {
+            assert_eq!(*error, if [20, 21, 40].contains(&i) { 1.0 } else { 0.002 });
+        }
         assert!(profile.values().iter().zip(whole.values()).all(|(a, b)| (a - b).abs() < 0.005));
     }
+    let ends = parse(&format!("{HEAD}{}", without(&[0, 59], Some(""))));
+    assert_eq!(ends.materials[0].profiles()[0].x_mm().len(), 58);
+}
+
+/// A profile with too many missing pixels is refused, and one of which every second is missing in a part.
+#[test]
+fn mostly_missing_profile_is_refused() {
+    let many: Vec<usize> = (10..17).collect();
+    is_refused(&without(&many, Some("")), "7 of 60 rows have no value; a tenth may be without");
+    is_refused(&without(&[1, 3, 5, 7, 9, 11, 13], None), "pixels must be equally spaced");
 }
 
 /// The standard error may be empty for a profile, but not for a row.

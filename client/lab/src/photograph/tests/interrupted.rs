@@ -2,36 +2,40 @@
 
 use super::*;
 
-/// A lossless JPEG with predictor 1 and codes of 5 bits for all sizes of differences.
+/// A lossless JPEG of samples with 16 bits.
 pub(super) fn lossless(samples: &[u16], width: usize, components: usize) -> Vec<u8> {
+    lossless_of(16, samples, width, components)
+}
+
+/// A lossless JPEG with predictor 1. Sizes of differences up to 3 bits have codes of three bits, others of five.
+pub(super) fn lossless_of(precision: u8, samples: &[u16], width: usize, components: usize) -> Vec<u8> {
     let row = width * components;
     let mut bits = String::new();
     for (at, sample) in samples.iter().enumerate() {
         let prediction = match (at % row < components, at < row) {
-            (true, true) => 1 << 15,
+            (true, true) => 1 << (precision - 1),
             (true, false) => samples[at - row],
             _ => samples[at - components],
         };
         let difference = i32::from(sample.wrapping_sub(prediction) as i16);
         let size = 32 - difference.unsigned_abs().leading_zeros();
         let coded = if difference < 0 { difference + (1 << size) - 1 } else { difference };
-        bits += &format!("{size:05b}");
+        bits += &if size < 4 { format!("{size:03b}") } else { format!("{:05b}", 12 + size) };
         if (1..16).contains(&size) {
             bits += &format!("{coded:0w$b}", w = size as usize);
         }
     }
-    let mut jpeg = [&[0xff, 0xd8, 0xff, 0xc4, 0, 36, 0, 0, 0, 0, 0, 17][..], &[0; 11]].concat();
+    let mut jpeg = [&[0xff, 0xd8, 0xff, 0xc4, 0, 36, 0, 0, 0, 4, 0, 13][..], &[0; 11]].concat();
     jpeg.extend(0..17);
     let [high, low] = (width as u16).to_be_bytes();
     let [rows_high, rows_low] = ((samples.len() / row) as u16).to_be_bytes();
-    jpeg.extend([0xff, 0xc3, 0, 8 + 3 * components as u8, 16, rows_high, rows_low, high, low]);
+    jpeg.extend([0xff, 0xc3, 0, 8 + 3 * components as u8, precision, rows_high, rows_low, high, low]);
     jpeg.push(components as u8);
     jpeg.extend((0..components as u8).flat_map(|i| [i, 0x11, 0]));
     jpeg.extend([0xff, 0xda, 0, 6 + 2 * components as u8, components as u8]);
     jpeg.extend((0..components as u8).flat_map(|i| [i, 0]));
     jpeg.extend([1, 0, 0]);
-    for byte in bits.into_bytes().chunks(8) {
-        let byte = byte.iter().chain([b'1'; 8].iter()).take(8).fold(0_u8, |s, b| s << 1 | (b - b'0'));
+    for byte in packed(&bits, b'1') {
         jpeg.push(byte);
         jpeg.extend((byte == 0xff).then_some(0));
     }
@@ -119,10 +123,8 @@ fn final_zero_rows_are_refused() {
 /// The orientation is that of the picture or of the first directory.
 #[test]
 fn orientation_is_that_of_the_picture() {
-    let orientation = |maker: Maker| maker.decode().unwrap().about.orientation.map(Orientation::number);
+    let orientation = |maker: Maker| maker.decode().unwrap().about.orientation.map(|o| o.to_string());
     assert_eq!(orientation(Maker::dng()), None);
-    assert_eq!(orientation(Maker::dng().with(274, &[6])), Some(6));
-    assert_eq!(orientation(Maker::dng().with(274, &[9])), None);
-    let message = Maker::dng().with(274, &[3]).decode().unwrap().about.orientation.unwrap();
-    assert_eq!(message.to_string(), "3 (turned by 180°)");
+    let [upside_down, unknown] = [3, 9].map(|number| orientation(Maker::dng().with(274, &[number])));
+    assert_eq!((upside_down.as_deref(), unknown), (Some("3 (turned by 180°)"), None));
 }

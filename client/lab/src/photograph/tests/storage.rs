@@ -65,6 +65,14 @@ fn last_tiles_may_be_whole_or_cut() {
                 let what = format!("{side:?} {i} {is_tiled}");
                 let plain = chunks(side, is_tiled, |left, top| little(&way(left, top)));
                 assert_eq!(plain.decode().unwrap().samples, samples, "{what}");
+                if !is_tiled {
+                    let sizes = plain.with(322, &[WIDTH as u32]).with(323, &[HEIGHT as u32]);
+                    assert_eq!(
+                        sizes.decode().unwrap().samples,
+                        samples,
+                        "sizes of tiles are ignored: {what}"
+                    );
+                }
                 let jpeg = chunks(side, is_tiled, jpeg).with(259, &[7]);
                 assert_eq!(jpeg.decode().unwrap().samples, samples, "{what}");
             }
@@ -73,15 +81,6 @@ fn last_tiles_may_be_whole_or_cut() {
     // Some writers arrange rows otherwise: two components, and half as many columns.
     let pairs = chunks((WIDTH, 16), true, |left, top| lossless(&part(&samples, left, top, 100, 16), 50, 2));
     assert_eq!(pairs.with(259, &[7]).decode().unwrap().samples, samples);
-}
-
-/// Sizes of tiles in a file with strips are ignored.
-#[test]
-fn tile_sizes_of_strips_are_ignored() {
-    let samples = noise(WIDTH * HEIGHT);
-    let strips = chunks((WIDTH, 16), false, |left, top| little(&part(&samples, left, top, WIDTH, 16)));
-    let both = strips.with(322, &[WIDTH as u32]).with(323, &[HEIGHT as u32]);
-    assert_eq!(both.decode().unwrap().samples, samples);
 }
 
 /// Words of 16 bits are read if the file states fewer bits, as long as the values fit.
@@ -141,30 +140,30 @@ fn big_tiff_and_lzw_are_read() {
     assert!(refused.starts_with("the file is damaged: a strip or tile"), "{refused}");
 }
 
+/// RGB, linear grey, mosaics without a pattern, and portable maps in bytes and in text.
 #[test]
-fn compressions_that_are_not_read_are_named() {
-    for (compression, message) in [
-        (52_546, "tag Compression = 52546 (JPEG XL of DNG 1.7) is not valid: allowed are 1 (none), 5 (LZW)"),
-        (34_713, "tag Compression = 34713 (Nikon's own) is not valid"),
-        (34_892, "the DNG is compressed with loss, to 8 bits after a tone curve: convert"),
+fn pictures_of_all_kinds_are_read() {
+    use SampleLayout::{Mosaic, Rgb};
+    let grey = |kind| Maker { tags: vec![], ..Maker::dng() }.with(262, &[kind]).bytes();
+    let text = b"P2\n# text\n3 2\n65535\n1 2 3\n400 5\n65535\n".to_vec();
+    for (bytes, layout, white, samples) in [
+        (Maker::rgb().bytes(), Rgb, None, counting()),
+        (grey(1), Mosaic(None), None, counting()),
+        (grey(34_892), Mosaic(None), None, counting()),
+        (
+            b"P5\n# a comment\n2 1\n65535\n\x01\0\x02\x03".to_vec(),
+            Mosaic(None),
+            Some(65_535.0),
+            vec![256, 515],
+        ),
+        (b"P6 1 1 1023\n\0\x01\0\x02\0\x03".to_vec(), Rgb, Some(1023.0), vec![1, 2, 3]),
+        (text, Mosaic(None), Some(65_535.0), vec![1, 2, 3, 400, 5, 65_535]),
+        (b"P3 1 1 1023 7 8 9".to_vec(), Rgb, Some(1023.0), vec![7, 8, 9]),
     ] {
-        let refused = Maker::dng().with(259, &[compression]).refused();
-        assert!(refused.starts_with(message), "{refused}");
+        let found = decode(&bytes).unwrap();
+        assert_eq!((found.layout, found.white, found.black), (layout, white.map(|level| [level; 4]), None));
+        assert_eq!(found.samples, samples);
     }
-}
-
-/// Linear grey and numbers as text are read.
-#[test]
-fn linear_grey_and_text_numbers_are_read() {
-    let mono = Maker { tags: vec![], ..Maker::dng() }.with(262, &[34_892]).decode().unwrap();
-    assert_eq!((mono.layout, mono.samples), (SampleLayout::Mosaic(None), counting()));
-    let text = decode(b"P2\n# text\n3 2\n65535\n1 2 3\n400 5\n65535\n").unwrap();
-    assert_eq!((text.layout, text.samples), (SampleLayout::Mosaic(None), vec![1, 2, 3, 400, 5, 65_535]));
-    let rgb = decode(b"P3 1 1 1023 7 8 9").unwrap();
-    assert_eq!((rgb.layout, rgb.white, rgb.samples), (SampleLayout::Rgb, Some([1023.0; 4]), vec![7, 8, 9]));
-    let refused = |bytes: &[u8]| decode(bytes).unwrap_err().to_string();
-    assert_eq!(refused(b"P2 3 2 1023 1 2 3 4"), "the file is damaged: 4 of 6 samples are there");
-    assert_eq!(refused(b"P2 1 1 1023 1024"), "the file is damaged: a sample is 1024, the greatest is 1023");
 }
 
 /// Areas that reach a little beyond the picture are cut to it.

@@ -195,34 +195,30 @@ fn principal(rows: &[RowDVector<f64>], columns: usize) -> DMatrix<f64> {
 
 #[cfg(test)]
 mod tests {
+    use optics_model::Measurement;
     use optics_model::fit::{Bounds, FitOptions, FitSettings, MeasurePlan, SharedErrors};
-    use optics_model::{MeasuredProfile, Measurement};
 
     use super::super::Set;
     use super::*;
-    use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
+    use crate::testing::{dense, noisy_profile, profile_value};
 
     /// Three channels of a slab of unknown thickness.
     fn measured() -> Measurement {
-        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
-        let profile = |(i, name): (usize, &str)| {
-            let (sigma_t, albedo) = [(2.2, 0.91), (3.1, 0.93), (4.4, 0.95)][i];
-            let noisy = |(k, x): (usize, &f64)| {
-                profile_value(*x, sigma_t, albedo, 0.3, 0.5, i as f64) + 0.002 * normal((120 * i + k) as u64)
-            };
-            let values = x.iter().enumerate().map(noisy).collect();
-            MeasuredProfile::new(name, 0.5, x.clone(), values, Some(vec![0.002; x.len()])).unwrap()
+        let media = [("R", 2.2, 0.91), ("G", 3.1, 0.93), ("B", 4.4, 0.95)];
+        let profile = |(i, (name, sigma_t, albedo)): (usize, (&str, f64, f64))| {
+            let exact = |x| profile_value(x, sigma_t, albedo, 0.3, 0.5, i as f64);
+            noisy_profile((name, 0.5, 120), exact, |_| 0.002, 120 * i as u64)
         };
-        Measurement::new("m", ["R", "G", "B"].into_iter().enumerate().map(profile).collect()).unwrap()
+        Measurement::new("m", media.into_iter().enumerate().map(profile).collect()).unwrap()
     }
 
     /// Changes of two channels have their covariance in the joint fit, and those of one channel at most its own.
     #[test]
     fn shared_errors_have_the_joint_covariance() {
-        let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
+        let dictionary = dense(120, 0.003);
         let settings = FitSettings { thickness_std_error_mm: 0.01, ..FitSettings::default() };
         let materials = [measured()];
-        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);
         let answer = set.answer(&joint, &plan, &cells);
@@ -255,12 +251,12 @@ mod tests {
     /// Gains dominate: errors of different channels have the correlation of the gains of a slab.
     #[test]
     fn gains_of_a_slab_are_correlated() {
-        let dictionary = noisy_dictionary(dense_axes(), 120, 0.0);
+        let dictionary = dense(120, 0.0);
         let exact = Bounds::fixed(0.3);
         let settings =
             FitSettings { gain_std_error: 0.03, g: exact, blur_std_error_mm: 0.0, ..FitSettings::default() };
         let materials = [measured()];
-        let set = Set::new(&dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
+        let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let (_, joint) = set.search(&MeasurePlan::default());
         let covariance = joint.covariance.as_ref().unwrap();
         for (a, b) in [(0, 1), (0, 2), (1, 2)] {
@@ -274,9 +270,9 @@ mod tests {
     #[test]
     fn single_channels_share_nothing() {
         assert_eq!(principal(&[RowDVector::zeros(0), RowDVector::zeros(0)], 0).shape(), (2, 0));
-        let dictionary = noisy_dictionary(dense_axes(), 120, 0.003);
+        let dictionary = dense(120, 0.003);
         let one = Measurement::new("m", measured().profiles()[..1].to_vec()).unwrap();
-        let set = Set::new(&dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
+        let set = Set::new(dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);
         assert_eq!(set.answer(&joint, &plan, &cells).shared_errors, SharedErrors::default());

@@ -1,12 +1,10 @@
 //! Tests inks from mixtures, with a dictionary from a formula and noise of the pixels alone.
 
-use std::sync::LazyLock;
-
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Mixture, Mixtures, Unmixed};
-use optics_model::{Invalid, MeasuredProfile, Measurement};
+use optics_model::{Invalid, Measurement};
 
-use crate::testing::{dense_axes, noisy_dictionary, normal, profile_value};
-use crate::{FitDictionary, measure, unmix};
+use crate::testing::{dense, noisy_profile, profile_value};
+use crate::{measure, unmix};
 use optics_model::fit::MeasurePlan;
 
 const G: f64 = 0.3;
@@ -15,17 +13,12 @@ const INKS: [(&str, [f64; 2]); 3] = [("white", [3.0, 0.06]), ("grey", [1.2, 1.4]
 
 /// A slab of inks in these volume fractions, in channel G, with 1 % of noise.
 fn slabs(material: &str, parts: &[(&str, f64)], seed: u64) -> Measurement {
-    let of = |ink: &str| INKS.iter().find(|(name, _)| *name == ink).unwrap().1;
-    let sum = |which: usize| parts.iter().map(|(ink, f)| f * of(ink)[which]).sum::<f64>();
+    let of_ink = |ink: &str| INKS.iter().find(|(name, _)| *name == ink).unwrap().1;
+    let sum = |which: usize| parts.iter().map(|(ink, f)| f * of_ink(ink)[which]).sum::<f64>();
     let sigma_t = sum(0) + sum(1);
     let profile = |(k, thickness): (u64, f64)| {
-        let x: Vec<f64> = (0..180).map(|i| (f64::from(i) + 0.5) / 18.0 - 5.0).collect();
-        let value = |x: &f64| profile_value(*x, sigma_t, sum(0) / sigma_t, G, thickness, 1.0);
-        let exact: Vec<f64> = x.iter().map(value).collect();
-        let noise = |i: usize| normal((seed * 2 + k) * 180 + i as u64 + 5_000_000);
-        let values = exact.iter().enumerate().map(|(i, v)| v * (1.0 + 0.01 * noise(i))).collect();
-        let std_errors = exact.iter().map(|v| 0.01 * v).collect();
-        MeasuredProfile::new("G", thickness, x, values, Some(std_errors)).unwrap()
+        let exact = |x| profile_value(x, sigma_t, sum(0) / sigma_t, G, thickness, 1.0);
+        noisy_profile(("G", thickness, 180), exact, |v| 0.01 * v, (seed * 2 + k) * 180 + 5_000_000)
     };
     Measurement::new(material, vec![profile((0, 0.5)), profile((1, 1.0))]).unwrap()
 }
@@ -33,10 +26,8 @@ fn slabs(material: &str, parts: &[(&str, f64)], seed: u64) -> Measurement {
 /// Name, stated fractions, and true ones.
 type Recipe<'a> = (&'a str, &'a [(&'a str, f64)], &'a [(&'a str, f64)]);
 
-static DICTIONARY: LazyLock<FitDictionary> = LazyLock::new(|| noisy_dictionary(dense_axes(), 180, 0.0));
-
 fn unmixed(recipes: &[Recipe], seed: u64) -> Result<Unmixed, Invalid> {
-    let dictionary = &*DICTIONARY;
+    let dictionary = dense(180, 0.0);
     let settings = FitSettings { g: Bounds::fixed(G), ..FitSettings::default() };
     let options = FitOptions::new(settings).unwrap();
     let plan = MeasurePlan { search_mu: None, ..MeasurePlan::default() };

@@ -1,7 +1,9 @@
 //! Compares the error budget with fits of data that are moved by one standard error of a source.
 
+use optics_model::Measurement;
 use optics_model::fit::{Bounds, ErrorSource, FitSettings, Refined};
-use optics_model::{MeasuredProfile, Measurement};
+
+use crate::testing::{changed, remade};
 
 use super::{Flaws, MEDIUM, measured, refined, settings};
 
@@ -68,11 +70,9 @@ fn share_is_the_response_to_one_error() {
 
 /// The measurement with other values in one of its profiles.
 fn moved(data: &Measurement, which: usize, move_pixel: fn(f64, f64) -> f64) -> Measurement {
-    let profile = |(i, p): (usize, &MeasuredProfile)| {
-        let value = |(v, x): (&f64, &f64)| if i == which { move_pixel(*v, *x) } else { *v };
-        let values = p.values().iter().zip(p.x_mm()).map(value).collect();
-        let errors = p.std_errors().map(<[f64]>::to_vec);
-        MeasuredProfile::new("G", p.thickness_mm(), p.x_mm().to_vec(), values, errors).unwrap()
-    };
-    Measurement::new("m", data.profiles().iter().enumerate().map(profile).collect()).unwrap()
+    let mut number = 0..;
+    remade(data, |p| {
+        let is_moved = number.next() == Some(which);
+        changed(p, |x, v, e| (if is_moved { move_pixel(v, x) } else { v }, Some(e)))
+    })
 }

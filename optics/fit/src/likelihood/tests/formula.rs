@@ -1,10 +1,10 @@
 //! Tests intervals on a dictionary that is computed from a formula.
 
 use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Outside, Refined};
-use optics_model::{MeasuredProfile, Measurement};
 
-use crate::testing::coarse_axes;
-use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement, normal, profile_value};
+use crate::testing::{
+    changed, coarse_axes, dense, noisy_dictionary, noisy_measurement, normal, profile_value, remade,
+};
 use crate::{FitDictionary, fit};
 
 fn options(g: Option<f64>) -> FitOptions {
@@ -38,12 +38,12 @@ fn medium(seed: u64) -> (f64, f64, f64) {
 /// 51 must contain the truth (the binomial probability of fewer is 0.3 %), and the errors must be well below the grid's.
 #[test]
 fn intervals_cover_the_truth_as_claimed() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.01);
+    let dictionary = dense(360, 0.01);
     let (mut sigma_t_held, mut albedo_held, mut better) = (0, 0, 0);
     let mut widths = Vec::new();
     for seed in 0..60 {
         let (sigma_t, albedo, g) = medium(seed);
-        let answer = answer(&dictionary, (sigma_t, albedo, g), seed, Some(g));
+        let answer = answer(dictionary, (sigma_t, albedo, g), seed, Some(g));
         let (r, grid) = (answer.refined.unwrap(), answer.candidates[0].medium);
         sigma_t_held += u32::from(r.sigma_t_per_mm.contains(sigma_t));
         albedo_held += u32::from(r.albedo.contains(albedo));
@@ -65,11 +65,11 @@ fn intervals_cover_the_truth_as_claimed() {
 /// probability of fewer is 1.6 %).
 #[test]
 fn extinction_anisotropy_valley_is_reported() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let dictionary = dense(360, 0.003);
     let mut held = 0;
     for seed in 0..20 {
         let (sigma_t, albedo, g) = medium(seed);
-        let r = refined(&dictionary, (sigma_t, albedo, g), seed, None);
+        let r = refined(dictionary, (sigma_t, albedo, g), seed, None);
         assert!(r.valley && r.resolved_at_g, "{r:?}");
         let ends = &r.sigma_t_per_mm;
         let narrow = ends.high <= 2.0 * ends.low && !ends.open_low && !ends.open_high;
@@ -87,38 +87,24 @@ fn extinction_anisotropy_valley_is_reported() {
 /// Where the profile no longer depends on σ_t, the data give a bound on one side at best.
 #[test]
 fn flat_profile_is_unresolved() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
-    let mut profiles = noisy_measurement((3.0, 0.5, 0.3), 1, true).profiles().to_vec();
-    for p in &mut profiles {
-        let flat = |i: usize| profile_value(-5.0, 3.0, 0.5, 0.3, 1.0, 1.0) * (1.0 + 0.3 * normal(i as u64));
-        let values: Vec<f64> = (0..360).map(flat).collect();
-        let errors = values.iter().map(|_| 0.05).collect();
-        *p = optics_model::MeasuredProfile::new(
-            "G",
-            p.thickness_mm(),
-            p.x_mm().to_vec(),
-            values,
-            Some(errors),
-        )
-        .unwrap();
-    }
-    let flat = optics_model::Measurement::new("flat", profiles).unwrap();
-    let r = fit(&dictionary, &flat, &options(Some(0.3))).unwrap().channels.remove(0).refined.unwrap();
+    let flat = remade(&noisy_measurement((3.0, 0.5, 0.3), 1, true), |p| {
+        let level = profile_value(-5.0, 3.0, 0.5, 0.3, 1.0, 1.0);
+        let value = |x: f64| level * (1.0 + 0.3 * normal((36.0 * (x + 5.0)) as u64));
+        changed(p, |x, _, _| (value(x), Some(0.05)))
+    });
+    let r = fit(dense(360, 0.003), &flat, &options(Some(0.3))).unwrap().channels.remove(0).refined.unwrap();
     assert!(!r.resolved, "{r:?}");
-    assert!(
-        r.sigma_t_per_mm.open_low
-            || r.sigma_t_per_mm.open_high
-            || r.sigma_t_per_mm.high > 2.0 * r.sigma_t_per_mm.low
-    );
+    let ends = r.sigma_t_per_mm;
+    assert!(ends.open_low || ends.open_high || ends.high > 2.0 * ends.low, "{ends:?}");
 }
 
 /// Noise is estimated where no standard errors are given.
 #[test]
 fn missing_noise_is_estimated() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let dictionary = dense(360, 0.003);
     let m = (3.1, 0.62, 0.3);
-    let told = refined(&dictionary, m, 7, Some(0.3));
-    let silent = fit(&dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
+    let told = refined(dictionary, m, 7, Some(0.3));
+    let silent = fit(dictionary, &noisy_measurement(m, 7, false), &options(Some(0.3))).unwrap();
     let silent = silent.channels[0].refined.clone().unwrap();
     assert!(silent.sigma_t_per_mm.contains(told.best.medium.sigma_t_per_mm()), "{silent:?}");
     let ratio = silent.measurement_noise / told.measurement_noise;
@@ -130,12 +116,12 @@ fn missing_noise_is_estimated() {
 
 #[test]
 fn scale_and_gain_errors_widen_the_intervals() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let dictionary = dense(360, 0.003);
     let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
     let width = |change: fn(&mut FitSettings)| {
         let mut settings = *options(Some(0.3)).settings();
         change(&mut settings);
-        let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+        let found = fit(dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
         let albedo = found.channels[0].refined.as_ref().unwrap().albedo;
         albedo.high - albedo.low
     };
@@ -153,11 +139,11 @@ fn scale_and_gain_errors_widen_the_intervals() {
 /// The bounds of parameters also hold between the nodes.
 #[test]
 fn bounds_hold_between_nodes() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.003);
+    let dictionary = dense(360, 0.003);
     let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
     let mut settings = *options(Some(0.27)).settings();
     settings.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(3.3), None).unwrap();
-    let found = fit(&dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
+    let found = fit(dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
     let r = found.channels[0].refined.as_ref().unwrap();
     assert!((r.best.medium.g() - 0.27).abs() < 1e-12);
     assert!(r.best.medium.sigma_t_per_mm() >= 3.3 - 1e-12, "{r:?}");
@@ -180,16 +166,11 @@ fn short_axes_are_interpolated_or_held() {
 /// Profiles that are brighter or darker than all records are reported, others are not.
 #[test]
 fn profiles_beyond_all_records_are_reported() {
-    let dictionary = noisy_dictionary(dense_axes(), 360, 0.0);
+    let dictionary = dense(360, 0.0);
     let outside = |factor: f64| {
         let plain = noisy_measurement((3.5, 0.65, 0.3), 1, true);
-        let times = |v: &[f64]| v.iter().map(|v| factor * v).collect::<Vec<_>>();
-        let profile = |p: &MeasuredProfile| {
-            let (x, errors) = (p.x_mm().to_vec(), p.std_errors().map(times));
-            MeasuredProfile::new(p.channel(), p.thickness_mm(), x, times(p.values()), errors).unwrap()
-        };
-        let measurement = Measurement::new("m", plain.profiles().iter().map(profile).collect()).unwrap();
-        fit(&dictionary, &measurement, &options(Some(0.3))).unwrap().channels.remove(0).outside
+        let measurement = remade(&plain, |p| changed(p, |_, v, e| (factor * v, Some(factor * e))));
+        fit(dictionary, &measurement, &options(Some(0.3))).unwrap().channels.remove(0).outside
     };
     assert_eq!(outside(1.0), None);
     assert_eq!([20.0, 0.001].map(outside), [Some(Outside::Brighter), Some(Outside::Darker)]);

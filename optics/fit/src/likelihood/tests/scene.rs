@@ -28,45 +28,25 @@ fn grid(uncertain: bool) -> Grid {
 
 fn dictionary(uncertain: bool) -> FitDictionary {
     let grid = grid(uncertain);
-    let of = grid.clone();
-    let record = move |index: usize| {
-        let (point, medium) = of.parameters(index);
-        let variant = of.response_of(index / of.albedo().len()).and_then(|place| place.variant);
-        let quantities = variant.map_or([0.0; 2], |variant| {
-            let variant = &of.responses().unwrap().variants()[variant];
-            let mut quantities = [0.0; 2];
-            quantities[variant.prior] = variant.step / of.scene().priors()[variant.prior].std_error();
-            quantities
-        });
-        let value = |i: usize, channel: usize| {
-            let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
-            let x = of.scene().sensor().centre_mm(i);
-            let plain = profile_value(x, s, a, g, point.thickness_mm(), channel as f64);
-            (plain + change(x, a, g, quantities)) as f32
-        };
-        let profile = |channel: usize| {
-            let values: Vec<f32> = (0..120).map(|i| value(i, channel)).collect();
-            let estimate = Estimate::new(values, vec![0.0; 120]).unwrap();
-            Profile { radiance_factor: estimate, derivatives: None }
-        };
-        Record { index, profiles: (0..3).map(profile).collect() }
-    };
-    dictionary_of(&grid, record)
+    dictionary_of(&grid, |index| {
+        let mut quantities = [0.0; 2];
+        if let Some(variant) = grid.response_of(index / grid.albedo().len()).and_then(|place| place.variant) {
+            let variant = &grid.responses().unwrap().variants()[variant];
+            quantities[variant.prior] = variant.step / grid.scene().priors()[variant.prior].std_error();
+        }
+        exact_record(&grid, index, 3, |x, m, thickness, channel| {
+            let (s, a, g) = (m.sigma_t_per_mm(), m.albedo(), m.g());
+            profile_value(x, s, a, g, thickness, channel as f64) + change(x, a, g, quantities)
+        })
+    })
 }
 
 /// Channel G at both thicknesses with 0.3 % of noise; the gel's quantity differs between the slabs.
 fn measured(gel: [f64; 2], ring: f64, seed: u64) -> Measurement {
     let (s, a, g) = MEDIUM;
     let profile = |slab: usize, thickness: f64| {
-        let x: Vec<f64> = (0..120).map(|i| (f64::from(i) + 0.5) / 12.0 - 5.0).collect();
-        let value =
-            |x: &f64| profile_value(*x, s, a, g, thickness, 1.0) + change(*x, a, g, [gel[slab], ring]);
-        let exact: Vec<f64> = x.iter().map(value).collect();
-        let noise =
-            |(i, v): (usize, &f64)| v * (1.0 + 0.003 * normal((seed * 2 + slab as u64) * 120 + i as u64));
-        let values = exact.iter().enumerate().map(noise).collect();
-        let std_errors = exact.iter().map(|v| 0.003 * v).collect();
-        MeasuredProfile::new("G", thickness, x, values, Some(std_errors)).unwrap()
+        let exact = |x| profile_value(x, s, a, g, thickness, 1.0) + change(x, a, g, [gel[slab], ring]);
+        noisy_profile(("G", thickness, 120), exact, |v| 0.003 * v, (seed * 2 + slab as u64) * 120)
     };
     Measurement::new("m", vec![profile(0, 0.5), profile(1, 1.0)]).unwrap()
 }

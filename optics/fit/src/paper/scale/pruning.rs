@@ -59,18 +59,18 @@ mod tests {
 
     use super::*;
     use crate::paper::question::questions;
-    use crate::testing::{dense_axes, noisy_dictionary, noisy_measurement};
+    use crate::testing::{dense, noisy_measurement};
 
     /// With each anisotropy, media that are left out have greater errors than one that is not, at every factor; those are
     /// most of all media.
     #[test]
     fn best_media_are_never_left_out() {
-        let dictionary = noisy_dictionary(dense_axes(), 120, 0.002);
+        let dictionary = dense(120, 0.002);
         let mu: Vec<f64> = (0..60).map(|i| 0.85 + 0.005 * f64::from(i)).collect();
         let (mut kept, mut all) = (0, 0);
         for (medium, seed) in [((2.117, 0.99, 0.3), 1), ((4.17, 0.2, 0.1), 2)] {
             let measured = noisy_measurement(medium, seed, false);
-            let question = questions(&dictionary, &measured, &FitOptions::default()).unwrap().remove(0);
+            let question = questions(dictionary, &measured, &FitOptions::default()).unwrap().remove(0);
             let terms: Vec<Scalable> = question.terms.iter().map(Scalable::new).collect();
             let possible = possible(&question, &terms, &mu);
             for g in question.admissible.g.clone() {

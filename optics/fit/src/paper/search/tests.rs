@@ -1,8 +1,9 @@
 use optics_model::fit::{Bounds, Candidate, FitOptions, FitSettings, MuRange, Objective, Outside, Wavelet};
-use optics_model::{Estimate, MeasuredProfile, Measurement, Medium, Profile, Record};
+use optics_model::{MeasuredProfile, Measurement, Medium};
 
 use crate::testing::{
-    coarse_axes, dictionary, dictionary_of, measured, noisy_records, profile_value, rounded_dictionary_of,
+    coarse_axes, dictionary, dictionary_of, exact_record, measured, noisy_records, profile_value,
+    rounded_dictionary_of,
 };
 use crate::{FitDictionary, derivative, fit, scale};
 
@@ -82,6 +83,13 @@ fn search_equals_brute_force() {
             for (candidate, (error, medium)) in found.iter().zip(&expected) {
                 assert_eq!(candidate.medium, *medium);
                 assert!((candidate.error - error).abs() < 1e-6, "{} {error}", candidate.error);
+                let lambda = options.settings().lambda;
+                let sum: f64 =
+                    candidate.thicknesses.iter().map(|t| t.value_rms + lambda * t.gradient_rms).sum();
+                assert!((sum - candidate.error).abs() < 1e-12, "it is the sum of its terms");
+                let record = candidate.thicknesses[1].record.unwrap();
+                let (point, medium) = dictionary.grid().parameters(record);
+                assert_eq!((point.thickness_mm(), medium), (1.0, candidate.medium));
             }
         }
     }
@@ -91,34 +99,13 @@ fn search_equals_brute_force() {
 #[test]
 fn equal_errors_keep_the_record_order() {
     let grid = dictionary(360).grid().clone();
-    let record = |index: usize| {
-        let (point, _) = grid.parameters(index);
-        let value = |i: usize| {
-            profile_value(grid.scene().sensor().centre_mm(i), point.sigma_t_per_mm(), 0.5, 0.0, 1.0, 1.0)
-        };
-        let values: Vec<f32> = (0..360).map(|i| value(i) as f32).collect();
-        let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
-        Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }; 3] }
-    };
-    let options = options(|_| {});
-    let found = best(&dictionary_of(&grid, record), &measured(4.0, 0.5, 0.0, 360, 10.0), &options);
+    let value = |x: f64, medium: &Medium, _, _| profile_value(x, medium.sigma_t_per_mm(), 0.5, 0.0, 1.0, 1.0);
+    let equal = dictionary_of(&grid, |index| exact_record(&grid, index, 3, value));
+    let found = best(&equal, &measured(4.0, 0.5, 0.0, 360, 10.0), &options(|_| {}));
     let records: Vec<usize> = found.iter().map(|c| c.thicknesses[0].record.unwrap()).collect();
-    let first = grid.record_at(0, 2, 0, 0, 0);
-    let next_g = grid.record_at(0, 2, 1, 0, 0);
+    let [first, next_g] = [0, 1].map(|g| grid.record_at(0, 2, g, 0, 0));
     assert_eq!(records, [first, first + 1, first + 2, next_g, next_g + 1]);
     assert!(found.iter().all(|c| c.error == found[0].error));
-}
-
-/// The error of a candidate is the sum of its terms.
-#[test]
-fn error_is_the_sum_of_its_terms() {
-    let dictionary = dictionary(360);
-    for candidate in best(&dictionary, &measured(3.0, 0.7, 0.2, 360, 10.0), &options(|_| {})) {
-        let sum: f64 = candidate.thicknesses.iter().map(|t| t.value_rms + 20.0 * t.gradient_rms).sum();
-        assert!((sum - candidate.error).abs() < 1e-12);
-        let (point, medium) = dictionary.grid().parameters(candidate.thicknesses[1].record.unwrap());
-        assert_eq!((point.thickness_mm(), medium), (1.0, candidate.medium));
-    }
 }
 
 /// Candidates keep the bounds, and bounds outside the dictionary are refused.

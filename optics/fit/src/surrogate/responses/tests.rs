@@ -52,7 +52,7 @@ fn traced(grid: &Grid) -> FitDictionary {
 }
 
 /// The sample's roughness as the only uncertain quantity, in a dictionary of one slab of 1 mm.
-fn of_roughness(walks: u64, seed: u64) -> FitDictionary {
+fn of_roughness(seed: u64) -> FitDictionary {
     let roughness = lab().priors()[0].clone();
     let scene = lab().with_priors(vec![roughness]).unwrap();
     let axes = Axes {
@@ -64,14 +64,14 @@ fn of_roughness(walks: u64, seed: u64) -> FitDictionary {
     };
     let base = SeenBase::of(&scene);
     let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
-    let grid = Grid::new(scene, axes, Walks::new(walks).unwrap(), seed, false).unwrap();
+    let grid = Grid::new(scene, axes, Walks::new(2500).unwrap(), seed, false).unwrap();
     traced(&grid.with_responses(responses).unwrap())
 }
 
 /// The model's error is a tenth of the change of a profile, alike at neighbouring pixels and different farther away.
 #[test]
 fn model_errors_are_shares_of_the_change() {
-    let dictionary = of_roughness(10_000, 1);
+    let dictionary = of_roughness(1);
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let x = coordinates(&Medium::new(4.0, 0.9, 0.4).unwrap());
     let responses = surrogate.responses(1.0, x).unwrap();
@@ -93,7 +93,7 @@ fn model_errors_are_shares_of_the_change() {
 fn noise_is_the_scatter_between_seeds() {
     const SEEDS: u64 = 24;
     let (mm, x) = (1.0, coordinates(&Medium::new(3.0, 0.93, 0.3).unwrap()));
-    let dictionaries: Vec<FitDictionary> = (1..=SEEDS).map(|seed| of_roughness(2_500, seed)).collect();
+    let dictionaries: Vec<FitDictionary> = (1..=SEEDS).map(of_roughness).collect();
     let surrogates = dictionaries.iter().map(|dictionary| Surrogate::new(dictionary, 0, 0));
     let (mut found, mut stated) = ([Vec::new(), Vec::new()], 0.0);
     for surrogate in surrogates {

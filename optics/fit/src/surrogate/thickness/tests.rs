@@ -3,12 +3,12 @@ use std::sync::atomic::AtomicBool;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Channel, Layer, Scene, Sensor};
-use optics_model::{Estimate, Grid, Medium, Profile, Record, TransportPoint, Walks};
+use optics_model::{Grid, Medium, Record, TransportPoint, Walks};
 
 use super::*;
 use crate::FitDictionary;
 use crate::surrogate::coordinates;
-use crate::testing::dictionary_of;
+use crate::testing::{dictionary_of, exact_profile, exact_record};
 
 const PIXELS: usize = 120;
 
@@ -33,15 +33,7 @@ fn dictionary(thickness_mm: &[f64]) -> FitDictionary {
         sample_ior: vec![1.5],
     };
     let grid = Grid::new(scene.unwrap(), axes, Walks::PAPER, 1, false).unwrap();
-    dictionary_of(&grid, |index| {
-        let (point, medium) = grid.parameters(index);
-        let sensor = grid.scene().sensor();
-        let value = |i| slab(sensor.centre_mm(i), &medium, point.thickness_mm()) as f32;
-        let values: Vec<f32> = (0..PIXELS).map(value).collect();
-        let std_errors = vec![0.0; PIXELS];
-        let radiance_factor = Estimate::new(values, std_errors).unwrap();
-        Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
-    })
+    dictionary_of(&grid, |index| exact_record(&grid, index, 1, |x, medium, mm, _| slab(x, medium, mm)))
 }
 
 fn rms(a: &[f64], b: &[f64]) -> f64 {
@@ -266,9 +258,8 @@ impl Traced {
             .flat_map(|point| self.at(point.sigma_t_per_mm() * point.thickness_mm(), point.thickness_mm()))
             .collect();
         dictionary_of(&grid, |index| {
-            let values: Vec<f32> = profiles[index].values.iter().map(|v| *v as f32).collect();
-            let radiance_factor = Estimate::new(values, vec![0.0; 360]).unwrap();
-            Record { index, profiles: vec![Profile { radiance_factor, derivatives: None }] }
+            let values = profiles[index].values.iter().map(|v| *v as f32).collect();
+            Record { index, profiles: vec![exact_profile(values)] }
         })
     }
 

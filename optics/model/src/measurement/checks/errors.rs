@@ -84,27 +84,24 @@ mod tests {
         assert!(message(0.004, 0.00004).unwrap().contains("times smaller"));
     }
 
-    /// Errors that neighbouring pixels share, as in simulated profiles, are not reported.
-    #[test]
-    fn errors_that_neighbours_share_are_not_noted() {
-        assert_eq!(far_from_scatter(&profile(1e-5, 0.01)), None);
-    }
-
-    /// Profiles without scatter, since they are smooth, rounded or simulated, are not reported.
+    /// Profiles without scatter, since they are smooth, rounded or simulated, are not reported; nor are errors that
+    /// neighbouring pixels share.
     #[test]
     fn profiles_without_scatter_get_no_note() {
-        assert_eq!(far_from_scatter(&profile(0.0, 0.002)), None);
         let smooth = profile(0.0, 0.002);
         let rounded = smooth.values().iter().map(|v| (1e5 * v).round() / 1e5).collect();
         let errors = smooth.std_errors().map(<[f64]>::to_vec);
         let rounded = MeasuredProfile::new("R", 0.5, smooth.x_mm().to_vec(), rounded, errors).unwrap();
-        assert_eq!(far_from_scatter(&rounded), None);
-        assert_eq!(far_from_scatter(&MeasuredProfile::patch("R", 0.5, 0.08, 0.01).unwrap()), None);
+        let exact = (Some(0.0), Some(0.0));
         let exact = ProfileSetup {
-            thickness_std_error_mm: Some(0.0),
-            origin_std_error_mm: Some(0.0),
-            ..ProfileSetup::default()
+            thickness_std_error_mm: exact.0,
+            origin_std_error_mm: exact.1,
+            ..Default::default()
         };
-        assert_eq!(far_from_scatter(&profile(0.001, 0.1).with_setup(exact).unwrap()), None);
+        let simulated = profile(0.001, 0.1).with_setup(exact).unwrap();
+        let patch = MeasuredProfile::patch("R", 0.5, 0.08, 0.01).unwrap();
+        for silent in [smooth, rounded, simulated, patch, profile(1e-5, 0.01)] {
+            assert_eq!(far_from_scatter(&silent), None);
+        }
     }
 }
