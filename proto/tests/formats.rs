@@ -244,8 +244,14 @@ fn stream_of_results_is_understood() {
     let again: Vec<Vec<u8>> = requests.iter().map(Message::encode_to_vec).collect();
     assert_eq!(again, encoded(NEWEST, "complete_requests"));
     let contents: Vec<Content> = requests.into_iter().map(|r| r.content.unwrap()).collect();
-    use Content::{Header, Records, Sums};
-    let [Header(first), Records(a), Records(b), Header(second), Sums(sums)] = &contents[..] else {
+    let [
+        Content::Header(first),
+        Content::Records(a),
+        Content::Records(b),
+        Content::Header(second),
+        Content::Sums(sums),
+    ] = &contents[..]
+    else {
         panic!("{contents:?}")
     };
     for header in [first, second] {

@@ -188,11 +188,8 @@ pub struct Coverage(pub Vec<Vec<Estimate>>);
 
 impl Coverage {
     /// The estimates of some quantities of media.
-    pub fn of_media<'a>(
-        sessions: impl IntoIterator<Item = &'a [Answer]>,
-        quantities: impl IntoIterator<Item = usize> + Clone,
-    ) -> Self {
-        let of_answer = |a: &'a Answer| quantities.clone().into_iter().map(|q| a.medium[q]);
+    pub fn of_media<'a>(sessions: impl IntoIterator<Item = &'a [Answer]>, quantities: &[usize]) -> Self {
+        let of_answer = |a: &'a Answer| quantities.iter().map(|q| a.medium[*q]);
         Self(sessions.into_iter().map(|answers| answers.iter().flat_map(of_answer).collect()).collect())
     }
 
@@ -359,10 +356,10 @@ mod tests {
     #[test]
     fn coverage_counts_errors_by_session() {
         let sessions = [vec![answer(0.15), answer(0.05)], vec![answer(0.15)]];
-        let found = Coverage::of_media(sessions.iter().map(Vec::as_slice), [0]);
+        let found = Coverage::of_media(sessions.iter().map(Vec::as_slice), &[0]);
         assert_eq!((found.count(), found.hold().to_string()), (2, "66.7 ± 15.7".to_owned()));
         assert!((found.error(0.5) - 0.05).abs() < 1e-9 && (found.geometric_error() - 0.05).abs() < 1e-9);
-        let narrow = Coverage::of_media([&[answer(0.05), answer(0.05), answer(0.05)][..]], [0]);
+        let narrow = Coverage::of_media([&[answer(0.05), answer(0.05), answer(0.05)][..]], &[0]);
         assert!((found.median_width_over(&narrow) - 3.0).abs() < 1e-9);
         assert_eq!((of_scene(&sessions, None).all().count(), narrow.count()), (3, 0));
         let check = |found: &Coverage, room| std::panic::catch_unwind(|| found.check("σ_t", room)).is_ok();

@@ -382,17 +382,18 @@ mod tests {
             assert!(text.contains(from), "{text}");
             is_refused(&text.replacen(from, to, 1), message);
         }
-        let changes: [(fn(&mut MediaFile), &str); 3] = [
+        type Change = fn(&mut MediaFile);
+        let changes: [(Change, &str); 3] = [
             (
                 |file| file.materials[0].channels[0].covariance[0][0] = -1.0,
                 "a symmetric matrix of finite variances",
             ),
             (
-                |file| drop(file.materials[0].channels[0].shared.pop()),
+                |file| file.materials[0].channels[0].shared.truncate(1),
                 "white R: shared = 1 changes is not valid: 2 changes are needed",
             ),
             (
-                |file| drop(file.set_up[1].shared.pop()),
+                |file| file.set_up[1].shared.truncate(1),
                 "set_up coat roughness: it has 1 shared errors, others 2",
             ),
         ];

@@ -97,7 +97,7 @@ fn misfits() -> String {
     let power = Suspicion { cause: Cause::Exponent, amount: 0.9, thickness_mm: None, misfit_left: 1.0 };
     let mut text = String::new();
     for (chi2, probability, suspicion) in [
-        (1130.2, 2e-9, refined.suspicion.clone()),
+        (1130.2, 2e-9, refined.suspicion),
         (1130.2, 2e-9, None),
         (712.0, 0.5, Some(power)),
         (712.0, 0.001, None),

@@ -119,7 +119,9 @@ impl Bench {
     }
 
     fn leave(&mut self, names: &[&str]) {
-        names.iter().for_each(|name| self.farm.leave(&worker(name)));
+        for name in names {
+            self.farm.leave(&worker(name));
+        }
     }
 
     /// Looks for silent workers every four seconds; returns the number of leases that have ended.
@@ -136,7 +138,9 @@ impl Bench {
     }
 
     fn look_at(&mut self, times: &[u64]) {
-        times.iter().for_each(|second| drop(self.farm.look_over(seconds(*second))));
+        for second in times {
+            self.farm.look_over(seconds(*second));
+        }
     }
 
     fn one(&mut self, at: u64, name: &str) -> Lease {
@@ -165,7 +169,9 @@ impl Bench {
     }
 
     fn finish_all(&mut self, at: u64, name: &str, leases: &[Lease]) {
-        leases.iter().for_each(|lease| self.finish(at, name, lease));
+        for lease in leases {
+            self.finish(at, name, lease);
+        }
     }
 
     fn acquire(&mut self, at: u64, name: &str, max: usize) -> Vec<Lease> {
@@ -177,7 +183,9 @@ impl Bench {
     }
 
     fn finish_with(&mut self, at: u64, name: &str, lease: &Lease, records: Digest) {
-        arrive(name, lease, |arrived| drop(self.farm.finished(seconds(at), arrived, records)));
+        arrive(name, lease, |arrived| {
+            self.farm.finished(seconds(at), arrived, records);
+        });
     }
 
     /// Compares a result with what is stored.
@@ -290,7 +298,9 @@ fn reasons_for_waiting_are_explained() {
     let mut bench = Bench::new(&[]);
     assert_eq!(bench.reasons(0), ["WAITING"]);
     assert_eq!(bench.reasons(100), ["WORKERS_SILENT", "WAITING"]);
-    ["a", "b", "c"].into_iter().for_each(|name| drop(bench.farm.drain(name).unwrap()));
+    for name in ["a", "b", "c"] {
+        bench.farm.drain(name).unwrap();
+    }
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
     bench.leave(&["a", "b", "c"]);
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);

@@ -285,8 +285,9 @@ async fn of_schema(schema: usize) -> (TempDir, SqlitePool) {
 #[tokio::test]
 async fn first_schema_keeps_its_records() {
     let (dir, pool) = of_schema(1).await;
-    let run =
-        async |query, bytes: Vec<u8>| drop(sqlx::query(query).bind(bytes).execute(&pool).await.unwrap());
+    let run = async |query, bytes: Vec<u8>| {
+        sqlx::query(query).bind(bytes).execute(&pool).await.unwrap();
+    };
     let grid_bytes = farm_proto::wire::Grid::from(&grid()).encode_to_vec();
     run("INSERT INTO dictionaries VALUES (1, 'd', ?, zeroblob(32), 7)", grid_bytes).await;
     run("UPDATE dictionaries SET grid_digest = ?", Digest::of_grid(&grid()).as_bytes().to_vec()).await;

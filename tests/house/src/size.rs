@@ -130,7 +130,7 @@ fn test_attributes(code: &str) -> Vec<Range<usize>> {
         let rest = code[from..].strip_prefix("#[cfg(")?;
         let inside = rest.strip_prefix("all(").or_else(|| rest.strip_prefix("any(")).unwrap_or(rest);
         let closing = if inside.len() == rest.len() { "test)]" } else { "test" };
-        let (_, after) = inside.strip_prefix(closing).map(|after| ((), after))?;
+        let after = inside.strip_prefix(closing)?;
         let after =
             if inside.len() == rest.len() { after } else { after.split_once(')')?.1.strip_prefix(")]")? };
         Some(code.len() - after.len())

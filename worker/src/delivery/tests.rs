@@ -88,7 +88,9 @@ async fn results_are_delivered_until_decided() {
     ];
     for (name, answers, expected, expected_failures) in cases {
         let worker = Worker::start().await;
-        answers.into_iter().for_each(|answer| worker.coordinator.answer(Method::Complete, answer));
+        for answer in answers {
+            worker.coordinator.answer(Method::Complete, answer);
+        }
         worker.finish(0..expected[0].len() as u32);
         let (coordinator, calls) = (worker.coordinator.clone(), worker.delivered().await);
         assert_eq!(calls, expected, "{name}");

@@ -122,7 +122,9 @@ async fn renewals_are_split_at_the_request_limit() {
     let (session, held) = session(&coordinator).await;
     let mut keys: Vec<_> =
         (0..2 * RequestLimits::LEASES + 7).map(|n| LeaseKey { job: n, ..lease(0).key }).collect();
-    keys.iter().for_each(|key| drop(held.add(*key, job(1).identity(), SetSwitch::new(1))));
+    for key in &keys {
+        drop(held.add(*key, job(1).identity(), SetSwitch::new(1)));
+    }
     // In the first call and in the last.
     let all = held.all();
     let lost = [all[0].key, all[2 * most + 6].key];

@@ -63,8 +63,8 @@ fn defaulted_quantities_are_listed_as_assumed() {
     let exact_light = Session {
         gain_std_error,
         offset_std_error,
-        slope_std_error,
         blur_std_error_mm,
+        slope_std_error,
         ..Session::default()
     };
     for (given, setup, expected) in [

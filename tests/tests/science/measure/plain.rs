@@ -41,7 +41,7 @@ fn common_parameters_are_near_the_truth() {
         }
     }
     println!("{} sets; of g and μ hold {held:?}", sessions.len());
-    let estimates = |q: usize| Coverage::of_media(sessions.iter().map(Vec::as_slice), [q]);
+    let estimates = |q: usize| Coverage::of_media(sessions.iter().map(Vec::as_slice), &[q]);
     let row = |q: usize| {
         let (found, name) = (estimates(q), QUANTITIES[q].to_owned());
         vec![

@@ -26,7 +26,7 @@ fn check(nodes: Nodes, names: &[&str]) {
         let session = SetUpSession::of_row(ChangedSetUp::named(name));
         let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
         let answers = session.answers(&found);
-        let estimates = |q: usize| Coverage::of_media([&answers[..]], [q]);
+        let estimates = |q: usize| Coverage::of_media([&answers[..]], &[q]);
         let counts = [0, 1, 2, 3].map(|q| estimates(q).count());
         held.push(counts.iter().sum::<usize>());
         let least = answers.iter().map(Answer::probability).fold(1.0, f64::min);
@@ -61,7 +61,7 @@ fn every_changed_quantity_is_absorbed() {
 type Sessions = Vec<Vec<Answer>>;
 
 fn of_quantity(sessions: &Sessions, q: usize) -> Coverage {
-    Coverage::of_media(sessions.iter().map(Vec::as_slice), [q])
+    Coverage::of_media(sessions.iter().map(Vec::as_slice), &[q])
 }
 
 /// Prints the coverage of each quantity, of other fits for comparison, and ratios of widths.

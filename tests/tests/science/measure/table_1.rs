@@ -53,7 +53,7 @@ fn table_1_is_measured_without_its_factor() {
     }
     // Some 90 intervals of 95 %, those of one factor with the same μ and g; unresolved media must have the same
     // coverage.
-    let found = Coverage::of_media([&answers[..]], [0, 1]);
+    let found = Coverage::of_media([&answers[..]], &[0, 1]);
     let (held, count) = (found.count(), found.all().count());
     println!("{held} of {count} intervals hold");
     assert!(held * 10 >= count * 9, "{held} of {count}");

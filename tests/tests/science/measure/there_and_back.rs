@@ -36,7 +36,7 @@ fn trips(count: u64, walks: u64, hold_g: bool) -> (Vec<Answer>, Vec<Medium>) {
 }
 
 fn estimates(trips: &[Answer], quantity: usize) -> Coverage {
-    Coverage::of_media(trips.chunks(1), [quantity])
+    Coverage::of_media(trips.chunks(1), &[quantity])
 }
 
 /// Media whose measurements are traced with other seeds are recovered.

@@ -5,7 +5,7 @@ use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, Once};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -183,6 +183,12 @@ pub struct Log {
 
 impl Log {
     pub fn subscribe(&self) -> tracing::subscriber::DefaultGuard {
+        // If another test reached a place of the log first, without a subscriber, it would be off for this one.
+        static OTHERS: Once = Once::new();
+        OTHERS.call_once(|| {
+            let all = tracing_subscriber::fmt().with_max_level(tracing::Level::TRACE);
+            let _ = tracing::subscriber::set_global_default(all.with_writer(std::io::sink).finish());
+        });
         let log = self.clone();
         let plain = tracing_subscriber::fmt().with_max_level(tracing::Level::TRACE).with_ansi(false);
         tracing::subscriber::set_default(plain.with_writer(move || log.clone()).finish())

@@ -87,7 +87,7 @@ fn bands_become_spectra() {
     let data = measured(folder.path(), &["-o", "media"]);
     let found = answers(&data, &session);
     assert_eq!((&data["common"]["g"], data["common"]["g_change"].as_f64()), (&Value::Null, Some(0.1)));
-    let held = |answers: &[Answer], q: usize| Coverage::of_media([answers], [q]).count();
+    let held = |answers: &[Answer], q: usize| Coverage::of_media([answers], &[q]).count();
     assert!((0..5).all(|q| 4 * held(&found, q) >= 3 * found.len()), "too few of {} hold", found.len());
     let media = std::fs::read_to_string(folder.path().join("media/media.xml")).unwrap();
     assert!(media.contains("g differs between wavelengths") && media.contains("<spectrum"), "{media}");

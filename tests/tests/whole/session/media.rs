@@ -123,7 +123,7 @@ fn photographs_become_media() {
     // Sessions of one set-up share its dictionary.
     let data = folder();
     let sessions: Vec<_> = trial.sessions.clone().map(|number| trial.session(number, data.path())).collect();
-    let estimates = |q: &[usize]| Coverage::of_media(sessions.iter().map(Vec::as_slice), q.to_vec());
+    let estimates = |q: &[usize]| Coverage::of_media(sessions.iter().map(Vec::as_slice), q);
     let row = |q: usize| {
         let (found, name) = (estimates(&[q]), QUANTITIES[q].to_owned());
         let [median, most] = [0.5, 0.9].map(|share| format!("{:.2}", 100.0 * found.error(share)));

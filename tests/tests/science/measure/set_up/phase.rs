@@ -26,7 +26,7 @@ fn six_media(nodes: Nodes, name: &str, phase: &PhaseShape, g: f64) -> (Vec<Answe
     let answers = session.answers(&found);
     println!("{name}: μ {:.3}, g {:.3}", found.common.mu, 1.0 - answers[0].medium[4].found);
     for (q, quantity) in QUANTITIES.iter().enumerate() {
-        let found = Coverage::of_media([&answers[..]], [q]);
+        let found = Coverage::of_media([&answers[..]], &[q]);
         let per_cent =
             |number: fn(&Estimate) -> f64| -> Vec<f64> { found.all().map(|e| 100.0 * number(e)).collect() };
         let (errors, widths) = (per_cent(Estimate::error), per_cent(Estimate::half_width));
@@ -35,7 +35,7 @@ fn six_media(nodes: Nodes, name: &str, phase: &PhaseShape, g: f64) -> (Vec<Answe
             found.count()
         );
     }
-    let held = Coverage::of_media([&answers[..]], 0..5).count();
+    let held = Coverage::of_media([&answers[..]], &[0, 1, 2, 3, 4]).count();
     (answers, held)
 }
 
