@@ -358,6 +358,8 @@ mod tests {
         }
     }
 
+    type Change = fn(&mut MediaFile);
+
     /// Refusals name the file, and the material where it is a number.
     #[test]
     fn wrong_media_files_are_refused() {
@@ -382,7 +384,6 @@ mod tests {
             assert!(text.contains(from), "{text}");
             is_refused(&text.replacen(from, to, 1), message);
         }
-        type Change = fn(&mut MediaFile);
         let changes: [(Change, &str); 3] = [
             (
                 |file| file.materials[0].channels[0].covariance[0][0] = -1.0,

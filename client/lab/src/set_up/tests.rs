@@ -58,13 +58,12 @@ fn defaulted_quantities_are_listed_as_assumed() {
         blur_mm: Some(0.02),
         ..nothing
     };
-    let [gain_std_error, offset_std_error, slope_std_error, blur_std_error_mm] =
-        [0.003, 0.001, 0.002, 0.0].map(|value| Some(ByChannel::All(value)));
+    let [gain, offset, slope, blur] = [0.003, 0.001, 0.002, 0.0].map(|value| Some(ByChannel::All(value)));
     let exact_light = Session {
-        gain_std_error,
-        offset_std_error,
-        blur_std_error_mm,
-        slope_std_error,
+        gain_std_error: gain,
+        offset_std_error: offset,
+        slope_std_error: slope,
+        blur_std_error_mm: blur,
         ..Session::default()
     };
     for (given, setup, expected) in [

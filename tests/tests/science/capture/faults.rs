@@ -37,7 +37,7 @@ fn slabs(spoil: impl Fn(Photo) -> Photo) -> Result<SampleProfile, Refusal> {
 
 fn clean() -> &'static SampleProfile {
     static CLEAN: OnceLock<SampleProfile> = OnceLock::new();
-    CLEAN.get_or_init(|| slabs(|photo| photo).unwrap())
+    CLEAN.get_or_init(|| slabs(|photo| photo).expect("clean shots agree"))
 }
 
 fn measured(shots: impl IntoIterator<Item = Photo>) -> Result<SampleProfile, Refusal> {

@@ -27,14 +27,14 @@ fn developed(camera: Camera) -> Session {
     session
 }
 
-fn with_slab(camera: Camera, slab: Slab) -> Session {
+fn with_slab(camera: &Camera, slab: &Slab) -> Session {
     let mut session = good();
-    session.lay(&camera, &slab);
+    session.lay(camera, slab);
     session
 }
 
 fn with_board(board: Board) -> Session {
-    let mut session = with_slab(small(), Slab { board: board.clone(), ..slab() });
+    let mut session = with_slab(&small(), &Slab { board: board.clone(), ..slab() });
     session.show_bare(&small(), &board);
     session.board = board;
     session
@@ -74,7 +74,7 @@ const FAULTS: [Fault; 12] = [
         "defocused",
         |size, _| {
             let lens_mm = small().lens_mm.map(|l| l * (1.6 + size));
-            with_slab(Camera { lens_mm, ..small() }, slab())
+            with_slab(&Camera { lens_mm, ..small() }, &slab())
         },
         |r| matches!(r, Refusal::Defocused { .. }),
     ),
@@ -92,7 +92,7 @@ const FAULTS: [Fault; 12] = [
         |size, random| {
             let (by, mut origin_px) = (either(random, 0.2 + size), small().origin_px);
             origin_px[usize::from(random.even() < 0.5)] += by;
-            with_slab(Camera { origin_px, ..small() }, slab())
+            with_slab(&Camera { origin_px, ..small() }, &slab())
         },
         |r| matches!(r, Refusal::Moved { .. }),
     ),
@@ -102,8 +102,8 @@ const FAULTS: [Fault; 12] = [
             let mut rim_mm = slab().rim_mm;
             let side = (random.even() * 4.0) as usize;
             let far = [4.7, 4.7, 4.5, 4.5][side] - 3.0 * size;
-            rim_mm[side] = if side % 2 == 0 { -far } else { far };
-            with_slab(small(), Slab { rim_mm, ..slab() })
+            rim_mm[side] = if side.is_multiple_of(2) { -far } else { far };
+            with_slab(&small(), &Slab { rim_mm, ..slab() })
         },
         |r| matches!(r, Refusal::RimInCrop { .. }),
     ),
@@ -116,7 +116,7 @@ const FAULTS: [Fault; 12] = [
         "bubble",
         |size, random| {
             let at = [random.between(-4.0, 4.0), random.between(2.0, 4.0)];
-            with_slab(small(), Slab { bubble: Some((at, 1.2 + size, 0.85 - 0.1 * size)), ..slab() })
+            with_slab(&small(), &Slab { bubble: Some((at, 1.2 + size, 0.85 - 0.1 * size)), ..slab() })
         },
         |r| matches!(r, Refusal::ThirdsDisagree { .. }),
     ),
@@ -140,7 +140,7 @@ const FAULTS: [Fault; 12] = [
 /// A straight board cannot be binned: its edge crosses pixels at few phases only.
 #[test]
 fn edge_along_the_columns_is_refused() {
-    let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, slab());
+    let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, &slab());
     let calibration = calibrate(&session, &PLAIN).unwrap();
     let refusal = find(&session, &calibration, &PLAIN).unwrap_err();
     assert!(matches!(refusal, Refusal::NotSlanted { .. }), "{refusal}");
