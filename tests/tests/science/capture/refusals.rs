@@ -140,7 +140,7 @@ const FAULTS: [Fault; 12] = [
 /// A straight board cannot be binned: its edge crosses pixels at few phases only.
 #[test]
 fn edge_along_the_columns_is_refused() {
-    let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, &slab());
+    let session = Session::new(Camera { turn_deg: 0.0, keystone: [0.0; 2], ..small() }, slab());
     let calibration = calibrate(&session, &PLAIN).unwrap();
     let refusal = find(&session, &calibration, &PLAIN).unwrap_err();
     assert!(matches!(refusal, Refusal::NotSlanted { .. }), "{refusal}");
