@@ -301,7 +301,7 @@ fn files_without_linear_radiance_are_refused() {
         (Maker { width: 15_000, height: 10_000, ..dng() }, "194 bytes are said to hold 150000000 samples"),
         (
             Maker { width: 15_000, height: 10_000, ..dng().with(259, &[7]) },
-            "194 bytes are said to hold 150000000 samples",
+            "206 bytes are said to hold 150000000 samples",
         ),
     ];
     let makers = makers.map(|(maker, message)| (maker.bytes(), message));
