@@ -13,7 +13,7 @@ use std::ops::Range;
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
-use farm_proto::lease::{HeldLease, Lease, LeaseKey};
+use farm_proto::lease::{HeldLease, Lease};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::{Digest, Grid, Scene, Walks};
 
@@ -159,8 +159,9 @@ impl Bench {
         self.farm.set_desire(id, desire, String::new());
     }
 
-    fn store_part(&mut self, name: &str, lease: &Lease) {
-        arrive(name, lease, |arrived| self.farm.part_finished(seconds(1), arrived));
+    /// A block reaches the store with these sums.
+    fn store_part(&mut self, name: &str, lease: &Lease, digest: Digest) {
+        arrive(name, lease, |arrived| self.farm.part_finished(seconds(1), &Arrived { digest, ..*arrived }));
     }
 
     fn prolong(&mut self, at: u64, name: &str, lease: &Lease, walks: u64) {
@@ -221,11 +222,7 @@ impl Bench {
     }
 
     fn reasons(&self, at: u64) -> Vec<&'static str> {
-        self.reasons_of("d", at)
-    }
-
-    fn reasons_of(&self, name: &str, at: u64) -> Vec<&'static str> {
-        let dictionary = self.farm.schedule.by_name(&testing::name(name)).unwrap();
+        let dictionary = self.farm.schedule.by_id(FIRST).unwrap();
         self.farm.explain(seconds(at), dictionary).into_iter().map(|r| r.code).collect()
     }
 }
@@ -248,31 +245,7 @@ fn longest_job_goes_first_and_counts_most() {
     assert!(status.work_done > 0.6, "{}", status.work_done);
 }
 
-/// After a restart, only jobs that have not ended are leased.
-#[test]
-fn only_unfinished_jobs_remain_after_restart() {
-    let given_up = EndedJob::GivenUp { job: 1, reason: "r".to_owned(), quarantined: true };
-    let mut bench = Bench::new(&[done(2, None, false), given_up]);
-    let lease = bench.acquire(0, "a", 10);
-    assert_eq!(job_of(&lease), [0]);
-    bench.finish(1, "a", &lease[0]);
-    assert_eq!(bench.state(), DictionaryState::Failed);
-    assert!(bench.status().has_quarantined());
-}
-
-/// A draining worker gets no leases and is informed that it drains, but may finish its work.
-#[test]
-fn draining_worker_gets_no_leases() {
-    let mut bench = Bench::new(&[]);
-    let lease = bench.one(0, "a");
-    assert_eq!(bench.farm.drain("nobody").unwrap_err(), "no worker has this id or label");
-    assert_eq!(bench.farm.drain("a").unwrap(), worker("a"));
-    let grant = bench.farm.acquire(seconds(1), &worker("a"), 5, &mut bench.chance).unwrap();
-    assert!(grant.drain && grant.leases.is_empty());
-    assert!(bench.renew(2, "a", &lease, true), "what it has it may finish");
-}
-
-/// Priorities and desired states decide which jobs are leased.
+/// Priorities and desired states decide which jobs are leased. A cancellation is explained with its reason.
 #[test]
 fn priorities_and_desires_order_the_leases() {
     let mut bench = Bench::new(&[]);
@@ -288,6 +261,8 @@ fn priorities_and_desires_order_the_leases() {
     bench.farm.set_desire(FIRST, DesiredState::Cancel, "enough".to_owned());
     assert!(bench.acquire(0, "a", 9).is_empty());
     assert_eq!((bench.state(), bench.status().reason.as_str()), (DictionaryState::Cancelled, "enough"));
+    let why = bench.farm.explain(seconds(0), bench.farm.schedule.by_id(FIRST).unwrap());
+    assert!(why[0].code == "CANCELLED" && why[0].text.contains("enough"), "{why:?}");
     bench.desire(FIRST, DesiredState::Run);
     assert_eq!(bench.acquire(1, "a", 9).len(), 3, "leases from before the cancellation are not kept");
 }
@@ -304,15 +279,4 @@ fn reasons_for_waiting_are_explained() {
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
     bench.leave(&["a", "b", "c"]);
     assert_eq!(bench.reasons(0), ["NO_WORKERS", "WAITING"]);
-}
-
-#[test]
-fn unknown_workers_and_jobs_are_refused() {
-    let mut bench = Bench::new(&[]);
-    let nobody = worker("nobody");
-    let refused = bench.farm.acquire(seconds(0), &nobody, 1, &mut bench.chance).unwrap_err();
-    assert_eq!(refused, DispatchError::UnknownWorker(nobody));
-    let stray = LeaseKey { dictionary: FIRST, job: 99, attempt: 1, token: Token(0), part: 0 };
-    assert!(bench.farm.admit(seconds(0), &worker("a"), &stray, DIGEST).is_err());
-    assert!(bench.farm.failed(seconds(0), &worker("a"), &stray, "x").is_err());
 }

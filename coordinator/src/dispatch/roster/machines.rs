@@ -181,18 +181,6 @@ mod tests {
         assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
     }
 
-    /// If other machines fail at the same job, the fault is the job's and not the machine's.
-    #[test]
-    fn shared_failures_blame_the_job() {
-        let mut machines = Machines::default();
-        for number in 0..3 {
-            machines.failed(Duration::ZERO, A, job(number), false);
-        }
-        assert!(machines.pause_left(Duration::ZERO, A).is_some());
-        assert!(machines.exonerate(Duration::ZERO, job(1)));
-        assert_eq!(machines.pause_left(Duration::ZERO, A), None);
-    }
-
     /// A vote belongs to a machine, by address and host, or to a token if votes are counted by token.
     #[test]
     fn votes_are_per_machine_or_token() {

@@ -3,9 +3,8 @@
 use farm_proto::ids::WorkerId;
 use farm_proto::status::WorkerState;
 
-use super::{Bench, DIGEST, about, job_of, on, seconds, worker};
-use crate::dispatch::DispatchError;
-use crate::stored::{KnownMachine, Origin};
+use super::{Bench, DIGEST, job_of, on, seconds, worker};
+use crate::stored::Origin;
 
 impl Bench {
     /// Fails at every job that a worker is given at a moment; returns their number.
@@ -25,24 +24,14 @@ impl Bench {
     }
 }
 
-/// A machine that fails at every job is suspended. Its failures alone give up no job while other machines are connected.
-#[test]
-fn failing_machine_is_suspended() {
-    let mut bench = Bench::new(&[]);
-    assert_eq!(bench.fail_all(0, "a"), 3, "each of the jobs once");
-    assert_eq!(bench.status().jobs_failed, 0);
-    assert_eq!(bench.state_of(0, "a"), (WorkerState::Suspended, 10_000));
-    assert!(bench.reasons(0).contains(&"WORKERS_SUSPENDED"));
-    let leases = bench.acquire(1, "b", 9);
-    bench.finish_all(2, "b", &leases);
-    assert_eq!(bench.status().jobs_done, 3);
-}
-
-/// After its pause a machine gets one job, however many processes it runs, and a good result ends the suspension.
+/// A machine that fails at every job is suspended; its failures alone give up no job while other machines are connected.
+/// After its pause it gets one job, however many processes it runs, and a good result ends the suspension.
 #[test]
 fn suspended_machine_is_tried_with_one_job() {
     let mut bench = Bench::new(&[]);
-    bench.fail_all(0, "a");
+    assert_eq!(bench.fail_all(0, "a"), 3, "each of the jobs once");
+    assert_eq!((bench.status().jobs_failed, bench.state_of(0, "a")), (0, (WorkerState::Suspended, 10_000)));
+    assert!(bench.reasons(0).contains(&"WORKERS_SUSPENDED"));
     // The other workers are silent from now on.
     bench.farm.take_outbox();
     bench.look(0..41);
@@ -123,28 +112,4 @@ fn right_check_ends_a_suspension() {
     assert_eq!(job_of(&check), [lease.key.job], "one at a time");
     bench.compare("b", &check[0], DIGEST, DIGEST);
     assert_eq!(bench.acquire(41, "b", 9).len(), 2);
-}
-
-/// A machine that was fenced off before a restart stays so until it is readmitted by name.
-#[test]
-fn fence_survives_a_restart() {
-    let mut bench = Bench::new(&[]);
-    let (machine, label, fenced) = (about("d").machine, "d".to_owned(), Some("wrong".to_owned()));
-    bench.farm.roster_mut().remember_machine(KnownMachine { origin: Origin(4), machine, label, fenced });
-    let refused = bench.register(0, "d", Origin(4), about("d")).unwrap_err();
-    assert_eq!(refused, DispatchError::Fenced("wrong".to_owned()));
-    let unknown = bench.farm.lift_fence("e").unwrap_err();
-    assert!(unknown.contains("there are @d (d)"), "{unknown}");
-    assert_eq!(bench.farm.lift_fence("d"), Ok(Origin(4)));
-    bench.register(0, "d", Origin(4), about("d")).unwrap();
-    assert_eq!(bench.farm.lift_fence("d").unwrap_err(), "no machine is fenced off");
-}
-
-/// A worker is found by the token that it was given, and by no other.
-#[test]
-fn worker_token_is_that_of_its_worker() {
-    let bench = Bench::new(&[]);
-    let roster = bench.farm.roster();
-    assert_eq!(roster.verify_worker(&roster.worker_token(&worker("a"))), Ok(worker("a")));
-    assert_eq!(roster.verify_worker("a.0"), Err(DispatchError::UnknownWorker(worker("a"))));
 }

@@ -3,7 +3,7 @@
 use farm_proto::status::DictionaryState;
 use optics_model::Walks;
 
-use super::{Bench, FIRST, seconds};
+use super::{Bench, DIGEST, FIRST, seconds};
 use crate::dispatch::Admission;
 use crate::dispatch::part::PartId;
 use crate::testing::grid;
@@ -21,7 +21,7 @@ fn divided_job_is_leased_by_blocks() {
     assert_eq!(leases.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(0), Some(1)]);
     let last = bench.acquire(0, "b", 5);
     assert_eq!(last.iter().map(|l| l.job.block()).collect::<Vec<_>>(), [Some(2)]);
-    bench.store_part("b", &last[0]);
+    bench.store_part("b", &last[0], DIGEST);
     assert!(matches!(bench.admit("b", &last[0]), Ok(Admission::Repeated { .. })));
     bench.farm.look_over(seconds(4));
     bench.farm.hand_back(&[leases[0].key]);
@@ -39,29 +39,16 @@ fn blocks_share_the_cost_of_their_job() {
     assert!((3.0 * job.part_cost() / job.cost - 1.0).abs() < 1e-12, "{job:?}");
 }
 
-/// A job that needs more walks is leased again with the new number. Two workers compute the same job and both results
-/// need more walks: the second result changes nothing.
+/// Two workers compute the same job, and both results need more walks: the second changes nothing.
 #[test]
 fn only_the_first_copy_adds_walks() {
     let mut bench = Bench::new(&[]);
     let lease = bench.one(0, "a");
     bench.prolong(1, "a", &lease, 500_000);
-    assert!(bench.admit("a", &lease).is_err(), "a result with fewer walks is refused");
     let again = bench.one(2, "b");
     assert_eq!((again.key.job, again.job.walks().get()), (lease.key.job, 500_000));
     bench.prolong(3, "a", &lease, 500_000);
     assert!(bench.renew(4, "b", &again, true));
-    assert!(!bench.jobs(5, "c", 9).contains(&again.key.job));
-}
-
-/// Blocks that the store no longer has are computed again.
-#[test]
-fn blocks_lost_by_the_store_are_recomputed() {
-    let mut bench = divided(0.0);
-    let leases = bench.acquire(0, "a", 2);
-    bench.store_part("a", &leases[0]);
-    bench.farm.parts_stored((FIRST, 0), leases[0].job.walks(), &[2].into());
-    assert_eq!(bench.parts(2, "b", 9), [0], "block 1 is held, block 2 is there");
 }
 
 /// Blocks shared with another dictionary are gone once it has merged them; a job that still needs them computes them.
@@ -70,27 +57,18 @@ fn missing_shared_blocks_are_computed_again() {
     let mut bench = divided(0.0);
     // Blocks 0 and 1 were stored by the other dictionary; its job has ended, and they are gone with it.
     let walks = bench.farm.schedule.by_id(FIRST).unwrap().spec(0, 0).walks();
-    bench.farm.parts_stored((FIRST, 0), walks, &[0, 1].into());
+    bench.farm.take_outbox();
+    for (walks, changed) in [(Walks::new(3_500_000).unwrap(), false), (walks, true)] {
+        bench.farm.parts_stored((FIRST, 0), walks, &[0, 1].into());
+        assert_eq!(bench.farm.take_outbox().changed, changed, "blocks count for their walks only");
+    }
     let last = bench.acquire(0, "a", 9);
     assert_eq!((last.len(), last[0].key.part), (1, 2));
     assert!(!bench.farm.schedule.waits_for_nothing((FIRST, 0)));
-    bench.store_part("a", &last[0]);
+    bench.store_part("a", &last[0], DIGEST);
     assert!(bench.farm.schedule.waits_for_nothing((FIRST, 0)));
     bench.farm.parts_stored((FIRST, 0), walks, &[2].into());
     assert_eq!(bench.parts(2, "b", 9), [0, 1]);
-}
-
-/// Stored blocks are reported as a change only if they are of the job's number of walks.
-#[test]
-fn stored_blocks_count_for_their_walks_only() {
-    let mut bench = divided(0.0);
-    let walks = bench.farm.schedule.by_id(FIRST).unwrap().spec(0, 0).walks();
-    bench.farm.take_outbox();
-    for (walks, changed) in [(Walks::new(3_500_000).unwrap(), false), (walks, true)] {
-        bench.farm.parts_stored((FIRST, 0), walks, &[0].into());
-        assert_eq!(bench.farm.take_outbox().changed, changed, "{walks:?}");
-    }
-    assert_eq!(bench.parts(0, "a", 9), [1, 2]);
 }
 
 /// A dictionary with more parts than are allowed keeps no account of them.

@@ -25,7 +25,6 @@ fn shared_walks_are_computed_once() {
     let mut bench = overlapping(&[0.9], 0.0);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(FIRST, 2), (FIRST, 1), (FIRST, 0), (SECOND, 1)]);
-    assert!(bench.reasons_of("e", 0).contains(&"SHARED"), "{:?}", bench.reasons_of("e", 0));
     assert_eq!(bench.farm.schedule.served_by((FIRST, 2)), [(SECOND, 2)]);
     assert!(bench.farm.schedule.done_elsewhere(SECOND).is_empty());
     bench.finish(1, "a", &leases[0]);
@@ -36,14 +35,15 @@ fn shared_walks_are_computed_once() {
     assert!(bench.farm.schedule.served_by((FIRST, 2)).is_empty());
 }
 
-/// A job with more albedos is leased first, regardless of priorities. Jobs with the same walks but different albedos are
-/// both leased.
+/// A job with more albedos is leased first, regardless of priorities; that another waits for it is explained. Jobs with the
+/// same walks but different albedos are both leased.
 #[test]
 fn most_albedos_go_first() {
     let mut bench = overlapping(&[0.5, 0.9, 0.95], 0.0);
     bench.farm.set_priority(FIRST, 5);
     let leases = bench.acquire(0, "a", 9);
     assert_eq!(places(&leases), [(SECOND, 2), (SECOND, 0), (FIRST, 0), (SECOND, 1)]);
+    assert!(bench.reasons(0).contains(&"SHARED"), "{:?}", bench.reasons(0));
     assert_eq!(overlapping(&[0.9, 0.95], 0.0).acquire(0, "a", 9).len(), 6);
 }
 
@@ -69,16 +69,6 @@ fn stopped_shared_walks_are_taken_over() {
         let own = if how == 3 { vec![(SECOND, 2)] } else { vec![(SECOND, 2), (SECOND, 0)] };
         assert_eq!(places(&leases), own, "{how}");
     }
-}
-
-/// The first dictionary waits for shared walks that the second has begun.
-#[test]
-fn first_waits_for_walks_of_the_second() {
-    let mut bench = overlapping(&[0.5, 0.9], 0.0);
-    bench.desire(FIRST, DesiredState::Pause);
-    assert_eq!(places(&bench.acquire(0, "a", 1)), [(SECOND, 2)]);
-    bench.desire(FIRST, DesiredState::Run);
-    assert_eq!(places(&bench.acquire(1, "b", 9)), [(FIRST, 1), (FIRST, 0), (SECOND, 1)]);
 }
 
 /// The check of a removed dictionary continues in another one that has the records: otherwise they would never be checked.

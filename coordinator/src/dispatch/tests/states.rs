@@ -63,16 +63,6 @@ fn dictionary_events_are_recorded_in_order() {
     assert_eq!(kinds, [EventKind::Paused, EventKind::Resumed, EventKind::Done]);
 }
 
-/// The explanation of a cancelled dictionary contains the reason that was given.
-#[test]
-fn cancellation_is_explained_with_its_reason() {
-    let mut bench = Bench::new(&[]);
-    bench.farm.set_desire(FIRST, DesiredState::Cancel, "enough".to_owned());
-    let dictionary = bench.farm.schedule.dictionaries().next().unwrap();
-    let reasons = bench.farm.explain(seconds(0), dictionary);
-    assert!(reasons[0].code == "CANCELLED" && reasons[0].text.contains("enough"), "{reasons:?}");
-}
-
 /// A worker is listed as silent once it has missed its heartbeats, until its next call.
 #[test]
 fn unheard_workers_are_listed_as_silent() {

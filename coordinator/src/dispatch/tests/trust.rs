@@ -1,65 +1,8 @@
 //! Tests checks, disputes, and fenced-off machines.
 
-use optics_model::Digest;
-
-use super::{Bench, DIGEST, FIRST, WRONG, about, arrive, done, job_of, seconds, worker};
-use crate::dispatch::{DispatchError, Effect};
+use super::{Bench, DIGEST, FIRST, WRONG, about, arrive, done, job_of, seconds};
+use crate::dispatch::DispatchError;
 use crate::stored::Origin;
-
-/// One vote against one decides nothing. The third fences the machine with the wrong result.
-#[test]
-fn third_worker_settles_a_failed_check() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let lease = bench.acquire(0, "a", 1);
-    bench.finish_with(1, "a", &lease[0], WRONG);
-    assert!(!job_of(&bench.acquire(2, "a", 1)).contains(&lease[0].key.job), "not its own result");
-    let check = bench.acquire(2, "b", 1);
-    assert_eq!(check[0].key.job, lease[0].key.job);
-    bench.compare("b", &check[0], WRONG, DIGEST);
-    assert!(bench.reasons(2).contains(&"DISPUTED"));
-    assert!(bench.effects().is_empty(), "one against one decides nothing");
-    let third = bench.acquire(3, "c", 1);
-    assert_eq!(third[0].key.job, lease[0].key.job);
-    bench.compare("c", &third[0], WRONG, DIGEST);
-    let effects = bench.effects();
-    assert!(matches!(&effects[..], [Effect::Fence { machine: Origin(1), .. }]), "{effects:?}");
-    let fenced = bench.farm.acquire(seconds(4), &worker("a"), 1, &mut bench.chance).unwrap_err();
-    assert!(matches!(fenced, DispatchError::Fenced(_)));
-    let again = bench.register(5, "z", Origin(1), about("z"));
-    assert!(again.is_err(), "the same process does not come in by another door");
-    bench.farm.reopen(FIRST, &[lease[0].key.job]);
-    assert!(job_of(&bench.acquire(6, "b", 9)).contains(&lease[0].key.job), "its records are computed again");
-}
-
-/// Equal results of two machines agree. A machine's own repetition confirms nothing, but a different one fences it.
-#[test]
-fn worker_that_contradicts_itself_is_fenced() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let lease = bench.acquire(0, "a", 1);
-    bench.finish(1, "a", &lease[0]);
-    // The machine repeats its own result.
-    bench.compare("a", &lease[0], DIGEST, DIGEST);
-    let check = bench.acquire(2, "b", 1);
-    assert_eq!(check[0].key.job, lease[0].key.job, "which proves nothing: the check is still needed");
-    bench.compare("b", &check[0], DIGEST, DIGEST);
-    assert_eq!(bench.farm.verification.counts(), (1, 0, 0));
-    let agreed = bench.effects();
-    assert!(matches!(&agreed[..], [Effect::Agreed { job: 2, machine: Origin(2), .. }]), "{agreed:?}");
-    bench.compare("a", &lease[0], DIGEST, Digest::from_bytes([1; 32]));
-    assert!(matches!(&bench.effects()[..], [Effect::Fence { machine: Origin(1), .. }]));
-}
-
-/// A part whose result is being checked is not late.
-#[test]
-fn part_under_check_is_not_late() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let leases = bench.acquire(0, "a", 3);
-    bench.finish_all(1, "a", &leases[1..]);
-    bench.look(4..21);
-    bench.finish(20, "a", &leases[0]);
-    assert_eq!(bench.acquire(20, "b", 3).len(), 3, "the checks");
-    assert!(bench.acquire(20, "c", 3).is_empty());
-}
 
 /// Checks that were not made before a restart are requested after it.
 #[test]
