@@ -236,14 +236,4 @@ mod tests {
         assert_eq!(admission.is_over(now), None, "its calls hear why");
         assert!(admission.is_over(now + LAST_WORDS).is_some());
     }
-
-    /// A connection has a limited number of open calls.
-    #[test]
-    fn open_calls_per_connection_are_limited() {
-        let admission = Admission::admitted();
-        let calls: Vec<_> = (0..OPEN_CALLS).map(|_| admission.open_call().unwrap()).collect();
-        assert!(admission.open_call().is_none());
-        drop(calls);
-        assert!(admission.open_call().is_some());
-    }
 }

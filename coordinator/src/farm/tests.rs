@@ -126,26 +126,6 @@ fn restore(path: &Path, bytes: &[u8]) {
     std::fs::File::options().write(true).open(path).unwrap().write_all_at(bytes, 0).unwrap();
 }
 
-/// An I/O error is no damage: when it is gone, the records are intact.
-#[tokio::test]
-async fn unreadable_jobs_are_reported_and_not_deleted() {
-    let (farm, dir) = done().await;
-    let (path, bytes) = log(&dir);
-    std::fs::File::options().write(true).open(&path).unwrap().set_len(32).unwrap();
-    let found = farm.inspect(true).await;
-    assert!(found.unchecked.as_ref().is_some_and(|why| why.contains("522")), "{found:?}");
-    assert!(found.faults.is_empty() && found.damaged.is_empty(), "{found:?}");
-    assert_eq!(found.unreadable.len(), 1, "{found:?}");
-    assert_eq!((found.unreadable[0].jobs, found.unreadable[0].first), (JOBS as usize, 0));
-    assert!(found.unreadable[0].what.contains("disk I/O error"), "{found:?}");
-    assert!(matches!(farm.records(&name(), 0..80).await, Err(FarmError::Store(_))));
-    assert_eq!(jobs_done(&farm), JOBS);
-    restore(&path, &bytes);
-    let found = farm.inspect(true).await;
-    assert_eq!((found.jobs, found.records), (JOBS as usize, 2 * JOBS as usize), "{found:?}");
-    assert!(found.unreadable.is_empty() && found.unchecked.is_none(), "{found:?}");
-}
-
 /// A page that was read wrongly once stays in the memory of the connection that read it.
 #[tokio::test]
 async fn transient_read_damage_keeps_the_record() {
@@ -255,18 +235,6 @@ async fn deliver(farm: &Farm, worker: &WorkerId, lease: &Lease, value: f32) -> O
 
 fn lease(farm: &Farm, worker: &WorkerId) -> Option<Lease> {
     farm.acquire_now(worker, 1).unwrap().leases.pop()
-}
-
-#[tokio::test]
-async fn dispute_wakes_workers_that_wait() {
-    let (farm, first, _dir) = begun(1.0).await;
-    let second = worker(&farm, "second").await;
-    let own = lease(&farm, &first).unwrap();
-    assert!(matches!(deliver(&farm, &first, &own, 0.25).await, Outcome::Finished { .. }));
-    let check = lease(&farm, &second).unwrap();
-    let third = farm.scheduler.work();
-    assert_eq!(deliver(&farm, &second, &check, 0.5).await.kind(), OutcomeKind::Conflict);
-    assert!(third.has_changed().unwrap(), "there is something to decide");
 }
 
 /// A dictionary that overlaps another computes nothing twice, also if its records arrived while it was cancelled, or

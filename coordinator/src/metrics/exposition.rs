@@ -52,14 +52,6 @@ fn described(line: &str, counters: &HashSet<String>) -> Option<String> {
 mod tests {
     use super::*;
 
-    /// In the Prometheus format, a counter is described under the name of its samples.
-    #[test]
-    fn counter_headers_use_their_sample_names() {
-        let open = "# HELP a Text a b.\n# TYPE a counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n# EOF\n";
-        let old = "# HELP a_total Text a b.\n# TYPE a_total counter\na_total{x=\"a\"} 1\n# HELP b B.\n# TYPE b gauge\nb 2\n";
-        assert_eq!(to_prometheus(open), old);
-    }
-
     /// OpenMetrics is chosen only if the request accepts it; otherwise it is the Prometheus text format.
     #[test]
     fn open_metrics_format_must_be_requested() {

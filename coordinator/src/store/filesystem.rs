@@ -147,12 +147,4 @@ mod tests {
     fn proc_is_recognised_by_its_number() {
         assert_eq!(f_type(Path::new("/proc")).unwrap(), Some(0x9FA0));
     }
-
-    /// The refusal names the filesystem and the remedy.
-    #[test]
-    fn refusal_names_filesystem_and_remedy() {
-        let error = FilesystemError::Network { path: "/home/x".into(), name: "NFS" }.to_string();
-        assert!(error.starts_with("/home/x is on NFS, "), "{error}");
-        assert!(error.ends_with("choose a folder on a local disk with --data"), "{error}");
-    }
 }

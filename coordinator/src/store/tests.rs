@@ -5,10 +5,11 @@ mod damage;
 mod damaged_backup;
 mod measurements;
 
+use std::sync::mpsc::Receiver;
+
 use farm_proto::ids::DictionaryId;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Estimate, Grid, PackedRecords, Profile, Quality, Record, Walks};
-use prost::Message;
 use sqlx::{AssertSqlSafe, SqlitePool};
 use tempfile::TempDir;
 
@@ -131,7 +132,9 @@ async fn committed_rows_survive_reopening() {
     store.give_up_job(created.id, 0, &given_up, true).await.unwrap();
     store.set_desire(created.id, DesiredState::Pause, "lunch").await.unwrap();
     store.set_priority(created.id, -3).await.unwrap();
+    assert_eq!(store.secret(Secret([1; 32])).await.unwrap().0, [1; 32]);
     let store = reopened(store, &dir).await;
+    assert_eq!(store.secret(Secret([2; 32])).await.unwrap().0, [1; 32], "it is stored once");
     let (desire, reason) = (DesiredState::Pause, "lunch".to_owned());
     let expected = StoredDictionary { desire, reason, priority: -3, ..created.clone() };
     assert_eq!(store.dictionaries().await.unwrap(), [expected]);
@@ -158,16 +161,21 @@ async fn second_completion_changes_nothing() {
     assert_eq!(all_records(&store, &d).await, records(0, 0.25));
 }
 
+/// A store as [`begun`], and the number of results of each of its commits.
+async fn with_commits() -> ((TempDir, Store, StoredDictionary), Receiver<usize>) {
+    let dir = tempfile::tempdir().unwrap();
+    let (sender, commits) = std::sync::mpsc::channel();
+    let noted = move |commit: Commit| sender.send(commit.results).unwrap();
+    let store = Store::open(DataDir::lock(dir.path()).unwrap(), noted).await.unwrap();
+    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
+    let dictionary = dictionary(&store).await;
+    ((dir, store, dictionary), commits)
+}
+
 /// A result that cannot be stored does not stop the others.
 #[tokio::test]
 async fn simultaneous_results_share_one_commit() {
-    let dir = tempfile::tempdir().unwrap();
-    let (sender, commits) = std::sync::mpsc::channel();
-    let store =
-        Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.results).unwrap());
-    let store = store.await.unwrap();
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
+    let ((_dir, store, d), commits) = with_commits().await;
     let nobodys = Completion { worker: Origin(99), ..completion(&d, 1, 0.5) };
     // Polled in turn before the writer runs: all wait when it wakes up.
     let (a, b, c) = tokio::join!(
@@ -269,54 +277,16 @@ async fn data_folder_has_one_coordinator() {
     assert!(error.contains("in use by another coordinator (at 127.0.0.1:7)"), "{error}");
 }
 
-/// A database of a past schema in a folder of its own.
-async fn of_schema(schema: usize) -> (TempDir, SqlitePool) {
+/// Blocks in the format of the second schema are computed again.
+#[tokio::test]
+async fn second_schema_blocks_are_recomputed() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("farm.db");
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).create_if_missing(true);
     let pool = SqlitePool::connect_with(options).await.unwrap();
     let mut past = crate::store::migration::migrator();
-    past.migrations.to_mut().truncate(schema);
+    past.migrations.to_mut().truncate(2);
     past.run(&pool).await.unwrap();
-    (dir, pool)
-}
-
-/// A database of the first version of this program keeps its records.
-#[tokio::test]
-async fn first_schema_keeps_its_records() {
-    let (dir, pool) = of_schema(1).await;
-    let run = async |query, bytes: Vec<u8>| {
-        sqlx::query(query).bind(bytes).execute(&pool).await.unwrap();
-    };
-    let grid_bytes = farm_proto::wire::Grid::from(&grid()).encode_to_vec();
-    run("INSERT INTO dictionaries VALUES (1, 'd', ?, zeroblob(32), 7)", grid_bytes).await;
-    run("UPDATE dictionaries SET grid_digest = ?", Digest::of_grid(&grid()).as_bytes().to_vec()).await;
-    let packed = PackedRecords::pack(&JobSpec::of(&grid(), 1), &records(2, 0.25));
-    for (query, record) in [
-        "INSERT INTO records (dictionary_id, record, profiles) VALUES (1, 2, ?)",
-        "INSERT INTO records (dictionary_id, record, profiles) VALUES (1, 3, ?)",
-    ]
-    .into_iter()
-    .zip(packed.each())
-    {
-        run(query, record.to_vec()).await;
-    }
-    let digest = Digest::of_records(&records(2, 0.25)).as_bytes().to_vec();
-    run("INSERT INTO jobs VALUES (1, 0, NULL, 'no luck'), (1, 1, ?, NULL)", digest).await;
-    pool.close().await;
-    for _ in 0..2 {
-        let store = open(dir.path()).await;
-        let d = store.dictionaries().await.unwrap().remove(0);
-        assert_eq!(all_records(&store, &d).await, records(2, 0.25));
-        assert_eq!(store.ended_jobs(d.id, &d.grid).await.unwrap().len(), 2);
-        store.close().await;
-    }
-}
-
-/// Blocks in the format of the second schema are computed again.
-#[tokio::test]
-async fn second_schema_blocks_are_recomputed() {
-    let (dir, pool) = of_schema(2).await;
     let rows = "INSERT INTO points VALUES (1, zeroblob(32)); \
                 INSERT INTO workers VALUES (1, 'instance', 'label', NULL); \
                 INSERT INTO contributions VALUES (1, 1); INSERT INTO sums VALUES (1, 0, x'00')";

@@ -59,7 +59,7 @@ fn parse(bytes: &[u8]) -> Option<blake3::Hash> {
 mod tests {
     use super::*;
 
-    /// A written checksum line is read back, whatever the file's name.
+    /// A written checksum line is read back, whatever the file's name. Other text is not taken for one.
     #[test]
     fn checksums_round_trip_for_any_file_name() {
         let digest = blake3::hash(b"x");
@@ -68,12 +68,7 @@ mod tests {
         }
         assert_eq!(line("a", digest), format!("{digest}  a\n"));
         assert_eq!(line("a\nb", digest), format!("\\{digest}  a\\nb\n"));
-    }
-
-    /// Text that is not a checksum is not taken for one.
-    #[test]
-    fn malformed_checksum_is_not_read() {
-        let hex = blake3::hash(b"x").to_string();
+        let hex = digest.to_string();
         for text in [String::new(), hex[..63].to_owned(), format!("{hex}0  a"), format!("g{}", &hex[1..])] {
             assert_eq!(parse(text.as_bytes()), None, "{text}");
         }

@@ -1,6 +1,7 @@
 mod full_disk;
 mod incoming;
 
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -102,7 +103,8 @@ async fn refusal(file: &Path) -> BackupError {
     verified
 }
 
-/// A backup is restored byte for byte, with the application id.
+/// A backup is restored byte for byte, with the application id. Backup and restored database are private, whatever the mode
+/// of the file that is restored.
 #[tokio::test]
 async fn backup_is_restored_byte_for_byte() {
     let (dir, copy) = with_backup().await;
@@ -111,9 +113,13 @@ async fn backup_is_restored_byte_for_byte() {
     assert_eq!(report.checksum, Checksum::Agrees);
     let counts = BackupCounts { schema_version: newest(), dictionaries: 1, jobs: 60, records: 120 };
     assert_eq!(report.counts, counts);
+    let mode = |file: &Path| std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
+    assert_eq!(mode(&copy), 0o600);
+    std::fs::set_permissions(&copy, std::fs::Permissions::from_mode(0o644)).unwrap();
     let home = dir.path().join("home");
     let restored = restore(&copy, &DataDir::lock(&home).unwrap(), newest()).await.unwrap();
     assert_eq!((restored.counts, restored.checksum), (counts, Checksum::Agrees));
+    assert_eq!(mode(&restored.database), 0o600);
     assert_eq!(std::fs::read(&copy).unwrap(), std::fs::read(home.join("farm.db")).unwrap());
     let pool = open(&home.join("farm.db")).await;
     add_job(&pool, 60, b"it can be written to").await;
@@ -334,14 +340,4 @@ fn abandoned_backup_leaves_nothing() {
         let _ = (std::fs::remove_file(&copy), std::fs::remove_file(checksum::sidecar(&copy)));
     }
     assert!(given_up > 0, "no backup was given up");
-}
-
-/// SQLite does not recreate a draft that was removed.
-#[tokio::test]
-async fn removed_draft_is_not_recreated() {
-    let dir = tempfile::tempdir().unwrap();
-    let pool = filled(dir.path()).await;
-    let gone = dir.path().join("copy.draft");
-    let late = sqlx::query("VACUUM INTO ?").bind(address(&gone)).execute(&pool).await;
-    assert!(late.is_err() && !gone.exists());
 }

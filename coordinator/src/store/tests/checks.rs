@@ -1,4 +1,4 @@
-//! Tests that open checks and the secret survive a restart.
+//! Tests that open checks survive a restart.
 
 use super::*;
 
@@ -28,13 +28,4 @@ async fn open_checks_survive_a_restart() {
     assert_eq!(store.open_checks().await.unwrap(), [disputed, of_block]);
     delete(&store, d.id).await;
     assert!(store.open_checks().await.unwrap().is_empty());
-}
-
-/// The secret is stored once, and stays the same after a restart.
-#[tokio::test]
-async fn secret_is_stored_once() {
-    let (dir, store) = empty().await;
-    assert_eq!(store.secret(Secret([1; 32])).await.unwrap().0, [1; 32]);
-    let store = reopened(store, &dir).await;
-    assert_eq!(store.secret(Secret([2; 32])).await.unwrap().0, [1; 32]);
 }

@@ -73,13 +73,7 @@ async fn conflicting_records_for_shared_walks_are_refused() {
 /// A process that holds the database makes results wait once, not one after the other.
 #[tokio::test]
 async fn held_database_fails_all_results_at_once() {
-    let dir = tempfile::tempdir().unwrap();
-    let (sender, commits) = std::sync::mpsc::channel();
-    let store =
-        Store::open(DataDir::lock(dir.path()).unwrap(), move |c: Commit| sender.send(c.took).unwrap());
-    let store = store.await.unwrap();
-    store.register_worker(&Machine::at("instance"), "label").await.unwrap();
-    let d = dictionary(&store).await;
+    let ((dir, store, d), commits) = with_commits().await;
     run(&store, "PRAGMA busy_timeout = 200").await;
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(dir.path().join("farm.db"));
     let other = sqlx::SqlitePool::connect_with(options).await.unwrap();

@@ -1,6 +1,4 @@
-//! Tests backups that are received from elsewhere, and their permissions.
-
-use std::os::unix::fs::PermissionsExt;
+//! Tests backups that are received from elsewhere.
 
 use super::*;
 
@@ -16,16 +14,6 @@ fn received(file: &Path, bytes: &[u8]) -> Incoming {
     let mut incoming = Incoming::create(file).unwrap();
     bytes.chunks(1 << 20).for_each(|piece| incoming.write(piece).unwrap());
     incoming
-}
-
-/// A backup that was received in full gets its name and its checksum.
-#[tokio::test]
-async fn whole_backup_gets_name_and_checksum() {
-    let (dir, bytes, digest) = sent().await;
-    let file = dir.path().join("received");
-    received(&file, &bytes).publish(&digest, newest()).await.unwrap();
-    let verified = verify(&file, newest()).await.unwrap();
-    assert_eq!((verified.checksum, verified.counts.jobs), (Checksum::Agrees, 60));
 }
 
 /// Another file that took the name of an incoming backup keeps its checksum.
@@ -58,17 +46,4 @@ async fn incomplete_incoming_backup_leaves_nothing() {
         let left = |name: &str| dir.path().join(name).exists();
         assert!(!left("received") && !left("received.b3") && !left("received.draft"));
     }
-}
-
-/// The mode of backups and restored databases is 0600, whatever the mode of the file that is restored.
-#[tokio::test]
-async fn backups_and_restored_databases_are_private() {
-    let (dir, copy) = with_backup().await;
-    let mode = |file: &Path| std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
-    assert_eq!(mode(&copy), 0o600);
-    // A file that comes from elsewhere may have any mode.
-    std::fs::set_permissions(&copy, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let data = DataDir::lock(&dir.path().join("data")).unwrap();
-    let report = restore(&copy, &data, newest()).await.unwrap();
-    assert_eq!(mode(&report.database), 0o600);
 }
