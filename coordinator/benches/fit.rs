@@ -1,4 +1,4 @@
-//! Speed of the fit with a whole dictionary: the engine alone, and over gRPC on loopback.
+//! Speed of the fit with a whole dictionary.
 //!
 //! `FARM_BENCH_DATA=DIR cargo bench -p farm-coordinator` takes the dictionary "paper" of a data directory, which
 //! `farmctl submit --data DIR` makes. Without it the paper's grid is filled by a formula. That serves to compare
@@ -7,31 +7,22 @@
 #![expect(clippy::unwrap_used, reason = "a benchmark may panic")]
 
 use std::path::PathBuf;
-use std::time::Duration;
 
-use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{Criterion, criterion_group, criterion_main};
+use farm_coordinator::load_dictionary;
 use farm_coordinator::store::{DataDir, Store};
-use farm_coordinator::{Config, Coordinator, Gate, load_dictionary};
-use farm_proto::wire::FitRequest;
-use farm_proto::wire::fits_client::FitsClient;
 use optics_fit as fit;
 use optics_fit::{DictionaryBuilder, FitDictionary};
 use optics_model::fit::{Bounds, FitOptions, FitSettings, MuRange};
 use optics_model::job::JobSpec;
 use optics_model::{Estimate, Grid, MeasuredProfile, Measurement, PackedRecords, Profile, Record};
-use tokio_util::sync::CancellationToken;
-use tonic::transport::{Channel, Endpoint};
-
-fn data() -> Option<PathBuf> {
-    std::env::var_os("FARM_BENCH_DATA").map(PathBuf::from)
-}
 
 fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap()
 }
 
 fn load(runtime: &tokio::runtime::Runtime) -> FitDictionary {
-    let Some(data) = data() else { return made_up() };
+    let Some(data) = std::env::var_os("FARM_BENCH_DATA").map(PathBuf::from) else { return made_up() };
     runtime.block_on(async {
         let store = Store::open(DataDir::lock(&data).unwrap(), |_| {}).await.unwrap();
         let stored = store.dictionaries().await.unwrap();
@@ -169,64 +160,5 @@ fn engine(c: &mut Criterion) {
     });
 }
 
-/// Number of clients, each with its own connection, and number of queries that each sends one after the other.
-const CLIENTS: usize = 8;
-const QUERIES: usize = 25;
-
-async fn ask(mut client: FitsClient<Channel>, requests: Vec<FitRequest>) {
-    for request in requests {
-        client.fit(request).await.unwrap();
-    }
-}
-
-fn grpc(c: &mut Criterion) {
-    let Some(data) = data() else { return };
-    let runtime = runtime();
-    let questions = single(&load(&runtime));
-    let requests: Vec<FitRequest> = questions
-        .iter()
-        .map(|m| FitRequest { dictionary: "paper".to_owned(), measurement: Some(m.into()), options: None })
-        .collect();
-    let stop = CancellationToken::new();
-    let (clients, server) = runtime.block_on(async {
-        let coordinator = Coordinator::open(&Config::new(&data)).await.unwrap();
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let endpoint = Endpoint::from_shared(format!("http://{}", listener.local_addr().unwrap())).unwrap();
-        let server = tokio::spawn(coordinator.serve(listener, Gate::Everybody, None, stop.clone()));
-        let mut clients = Vec::new();
-        for _ in 0..CLIENTS {
-            clients.push(FitsClient::new(endpoint.clone().tcp_nodelay(true).connect().await.unwrap()));
-        }
-        clients[0].fit(requests[0].clone()).await.unwrap();
-        (clients, server)
-    });
-    let mut group = c.benchmark_group("gRPC");
-    let mut next = requests.iter().cycle();
-    group.bench_function("one query, one client", |b| {
-        b.iter_batched(
-            || vec![next.next().unwrap().clone()],
-            |request| runtime.block_on(ask(clients[0].clone(), request)),
-            BatchSize::SmallInput,
-        );
-    });
-    group.throughput(Throughput::Elements((CLIENTS * QUERIES) as u64));
-    group.sample_size(20).measurement_time(Duration::from_secs(10));
-    group.bench_function("queries, eight clients", |b| {
-        b.iter_batched(
-            || (0..CLIENTS).map(|_| next.by_ref().take(QUERIES).cloned().collect()).collect::<Vec<Vec<_>>>(),
-            |batches| {
-                let asked =
-                    clients.iter().zip(batches).map(|(client, requests)| ask(client.clone(), requests));
-                runtime.block_on(async { asked.collect::<tokio::task::JoinSet<()>>().join_all().await })
-            },
-            BatchSize::LargeInput,
-        );
-    });
-    group.finish();
-    drop(clients);
-    stop.cancel();
-    runtime.block_on(server).unwrap().unwrap();
-}
-
-criterion_group!(benches, engine, grpc);
+criterion_group!(benches, engine);
 criterion_main!(benches);
