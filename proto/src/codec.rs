@@ -241,16 +241,6 @@ mod tests {
         assert!(check::<wire::ProfileRequest>(&request.encode_to_vec()).is_err(), "texts count");
     }
 
-    /// Numbers in packed lists do not count as parts of a message.
-    #[test]
-    fn plain_numbers_are_not_counted() {
-        let x_mm = vec![0.5; 1 << 20];
-        let profile = wire::MeasuredProfile { values: x_mm.clone(), x_mm, ..Default::default() };
-        let measurement = wire::Measurement { material: "white".to_owned(), profiles: vec![profile] };
-        let request = wire::FitRequest { measurement: Some(measurement), ..Default::default() };
-        check::<wire::FitRequest>(&request.encode_to_vec()).unwrap();
-    }
-
     /// A text that is not allowed is refused with its place in the message.
     #[test]
     fn invalid_text_is_refused_with_its_place() {

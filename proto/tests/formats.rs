@@ -75,13 +75,13 @@ fn status_of_a_dictionary_is_understood() {
     for version in VERSIONS {
         let understand = |status: wire::Dictionary| DictionaryStatus::try_from(status).unwrap();
         let status = message(version, "dictionary", understand, |status| status.into());
-        assert_eq!(status.state, DictionaryState::Done, "version {version}");
-        assert_eq!((status.jobs_done, status.records_done()), (3, 9), "version {version}");
-        assert!(status.records_digest.is_some(), "version {version}");
+        let found = (status.state, status.jobs_done, status.records_done(), status.records_digest.is_some());
+        assert_eq!(found, (DictionaryState::Done, 3, 9, true), "version {version}");
         // Fields that the first version did not have.
         assert_eq!((status.priority, status.eta_s, status.goes_first), (0, None, None), "version {version}");
-        assert_eq!(status.jobs_disputed, usize::from(version >= 4), "version {version}");
-        assert_eq!(status.owner, if version >= 5 { "alice" } else { "" }, "version {version}");
+        let owner = if version >= 5 { "alice" } else { "" };
+        let found = (status.jobs_disputed, &status.owner[..]);
+        assert_eq!(found, (usize::from(version >= 4), owner), "version {version}");
     }
 }
 
@@ -102,9 +102,7 @@ fn exported_record_with_derivatives_is_understood() {
     for version in VERSIONS {
         let understand = |record: wire::Record| Record::try_from(record).unwrap();
         let record = message(version, "records", understand, |record| record.clone().into());
-        assert_eq!((record.index, record.profiles.len()), (0, 3), "version {version}");
         assert!(record.profiles.iter().all(|profile| profile.derivatives.is_some()), "version {version}");
-        assert_eq!(record.profiles[0].radiance_factor.values().len(), 24, "version {version}");
         let digest = Digest::of_jobs([digest_of_floats(&record)]).to_string();
         assert_eq!(digest, "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86cebcb44f");
     }

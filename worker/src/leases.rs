@@ -164,46 +164,27 @@ mod tests {
     use super::*;
     use crate::testing::{hold, job, lease};
 
-    /// Three leases: one waits for a thread, one is being traced, one has its result.
-    fn one_of_each() -> (HeldLeases, [Arc<JobSwitches>; 3], [LeaseKey; 3]) {
-        let held = HeldLeases::default();
-        let keys = [0, 1, 2].map(|n| lease(n).key);
-        let switches = hold(&held, [false, true, true]);
-        held.mark_traced(&keys[2]);
-        (held, switches, keys)
-    }
-
-    fn stopped(switches: &[Arc<JobSwitches>; 3]) -> [bool; 3] {
-        [0, 1, 2].map(|n: usize| switches[n].is_stopped())
-    }
-
     /// Only the job that is being traced is reported as running. A lost lease stops its job and no other; the result of a
     /// finished job may still count.
     #[test]
     fn lost_lease_stops_its_own_job() {
-        let (held, switches, keys) = one_of_each();
+        let held = HeldLeases::default();
+        let keys = [0, 1, 2].map(|n| lease(n).key);
+        // One waits for a thread, one is being traced, one has its result.
+        let switches = hold(&held, [false, true, true]);
+        held.mark_traced(&keys[2]);
+        let stopped = || [0, 1, 2].map(|n: usize| switches[n].is_stopped());
         let mut all = held.all();
         all.sort_unstable_by_key(|lease| lease.key);
         let identity = job(1).identity();
         let lease = |i: usize, running| HeldLease { key: keys[i], running, identity };
         assert_eq!(all, [lease(0, false), lease(1, true), lease(2, false)]);
         assert!(!held.lose(&keys[2]));
-        assert_eq!((held.all().len(), stopped(&switches)), (3, [false; 3]));
+        assert_eq!((held.all().len(), stopped()), (3, [false; 3]));
         assert!(held.lose(&keys[1]));
-        assert_eq!(stopped(&switches), [false, true, false]);
+        assert_eq!(stopped(), [false, true, false]);
         assert_eq!(held.untraced(), [keys[0]]);
         assert!(!held.lose(&keys[1]), "it is lost once");
-    }
-
-    /// Giving up waiting jobs leaves running jobs and results alone.
-    #[test]
-    fn giving_up_spares_running_jobs() {
-        let (held, switches, keys) = one_of_each();
-        assert_eq!(held.give_up_waiting(), [keys[0]]);
-        assert_eq!(stopped(&switches), [true, false, false]);
-        assert!(!switches[0].start(), "a job that was given up does not begin");
-        assert_eq!(held.untraced(), [keys[1]]);
-        assert_eq!(held.all().len(), 2);
     }
 
     /// The walks of a set continue while one of its jobs is not stopped.
@@ -217,16 +198,5 @@ mod tests {
         assert!(switches[0].is_stopped() && !set.stop.load(Ordering::SeqCst));
         assert!(held.lose(&keys[1]));
         assert!(set.stop.load(Ordering::SeqCst));
-    }
-
-    /// Stopping all jobs keeps their leases, so that they can be handed back.
-    #[test]
-    fn stopping_all_keeps_the_leases() {
-        let (held, switches, keys) = one_of_each();
-        held.stop_all();
-        assert_eq!(stopped(&switches), [true; 3]);
-        let mut untraced = held.untraced();
-        untraced.sort_unstable();
-        assert_eq!(untraced, keys[..2]);
     }
 }

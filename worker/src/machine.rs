@@ -26,15 +26,3 @@ pub(crate) fn facts(kernel: Kernel, log: String) -> MachineFacts {
         log,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The facts about this machine are plausible.
-    #[test]
-    fn machine_facts_are_plausible() {
-        let facts = facts(Kernel::fastest(), String::new());
-        assert!(facts.cores >= 1 && !facts.kernel.is_empty() && facts.memory_bytes > 0, "{facts:?}");
-    }
-}

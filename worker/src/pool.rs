@@ -159,7 +159,7 @@ mod tests {
     use optics_tracer::trace;
 
     use super::*;
-    use crate::testing::{as_thick_as, endless_job, job};
+    use crate::testing::{as_thick_as, job};
 
     /// A channel for the announcement whose receiver is gone.
     fn no_receiver() -> oneshot::Sender<StartSignal> {
@@ -209,26 +209,6 @@ mod tests {
             let expected = trace(job, &AtomicBool::new(false)).unwrap();
             assert_eq!(*records, PackedRecords::pack(job, &expected));
         }
-    }
-
-    /// A job that is stopped does not begin, or ends early.
-    #[tokio::test]
-    async fn stopped_jobs_end_early() {
-        let pool = Pool::new(1, Duration::ZERO).unwrap();
-        let before = Arc::<JobSwitches>::default();
-        before.stop();
-        let trace = |switches: &Arc<JobSwitches>| {
-            let (pool, switches) = (pool.clone(), switches.clone());
-            async move { pool.trace(vec![endless_job(0)], vec![switches], no_receiver()).await }
-        };
-        assert!(matches!(trace(&before).await, TraceEnd::Stopped));
-        let during = Arc::<JobSwitches>::default();
-        let traced = tokio::spawn(trace(&during));
-        while !during.is_running() {
-            tokio::task::yield_now().await;
-        }
-        during.stop();
-        assert!(matches!(traced.await.unwrap(), TraceEnd::Stopped));
     }
 
     /// A panic becomes a message for the coordinator.

@@ -32,11 +32,6 @@ pub(crate) fn as_thick_as(seed: u64) -> JobSpec {
     JobSpec::new(one.scene().clone(), point, one.albedo().to_vec(), one.walks(), seed, false).unwrap()
 }
 
-/// A job that takes a good part of a second.
-pub(crate) fn long_job() -> JobSpec {
-    job_of_walks(0, 400 * BATCH_WALKS)
-}
-
 /// A job that ends only when it is stopped.
 pub(crate) fn endless_job(seed: u64) -> JobSpec {
     job_of_walks(seed, 1_000_000 * BATCH_WALKS)

@@ -145,28 +145,10 @@ where
 
 #[cfg(test)]
 mod tests {
-    use std::io::Write;
-    use std::sync::{Arc, Mutex};
+    use std::fs::File;
+    use std::sync::Arc;
 
     use super::*;
-
-    #[derive(Clone, Default)]
-    struct Page(Arc<Mutex<Vec<u8>>>);
-
-    impl Write for Page {
-        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-            self.0.lock().unwrap().write(bytes)
-        }
-        fn flush(&mut self) -> std::io::Result<()> {
-            Ok(())
-        }
-    }
-
-    impl Page {
-        fn text(&self) -> String {
-            String::from_utf8(self.0.lock().unwrap().clone()).unwrap()
-        }
-    }
 
     fn talk() {
         let method = "/farm.v1.Leases/Take";
@@ -177,24 +159,20 @@ mod tests {
         tracing::debug!("not asked for");
     }
 
-    fn logged(subscriber: impl FnOnce(Page) -> Box<dyn tracing::Subscriber + Send + Sync>) -> String {
-        let page = Page::default();
-        tracing::subscriber::with_default(subscriber(page.clone()), talk);
-        page.text()
+    fn logged(subscriber: impl FnOnce(Arc<File>) -> Box<dyn tracing::Subscriber + Send + Sync>) -> String {
+        let page = tempfile::NamedTempFile::new().unwrap();
+        tracing::subscriber::with_default(subscriber(Arc::new(page.reopen().unwrap())), talk);
+        std::fs::read_to_string(page.path()).unwrap()
     }
 
     fn info() -> EnvFilter {
         parse_filter(None, "info").unwrap()
     }
 
-    fn to(page: Page) -> impl Fn() -> Page {
-        move || page.clone()
-    }
-
     /// A JSON line has the fields of the event and of its spans.
     #[test]
     fn json_line_has_event_and_span_fields() {
-        let lines = logged(|page| Box::new(json(info(), to(page))));
+        let lines = logged(|page| Box::new(json(info(), page)));
         assert_eq!(lines.lines().count(), 1, "{lines}");
         let line: serde_json::Value = serde_json::from_str(&lines).unwrap();
         assert_eq!(line["level"], "INFO");
@@ -210,7 +188,7 @@ mod tests {
     /// Text has the same fields, without colours or control characters.
     #[test]
     fn text_log_has_no_control_characters() {
-        let lines = logged(|page| Box::new(text(info(), false, to(page))));
+        let lines = logged(|page| Box::new(text(info(), false, page)));
         for part in ["INFO", "request_id=\"r-1\"", "caller=\"worker\"", "jobs=3"] {
             assert!(lines.contains(part), "{part} is not in {lines}");
         }

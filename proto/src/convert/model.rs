@@ -384,13 +384,4 @@ mod tests {
             Some(wire::layer::Medium::Clear(wire::ClearMedium { ior: f64::NAN, thickness_mm: 1.0 }));
         assert_eq!(Grid::try_from(grid).unwrap_err().field(), "scene.layers[1].ior");
     }
-
-    #[test]
-    fn record_survives_the_wire() {
-        let estimate = |v: f32| Estimate::new(vec![v; 3], vec![v / 10.0; 3]).unwrap();
-        let derivatives = Derivatives { albedo: estimate(2.0), sigma_t: estimate(3.0) };
-        let profile = Profile { radiance_factor: estimate(1.0), derivatives: Some(derivatives) };
-        let record = Record { index: 7, profiles: vec![profile] };
-        assert_eq!(Record::try_from(wire::Record::from(record.clone())).unwrap(), record);
-    }
 }

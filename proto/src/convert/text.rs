@@ -52,6 +52,7 @@ pub(crate) fn shortened(name: &mut String) {
 mod tests {
     use super::*;
 
+    /// Notes may be long and have lines.
     #[test]
     fn names_have_a_length_and_are_printable() {
         assert!(check_text("name", "ß wood/µm (ä) – 白".as_bytes()).is_ok());
@@ -63,10 +64,6 @@ mod tests {
             "name = a text with \\u{1b} is not valid: only printable characters are allowed"
         );
         assert!(refused("a\u{202e}b".as_bytes()).contains("\\u{202e}") && refused(b"\xff").contains("UTF-8"));
-    }
-
-    #[test]
-    fn notes_may_be_long_and_have_lines() {
         assert!(check_text("reason", "panicked:\n\tat x".repeat(1000).as_bytes()).is_ok());
         assert!(check_text("reason", &vec![b'x'; NOTE_BYTES + 1]).is_err());
     }

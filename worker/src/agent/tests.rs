@@ -10,7 +10,7 @@ use tonic::Status;
 use super::*;
 use crate::testing::{
     Answer, Call, Coordinator, DeliveredResult, Method, as_thick_as, endless_job, job, lease, lease_of,
-    long_job, session,
+    session,
 };
 
 /// Heartbeats come every 50 ms.
@@ -28,8 +28,7 @@ struct RunningWorker {
 
 impl RunningWorker {
     fn start(coordinator: &Coordinator, change: impl FnOnce(Config) -> Config) -> Self {
-        let target = Target::new(None, Some("http://test")).unwrap();
-        let config = Config { threads: 1, grace: FOREVER, ..Config::new(target) };
+        let config = Config { threads: 1, grace: FOREVER, ..config() };
         let shutdown = CancellationToken::new();
         let worker = tokio::spawn(work_over(coordinator.link(), change(config), shutdown.clone()));
         Self { coordinator: coordinator.clone(), shutdown, worker }
@@ -59,6 +58,10 @@ impl RunningWorker {
         };
         self.coordinator.wait_for(1, running).await;
     }
+}
+
+fn config() -> Config {
+    Config::new(Target::new(None, Some("http://test")).unwrap())
 }
 
 fn coordinator() -> Coordinator {
@@ -116,19 +119,6 @@ async fn worker_holds_one_job_more_than_threads() {
     assert_eq!(running.ended().await.unwrap(), EndReason::Stopped);
 }
 
-/// Jobs that have not begun are handed back.
-#[tokio::test]
-async fn drained_worker_finishes_its_running_jobs() {
-    let coordinator = coordinator();
-    coordinator.offer([lease_of(0, long_job()), lease(1)]);
-    let running = RunningWorker::start(&coordinator, |config| config);
-    running.runs(&[0]).await;
-    coordinator.drain();
-    assert_eq!(running.ended().await.unwrap(), EndReason::Drained);
-    assert_eq!(delivered(&coordinator).iter().map(|result| result.key.job).collect::<Vec<_>>(), [0]);
-    assert_eq!(handed_back(&coordinator), [(vec![1], false), (vec![], true)]);
-}
-
 /// Jobs that have not begun are handed back first, then those that do not finish within the grace period. The stop is
 /// announced also without such jobs: the worker may be killed before its grace is over.
 #[tokio::test]
@@ -162,19 +152,6 @@ async fn lost_lease_makes_room_for_the_next() {
     assert_eq!(handed_back(&coordinator), [(vec![1], true)]);
 }
 
-/// The worker registers again and delivers the results of its jobs.
-#[tokio::test]
-async fn restarted_coordinator_does_not_interrupt_jobs() {
-    let coordinator = coordinator();
-    coordinator.offer([lease_of(0, long_job())]);
-    let running = RunningWorker::start(&coordinator, |config| Config { idle_exit: SOON, ..config });
-    running.runs(&[0]).await;
-    coordinator.restart(SHORT_LEASE);
-    assert_eq!(running.ended().await.unwrap(), EndReason::Idle);
-    assert_eq!(coordinator.calls(Call::register).len(), 2);
-    assert_eq!(delivered(&coordinator).len(), 1);
-}
-
 /// The jobs of a fenced worker are stopped, and it makes no further calls for them.
 #[tokio::test]
 async fn fenced_worker_stops_with_the_reason() {
@@ -192,41 +169,13 @@ async fn fenced_worker_stops_with_the_reason() {
     assert_eq!(handed_back(&coordinator), []);
 }
 
-/// Faults of the coordinator do not end a worker before its time limit.
-#[tokio::test(start_paused = true)]
-async fn faults_do_not_end_the_worker() {
-    let coordinator = Coordinator::start();
-    for _ in 0..3 {
-        coordinator.answer(Method::Acquire, Answer::Error(Status::unavailable("")));
-    }
-    let (time_limit, grace) = (Some(Duration::from_mins(10)), Duration::from_mins(1));
-    let start = Instant::now();
-    let worker = RunningWorker::start(&coordinator, |config| Config { grace, time_limit, ..config }).worker;
-    assert_eq!(worker.await.unwrap().unwrap(), EndReason::TimeLimit);
-    let worked = Duration::from_secs(600 - 60 - 5);
-    assert!((worked..worked + Duration::from_secs(1)).contains(&start.elapsed()), "{:?}", start.elapsed());
-    assert!(coordinator.calls(Call::acquire).len() > 20, "it requests work until then");
-}
-
-/// A worker exits only after its time without work.
-#[tokio::test(start_paused = true)]
-async fn worker_exits_after_its_idle_time() {
-    let coordinator = Coordinator::start();
-    let start = Instant::now();
-    let idle_exit = Some(Duration::from_secs(50));
-    let worker = RunningWorker::start(&coordinator, |config| Config { idle_exit, ..config }).worker;
-    assert_eq!(worker.await.unwrap().unwrap(), EndReason::Idle);
-    assert!((50..52).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
-}
-
 /// Grace and delivery fit into the time limit.
 #[test]
 fn grace_and_delivery_fit_the_time_limit() {
-    let target = Target::new(None, Some("http://test")).unwrap();
     // Half of a short limit is for running.
     for (limit_s, grace_s, expected_s) in [(3600, 10, 3585), (20, 10, 10), (10, 60, 5)] {
         let (time_limit, grace) = (Some(Duration::from_secs(limit_s)), Duration::from_secs(grace_s));
-        let config = Config { grace, time_limit, ..Config::new(target.clone()) };
+        let config = Config { grace, time_limit, ..config() };
         assert_eq!(working_time(&config).as_secs(), expected_s, "{limit_s}");
     }
 }
@@ -236,8 +185,7 @@ fn grace_and_delivery_fit_the_time_limit() {
 async fn endless_work_is_abandoned_in_time() {
     let coordinator = Coordinator::start();
     let (session, held) = session(&coordinator).await;
-    let target = Target::new(None, Some("http://test")).unwrap();
-    let agent = Agent::new(session, held.clone(), &Config::new(target));
+    let agent = Agent::new(session, held.clone(), &config());
     coordinator.set_down(true);
     let switches = held.add(lease(0).key, job(0).identity(), SetSwitch::new(1));
     assert!(switches.start());

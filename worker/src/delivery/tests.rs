@@ -127,19 +127,6 @@ async fn hour_without_coordinator_loses_no_result() {
     assert_eq!(jobs, [0, 1, 2, 3, 4, 5]);
 }
 
-/// A restarted coordinator does not recognise the worker, which registers again, keeps its lease, and delivers.
-#[tokio::test(start_paused = true)]
-async fn result_is_redelivered_after_registering_again() {
-    let worker = Worker::start().await;
-    worker.coordinator.restart(Duration::from_secs(30));
-    worker.finish([7]);
-    let (coordinator, jobs) = (worker.coordinator.clone(), worker.delivered().await);
-    assert_eq!(jobs, vec![vec![7]; 2]);
-    let announced = &coordinator.calls(Call::renew)[0].leases;
-    assert_eq!(announced.len(), 1, "the lease is kept while its result is on its way");
-    assert!(!announced[0].running);
-}
-
 /// A result that could not be stored is delivered again after the others.
 #[tokio::test(start_paused = true)]
 async fn unstored_result_goes_behind_the_others() {

@@ -146,22 +146,15 @@ async fn renewals_are_split_at_the_request_limit() {
     }
 }
 
-/// A request for work that is never answered ends.
+/// Calls that are never answered end: a request for work after its time, leaving soon and after one attempt.
 #[tokio::test(start_paused = true)]
-async fn unanswered_acquire_ends() {
+async fn unanswered_calls_end() {
     let coordinator = Coordinator::start();
     let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::Acquire, Answer::Never);
     let start = Instant::now();
     session.acquire(1, Duration::from_secs(20)).await.unwrap_err();
     assert!((CALL..2 * CALL).contains(&start.elapsed()), "{:?}", start.elapsed());
-}
-
-/// Leaving is tried once and ends soon.
-#[tokio::test(start_paused = true)]
-async fn leaving_is_tried_once() {
-    let coordinator = Coordinator::start();
-    let (session, _) = session(&coordinator).await;
     coordinator.answer(Method::HandBack, Answer::Never);
     let start = Instant::now();
     session.leave(vec![lease(1).key]).await.unwrap_err();

@@ -108,14 +108,6 @@ async fn lost_refusal_is_asked_for_again() {
     }
 }
 
-/// A client with the right certificate gets in.
-#[tokio::test]
-async fn accepted_certificate_gets_in() {
-    let target = target(coordinator(certificate()), true);
-    assert_eq!(call(target.connect_lazy()).await.code(), Code::Unimplemented);
-    assert!(target.handshake().unwrap().refusal().await.is_none());
-}
-
 /// A coordinator that has ended is unavailable, and does not count as refusing.
 #[tokio::test]
 async fn ended_coordinator_refuses_no_client() {
