@@ -1,10 +1,12 @@
 //! Runs `farmctl` in temporary folders, for the tests of the command line.
 
+use std::io::{BufRead as _, BufReader};
 use std::path::Path;
+use std::process::Stdio;
 
 use serde_json::Value;
 
-use crate::process::{Ran, run};
+use crate::process::{Ran, farmctl, run};
 
 /// A grid of 8 records that takes a fraction of a second.
 pub const GRID: &str = "sigma_t_per_mm = [4, 6]\nalbedo = [0.9, 0.999]\ng = [0.4]\nwalks = 5000\n";
@@ -53,6 +55,29 @@ pub fn fails(folder: &Path, args: &[&str], parts: &[&str]) {
     for part in parts {
         assert!(ran.stderr.contains(part), "{args:?}: {part:?} is missing from the message: {}", ran.stderr);
     }
+}
+
+/// Runs `farmctl` with the words of a line.
+pub fn run_line(folder: &Path, line: &str) -> Ran {
+    run(folder, &line.split_whitespace().collect::<Vec<_>>())
+}
+
+/// Like [`fails`], with the words of a line.
+pub fn fails_line(folder: &Path, line: &str, parts: &[&str]) {
+    fails(folder, &line.split_whitespace().collect::<Vec<_>>(), parts);
+}
+
+/// Begins to submit a grid file, and kills the command at its first line of progress, which is returned: the dictionary
+/// exists then, and nothing is computed.
+pub fn begin_to_submit(folder: &Path, grid: &str) -> String {
+    let mut command = farmctl(folder);
+    let submit = command.args(["submit", grid]).env("FARM_PACE_MS", "60000").stderr(Stdio::piped()).spawn();
+    let mut submit = submit.expect("farmctl starts");
+    let mut line = String::new();
+    BufReader::new(submit.stderr.take().expect("it is piped")).read_line(&mut line).unwrap();
+    submit.kill().expect("it still runs");
+    submit.wait().unwrap();
+    line
 }
 
 /// Rows of a profile that rises from 0.1 to 0.8, over twice the width if the slab is twice as thick.

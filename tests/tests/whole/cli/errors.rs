@@ -1,36 +1,21 @@
 //! Messages of `farmctl` for bad input and a bad environment, and the files that it leaves behind.
 
-use std::io::{BufRead as _, BufReader};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::CommandExt;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
-use farm_tests::cli::{GRID, HEAD, fails, farm, folder, rows, write};
-use farm_tests::process::{Ran, farmctl, program, run};
+use farm_tests::cli::{GRID, HEAD, begin_to_submit, fails, fails_line, farm, folder, rows, run_line, write};
+use farm_tests::process::{Ran, program, run};
 
 #[test]
 fn scene_file_describes_any_stack() {
     let dir = folder();
-    let scene = |roughness: &str| {
-        format!(
-            "[sensor]\nwidth_mm = 4\npixels = 8\n[[channel]]\nname = 'K'\nrho_light = 0.8\nrho_dark = 0\n\
-             [[layer]]\nname = 'resin'\nsample = true\nroughness = {roughness}\n"
-        )
-    };
-    write(dir.path(), "scene.toml", &scene("0.1"));
-    write(dir.path(), "bad.toml", &scene("-0.1"));
-    let args = |scene: &'static str| {
-        let rest = "--sigma-t 6 --albedo 0.9 --g 0 --thickness 0.5 --walks 5000 --scene";
-        ["simulate"].into_iter().chain(rest.split(' ')).chain([scene]).collect::<Vec<_>>()
-    };
-    let ran = run(dir.path(), &args("scene.toml"));
+    let scene = "[sensor]\nwidth_mm = 4\npixels = 8\n[[channel]]\nname = 'K'\nrho_light = 0.8\nrho_dark = 0\n\
+                 [[layer]]\nname = 'resin'\nsample = true\nroughness = 0.1\n";
+    write(dir.path(), "scene.toml", scene);
+    let simulate = "simulate --sigma-t 6 --albedo 0.9 --g 0 --thickness 0.5 --walks 5000 --scene scene.toml";
+    let ran = run_line(dir.path(), simulate);
     assert_eq!((ran.code, ran.stdout.lines().count()), (0, 9), "{}", ran.stderr);
-    fails(dir.path(), &args("bad.toml"), &["bad.toml", "layer[0].roughness = -0.1 is not valid"]);
-    fails(
-        dir.path(),
-        &args("none.toml"),
-        &["\"none.toml\" is none of \"lab\", \"paper\", \"smooth\", and no file"],
-    );
 }
 
 /// Parameters out of range are refused with the field, the value and the range.
@@ -38,19 +23,8 @@ fn scene_file_describes_any_stack() {
 fn bad_parameters_are_refused_with_their_range() {
     let dir = folder();
     let with = |change: &[&'static str]| {
-        let mut args = vec![
-            "simulate",
-            "--sigma-t",
-            "6",
-            "--albedo",
-            "0.9",
-            "--g",
-            "0.4",
-            "--thickness",
-            "0.5",
-            "--walks",
-            "5000",
-        ];
+        let usual = "simulate --sigma-t 6 --albedo 0.9 --g 0.4 --thickness 0.5 --walks 5000";
+        let mut args: Vec<_> = usual.split(' ').collect();
         match args.iter().position(|a| *a == change[0]) {
             Some(i) => args[i + 1] = change[1],
             None => args.extend(change),
@@ -74,17 +48,21 @@ fn bad_parameters_are_refused_with_their_range() {
     assert_eq!(alone.code, 2, "{}", alone.stderr);
 }
 
-/// Bad grids are refused and leave nothing behind.
+/// Bad grids are refused, with the line of the value, and leave nothing behind.
 #[test]
 fn bad_grids_leave_nothing_behind() {
     let dir = folder();
+    write(dir.path(), "scene.toml", "[light]\nring_deg = [50, 40]\n[[layer]]\nname = 's'\nsample = true\n");
     for (grid, message) in [
+        ("scene = 'scene.toml'", "scene.toml, line 2: light.ring_deg = [50, 40] is not valid: two angles"),
+        ("albedo = [\n  0.5,\n  1.5,\n]", "grid file bad.toml, line 3: albedo[1] = 1.5 is not valid"),
+        ("g = [0]\nwalks = 1e6\nthickness_mm = [0]", "line 3: thickness_mm[0] = 0 is not valid"),
+        ("# few\nwalks = 1234", "line 2: walks = 1234 is not valid"),
+        ("# few\nwalks = 1234", "; the nearest is 1000"),
         ("sigma_t_per_mm = [1, nan]", "sigma_t_per_mm[1] = NaN is not valid"),
         ("g = [0.4, 1.0]", "g[1] = 1 is not valid"),
-        ("thickness_mm = [-1]", "thickness_mm[0] = -1 is not valid"),
         ("albedo = [0.9, 0.5]", "albedo[1] = 0.5 is not valid: values must be strictly rising"),
         ("albedo = []", "albedo = 0 values is not valid"),
-        ("walks = 100", "walks = 100 is not valid"),
         ("colour = 'red'", "unknown field `colour`"),
         ("g = [0.4", "TOML parse error"),
         ("scene = 'none.toml'", "none of \"lab\", \"paper\", \"smooth\", and no file"),
@@ -127,27 +105,20 @@ fn bad_measurements_are_refused() {
     }
     write(dir, "m.csv", &(HEAD.to_owned() + &good));
     fails(dir, &["fit", "none.csv"], &["measurement none.csv", "No such file"]);
-    fails(
-        dir,
-        &["fit", "m.csv", "--dictionary", "paper"],
-        &["dictionary paper does not exist; there are: grid"],
-    );
+    let message = "dictionary paper does not exist; there are: grid";
+    fails_line(dir, "fit m.csv --dictionary paper", &[message]);
     // The only dictionary needs no name.
     assert_eq!(run(dir, &["fit", "m.csv"]).code, 0);
-    for (option, message) in [
-        ("--mu=0", "mu = 0 is not valid"),
-        ("--lambda=-1", "lambda = -1 is not valid"),
-        ("--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4 alone"),
-        ("--g=0.6..0.2", "g = 0.6 to 0.2 is not valid: the lower bound must not exceed the upper"),
-        ("--sigma-t=50..", "sigma_t_per_mm = 50 to inf is not valid: the dictionary has"),
-        ("--albedo=1.5", "albedo = 1.5 is not valid: allowed are 0 to 1"),
-        ("--level=0", "level = 0 is not valid: allowed are 1 to 10"),
-        ("--offset-std-error=-1", "offset_std_error = -1 is not valid"),
-        ("--top=0", "top = 0 is not valid"),
-    ] {
-        fails(dir, &["fit", "m.csv", "--dictionary", "grid", option], &[message]);
-    }
     for (verb, option, message) in [
+        ("fit", "--mu=0", "mu = 0 is not valid"),
+        ("fit", "--lambda=-1", "lambda = -1 is not valid"),
+        ("fit", "--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4 alone"),
+        ("fit", "--g=0.6..0.2", "g = 0.6 to 0.2 is not valid: the lower bound must not exceed the upper"),
+        ("fit", "--sigma-t=50..", "sigma_t_per_mm = 50 to inf is not valid: the dictionary has"),
+        ("fit", "--albedo=1.5", "albedo = 1.5 is not valid: allowed are 0 to 1"),
+        ("fit", "--level=0", "level = 0 is not valid: allowed are 1 to 10"),
+        ("fit", "--offset-std-error=-1", "offset_std_error = -1 is not valid"),
+        ("fit", "--top=0", "top = 0 is not valid"),
         ("scale", "--mu-min=0", "mu_min = 0 is not valid: allowed are numbers above 0"),
         ("scale", "--mu-min=2", "mu_min = 2 to 1.1 is not valid: the lower bound must not exceed the upper"),
         ("scale", "--mu-step=1e-9", "mu_step = 0.000000001 over 0.8 to 1.1 is not valid"),
@@ -218,70 +189,26 @@ fn questions_without_a_farm_suggest_submit() {
     for verb in [&["status"][..], &["list"], &["show", "paper"], &["export", "paper"], &["fit", "m.csv"]] {
         fails(dir.path(), verb, &["there is no farm in farm-data: run `farmctl submit` first"]);
     }
-    fails(
-        dir.path(),
-        &["list", "--server", "http://127.0.0.1:9"],
-        &["no coordinator answers at http://127.0.0.1:9: nothing listens there (connection refused)"],
-    );
-    fails(
-        dir.path(),
-        &["export", "paper", "--server", "http://no-such-host.invalid:7700"],
-        &["no machine is known by the name no-such-host.invalid"],
-    );
-    assert!(!dir.path().join("farm-data").exists());
-}
-
-/// Values of files are refused with their line and their key.
-#[test]
-fn file_values_are_refused_with_line() {
-    let dir = folder();
-    write(dir.path(), "scene.toml", "[light]\nring_deg = [50, 40]\n[[layer]]\nname = 's'\nsample = true\n");
-    write(dir.path(), "named.toml", "scene = 'scene.toml'\n");
-    write(dir.path(), "axis.toml", "albedo = [\n  0.5,\n  1.5,\n]\n");
-    write(dir.path(), "walks.toml", "g = [0]\nwalks = 1e6\nthickness_mm = [0]\n");
-    write(dir.path(), "few.toml", "# few\nwalks = 1234\n");
-    for (file, message) in [
-        ("named.toml", "scene.toml, line 2: light.ring_deg = [50, 40] is not valid: two angles"),
-        ("axis.toml", "grid file axis.toml, line 3: albedo[1] = 1.5 is not valid"),
-        ("walks.toml", "grid file walks.toml, line 3: thickness_mm[0] = 0 is not valid"),
-        ("few.toml", "grid file few.toml, line 2: walks = 1234 is not valid"),
-        ("few.toml", "; the nearest is 1000"),
-    ] {
-        fails(dir.path(), &["submit", file], &[message]);
-    }
+    let message = "no coordinator answers at http://127.0.0.1:9: nothing listens there (connection refused)";
+    fails_line(dir.path(), "list --server http://127.0.0.1:9", &[message]);
+    let message = "no machine is known by the name no-such-host.invalid";
+    fails_line(dir.path(), "export paper --server http://no-such-host.invalid:7700", &[message]);
     assert!(!dir.path().join("farm-data").exists());
 }
 
 /// The advice for a folder without a coordinator does not mention farm-worker.
 #[test]
 fn explain_suggests_submit_in_an_idle_folder() {
-    let farm = unfinished();
-    let explained = run(farm.path(), &["explain", "long"]);
+    let dir = folder();
+    write(dir.path(), "long.toml", GRID);
+    let line = begin_to_submit(dir.path(), "long.toml");
+    assert!(line.starts_with("long: 0.0 % of the work, 0 of 8 records"), "{line}");
+    let explained = run(dir.path(), &["explain", "long"]);
     assert_eq!(explained.code, 0, "{}", explained.stderr);
     let expected =
         "nothing computes in this folder at the moment: `farmctl submit` with the same grid file and name";
     assert!(explained.stdout.contains(expected), "{}", explained.stdout);
     assert!(!explained.stdout.contains("farm-worker"), "{}", explained.stdout);
-}
-
-/// A folder with the dictionary `long`, which was interrupted.
-fn unfinished() -> tempfile::TempDir {
-    let dir = folder();
-    write(dir.path(), "long.toml", GRID);
-    let mut submit = farmctl(dir.path())
-        .args(["submit", "long.toml"])
-        .env("FARM_PACE_MS", "60000")
-        .stderr(Stdio::piped())
-        .spawn()
-        .expect("farmctl starts");
-    // The first line of progress appears when the dictionary exists.
-    let mut line = String::new();
-    let stderr = submit.stderr.take().expect("it is piped");
-    BufReader::new(stderr).read_line(&mut line).expect("it prints progress");
-    assert!(line.starts_with("long: 0.0 % of the work, 0 of 8 records"), "{line}");
-    submit.kill().expect("it still runs");
-    submit.wait().expect("it ends");
-    dir
 }
 
 /// All programs refuse a log filter that is not valid.
@@ -302,18 +229,6 @@ fn all_programs_refuse_a_wrong_log_filter() {
         }
     }
     assert!(!dir.path().join("data").exists());
-}
-
-#[test]
-fn name_belongs_to_one_grid() {
-    let farm = farm();
-    write(farm.path(), "grid.toml", &GRID.replace("0.9,", "0.8,"));
-    fails(
-        farm.path(),
-        &["submit", "grid.toml"],
-        &["dictionary grid exists with another grid or physics version: choose another name"],
-    );
-    assert_eq!(run(farm.path(), &["submit", "grid.toml", "--name", "other", "-q"]).code, 0);
 }
 
 /// If the tests run as root, which ignores permissions, the command runs as user `nobody`.
@@ -337,11 +252,8 @@ fn unwritable_data_folder_is_refused() {
     assert_eq!(ran.code, 1, "{}", ran.stderr);
     assert!(ran.stderr.contains("cannot be written to: Permission denied"), "{}", ran.stderr);
     assert_eq!(std::fs::read_dir(&data).unwrap().count(), 0);
-    fails(
-        dir.path(),
-        &["submit", "--data", "/dev/null/farm"],
-        &["data directory /dev/null/farm: cannot be created"],
-    );
+    let message = "data directory /dev/null/farm: cannot be created";
+    fails_line(dir.path(), "submit --data /dev/null/farm", &[message]);
 }
 
 /// A file in place of the database that is not a database is refused and left unchanged.

@@ -2,14 +2,9 @@
 
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
-use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, rows, write};
-use farm_tests::process::{Ran, run};
+use farm_tests::cli::{GRID, HEAD, fails, fails_line, farm, folder, json, rows, run_line, write};
+use farm_tests::process::run;
 use serde_json::Value;
-
-/// Runs `farmctl` with the words of a line.
-fn run_line(dir: &std::path::Path, line: &str) -> Ran {
-    run(dir, &line.split_whitespace().collect::<Vec<_>>())
-}
 
 fn read(dir: &std::path::Path, name: &str) -> String {
     std::fs::read_to_string(dir.join(name)).expect("the file was written")
@@ -51,11 +46,8 @@ fn own_files_are_measured_without_a_note() {
         let terms = best["thicknesses"].as_array().unwrap();
         assert!(terms.iter().all(|t| t["value_rms"].as_f64().unwrap() < 1e-6), "{best}");
     }
-    fails(
-        dir,
-        &["export", "grid", "--measurement", "white"],
-        &["--measurement writes one medium", "pick one with --sigma-t, --albedo, --g"],
-    );
+    let many = ["--measurement writes one medium", "pick one with --sigma-t, --albedo, --g"];
+    fails_line(dir, "export grid --measurement white", &many);
     fails(
         dir,
         &["export", "grid", "--sigma-t", "6", "--albedo", "0.999", "--measurement", ""],
@@ -102,12 +94,11 @@ fn simulate_takes_lists_and_names_each_medium() {
         ),
         ("--sigma-t 4,6 --albedo 0.9 --thickness 1 --measurement m", "give one --sigma-t, --albedo and --g"),
     ] {
-        let line = format!("simulate --g 0 {rest} -o bad.csv {change}");
-        fails(dir, &line.split_whitespace().collect::<Vec<_>>(), &[message]);
+        fails_line(dir, &format!("simulate --g 0 {rest} -o bad.csv {change}"), &[message]);
         assert!(!dir.join("bad.csv").exists() && !dir.join("p.svg").exists());
     }
     let lost = format!("simulate --sigma-t 4 --albedo 0.9 --g 0 --thickness 1 {rest} -o none/m.csv");
-    fails(dir, &lost.split_whitespace().collect::<Vec<_>>(), &["output none/m.csv", "No such file"]);
+    fails_line(dir, &lost, &["output none/m.csv", "No such file"]);
 }
 
 /// A measurement as a spreadsheet writes it.
@@ -143,14 +134,8 @@ fn notes_appear_once_per_kind() {
         format!("{names},{}\n", 100.0 * value.parse::<f64>().unwrap())
     };
     write(dir, "bad.csv", &(HEAD.to_owned() + &rows("R", 0.5).lines().map(percent).collect::<String>()));
-    fails(
-        dir,
-        &["measure", "bad.csv", "--dictionary", "grid"],
-        &[
-            "measurement bad.csv: line 2, material resin, channel R, 0.5 mm: values up to",
-            "linear radiance factors",
-        ],
-    );
+    let place = "measurement bad.csv: line 2, material resin, channel R, 0.5 mm: values up to";
+    fails_line(dir, "measure bad.csv --dictionary grid", &[place, "linear radiance factors"]);
 }
 
 /// A dictionary may spell the names of its colours in another way than the measurement.
@@ -169,11 +154,8 @@ fn dictionary_may_spell_colours_differently() {
         assert_eq!(json(&ran, "fit")["materials"][0]["channels"][0]["channel"], "R");
     }
     write(dir.path(), "m.csv", &(HEAD.to_owned() + &rows("G", 0.5)));
-    fails(
-        dir.path(),
-        &["fit", "m.csv", "--dictionary", "grid"],
-        &["channel = G is not valid: the dictionary has red"],
-    );
+    let message = "channel = G is not valid: the dictionary has red";
+    fails_line(dir.path(), "fit m.csv --dictionary grid", &[message]);
 }
 
 #[test]
@@ -242,18 +224,12 @@ fn responses_are_exported_with_their_variant() {
 
     let line = run_line(dir.path(), "export varied --responses --sigma-t 8 --albedo 0.9 --json").stdout;
     let first: Value = serde_json::from_str(line.lines().next().unwrap()).unwrap();
-    assert_eq!(
-        (&first["data"]["quantity"], &first["data"]["step"]),
-        (&"gel thickness".into(), &(-0.015).into())
-    );
-    let wrong = ["export", "varied", "--responses", "--sigma-t", "6"];
-    fails(dir.path(), &wrong, &["sigma_t = 6", "the dictionary has 4, 8"]);
-    let exact = farm();
-    fails(
-        exact.path(),
-        &["export", "grid", "--responses"],
-        &["the dictionary has no responses: its scene is exact"],
-    );
+    let data = &first["data"];
+    assert_eq!((&data["quantity"], &data["step"]), (&"gel thickness".into(), &(-0.015).into()));
+    let wrong = "export varied --responses --sigma-t 6";
+    fails_line(dir.path(), wrong, &["sigma_t = 6", "the dictionary has 4, 8"]);
+    let message = "the dictionary has no responses: its scene is exact";
+    fails_line(farm().path(), "export grid --responses", &[message]);
 }
 
 /// The arrays for NumPy hold the values of the exported rows.
@@ -293,11 +269,8 @@ fn numpy_arrays_hold_the_exported_rows() {
         (&"radiance factor".into(), &"sigma_t_per_mm".into())
     );
 
-    fails(
-        dir,
-        &["export", "grid", "--npz", "b.npz", "--albedo", "0.3"],
-        &["albedo = 0.3", "the dictionary has 0.9, 0.999"],
-    );
-    fails(dir, &["export", "grid", "--npz", "none/b.npz"], &["output none/b.npz", "No such file"]);
+    let line = "export grid --npz b.npz --albedo 0.3";
+    fails_line(dir, line, &["albedo = 0.3", "the dictionary has 0.9, 0.999"]);
+    fails_line(dir, "export grid --npz none/b.npz", &["output none/b.npz", "No such file"]);
     assert!(!dir.join("b.npz").exists());
 }

@@ -5,7 +5,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use farm_tests::cli::{fails, folder, json, write};
+use farm_tests::cli::{fails, fails_line, folder, json, write};
 use farm_tests::photograph::{EXAMPLE_NM, SpectralMaterial};
 use farm_tests::process::run;
 use optics_model::SceneFile;
@@ -56,55 +56,6 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
-/// A slab over a uniform base looks as the tracer simulates it, in the layers of `lab` (its second lobe apart).
-#[test]
-fn predicted_prints_are_as_simulated() {
-    let folder = prepared();
-    let data = predicted(folder.path(), &["magenta:0.5", "--over", "0.9,0.03"]);
-    let m = SpectralMaterial::ALL[1].at(550.0);
-    let medium = [m.sigma_t_per_mm(), m.albedo(), m.g()].map(|v| v.to_string());
-    let channel = data["channels"].as_array().unwrap().iter().find(|c| c["channel"] == "550").unwrap();
-    for (base, rho) in channel["bases"].as_array().unwrap().iter().zip(["0.9", "0.03"]) {
-        let [sigma_t, albedo, g] = &medium;
-        let simulated = run(
-            folder.path(),
-            &[
-                "simulate",
-                "--sigma-t",
-                sigma_t,
-                "--albedo",
-                albedo,
-                "--g",
-                g,
-                "--thickness",
-                "0.5",
-                "--second-lobe",
-                "0,0",
-                "--rho-light",
-                rho,
-                "--rho-dark",
-                rho,
-                "--pixels",
-                "1",
-                "--walks",
-                "1e6",
-                "--json",
-            ],
-        );
-        let simulated = json(&simulated, "simulate");
-        let [walked, error] =
-            ["values", "std_errors"].map(|field| number(&simulated["channels"][0][field][0]));
-        let found = number(&base["radiance_factor"]);
-        assert!(
-            (found - walked).abs() < 4.0 * error + 1e-3 * walked,
-            "{rho}: {found} for {walked} ± {error}"
-        );
-        assert!(number(&base["std_error"]) > 0.0);
-    }
-    let [light, dark] = [0, 1].map(|base| number(&data["colours"]["bases"][base]["lab"][0]));
-    assert!(light > dark + 5.0, "{light} {dark}");
-}
-
 /// A chart of what is predicted validates its inks; one with other inks contradicts the one that differs.
 #[test]
 fn charts_validate_their_inks() {
@@ -146,21 +97,16 @@ fn charts_validate_their_inks() {
         number(&wrong["inks"].as_array().unwrap().iter().find(|i| i["material"] == name).unwrap()["z"])
     };
     assert!(of("magenta") > 3.0 && of("white").abs() < 1.0, "{}", wrong["inks"]);
-    fails(
-        folder.path(),
-        &["validate", "media.json", "chart.csv"],
-        &["patch \"pink\": neither measured nor a mixture"],
-    );
+    let message = "patch \"pink\": neither measured nor a mixture";
+    fails_line(folder.path(), "validate media.json chart.csv", &[message]);
 }
 
 /// The colour of a mixture leads back to the mixture.
 #[test]
 fn recipes_find_the_mixture() {
     let folder = prepared();
-    let data = predicted(
-        folder.path(),
-        &[&["white=0.85,magenta=0.15:1", "--over", "white"][..], &POLISHED].concat(),
-    );
+    let slab = ["white=0.85,magenta=0.15:1", "--over", "white"];
+    let data = predicted(folder.path(), &[&slab[..], &POLISHED].concat());
     let lab = &data["colours"]["bases"][0]["lab"];
     let target: Vec<String> = (0..3).map(|k| number(&lab[k]).to_string()).collect();
     let recipe = |more: &[&str]| {
@@ -236,36 +182,25 @@ fn tags_have_the_predicted_colour() {
 fn wrong_prints_are_refused() {
     let folder = prepared();
     let dir = folder.path();
-    fails(
-        dir,
-        &["predict", "media.json", "cyan:1"],
-        &["material \"cyan\" is not in the file: it has white, magenta"],
-    );
-    fails(dir, &["predict", "media.json", "white"], &["slab \"white\": MATERIAL:MM or"]);
-    fails(
-        dir,
-        &["predict", "media.json", "white:1", "--over", "2"],
-        &["over = 2 is not valid: allowed are black"],
-    );
-    fails(dir, &["predict", "media.json", "white:1", "--roughness", "0.1"], &["give --geometry 45:0 or d:8"]);
-    fails(
-        dir,
-        &["predict", "none.json", "white:1"],
-        &["media file none.json", "`farmctl measure` writes it"],
-    );
-    fails(
-        dir,
-        &["recipe", "media.json", "--thickness", "1", "--target", "nothing"],
-        &["target nothing: it is neither L*,a*,b* nor a file"],
-    );
+    for (line, parts) in [
+        ("predict media.json cyan:1", &["material \"cyan\" is not in the file: it has white, magenta"][..]),
+        ("predict media.json white", &["slab \"white\": MATERIAL:MM or"]),
+        ("predict media.json white:1 --over 2", &["over = 2 is not valid: allowed are black"]),
+        ("predict media.json white:1 --roughness 0.1", &["give --geometry 45:0 or d:8"]),
+        ("predict none.json white:1", &["media file none.json", "`farmctl measure` writes it"]),
+        (
+            "recipe media.json --thickness 1 --target nothing",
+            &["target nothing: it is neither L*,a*,b* nor a file"],
+        ),
+    ] {
+        fails_line(dir, line, parts);
+    }
     let mut two_indices = media(1.0);
     let channel = &mut two_indices["materials"][1]["channels"][0];
     let name = channel["channel"].as_str().unwrap().to_owned();
     channel["sample_ior"] = 1.49.into();
     write(dir, "media.json", &two_indices.to_string());
-    fails(
-        dir,
-        &["predict", "media.json", "white:1", "magenta:1"],
-        &[&format!("{name}: white was measured with the index 1.5"), "magenta with 1.49; a print has one"],
-    );
+    let white = format!("{name}: white was measured with the index 1.5");
+    let parts = [&white, "magenta with 1.49; a print has one"];
+    fails_line(dir, "predict media.json white:1 magenta:1", &parts);
 }

