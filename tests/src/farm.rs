@@ -18,6 +18,7 @@ use farm_proto::wire::fits_client::FitsClient;
 use farm_proto::wire::{SubmitRequest, WatchRequest};
 use optics_model::Grid;
 use serde_json::Value;
+use tonic::transport::{Channel, Endpoint};
 
 use crate::process::{LONG, Process, Ran, SOON, Surroundings, farmctl, free_port, run, wait_for};
 use crate::test_worker::TestWorker;
@@ -337,6 +338,14 @@ impl Farm {
     pub fn link_with(&self, access: &str) -> Link {
         let access = ClientAccess::read(&self.path(access)).unwrap();
         Target::new(Some(&access), None).unwrap().connect_lazy()
+    }
+
+    /// A connection to the port of this open farm.
+    ///
+    /// # Panics
+    /// If it cannot be made.
+    pub async fn channel(&self) -> Channel {
+        Endpoint::from_shared(self.url()).unwrap().connect().await.unwrap()
     }
 
     pub fn dictionaries(&self) -> DictionariesClient<Link> {

@@ -39,14 +39,14 @@ const WORDS: [&[&str]; 12] = [
 const WORD_BUDGETS: [(&str, usize); 12] = [
     ("", 3),
     ("client", 3),
-    ("coordinator", 37),
+    ("coordinator", 31),
     ("deploy", 0),
     ("docs", 0),
     ("examples", 0),
     ("optics", 28),
     ("proto", 6),
     ("python", 5),
-    ("tests", 3),
+    ("tests", 2),
     ("web", 0),
     ("worker", 0),
 ];

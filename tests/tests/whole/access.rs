@@ -46,6 +46,7 @@ async fn each_role_may_do_its_own_calls() {
                     let expected =
                         format!("a token of role {needed}, and the one given ({role}) has role {role}");
                     assert!(status.message().contains(&expected), "{status}");
+                    assert_eq!(status.metadata().get("x-request-id").unwrap().len(), 32, "for the log");
                 }
                 (answer, allowed) => panic!("{role} {path}: {answer:?} instead of {allowed:?}"),
             }
@@ -74,18 +75,6 @@ async fn only_health_works_without_a_token() {
     let status = call(&link, "/farm.v1.Nothing/Here").await.unwrap_err();
     assert_eq!(status.code(), Code::Unauthenticated, "unauthenticated callers cannot probe for methods");
     health(link).await.unwrap();
-}
-
-/// With mutual TLS a certificate is needed in addition to the token.
-#[tokio::test]
-async fn mutual_tls_needs_certificate_and_token() {
-    let farm = GuardedServer::start(Access::Mutual).await;
-    call(&farm.link(Role::Worker).await, LEASES).await.unwrap();
-
-    let text = farm.text(Role::Worker);
-    let without = &text[..=text.find("\ncertificate = ").unwrap()];
-    let status = call(&farm.target_of_text(without).connect_lazy(), LEASES).await.unwrap_err();
-    assert!(format!("{status:?}").contains("the access file has none"), "{status:?}");
 }
 
 /// A certificate is valid for the hosts that were named.
@@ -139,36 +128,11 @@ async fn mistaken_encryption_is_reported_quickly() {
     assert!(start.elapsed() < SOON);
 }
 
-#[tokio::test]
-async fn open_farm_takes_bare_urls() {
-    let farm = GuardedServer::start(Access::Open).await;
-    let target = Target::new(None, Some(&format!("http://{}", farm.address))).unwrap();
-    for path in [LEASES, FITS, ADMIN] {
-        let answer = call(&target.connect_lazy(), path).await.unwrap();
-        assert_eq!(answer.metadata().get("x-caller").unwrap(), "anonymous");
-    }
-}
-
-#[tokio::test]
-async fn calls_are_observed_and_carry_request_ids() {
-    let farm = GuardedServer::start(Access::Tokens).await;
-    let link = farm.link(Role::Client).await;
-    let answer = call(&link, FITS).await.unwrap();
-    assert_eq!(answer.metadata().get("x-request-id").unwrap().len(), 32);
-    let status = call(&link, "/farm.v1.Invented/Path").await.unwrap_err();
-    assert_eq!(status.code(), Code::Unimplemented);
-    let status = call(&link, LEASES).await.unwrap_err();
-    assert_eq!(status.metadata().get("x-request-id").unwrap().len(), 32, "refused calls have one too");
-    let expected = [(FITS, 0), ("other", 12), ("other", 7)].map(|(method, code)| (method.to_owned(), code));
-    assert_eq!(farm.observed(3).await, expected);
-}
-
 /// The log lines of a handler carry method, request id and caller.
 #[tokio::test]
 async fn handler_logs_carry_request_and_caller() {
     let farm = GuardedServer::start(Access::Tokens).await;
-    let log = guarded::Log::default();
-    let _logged = log.subscribe();
+    let (log, _logged) = guarded::Log::start();
     let link = farm.link(Role::Worker).await;
     let mut request = Request::new(());
     request.metadata_mut().insert("x-request-id", "run-7".parse().unwrap());

@@ -68,16 +68,3 @@ fn worker_logs_each_connection_change_once() {
     }
     assert!(lines(&worker, "heartbeat").is_empty(), "{}", worker.log());
 }
-
-/// A worker that is gone is reported as silent, not as idle.
-#[test]
-fn killed_worker_is_not_called_idle() {
-    let farm = Farm::start(&["--lease", "1"]);
-    let mut worker = farm.worker("worker", &[]);
-    let state = || farm.ask(&["workers"])["workers"][0]["state"].as_str().map(ToOwned::to_owned);
-    wait_for("it is there", SOON, || (state()? == "idle").then_some(()));
-    worker.kill();
-    wait_for("it is silent", SOON, || (state()? == "silent").then_some(()));
-    let status = farm.farmctl(&["status"]).stdout;
-    assert!(status.contains("silent") && status.contains("s ago") && !status.contains("idle"), "{status}");
-}

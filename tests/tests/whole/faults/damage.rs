@@ -2,6 +2,7 @@
 
 use std::os::unix::fs::FileExt;
 
+use farm_proto::wire::ExportRequest;
 use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced, undisturbed};
 use farm_tests::process::{SOON, Signal, wait_for};
@@ -48,44 +49,22 @@ fn mended(farm: &Farm) {
     drop(worker);
 }
 
-/// Damaged records are never exported.
-#[test]
-fn damaged_records_are_reported_and_recomputed() {
+/// Damaged records are never exported: the export fails with data loss.
+#[tokio::test(flavor = "multi_thread")]
+async fn damaged_records_are_reported_and_recomputed() {
     let farm = damaged();
-    let refused = farm.farmctl(&["export", "grid"]);
-    assert_eq!(refused.code, 1, "{}", refused.stderr);
-    assert!(
-        refused.stderr.contains(&format!("job {DAMAGED} of dictionary grid was damaged")),
-        "{}",
-        refused.stderr
-    );
+    let request = ExportRequest { name: "grid".to_owned(), ..Default::default() };
+    let exported = async {
+        let mut records = farm.dictionaries().export(request).await?.into_inner();
+        while records.message().await?.is_some() {}
+        Ok::<(), tonic::Status>(())
+    };
+    let refused = exported.await.unwrap_err();
+    assert_eq!(refused.code(), tonic::Code::DataLoss, "{refused}");
+    let expected = format!("job {DAMAGED} of dictionary grid was damaged");
+    assert!(refused.message().contains(&expected), "{refused}");
     assert_eq!(farm.show("grid")["jobs_done"].as_u64(), Some(super::JOBS - 1));
     wait_for("the event", SOON, || (farm.events("JOB_DAMAGED").len() == 1).then_some(()));
-    mended(&farm);
-}
-
-/// A fit that needs damaged records is refused as data loss.
-#[tokio::test(flavor = "multi_thread")]
-async fn fit_with_damaged_records_is_refused() {
-    use farm_proto::wire::fits_client::FitsClient;
-    use optics_model::{MeasuredProfile, Measurement};
-    let farm = damaged();
-    let link = farm.link();
-    let (grid, records) = (grid_of(GRID), traced(&grid_of(GRID), 0));
-    let sensor = grid.scene().sensor();
-    let x = (0..sensor.pixels()).map(|i| sensor.centre_mm(i)).collect();
-    let values = records[0].profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect();
-    let channel = grid.scene().channels()[0].name().to_owned();
-    let profile = MeasuredProfile::new(&channel, grid.thickness_mm()[0], x, values, None).unwrap();
-    let measurement = Measurement::new("m", vec![profile]).unwrap();
-    let request = farm_proto::wire::FitRequest {
-        dictionary: "grid".to_owned(),
-        measurement: Some((&measurement).into()),
-        options: None,
-    };
-    let refused = FitsClient::new(link).fit(request).await.unwrap_err();
-    assert_eq!(refused.code(), tonic::Code::DataLoss, "{refused}");
-    assert!(refused.message().contains(&format!("job {DAMAGED} of dictionary grid")), "{refused}");
     mended(&farm);
 }
 

@@ -2,10 +2,9 @@
 
 use std::io::Read as _;
 use std::process::{Child, Stdio};
-use std::time::Duration;
 
 use farm_tests::farm::Farm;
-use farm_tests::process::{Ran, SOON, farmctl};
+use farm_tests::process::{Ran, SOON, farmctl, wait_for};
 use farm_tests::proxy::{Direction, Proxy};
 
 use super::{GRID, RECORDS};
@@ -28,13 +27,7 @@ async fn cut_in_the_middle() -> (Farm, Proxy, Child) {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    tokio::time::timeout(SOON, async {
-        while proxy.held_bytes() == 0 {
-            tokio::time::sleep(Duration::from_millis(20)).await;
-        }
-    })
-    .await
-    .expect("the export exceeds the limit");
+    wait_for("the export exceeds the limit", SOON, || (proxy.held_bytes() > 0).then_some(()));
     (farm, proxy, export)
 }
 
@@ -78,18 +71,6 @@ async fn export_fails_when_its_coordinator_is_gone() {
         "{message}"
     );
     assert_eq!(files(&farm), Vec::<String>::new(), "neither a draft nor a part of a file is left");
-}
-
-/// The command ends with exit code 130.
-#[tokio::test(flavor = "multi_thread")]
-async fn interrupted_export_leaves_no_file() {
-    let (farm, proxy, export) = cut_in_the_middle().await;
-    let id = rustix::process::Pid::from_child(&export);
-    rustix::process::kill_process(id, rustix::process::Signal::INT).unwrap();
-    let ran = ended(export);
-    assert_eq!(ran.code, 130, "{}", ran.stderr);
-    assert_eq!(files(&farm), Vec::<String>::new());
-    drop(proxy);
 }
 
 /// 300 albedos at 42 points, of one channel and few pixels.

@@ -21,10 +21,14 @@ fn jobs_done(farm: &Farm) -> u64 {
 }
 
 fn assert_no_blame(farm: &Farm) {
-    assert_eq!(leases(farm), 0, "all leases are handed back");
     for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
         assert!(farm.events(kind).is_empty(), "{kind}");
     }
+}
+
+fn assert_all_handed_back(farm: &Farm) {
+    assert_no_blame(farm);
+    assert_eq!(leases(farm), 0, "all leases are handed back");
     assert_eq!(farm.figure("farm_leases_expired_total"), 0);
 }
 
@@ -42,7 +46,7 @@ fn stopping_worker_finishes_its_running_jobs() {
     assert_eq!(jobs_done(&farm), 0, "the other is still being traced");
     assert_eq!(worker.exit_within(Duration::from_mins(1)), 0);
     assert_eq!(jobs_done(&farm), 1, "the traced result is stored");
-    assert_no_blame(&farm);
+    assert_all_handed_back(&farm);
     let second = farm.worker("second", &[]);
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
     drop(second);
@@ -57,7 +61,7 @@ fn worker_hands_back_on_hang_up() {
     worker.wait_for_log("job begins");
     worker.hang_up();
     assert_eq!(worker.exit_within(SOON), 0);
-    assert_no_blame(&farm);
+    assert_all_handed_back(&farm);
 }
 
 /// A coordinator ends in order when its terminal is closed.
@@ -97,21 +101,6 @@ fn worker_killed_while_stopping_is_not_blamed() {
     wait_for("the waiting one is handed back", SOON, || (leases(&farm) < 2).then_some(()));
     worker.kill();
     wait_for("the other lease expires", SOON, || (leases(&farm) == 0).then_some(()));
-    for kind in ["ATTEMPT_FAILED", "JOB_FAILED", "JOB_QUARANTINED"] {
-        assert!(farm.events(kind).is_empty(), "{kind}");
-    }
-}
-
-/// The job of the worker is not blamed.
-#[test]
-fn worker_without_grace_stops_at_once() {
-    let farm = Farm::start(&LEASE);
-    farm.submit("grid", LONG_JOBS);
-    let mut worker = farm.worker("worker", &[LONG_PACE, ["--grace", "0s"]].concat());
-    worker.wait_for_log("job begins");
-    worker.signal(Signal::TERM);
-    assert_eq!(worker.exit_within(Duration::from_secs(5)), 0);
-    assert_eq!(jobs_done(&farm), 0);
     assert_no_blame(&farm);
 }
 
@@ -127,7 +116,7 @@ fn time_limit_ends_a_worker_without_blame() {
     let worked = start.elapsed();
     assert!(worked > Duration::from_secs(2), "it worked for {worked:?} only");
     assert!(worker.log().contains("the time limit is near"), "{}", worker.log());
-    assert_no_blame(&farm);
+    assert_all_handed_back(&farm);
 }
 
 /// A worker that is drained finishes its jobs and ends.
@@ -142,19 +131,7 @@ fn drained_worker_finishes_its_jobs() {
     assert_eq!(worker.exit_within(SOON * 2), 0);
     assert!(worker.log().contains("the coordinator requested it"), "{}", worker.log());
     assert_eq!(farm.done("grid"), undisturbed(LONG_JOBS));
-    assert_no_blame(&farm);
+    assert_all_handed_back(&farm);
     assert_eq!(farm.farmctl(&["workers", "drain", "old"]).code, 1, "it is no longer registered");
     drop(second);
-}
-
-/// A worker without work ends if it was started with `--idle-exit`.
-#[test]
-fn idle_worker_ends_if_allowed() {
-    let farm = Farm::start(&LEASE);
-    farm.submit("grid", GRID);
-    let mut worker = farm.worker("worker", &["--idle-exit", "1s"]);
-    assert_eq!(farm.done("grid"), undisturbed(GRID));
-    assert_eq!(worker.exit_within(SOON), 0);
-    assert!(worker.log().contains("there was no work"), "{}", worker.log());
-    assert_no_blame(&farm);
 }

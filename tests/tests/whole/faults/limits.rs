@@ -23,10 +23,6 @@ const MIB: u64 = 1024;
 const PLACES: usize = 256;
 const REFUSED: &str = "farm_connections_refused_total";
 
-async fn link(farm: &Farm) -> Channel {
-    Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
-}
-
 /// Sends one message of 1 GiB as a call of `path`, piece by piece, while the other end accepts it.
 async fn send_huge(mut link: Channel, path: &str) -> Status {
     use http_body_util::BodyExt;
@@ -56,7 +52,7 @@ async fn huge_message_takes_no_memory() {
     let before = farm.coordinator().usage().unwrap().resident_kib;
     let root = format!("{}/farm.v1.", farm.url());
     for method in ["Dictionaries/Submit", "Fits/Fit", "Leases/Complete", "Leases/Renew"] {
-        let status = send_huge(link(&farm).await, &format!("{root}{method}")).await;
+        let status = send_huge(farm.channel().await, &format!("{root}{method}")).await;
         assert!(matches!(status.code(), Code::OutOfRange | Code::ResourceExhausted), "{method}: {status:?}");
     }
     let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
@@ -123,7 +119,7 @@ async fn idle_connections_do_not_hinder_existing_ones() {
     }
     let farm = Farm::start(&["--insecure", "--max-connections", &PLACES.to_string()]);
     farm.submit("grid", GRID);
-    let mut dictionaries = DictionariesClient::new(link(&farm).await);
+    let mut dictionaries = DictionariesClient::new(farm.channel().await);
     let mut get = async || dictionaries.get(GetRequest { name: "grid".to_owned() }).await;
     let worker = farm.worker("worker", &[]);
     farm.leased("grid", 1);

@@ -8,7 +8,7 @@ use farm_tests::process::{LONG, SOON, Signal, wait_for};
 use farm_tests::proxy::{Direction, Proxy};
 use farm_tests::statistics::effort;
 
-use super::{GRID, JOBS, LONG_JOBS, LONG_PACE, RECORDS, SHORT_PACE, short_or_long};
+use super::{GRID, JOBS, LONG_JOBS, LONG_PACE, SHORT_PACE};
 
 const RENEWED: &str = r#"farm_rpc_seconds_count{method="/farm.v1.Leases/Renew",code="OK"}"#;
 const DUPLICATES: &str = r#"farm_jobs_completed_total{outcome="duplicate"}"#;
@@ -57,48 +57,6 @@ async fn paused_worker_delivers_duplicates() {
     assert!(farm.events("JOB_QUARANTINED").is_empty());
     assert_eq!(farm.show("grid")["records_digest"], undisturbed(LONG_JOBS));
     drop((stopped, other));
-}
-
-/// The second delivery of the result counts as a duplicate.
-#[tokio::test(flavor = "multi_thread")]
-async fn result_is_resent_after_a_lost_reply() {
-    let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
-    let link = proxy(&farm).await;
-    farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
-    farm.leased("grid", 1);
-    link.hold(Direction::Answers);
-    wait_for("a commit whose acknowledgment is held", SOON, || {
-        // In this order: an acknowledgment that passed before the hold is already logged.
-        let stored = farm.show("grid")["records_done"].as_u64()?;
-        let acknowledged = worker.log().matches("job done").count() as u64 * (RECORDS / JOBS);
-        (stored > acknowledged).then_some(())
-    });
-    link.cut();
-    link.heal();
-    assert_eq!(farm.done("grid"), undisturbed(GRID));
-    wait_for("the duplicate", SOON, || (farm.figure(DUPLICATES) > 0).then_some(()));
-    assert_eq!(farm.figure(CONFLICTS), 0);
-    drop(worker);
-    assert_eq!(farm.stop_coordinator(), 0);
-    assert_eq!(farm.record_rows().await, (RECORDS, 0));
-}
-
-/// Work continues after a link lost packets.
-#[tokio::test(flavor = "multi_thread")]
-async fn work_resumes_after_lost_packets() {
-    let farm = Farm::start(&["--insecure", "--lease", "1"]);
-    let link = proxy(&farm).await;
-    farm.submit("grid", GRID);
-    let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
-    farm.leased("grid", 1);
-    link.hold(Direction::Requests);
-    link.hold(Direction::Answers);
-    // Past the lease; in the long form past the pings of both ends.
-    std::thread::sleep(short_or_long(Duration::from_secs(3), Duration::from_secs(50)));
-    link.heal();
-    assert_eq!(farm.done("grid"), undisturbed(GRID));
-    drop(worker);
 }
 
 /// The connection is dead as when a router has lost its state: it never heals, without an error, and new ones pass.

@@ -4,21 +4,19 @@ use std::net::TcpStream;
 use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use farm_proto::wire::ListRequest;
 use farm_proto::wire::dictionaries_client::DictionariesClient;
 use farm_tests::farm::Farm;
-use farm_tests::process::{Ran, SOON, farmctl, wait_for};
+use farm_tests::process::{Ran, SOON, farmctl, free_port, wait_for};
 use tonic::Code;
-use tonic::transport::Endpoint;
 
 use super::GRID;
 
 /// Requests the list of dictionaries through the TCP port.
 async fn ask_at_the_port(farm: &Farm) -> Result<(), tonic::Status> {
-    let channel = Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap();
-    DictionariesClient::new(channel).list(ListRequest::default()).await.map(drop)
+    DictionariesClient::new(farm.channel().await).list(ListRequest::default()).await.map(drop)
 }
 
 /// Other users can neither read nor change anything through the port: programs of the farm's user use a private socket.
@@ -84,50 +82,51 @@ async fn neighbours_do_not_disturb_the_own_user() {
     drop(crowd);
 }
 
+/// Copies of programs in a folder that other users may write to: the build folder may be closed to them.
+fn for_others<const N: usize>(names: [&str; N]) -> (tempfile::TempDir, [PathBuf; N]) {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
+    let copies = names.map(|name| {
+        let copy = folder.path().join(name);
+        std::fs::copy(farm_tests::process::program(name), &copy).unwrap();
+        copy
+    });
+    (folder, copies)
+}
+
+/// A program that runs as another user in a folder.
+fn as_user(user: u32, program: &Path, folder: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(program);
+    command.args(args).current_dir(folder).env_clear().uid(user);
+    command
+}
+
 /// Clients do not trust a port that another user has taken. The test needs root to run as another user.
 #[test]
 fn port_of_another_user_is_not_trusted() {
     if !rustix::process::getuid().is_root() {
         return;
     }
-    let elsewhere = tempfile::tempdir().unwrap();
-    std::fs::set_permissions(elsewhere.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
-    let [coordinator, farmctl] = ["farm-coordinator", "farmctl"].map(|name| {
-        let program = elsewhere.path().join(name);
-        std::fs::copy(farm_tests::process::program(name), &program).unwrap();
-        program
-    });
-    let port = {
-        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-        free.local_addr().unwrap().port()
+    let (elsewhere, [coordinator, farmctl]) = for_others(["farm-coordinator", "farmctl"]);
+    let (port, elsewhere) = (free_port(), elsewhere.path());
+    let (address, url) = (format!("127.0.0.1:{port}"), format!("http://127.0.0.1:{port}"));
+    let mut theirs = as_user(65533, &coordinator, elsewhere, &["--insecure", "--listen", &address]);
+    let mut theirs = theirs.stderr(Stdio::null()).spawn().unwrap();
+    wait_for("it listens", SOON, || TcpStream::connect(&address).ok());
+    let list = |args: &[&str]| -> Ran {
+        as_user(65534, &farmctl, elsewhere, &[&["list"], args].concat()).output().unwrap().into()
     };
-    let mut theirs = std::process::Command::new(coordinator);
-    theirs.args(["--insecure", "--listen", &format!("127.0.0.1:{port}")]);
-    let theirs = theirs.current_dir(elsewhere.path()).env_clear().uid(65533).stderr(Stdio::null());
-    let mut theirs = theirs.spawn().unwrap();
-    wait_for("it listens", SOON, || TcpStream::connect(("127.0.0.1", port)).ok());
-    let mut list = std::process::Command::new(farmctl);
-    list.args(["list", "--server", &format!("http://127.0.0.1:{port}")]);
-    let ran: Ran = list.current_dir(elsewhere.path()).env_clear().uid(65534).output().unwrap().into();
-    let joined: Ran = list_in(&elsewhere.path().join("farm-data"), 65534);
+    let at_port = list(&["--server", &url]);
+    // Opens the folder, as its owner might.
+    std::fs::set_permissions(elsewhere.join("farm-data"), std::fs::Permissions::from_mode(0o777)).unwrap();
+    let in_folder = list(&["--data", "farm-data"]);
     theirs.kill().unwrap();
     theirs.wait().unwrap();
-    assert_eq!(ran.code, 1, "{} {}", ran.stdout, ran.stderr);
-    assert!(ran.stderr.contains("is held by another user of this machine (number 65533)"), "{}", ran.stderr);
-    assert!(
-        joined.stderr.contains("belongs to another user of this machine (number 65533)"),
-        "{}",
-        joined.stderr
-    );
-}
-
-/// The output of `list` as another user of a data folder.
-fn list_in(data: &Path, user: u32) -> Ran {
-    // Opens the folder, as its owner might.
-    std::fs::set_permissions(data, std::fs::Permissions::from_mode(0o777)).unwrap();
-    let program = data.parent().unwrap().join("farmctl");
-    let mut list = std::process::Command::new(program);
-    list.arg("list").arg("--data").arg(data).current_dir("/").env_clear().uid(user).output().unwrap().into()
+    for (ran, verb) in [(at_port, "is held by"), (in_folder, "belongs to")] {
+        assert_eq!(ran.code, 1, "{} {}", ran.stdout, ran.stderr);
+        let expected = format!("{verb} another user of this machine (number 65533)");
+        assert!(ran.stderr.contains(&expected), "{}", ran.stderr);
+    }
 }
 
 /// The test needs root to run as another user.
@@ -137,28 +136,11 @@ fn another_user_gets_reason_and_remedy() {
         return;
     }
     let farm = Farm::start(&[]);
-    let elsewhere = tempfile::tempdir().unwrap();
-    std::fs::set_permissions(elsewhere.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
-    // The build folder may be closed to user `nobody`, so the program is copied.
-    let program = elsewhere.path().join("farmctl");
-    std::fs::copy(farm_tests::process::program("farmctl"), &program).unwrap();
-    let ran: Ran = std::process::Command::new(&program)
-        .args(["list", "--server", &farm.url()])
-        .current_dir(elsewhere.path())
-        .env_clear()
-        .uid(65534)
-        .output()
-        .unwrap()
-        .into();
+    let (elsewhere, [program]) = for_others(["farmctl"]);
+    let list = ["list", "--server", &farm.url()];
+    let ran: Ran = as_user(65534, &program, elsewhere.path(), &list).output().unwrap().into();
     assert_eq!(ran.code, 1, "{} {}", ran.stdout, ran.stderr);
     assert!(ran.stderr.contains("farmctl access create"), "{}", ran.stderr);
-    let own: Ran = farmctl(farm.folder()).args(["list", "--server", &farm.url()]).output().unwrap().into();
+    let own: Ran = farmctl(farm.folder()).args(list).output().unwrap().into();
     assert_eq!(own.code, 0, "{}", own.stderr);
-}
-
-/// With `--insecure`, the port is open to other users.
-#[tokio::test(flavor = "multi_thread")]
-async fn insecure_option_opens_the_port() {
-    let farm = Farm::start(&["--insecure"]);
-    ask_at_the_port(&farm).await.unwrap();
 }

@@ -3,65 +3,8 @@
 use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
-use farm_proto::wire::leases_server::{Leases, LeasesServer};
-use farm_proto::wire::{
-    AcquireRequest, AcquireResponse, CompleteRequest, CompleteResponse, FailRequest, FailResponse,
-    HandBackRequest, HandBackResponse, RegisterRequest, RegisterResponse, RenewRequest, RenewResponse,
-};
 use farm_tests::farm::Farm;
-use farm_tests::process::{Process, Ran, SOON, run, wait_for};
-use tonic::{Request, Response, Status, Streaming};
-
-/// A coordinator of another version.
-struct Newer;
-
-#[tonic::async_trait]
-impl Leases for Newer {
-    async fn register(&self, _: Request<RegisterRequest>) -> Result<Response<RegisterResponse>, Status> {
-        Err(Status::failed_precondition("physics version 1 and 2 differ: install the same"))
-    }
-    async fn acquire(&self, _: Request<AcquireRequest>) -> Result<Response<AcquireResponse>, Status> {
-        Err(Status::unimplemented(""))
-    }
-    async fn renew(&self, _: Request<RenewRequest>) -> Result<Response<RenewResponse>, Status> {
-        Err(Status::unimplemented(""))
-    }
-    async fn complete(
-        &self,
-        _: Request<Streaming<CompleteRequest>>,
-    ) -> Result<Response<CompleteResponse>, Status> {
-        Err(Status::unimplemented(""))
-    }
-    async fn hand_back(&self, _: Request<HandBackRequest>) -> Result<Response<HandBackResponse>, Status> {
-        Err(Status::unimplemented(""))
-    }
-    async fn fail(&self, _: Request<FailRequest>) -> Result<Response<FailResponse>, Status> {
-        Err(Status::unimplemented(""))
-    }
-}
-
-/// The worker logs the reason and ends with exit code 4.
-#[tokio::test(flavor = "multi_thread")]
-async fn worker_of_other_physics_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let url = format!("http://{}", listener.local_addr().unwrap());
-    let incoming = tokio_stream::wrappers::TcpListenerStream::new(listener);
-    let server = tonic::transport::Server::builder().add_service(LeasesServer::new(Newer));
-    let server = tokio::spawn(server.serve_with_incoming(incoming));
-    let mut worker = Process::start("farm-worker", &["--server", &url], &folder.path().join("worker.log"));
-    assert_eq!(worker.exit_within(SOON), 4);
-    assert!(worker.log().contains("the coordinator refused this worker"), "{}", worker.log());
-    assert!(worker.log().contains("install the same"), "{}", worker.log());
-    server.abort();
-}
-
-/// A farm with access files, and another set of files, `strange`, that it does not accept.
-fn closed(access: &[&str]) -> Farm {
-    let farm = Farm::closed(access, &[]);
-    farm.create_access("strange", access);
-    farm
-}
+use farm_tests::process::{Process, Ran, SOON, wait_for};
 
 /// Writes a modified copy of one of the farm's files as `name`.
 fn forge(farm: &Farm, original: &str, name: &str, change: impl Fn(&str) -> String) {
@@ -85,7 +28,9 @@ fn fails(ran: &Ran, parts: &[&str]) {
 /// The message names the token or the role, but never the token's value.
 #[test]
 fn wrong_tokens_and_roles_are_not_retried() {
-    let farm = closed(&[]);
+    let farm = Farm::closed(&[], &[]);
+    // Another set of files, that the farm does not accept.
+    farm.create_access("strange", &[]);
     let (own, strange) = (token_of(&farm, "keys/worker.toml"), token_of(&farm, "strange/worker.toml"));
     forge(&farm, "keys/worker.toml", "worker.toml", |text| text.replace(&own, &strange));
     let mut worker = farm.worker_with("worker.toml", "worker", &[]);
@@ -102,19 +47,10 @@ fn wrong_tokens_and_roles_are_not_retried() {
     assert_eq!(farm.farmctl_with("keys/client.toml", &["list"]).code, 0);
 }
 
-/// The coordinator does not answer without TLS either.
-#[test]
-fn clients_refuse_an_unknown_certificate() {
-    let farm = closed(&[]);
-    fails(&farm.farmctl_with("strange/client.toml", &["list"]), &["certificate"]);
-    let plain = run(farm.folder(), &["list", "--server", &format!("http://127.0.0.1:{}", farm.port())]);
-    fails(&plain, &[]);
-}
-
 /// With `--mutual`, a client without a valid certificate is refused.
 #[test]
 fn mutual_tls_needs_a_valid_certificate() {
-    let farm = closed(&["--mutual"]);
+    let farm = Farm::closed(&["--mutual"], &[]);
     for (role, name) in [("keys/client.toml", "client.toml"), ("keys/worker.toml", "worker.toml")] {
         forge(&farm, role, name, |text| {
             let mut file: toml::Table = text.parse().unwrap();
@@ -135,27 +71,6 @@ fn mutual_tls_needs_a_valid_certificate() {
         (listed["data"]["workers"].as_array()?.len() == 1).then_some(())
     });
     assert_eq!(proper.terminate(Duration::from_secs(20)), 0);
-}
-
-/// Checked with mutual TLS.
-#[test]
-fn client_certificates_of_other_authorities_are_refused() {
-    let farm = closed(&["--mutual"]);
-    for role in ["client", "worker"] {
-        let strange = std::fs::read_to_string(farm.path(&format!("strange/{role}.toml"))).unwrap();
-        let strange: toml::Table = strange.parse().unwrap();
-        forge(&farm, &format!("keys/{role}.toml"), &format!("{role}.toml"), |text| {
-            let mut file: toml::Table = text.parse().unwrap();
-            for field in ["certificate", "key"] {
-                file.insert(field.to_owned(), strange[field].clone());
-            }
-            toml::to_string(&file).unwrap()
-        });
-    }
-    let listed = farm.farmctl_with("client.toml", &["list"]);
-    fails(&listed, &["does not accept the access file's certificate"]);
-    let mut worker = farm.worker_with("worker.toml", "worker", &[]);
-    assert_eq!(worker.exit_within(SOON), 4, "{}", worker.log());
 }
 
 /// A coordinator whose port is taken logs no start.

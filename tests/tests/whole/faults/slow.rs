@@ -12,7 +12,6 @@ use farm_tests::test_worker::on_wire;
 use http_body_util::StreamBody;
 use prost::Message;
 use tokio_stream::StreamExt;
-use tonic::transport::{Channel, Endpoint};
 use tower::{Service, ServiceExt};
 
 use super::GRID;
@@ -26,10 +25,6 @@ thickness_mm = [0.5]
 walks = 5000
 derivatives = true
 ";
-
-async fn link(farm: &Farm) -> Channel {
-    Endpoint::from_shared(farm.url()).unwrap().connect().await.unwrap()
-}
 
 /// A call that delivers a valid result byte by byte, and would take hours.
 async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
@@ -51,7 +46,7 @@ async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
     let request = http::Request::post(format!("{}/farm.v1.Leases/Complete", farm.url()))
         .header("content-type", "application/grpc")
         .header("te", "trailers");
-    let (mut link, request) = (link(farm).await, request.body(body).unwrap());
+    let (mut link, request) = (farm.channel().await, request.body(body).unwrap());
     tokio::spawn(async move {
         // The call ends with the coordinator.
         let _ = link.ready().await.unwrap().call(request).await;
@@ -77,7 +72,7 @@ async fn slow_clients_do_not_hinder_others() {
     for _ in 0..32 {
         let request = ExportRequest { name: "large".to_owned(), ..Default::default() };
         let mut stream =
-            DictionariesClient::new(link(&farm).await).export(request).await.unwrap().into_inner();
+            DictionariesClient::new(farm.channel().await).export(request).await.unwrap().into_inner();
         assert!(stream.message().await.unwrap().is_some());
         unread.push(stream);
     }

@@ -53,6 +53,14 @@ fn count(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }
 
+/// Counts a change that was made; if it was not, the reason has this code.
+fn note<T>(answer: Result<T, Status>, otherwise: Code, counter: &AtomicU64) {
+    match answer {
+        Ok(_) => count(counter),
+        Err(status) => assert_eq!(status.code(), otherwise, "{status}"),
+    }
+}
+
 /// A dictionary that is complete.
 #[derive(Debug, Clone)]
 pub struct Live {
@@ -147,33 +155,24 @@ impl Client {
             .unwrap();
     }
 
+    /// It may be done already.
     async fn cancel(&self, name: &str) {
         let request = CancelRequest { name: name.to_owned(), reason: "a change of mind".to_owned() };
-        match self.answered(|| async { self.dictionaries.clone().cancel(timed(request.clone())).await }).await
-        {
-            Ok(_) => count(&self.tally.cancelled),
-            // It was already done.
-            Err(status) => assert_eq!(status.code(), Code::FailedPrecondition, "{status}"),
-        }
+        let call = || async { self.dictionaries.clone().cancel(timed(request.clone())).await };
+        note(self.answered(call).await, Code::FailedPrecondition, &self.tally.cancelled);
     }
 
     async fn resume(&self, name: &str) {
         let request = ResumeRequest { name: name.to_owned() };
-        match self.answered(|| async { self.dictionaries.clone().resume(timed(request.clone())).await }).await
-        {
-            Ok(_) => count(&self.tally.resumed),
-            Err(status) => assert_eq!(status.code(), Code::FailedPrecondition, "{status}"),
-        }
+        let call = || async { self.dictionaries.clone().resume(timed(request.clone())).await };
+        note(self.answered(call).await, Code::FailedPrecondition, &self.tally.resumed);
     }
 
+    /// The answer to a first attempt may be lost.
     async fn delete(&self, name: &str) {
         let request = DeleteRequest { name: name.to_owned() };
-        match self.answered(|| async { self.dictionaries.clone().delete(timed(request.clone())).await }).await
-        {
-            Ok(_) => count(&self.tally.deleted),
-            // The answer to the first attempt was lost.
-            Err(status) => assert_eq!(status.code(), Code::NotFound, "{status}"),
-        }
+        let call = || async { self.dictionaries.clone().delete(timed(request.clone())).await };
+        note(self.answered(call).await, Code::NotFound, &self.tally.deleted);
     }
 
     /// Watches until the dictionary is done; returns the digest of its records.

@@ -1,15 +1,14 @@
 //! Injects faults into a farm: its processes are killed, stopped, continued and restarted.
 
-use std::io::{Write, pipe};
+use std::io::Write;
 use std::net::TcpStream;
 use std::path::PathBuf;
-use std::process::Command;
 use std::time::Duration;
 
 use farm_link::Link;
 use farm_tests::farm::Farm;
 use farm_tests::memory_group::MemoryGroup;
-use farm_tests::process::{Process, Signal, program};
+use farm_tests::process::{Process, Signal};
 use farm_tests::proxy::Proxy;
 use farm_tests::statistics::Normal;
 use farm_tests::usage::Usage;
@@ -34,8 +33,6 @@ pub enum Fault {
     TerminateWorker,
     /// SIGHUP, as when a terminal is closed, and a new worker as replacement.
     HangUpWorker,
-    /// SIGTERM, and a new worker as replacement whose log has no reader.
-    AbandonLog,
     /// The remote worker's connection is frozen: neither end notices that nothing arrives.
     FreezeLink,
     /// A connection that is silent, or stops in the middle of its greeting.
@@ -46,13 +43,12 @@ pub enum Fault {
 
 impl Fault {
     /// Faults of a running farm; kills of the coordinator are scheduled by the test.
-    pub const LIST: [Self; 9] = [
+    pub const LIST: [Self; 8] = [
         Self::KillWorker,
         Self::StopWorker,
         Self::StopCoordinator,
         Self::TerminateWorker,
         Self::HangUpWorker,
-        Self::AbandonLog,
         Self::FreezeLink,
         Self::HalfOpen,
         Self::Garbage,
@@ -153,10 +149,6 @@ impl FaultyFarm {
                 assert_eq!(self.workers[victim].exit_within(END), 0, "SIGHUP to a worker");
                 self.workers[victim] = worker(&self.farm, victim);
             }
-            Fault::AbandonLog => {
-                assert_eq!(self.workers[victim].terminate(END), 0, "SIGTERM to a worker");
-                self.workers[victim] = worker_without_log(&self.farm, victim);
-            }
             Fault::FreezeLink => self.afar.iter().for_each(|(proxy, _)| proxy.freeze()),
             Fault::HalfOpen => self.send_partial_greeting(chance),
             Fault::Garbage => self.send_garbage(chance),
@@ -200,16 +192,6 @@ impl FaultyFarm {
 fn worker(farm: &Farm, number: usize) -> Process {
     let name = format!("machine-{number}");
     farm.worker_with(&format!("keys/{name}.toml"), &name, &["--grace", "2s"])
-}
-
-/// A worker with a log without a reader.
-fn worker_without_log(farm: &Farm, number: usize) -> Process {
-    let name = format!("machine-{number}");
-    let mut command = Command::new(program("farm-worker"));
-    command.arg("--access").arg(farm.path(&format!("keys/{name}.toml")));
-    command.args(["--label", &name, "--threads", "1", "--grace", "2s"]);
-    let (_, log) = pipe().expect("there can be another pipe");
-    Process::logging_to("farm-worker", &mut command, log)
 }
 
 fn pause_for(process: &Process, pause: Duration) {
