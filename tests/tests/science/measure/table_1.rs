@@ -1,6 +1,7 @@
 //! The paper's five materials, photographed with a wrong exposure.
 
 use farm_tests::coverage::{Answer, Coverage, media_table};
+use farm_tests::statistics::effort;
 use optics_fit::{measure, scale};
 use optics_model::Medium;
 use optics_model::fit::{FitOptions, MuRange};
@@ -19,13 +20,13 @@ pub(super) const TABLE_1: [Row; 5] = [
     ("white", [(6.0, 0.9991), (9.0, 0.9997), (24.0, 0.999)]),
 ];
 
-/// Table 1 of the paper is measured with a scale factor that the fit does not get.
+/// Table 1 of the paper is measured with a scale factor that the fit does not get; with three in the long form.
 #[test]
 fn table_1_is_measured_without_its_factor() {
     let media = TABLE_1.map(|(_, media)| media.map(|(s, a)| Medium::new(s, a, 0.4).unwrap()));
     let (options, range) = (FitOptions::default(), MuRange::default());
     let mut answers = Vec::new();
-    for (hidden, seed) in [(0.86, 1), (0.913, 2), (0.98, 3)] {
+    for (hidden, seed) in [(0.86, 1), (0.913, 2), (0.98, 3)].into_iter().take(effort().min(3) as usize) {
         let names = TABLE_1.iter().map(|row| row.0);
         let slabs = materials(names.zip(media), seed * 100, 1_000_000, hidden);
         let found = measure(dictionary(), &slabs, &options, &unknown_factor()).unwrap();
@@ -51,8 +52,7 @@ fn table_1_is_measured_without_its_factor() {
         }
         answers.extend(of_factor);
     }
-    // Some 90 intervals of 95 %, those of one factor with the same μ and g; unresolved media must have the same
-    // coverage.
+    // 30 intervals of 95 % for each factor, with the same μ and g; unresolved media must have the same coverage.
     let found = Coverage::of_media([&answers[..]], &[0, 1]);
     let (held, count) = (found.count(), found.all().count());
     println!("{held} of {count} intervals hold");

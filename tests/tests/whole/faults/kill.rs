@@ -3,11 +3,12 @@
 //! SIGKILL tests that unwritten data of a process are not needed; it does not test that data survive a power cut.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Duration;
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
-use farm_tests::process::{Process, SOON, wait_for};
+use farm_tests::process::{Process, SOON, farmctl, run, wait_for};
 use farm_tests::statistics::{Normal, effort};
 
 use super::{JOBS, RECORDS, SHORT_PACE};
@@ -54,8 +55,8 @@ fn find_number(line: &serde_json::Value, name: &str) -> Option<u64> {
 }
 
 /// Each acknowledged record exists exactly once.
-#[tokio::test(flavor = "multi_thread")]
-async fn acknowledged_records_survive_random_kills() {
+#[test]
+fn acknowledged_records_survive_random_kills() {
     // Killed workers count as silent: no job should be given up because of that.
     let mut farm = Farm::start(&["--lease", "1", "--max-attempts", "1000", "--verify-share", "0"]);
     let mut random = Normal::new(SEED);
@@ -93,7 +94,7 @@ async fn acknowledged_records_survive_random_kills() {
     assert!(kills.iter().all(|k| *k > 0), "both kinds must be killed: {kills:?}");
     let digests: Vec<_> = (1..=number).map(|n| farm.done(&name(n))).collect();
     assert_eq!(farm.stop_coordinator(), 0);
-    assert_eq!(farm.record_rows().await, (number * RECORDS, 0));
+    check_rows(&farm, number);
     let acknowledged = acknowledged(&farm);
     let lost: Vec<_> = acknowledged.iter().filter(|(_, times)| **times > 1).collect();
     assert!(lost.is_empty(), "stored, acknowledged, lost and stored again: {lost:?}");
@@ -102,4 +103,50 @@ async fn acknowledged_records_survive_random_kills() {
         assert_eq!(digest, undisturbed(&grid(n)), "the bytes differ from the undisturbed run's");
     }
     println!("{} kills of the coordinator, {} of workers, {number} dictionaries", kills[0], kills[1]);
+}
+
+fn check_rows(farm: &Farm, dictionaries: u64) {
+    let (rows, doubled) = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .unwrap()
+        .block_on(farm.record_rows());
+    assert_eq!((rows, doubled), (dictionaries * RECORDS, 0));
+}
+
+/// Records of the only dictionary of a folder; None without one.
+fn records_of_folder(folder: &Path) -> Option<u64> {
+    let list: serde_json::Value = serde_json::from_str(&run(folder, &["list", "--json"]).stdout).ok()?;
+    list["data"]["dictionaries"][0]["records_done"].as_u64()
+}
+
+/// A farm inside `farmctl` continues after each kill: no record is lost, and the bytes are those of the tracer.
+#[test]
+fn killed_local_farm_continues() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("grid.toml"), super::GRID).unwrap();
+    let submit = |pace_ms: &str| {
+        let mut command = farmctl(folder.path());
+        command.args(["submit", "grid.toml", "-q"]).env("FARM_PACE_MS", pace_ms);
+        Process::spawn("farmctl", &mut command, &folder.path().join("farmctl.log"))
+    };
+    let mut random = Normal::new(SEED);
+    let (mut stored, mut in_the_middle) = (0, 0);
+    for _ in 0..rounds() / 2 {
+        let mut command = submit("400");
+        // From the start of the program to its second jobs.
+        std::thread::sleep(PAUSE.mul_f64(1.5 * random.uniform()));
+        in_the_middle += u32::from(command.is_running());
+        command.kill();
+        let now = records_of_folder(folder.path()).unwrap_or(0);
+        assert!(now >= stored, "{stored} records were stored, {now} are left after a kill");
+        stored = now;
+    }
+    assert!(in_the_middle > 1, "kills must hit running work");
+    assert_eq!(submit("0").exit_within(SOON), 0);
+    let shown: serde_json::Value =
+        serde_json::from_str(&run(folder.path(), &["show", "grid", "--json"]).stdout).unwrap();
+    assert_eq!(shown["data"]["records_digest"], undisturbed(super::GRID));
+    let lines = run(folder.path(), &["export", "grid"]).stdout.lines().count() as u64;
+    assert_eq!(lines, 1 + RECORDS * 3 * 360, "the export has every pixel of every record");
 }

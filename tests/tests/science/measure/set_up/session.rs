@@ -54,9 +54,9 @@ pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> &'static FitDictiona
 
 fn few_nodes() -> Axes {
     Axes {
-        sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+        sigma_t_per_mm: (0..9).map(|i| 1.6 * 6.25_f64.powf(f64::from(i) / 8.0)).collect(),
         albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
-        g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
+        g: vec![0.2, 0.4, 0.6],
         thickness_mm: SLABS_MM.to_vec(),
         sample_ior: vec![IOR],
     }
