@@ -17,92 +17,25 @@ use std::process::Command;
 use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, write};
 use farm_tests::process::{Process, Ran, farmctl, program, run};
 
-/// The result of every verb has one stable JSON shape.
+/// Verbs answer in JSON, each with its kind; the snapshot of `client/src/commands/tests` has their fields.
 #[test]
-fn every_verb_has_a_stable_json_shape() {
+fn verbs_answer_in_json() {
     let farm = farm();
     let dir = farm.path();
-    let dictionary = [
-        "created_unix_ms",
-        "eta_s",
-        "failed_jobs",
-        "goes_first",
-        "grid_digest",
-        "jobs_disputed",
-        "jobs_done",
-        "jobs_failed",
-        "jobs_leased",
-        "jobs_total",
-        "name",
-        "owner",
-        "priority",
-        "reason",
-        "records_digest",
-        "records_done",
-        "records_reused",
-        "records_total",
-        "state",
-        "walks_max",
-        "walks_min",
-        "work_done",
-    ];
     let submit = json(&run(dir, &["submit", "grid.toml", "--json"]), "submit");
-    assert_eq!(keys(&submit), dictionary);
     assert_eq!((submit["state"].as_str(), submit["records_done"].as_u64()), (Some("done"), Some(8)));
-
     let list = json(&run(dir, &["list", "--json"]), "list");
-    assert_eq!(keys(&list["dictionaries"][0]), dictionary);
-
-    let status = json(&run(dir, &["status", "--json"]), "status");
-    let expected = [
-        "address",
-        "checks_agreed",
-        "checks_disputed",
-        "checks_waiting",
-        "database_bytes",
-        "dictionaries",
-        "jobs_done",
-        "jobs_leased",
-        "jobs_pending",
-        "physics_version",
-        "store_fault",
-        "uptime_ms",
-        "version",
-        "workers",
-    ];
-    assert_eq!(keys(&status), expected);
-
-    let show = json(&run(dir, &["show", "grid", "--json"]), "show");
-    let expected = [
-        "albedo",
-        "derivatives",
-        "g",
-        "sample_ior",
-        "scene",
-        "seed",
-        "sigma_t_per_mm",
-        "thickness_mm",
-        "walks",
-    ];
-    assert_eq!(keys(&show["grid"]), expected);
-
+    assert_eq!(keys(&list["dictionaries"][0]), keys(&submit));
+    assert_eq!(json(&run(dir, &["status", "--json"]), "status")["dictionaries"][0]["name"], "grid");
     let noisy = json(&run(dir, &["show", "grid", "--noise", "--json"]), "show");
     assert_eq!(keys(&noisy["noise"]), ["by_albedo", "median", "records", "worst"]);
     let worst = noisy["noise"]["worst"]["relative_std_error"].as_f64().unwrap();
     let median = noisy["noise"]["median"].as_f64().unwrap();
     assert!(0.0 < median && median <= worst && worst < 1.0, "{noisy}");
-
-    let medium = ["--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--thickness", "0.5"];
-    let small = ["--walks", "5000", "--pixels", "12", "--json"];
-    let simulate = json(&run(dir, &[&["simulate"][..], &medium, &small].concat()), "simulate");
-    assert_eq!(keys(&simulate), ["channels", "seed", "walks", "x_mm"]);
-    assert_eq!(keys(&simulate["channels"][2]), ["channel", "std_errors", "values"]);
-
     let one = ["export", "grid", "--json", "--sigma-t", "6", "--albedo", "0.9", "--thickness", "0.5"];
     let export = json(&run(dir, &one), "record");
     let expected = ["albedo", "channels", "g", "record", "sample_ior", "sigma_t_per_mm", "thickness_mm"];
     assert_eq!(keys(&export), expected);
-
     let error = run(dir, &["show", "none", "--json"]);
     assert_eq!(error.code, 1);
     assert!(json(&error, "error")["message"].as_str().unwrap().contains("dictionary none does not exist"));
@@ -283,37 +216,15 @@ fn pictures_and_media_are_written() {
     ] {
         assert!(std::fs::read_to_string(dir.join("out").join(file)).unwrap().contains(text), "{file}");
     }
-    fails(
-        dir,
-        &[&["fit"][..], &command, &["--plot", "fit.eps"]].concat(),
-        &["fit.eps", ".svg, .png or .pdf"],
-    );
-    assert!(!dir.join("fit.pdf").exists());
 }
 
+/// The examples in the help of every verb are checked in `client/src/commands/tests/examples.rs`.
 #[test]
 fn help_and_completions_are_there() {
     let dir = folder();
-    let help = run(dir.path(), &["--help"]);
-    assert_eq!(help.code, 0);
-    for verb in [
-        "submit",
-        "fit",
-        "scale",
-        "measure",
-        "map",
-        "design",
-        "profile",
-        "similar",
-        "simulate",
-        "status",
-        "list",
-        "show",
-        "export",
-        "completions",
-    ] {
-        assert!(help.stdout.contains(verb), "{verb}");
-        assert_eq!(run(dir.path(), &[verb, "--help"]).code, 0, "{verb}");
+    for args in [&["--help"][..], &["fit", "--help"]] {
+        let help = run(dir.path(), args);
+        assert!(help.code == 0 && help.stdout.contains("Usage: farmctl"), "{}", help.stdout);
     }
     for shell in ["bash", "zsh", "fish"] {
         assert!(run(dir.path(), &["completions", shell]).stdout.contains("farmctl"), "{shell}");

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use farm_tests::cli::{HEAD, fails, farm, json, keys, rows, write};
 use farm_tests::process::run;
-use optics_model::quantities::Quantity;
 use serde_json::{Value, json as value};
 
 /// All commands that fit take the set-up from the session and from options.
@@ -30,89 +29,6 @@ fn all_fits_take_the_session_set_up() {
         assert_eq!(data["objective"], "paper", "{verb}");
         assert_eq!(data["assumed"], value!(["origin_std_error_mm", "offset_std_error"]), "{verb}");
     }
-}
-
-/// Every answer of the fit has its JSON shape.
-#[test]
-fn every_fit_answer_has_its_json_shape() {
-    let farm = farm();
-    let dir = farm.path();
-    write(dir, "m.csv", &(HEAD.to_owned() + &rows("R", 0.5) + &rows("R", 1.0)));
-    let fit = json(&run(dir, &["fit", "m.csv", "--dictionary", "grid", "--json", "--top", "2"]), "fit");
-    let options = [
-        "albedo_range",
-        "assumed",
-        "dictionary",
-        "g",
-        "g_range",
-        "lambda",
-        "level",
-        "mu",
-        "mu_std_error",
-        "objective",
-        "phase",
-        "sigma_t_range",
-        "wavelet",
-    ];
-    let with = |more: &[&str]| {
-        let set_up = Quantity::OF_OPTIONS.iter().map(|quantity| quantity.name);
-        let mut all: Vec<_> = options.iter().chain(more).copied().chain(set_up).map(str::to_owned).collect();
-        all.sort();
-        all
-    };
-    assert_eq!(keys(&fit), with(&["materials", "notes"]));
-    let channel = &fit["materials"][0]["channels"][0];
-    assert_eq!(keys(channel), ["candidates", "channel", "outside", "refined"]);
-    let expected = [
-        "absorption_interval",
-        "albedo",
-        "albedo_interval",
-        "correlation",
-        "covariance",
-        "dictionary_share",
-        "error",
-        "g",
-        "g_interval",
-        "likelihood",
-        "measurement_noise",
-        "misfit",
-        "reduced_scattering_interval",
-        "resolved",
-        "resolved_at_g",
-        "sample_ior",
-        "sigma_t_interval",
-        "sigma_t_per_mm",
-        "suspicion",
-        "thicknesses",
-        "valley",
-    ];
-    assert_eq!(keys(&channel["refined"]), expected);
-    let candidates = &fit["materials"][0]["channels"][0]["candidates"];
-    assert_eq!(candidates.as_array().unwrap().len(), 2);
-    let expected = ["albedo", "error", "g", "sample_ior", "sigma_t_per_mm", "thicknesses"];
-    assert_eq!(keys(&candidates[0]), expected);
-    let expected = ["gradient_rms", "record", "thickness_mm", "value_rms"];
-    assert_eq!(keys(&candidates[0]["thicknesses"][1]), expected);
-
-    let ask = |verb: &[&str]| run(dir, &[verb, &["m.csv", "--dictionary", "grid", "--json"][..]].concat());
-    let scale = json(&ask(&["scale"]), "scale");
-    assert_eq!(keys(&scale), with(&["common", "materials", "notes", "scale"]));
-    let expected = ["at_end", "best_g", "by_g", "curvature", "curve", "error", "mu", "std_error"];
-    assert_eq!(keys(&scale["scale"]), expected);
-    assert_eq!(scale["scale"]["curve"].as_array().unwrap().len(), 301);
-    let measure = json(&ask(&["measure"]), "measure");
-    assert_eq!(keys(&measure), with(&["common", "common_g", "materials", "notes", "scale"]));
-    // The dictionary has a single anisotropy, so none was chosen.
-    assert_eq!((&measure["common_g"], &measure["common"]["g_interval"]), (&value!(0.4), &Value::Null));
-    let map = json(&ask(&["map"]), "map");
-    assert_eq!(keys(&map), with(&["maps", "notes"]));
-    let expected = ["albedo", "best_layer", "channel", "layers", "material", "sample_ior", "sigma_t_per_mm"];
-    assert_eq!(keys(&map["maps"][0]), expected);
-    assert_eq!(keys(&map["maps"][0]["layers"][0]), ["best", "errors", "g", "similar"]);
-    let similar = ["similar", "--sigma-t", "6", "--albedo", "0.9", "--g", "0.4", "--to", "0,0.8", "--json"];
-    let similar = json(&run(dir, &similar), "similar");
-    assert_eq!(keys(&similar), ["medium", "similar"]);
-    assert!((similar["similar"][0]["sigma_t_per_mm"].as_f64().unwrap() - 3.84).abs() < 1e-9);
 }
 
 /// A measurement of simulated slabs, one of them a mixture of the two others in equal parts.
@@ -148,6 +64,8 @@ fn mixtures_give_their_inks() {
     let data = json(&run(dir, &[&command[..], &["--json"]].concat()), "measure");
     let inks = &data["unmixed"]["inks"];
     assert_eq!(keys(&data["unmixed"]), ["common", "inks", "mixtures"]);
+    // The dictionary has a single anisotropy, so none was chosen.
+    assert_eq!((&data["common_g"], &data["common"]["g_interval"]), (&value!(0.4), &Value::Null));
     let dark = inks.as_array().unwrap().iter().find(|i| i["material"] == "dark").unwrap();
     let interval = &dark["channels"][0]["absorption_interval"];
     let (low, high) = (interval["low"].as_f64().unwrap(), interval["high"].as_f64().unwrap());
@@ -157,24 +75,22 @@ fn mixtures_give_their_inks() {
     fails(dir, &command, &["mixture.material", "grey", "both"]);
 }
 
-/// A design predicts the errors that sets of slabs would give.
+/// A design compares sets of slabs, and is drawn.
 #[test]
 fn design_predicts_the_slab_errors() {
     let farm = farm();
     let dir = farm.path();
-    let medium = ["--sigma-t", "5", "--albedo", "0.99", "--g", "0.4"];
-    let command = [&["design", "--dictionary", "grid"][..], &medium].concat();
-    let text = run(dir, &command);
-    assert_eq!(text.code, 0, "{}", text.stderr);
-    let data = json(&run(dir, &[&command[..], &["--json"]].concat()), "design");
+    let design = |albedo: &str, more: &[&'static str]| {
+        let medium = ["design", "--dictionary", "grid", "--sigma-t", "5", "--albedo", albedo, "--g", "0.4"];
+        run(dir, &[&medium, more].concat())
+    };
+    let data = json(&design("0.99", &["--json", "--plot", "design.svg"]), "design");
     let sets = data["sets"].as_array().unwrap();
-    let width = |set: &Value| set["g_held"]["sigma_t_per_mm"].as_f64();
-    let one = sets.iter().find(|s| s["slabs_mm"] == value!([0.5]) && s["shots"] == 1).unwrap();
-    let both = sets.iter().find(|s| s["slabs_mm"] == value!([0.5, 1.0])).unwrap();
-    assert!(width(both).unwrap() < width(one).unwrap(), "{one} {both}");
-    assert_eq!(run(dir, &[&command[..], &["--plot", "design.svg"]].concat()).code, 0);
+    let width = |slabs_mm: Value| {
+        sets.iter().find(|s| s["slabs_mm"] == slabs_mm).unwrap()["g_held"]["sigma_t_per_mm"].as_f64().unwrap()
+    };
+    assert!(width(value!([0.5, 1.0])) < width(value!([0.5])), "{sets:?}");
     assert!(std::fs::read(dir.join("design.svg")).unwrap().starts_with(b"<svg"));
-    let dark = [&["design", "--dictionary", "grid"][..], &["--sigma-t", "5", "--albedo", "2", "--g", "0.4"]]
-        .concat();
-    fails(dir, &dark, &["albedo"]);
+    let refused = design("2", &[]);
+    assert!(refused.code == 1 && refused.stderr.contains("albedo"), "{}", refused.stderr);
 }

@@ -66,31 +66,11 @@ fn predicted_prints_are_as_simulated() {
     let channel = data["channels"].as_array().unwrap().iter().find(|c| c["channel"] == "550").unwrap();
     for (base, rho) in channel["bases"].as_array().unwrap().iter().zip(["0.9", "0.03"]) {
         let [sigma_t, albedo, g] = &medium;
-        let simulated = run(
-            folder.path(),
-            &[
-                "simulate",
-                "--sigma-t",
-                sigma_t,
-                "--albedo",
-                albedo,
-                "--g",
-                g,
-                "--thickness",
-                "0.5",
-                "--second-lobe",
-                "0,0",
-                "--rho-light",
-                rho,
-                "--rho-dark",
-                rho,
-                "--pixels",
-                "1",
-                "--walks",
-                "1e6",
-                "--json",
-            ],
+        let line = format!(
+            "simulate --sigma-t {sigma_t} --albedo {albedo} --g {g} --thickness 0.5 --second-lobe 0,0 \
+             --rho-light {rho} --rho-dark {rho} --pixels 1 --walks 1e6 --json"
         );
+        let simulated = run(folder.path(), &line.split(' ').collect::<Vec<_>>());
         let simulated = json(&simulated, "simulate");
         let [walked, error] =
             ["values", "std_errors"].map(|field| number(&simulated["channels"][0][field][0]));
