@@ -114,28 +114,6 @@ fn missing_noise_is_estimated() {
     assert!((0.7..1.4).contains(&(width(&silent) / width(&told))));
 }
 
-#[test]
-fn scale_and_gain_errors_widen_the_intervals() {
-    let dictionary = dense(360, 0.003);
-    let measured = noisy_measurement((3.1, 0.62, 0.3), 7, true);
-    let width = |change: fn(&mut FitSettings)| {
-        let mut settings = *options(Some(0.3)).settings();
-        change(&mut settings);
-        let found = fit(dictionary, &measured, &FitOptions::new(settings).unwrap()).unwrap();
-        let albedo = found.channels[0].refined.as_ref().unwrap().albedo;
-        albedo.high - albedo.low
-    };
-    let plain = width(|_| ());
-    // The level is proportional to the albedo: ±1.96 % of 0.62 in all, added in quadrature.
-    let scale = width(|s| s.mu_std_error = 0.01);
-    let expected = (plain * plain + (2.0 * 1.96 * 0.01 * 0.62_f64).powi(2)).sqrt();
-    assert!((scale / expected - 1.0).abs() < 0.15, "{scale} {expected}");
-    let gain = width(|s| s.gain_std_error = 0.01);
-    assert!(plain < gain && gain < scale, "{plain} {gain} {scale}");
-    let offset = width(|s| s.offset_std_error = 0.002);
-    assert!(plain < offset, "{plain} {offset}");
-}
-
 /// The bounds of parameters also hold between the nodes.
 #[test]
 fn bounds_hold_between_nodes() {
