@@ -4,7 +4,7 @@ mod examples;
 
 use farm_figures::testing::{self, interval, likelihood, scene_estimates};
 use farm_lab::measurement_file::Note;
-use farm_lab::set_up::{Assumed, SetUp};
+use farm_lab::set_up::SetUp;
 use farm_proto::ids::WorkerId;
 use farm_proto::status::{MachineFacts, WorkerState, WorkerStatus};
 use farm_proto::wire::{MeasurementSummary, StatusResponse};
@@ -48,6 +48,7 @@ fn answers() -> Vec<String> {
     };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
+    let used = |options| UsedOptions::new("paper", options, &assumed);
     let simulated = |several| {
         let style = simulate::JsonStyle { several, walks: 5000, seed: 7 };
         line("simulate", &simulate::SimulateJson::new(&style, &job, 0.9, &record()))
@@ -55,19 +56,16 @@ fn answers() -> Vec<String> {
     let dictionaries = [dictionary(true), dictionary(false)];
     let scaled = scale::ScaleJson { scale: &scale_curve, common: &common[0], materials: &fits[1..] };
     vec![
-        line("fit", &about(used(&free, &assumed), fit::FitJson { materials: &fits }, &notes())),
-        line("fit", &about(used(&bound, &assumed), fit::FitJson { materials: &fits[..1] }, &[])),
-        line("scale", &about(used(&bound, &assumed), scaled, &notes())),
-        line(
-            "measure",
-            &measure::data(used(&free, &assumed), &found(0, Some(scale_curve.clone())), &notes()),
-        ),
+        line("fit", &about(used(&free), fit::FitJson { materials: &fits }, &notes())),
+        line("fit", &about(used(&bound), fit::FitJson { materials: &fits[..1] }, &[])),
+        line("scale", &about(used(&bound), scaled, &notes())),
+        line("measure", &measure::data(used(&free), &found(0, Some(scale_curve.clone())), &notes())),
         line(
             "profile",
             &profile::ProfileJson { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
         ),
-        line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
-        line("map", &about(used(&free, &assumed), map::MapJson { maps: &[material_map()] }, &notes())),
+        line("measure", &measure::data(used(&bound), &found(1, None), &[])),
+        line("map", &about(used(&free), map::MapJson { maps: &[material_map()] }, &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
         simulated(true),
@@ -77,9 +75,9 @@ fn answers() -> Vec<String> {
         line("show", &show::data(&dictionaries[1])),
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
-        line("fit", &about(used(&likely, &assumed), fit::FitJson { materials: &[with_likelihood()] }, &[])),
+        line("fit", &about(used(&likely), fit::FitJson { materials: &[with_likelihood()] }, &[])),
         line("design", &design::data("paper", &design_question(likely), &assumed, &testing::design())),
-        line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
+        line("measure", &measure::data(used(&likely), &with_inks(fits[..1].to_vec()), &[])),
         line("measurements", &kept::KeptListJson { measurements: vec![kept_measurement().into()] }),
     ]
 }
@@ -137,10 +135,6 @@ fn line(kind: &str, data: &impl Serialize) -> String {
 
 fn notes() -> Vec<Note> {
     vec![Note { code: "x_in_cm", text: "x is in cm".to_owned() }]
-}
-
-fn used<'a>(options: &'a FitOptions, assumed: &Assumed) -> UsedOptions<'a> {
-    UsedOptions::new("paper", options, assumed)
 }
 
 fn options() -> [FitOptions; 3] {

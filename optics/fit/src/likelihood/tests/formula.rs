@@ -1,6 +1,6 @@
 //! Tests intervals on a dictionary that is computed from a formula.
 
-use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Outside, Refined};
+use optics_model::fit::{Bounds, ChannelFit, FitOptions, FitSettings, Objective, Refined};
 
 use crate::testing::{
     changed, coarse_axes, dense, noisy_dictionary, noisy_measurement, normal, profile_value, remade,
@@ -139,17 +139,4 @@ fn short_axes_are_interpolated_or_held() {
     (axes.sigma_t_per_mm, axes.albedo, axes.g) = (vec![4.0], vec![0.6], vec![0.4]);
     let alone = refined(&noisy_dictionary(axes, 360, 0.0), (3.0, 0.7, 0.4), 1, None);
     assert_eq!(alone.best.medium, optics_model::Medium::new(4.0, 0.6, 0.4).unwrap());
-}
-
-/// Profiles that are brighter or darker than all records are reported, others are not.
-#[test]
-fn profiles_beyond_all_records_are_reported() {
-    let dictionary = dense(360, 0.0);
-    let outside = |factor: f64| {
-        let plain = noisy_measurement((3.5, 0.65, 0.3), 1, true);
-        let measurement = remade(&plain, |p| changed(p, |_, v, e| (factor * v, Some(factor * e))));
-        fit(dictionary, &measurement, &options(Some(0.3))).unwrap().channels.remove(0).outside
-    };
-    assert_eq!(outside(1.0), None);
-    assert_eq!([20.0, 0.001].map(outside), [Some(Outside::Brighter), Some(Outside::Darker)]);
 }

@@ -161,19 +161,22 @@ fn parts_wavelets_and_levels_differ() {
     }
 }
 
-/// Profiles brighter or darker than all records are fitted and marked.
+/// Profiles brighter or darker than all records are fitted and marked, by either objective.
 #[test]
 fn profiles_beyond_all_records_are_marked() {
     let dictionary = dictionary(360);
-    let outside = |factor: f64| {
-        let m = measured(4.0, 0.9, 0.0, 360, 10.0);
-        let scaled = options(|s| s.mu = factor);
-        let channel = fit(&dictionary, &m, &scaled).unwrap().channels.remove(0);
-        (channel.outside, channel.candidates.len())
-    };
-    assert_eq!(outside(1.0), (None, 5));
-    assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
-    assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
+    for objective in [Objective::Paper, Objective::Likelihood] {
+        let outside = |factor: f64| {
+            let m = measured(4.0, 0.9, 0.0, 360, 10.0);
+            let settings = FitSettings { mu: factor, objective: Some(objective), ..FitSettings::default() };
+            let options = FitOptions::new(settings).unwrap();
+            let channel = fit(&dictionary, &m, &options).unwrap().channels.remove(0);
+            (channel.outside, channel.candidates.len())
+        };
+        assert_eq!(outside(1.0), (None, 5));
+        assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
+        assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
+    }
 }
 
 /// Unknown channels and thicknesses, and an x that hardly overlaps with the dictionary's, are refused.
