@@ -31,7 +31,7 @@ fn pieces() -> Vec<&'static [u8]> {
     pieces.split(|byte| *byte == b'|').collect()
 }
 
-/// At one position, a part of this length is replaced by other bytes and by itself so many times.
+/// At one position, a part of this length is replaced by other bytes and by copies of itself.
 #[derive(Debug, Clone)]
 struct Change {
     at: Index,

@@ -256,7 +256,8 @@ mod tests {
         blocks(media).into_iter().map(|b| b.name).collect()
     }
 
-    /// Media of each kind, and one of two lobes whose g is open, as every renderer reads them; `FARM_TEST_ACCEPT=1` writes the files.
+    /// Media of each kind, and one of two lobes whose g is open, as every renderer reads them; `FARM_TEST_ACCEPT=1` writes
+    /// the files.
     #[test]
     fn files_for_renderers_are_stable() {
         let mut media = three_kinds();

@@ -145,7 +145,7 @@ pub(super) fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 
     albedo * (middle * gel * (1.0 + 0.05 * gel) - 0.004 * ring * (x / 5.0).powi(2))
 }
 
-/// A dictionary of the formula with 120 pixels and so many uncertain quantities of the scene: the gel, then the ring.
+/// A dictionary of the formula with 120 pixels and this number of uncertain quantities: the gel of the scene, then the ring.
 pub(super) fn uncertain_dictionary(quantities: usize) -> FitDictionary {
     let gel = Prior::new(PriorKind::Thickness, vec![1, 3], 0.02, Scope::Slab).unwrap();
     let ring = Prior::new(PriorKind::RingAngle, Vec::new(), 1.0, Scope::Session).unwrap();

@@ -42,8 +42,8 @@ fn found(spoil: Spoil, swap: bool) -> Refined {
     fit.channels[0].refined.clone().unwrap()
 }
 
-/// Spoilt photographs are reported with the most likely reason; where no nuisance explains them, there is a misfit. An exposure that differs between two slabs is not among
-/// them: another medium explains it.
+/// Spoilt photographs are reported with the most likely reason; where no nuisance explains them, there is a misfit. An
+/// exposure that differs between two slabs is not among them: another medium explains it.
 #[test]
 fn spoilt_photographs_get_the_likeliest_reason() {
     let cases: [(&str, Spoil, bool, Cause); 4] = [
