@@ -31,55 +31,38 @@ fn pieces() -> Vec<&'static [u8]> {
     pieces.split(|byte| *byte == b'|').collect()
 }
 
-/// One change at a position.
+/// At one position, a part of this length is replaced by other bytes and by copies of itself.
 #[derive(Debug, Clone)]
-enum Change {
-    Cut(Index),
-    Remove(Index, usize),
-    Repeat(Index, usize, usize),
-    Flip(Index, u8),
-    Insert(Index, usize),
-    Replace(Index, usize, usize),
+struct Change {
+    at: Index,
+    length: usize,
+    by: Vec<u8>,
+    times: usize,
 }
 
 fn change() -> impl Strategy<Value = Change> {
-    let piece = 0..pieces().len();
-    prop_oneof![
-        1 => any::<Index>().prop_map(Change::Cut),
-        2 => (any::<Index>(), 1..40_usize).prop_map(|(at, n)| Change::Remove(at, n)),
-        2 => (any::<Index>(), 1..200_usize, 1..20_usize).prop_map(|(at, n, k)| Change::Repeat(at, n, k)),
-        3 => (any::<Index>(), any::<u8>()).prop_map(|(at, v)| Change::Flip(at, v)),
-        3 => (any::<Index>(), piece.clone()).prop_map(|(at, p)| Change::Insert(at, p)),
-        3 => (any::<Index>(), 1..8_usize, piece).prop_map(|(at, n, p)| Change::Replace(at, n, p)),
-    ]
+    let piece = || prop::sample::select(pieces()).prop_map(<[u8]>::to_vec);
+    let byte = any::<u8>().prop_map(|byte| vec![byte]);
+    let nothing = || Just(Vec::new());
+    let kind = prop_oneof![
+        // The rest is cut off.
+        1 => (Just(usize::MAX), nothing(), Just(0)),
+        2 => (1..40_usize, nothing(), Just(0)),
+        2 => (1..200_usize, nothing(), 2..21_usize),
+        3 => (Just(1), byte, Just(0)),
+        3 => (Just(0), piece(), Just(0)),
+        3 => (1..8_usize, piece(), Just(0)),
+    ];
+    (any::<Index>(), kind).prop_map(|(at, (length, by, times))| Change { at, length, by, times })
 }
 
 fn damaged(sound: &[u8], changes: &[Change]) -> Vec<u8> {
     let mut bytes = sound.to_vec();
-    for change in changes {
-        let at = |index: &Index| index.index(bytes.len() + 1);
-        let end = |from: usize, n: usize| (from + n).min(bytes.len());
-        match change {
-            Change::Cut(index) => bytes.truncate(at(index)),
-            Change::Remove(index, n) => drop(bytes.drain(at(index)..end(at(index), *n))),
-            Change::Repeat(index, n, times) => {
-                let (from, to) = (at(index), end(at(index), *n));
-                let piece = bytes[from..to].repeat(*times);
-                bytes.splice(to..to, piece);
-            }
-            Change::Flip(index, value) => {
-                let at = at(index);
-                if let Some(byte) = bytes.get_mut(at) {
-                    *byte ^= value;
-                }
-            }
-            Change::Insert(index, piece) => {
-                drop(bytes.splice(at(index)..at(index), pieces()[*piece].iter().copied()));
-            }
-            Change::Replace(index, n, piece) => {
-                drop(bytes.splice(at(index)..end(at(index), *n), pieces()[*piece].iter().copied()));
-            }
-        }
+    for Change { at, length, by, times } in changes {
+        let from = at.index(bytes.len() + 1);
+        let part: Vec<u8> = bytes[from..].iter().take(*length).copied().collect();
+        let new = [by.clone(), part.repeat(*times)].concat();
+        bytes.splice(from..from + part.len(), new);
     }
     bytes
 }
@@ -142,22 +125,9 @@ fn measurement() -> Measurement {
     read_measurements(&path).unwrap().materials.remove(0)
 }
 
-const SHORT_CSV: &str = "\
-# a comment
-material,channel,thickness_mm,x_mm,value,std_error
-white,R,0.5,-3.5,0.10,0.001
-white,R,0.5,-2.5,0.11,0.001
-white,R,0.5,-1.5,0.13,0.001
-white,R,0.5,-0.5,0.20,0.001
-white,R,0.5,0.5,0.40,0.001
-white,R,0.5,1.5,0.47,0.001
-white,R,0.5,2.5,0.49,0.001
-white,R,0.5,3.5,0.50,0.001
-";
-const MIXTURES: &[u8] = b"[[mixture]]\nmaterial = 'pale'\nparts = { white = 0.75, cyan = 0.25 }\n";
-const SESSION_JSON: &[u8] =
-    br#"{"format": "farmctl-session/1", "mu_std_error": 0.01, "gain_std_error": 0.004,
-  "blur_mm": {"R": 0.02, "G": 0.021}, "blur_std_error_mm": 0.004, "thickness_std_error_mm": 0.01}"#;
+const SHORT_CSV: &str = include_str!("damaged/short.csv");
+const MIXTURES: &[u8] = include_bytes!("damaged/mixtures.toml");
+const SESSION_JSON: &[u8] = include_bytes!("damaged/session.json");
 
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::with_cases(cases()) })]

@@ -137,8 +137,7 @@ fn text(status: &DictionaryStatus) -> String {
 #[cfg(test)]
 mod tests {
     use farm_proto::DictionaryName;
-    use farm_proto::status::DictionaryState;
-    use optics_model::{Digest, Grid};
+    use optics_model::Grid;
 
     use super::*;
 
@@ -153,25 +152,12 @@ mod tests {
     #[test]
     fn progress_shows_work_and_reason_to_wait() {
         let mut status = DictionaryStatus {
-            name: DictionaryName::new("fine").unwrap(),
             grid: Grid::paper(),
-            grid_digest: Digest::from_bytes([0; 32]),
-            records_digest: None,
-            created_unix_ms: 0,
-            state: DictionaryState::Running,
             jobs_done: 418,
-            jobs_leased: 0,
-            jobs_disputed: 0,
-            jobs_failed: 0,
-            failed: Vec::new(),
             work_done: 0.3629,
-            priority: 0,
-            reason: String::new(),
-            owner: String::new(),
             eta_s: None,
             goes_first: Some(DictionaryName::new("coarse").unwrap()),
-            records_reused: 0,
-            walks: (0, 0),
+            ..crate::testing::dictionary(false)
         };
         assert_eq!(text(&status), "36.2 % of the work, 17,138 of 34,276 records, coarse goes first");
         (status.goes_first, status.eta_s) = (None, Some(75.0));

@@ -68,7 +68,7 @@ fn cell<'a>(panel: &'a ChangesPanel, x_mm: &'a [f64]) -> SheetCell<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::{assert_well_laid_out, edge, texts, x_mm};
+    use crate::checks::{assert_shows, edge, x_mm};
 
     fn labelled(label: &str, width_mm: f64) -> LabelledCurve {
         LabelledCurve { label: label.into(), curve: edge(0.2, 0.6, width_mm) }
@@ -87,12 +87,7 @@ mod tests {
         let picture =
             changes_figure(&ChangesFigure { title: "White".into(), x_mm: x_mm(), panels: panels.collect() })
                 .unwrap();
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        for label in ["σt", "α", "g", "t = 1 mm", "reference", "x [mm]"] {
-            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-        }
-        let values = texts.iter().filter(|text| *text == "7").count();
-        assert_eq!(values, 3, "printed once per column");
+        let texts = assert_shows(&picture, &["σt", "α", "g", "t = 1 mm", "reference", "x [mm]"]);
+        assert_eq!(texts.iter().filter(|text| *text == "7").count(), 3, "printed once per column");
     }
 }

@@ -30,6 +30,16 @@ pub(super) fn texts(picture: &Picture) -> Vec<String> {
         .collect()
 }
 
+/// Asserts that a figure is well laid out and has texts with all of these parts; returns its texts.
+pub(super) fn assert_shows(picture: &Picture, parts: &[&str]) -> Vec<String> {
+    assert_well_laid_out(picture);
+    let texts = texts(picture);
+    for part in parts {
+        assert!(texts.iter().any(|text| text.contains(part)), "{part} in {texts:?}");
+    }
+    texts
+}
+
 /// Asserts that nothing is cut off and that no texts overlap.
 pub(super) fn assert_well_laid_out(picture: &Picture) {
     let (mut inked, mut texts) = (Vec::new(), Vec::new());

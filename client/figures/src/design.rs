@@ -212,20 +212,15 @@ impl DesignPanel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::{assert_well_laid_out, texts};
+    use crate::checks::{assert_shows, assert_well_laid_out};
     use crate::testing::design;
 
     /// Every set has its row, and the best is named.
     #[test]
     fn design_has_a_row_per_set() {
         let picture = design_figure(&design()).unwrap();
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        for label in
-            ["0.5", "0.5 + 1", "1 photograph of each slab", "2 photographs of each slab", "bold: best"]
-        {
-            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-        }
+        let labels = ["0.5 + 1", "1 photograph of each slab", "2 photographs of each slab", "bold: best"];
+        let texts = assert_shows(&picture, &labels);
         assert!(texts.iter().any(|text| text == "beyond 100 %: not drawn"), "{texts:?}");
         // Sets that differ only in the number of photographs share a row.
         assert_eq!(texts.iter().filter(|text| *text == "0.5").count(), 1);

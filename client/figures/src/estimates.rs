@@ -100,11 +100,13 @@ mod tests {
     #[test]
     fn channels_share_a_row() {
         let mut channels = vec![channel("R", 6.0, 1.0), channel("G", 9.0, 1.0)];
+        let of = |channels| estimate_rows(&[MaterialFit { material: "white".into(), channels }]);
+        assert_eq!(of(channels.clone()), [], "the scene is exact");
         channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
         let better = channels[1].refined.as_mut().unwrap();
         better.likelihood.scene = scene_estimates();
         better.likelihood.scene[0].std_error = 0.0008;
-        let rows = estimate_rows(&[MaterialFit { material: "white".into(), channels }]);
+        let rows = of(channels);
         let cells: Vec<_> = rows.iter().map(|r| [&r.quantity, &r.of, &r.estimate, &r.prior]).collect();
         assert_eq!(
             cells,
@@ -119,12 +121,5 @@ mod tests {
         assert!(
             warnings[1].is_empty() && warnings[2].contains("0.120 lies where the dictionary's responses end")
         );
-    }
-
-    /// An exact scene has no estimates.
-    #[test]
-    fn exact_scene_has_no_rows() {
-        let channels = vec![channel("R", 6.0, 1.0)];
-        assert_eq!(estimate_rows(&[MaterialFit { material: "white".into(), channels }]), []);
     }
 }

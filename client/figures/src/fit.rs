@@ -74,7 +74,7 @@ mod tests {
     use optics_model::fit::Curve;
 
     use super::*;
-    use crate::checks::{assert_well_laid_out, edge, texts, x_mm};
+    use crate::checks::{assert_shows, assert_well_laid_out, edge, texts, x_mm};
     use crate::testing;
 
     fn compared(thickness_mm: f64) -> FitCurves {
@@ -104,20 +104,10 @@ mod tests {
             [(1, &[0.5][..]), (3, &[0.5, 1.0]), (9, &[0.5]), (31, &[0.5, 1.0, 2.0])]
         {
             let picture = fit_figure(&figure(channels, thicknesses)).unwrap();
-            assert_well_laid_out(&picture);
-            let texts = texts(&picture);
+            let labels =
+                ["Vero White", "x [mm]", "radiance factor", "residual [σ]", "t = 0.5 mm", "measured"];
+            let texts = assert_shows(&picture, &[&labels[..], &["left out"]].concat());
             assert_eq!(texts.iter().filter(|text| text.ends_with(" nm")).count(), channels);
-            for label in [
-                "Vero White",
-                "x [mm]",
-                "radiance factor",
-                "residual [σ]",
-                "t = 0.5 mm",
-                "measured",
-                "left out",
-            ] {
-                assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-            }
             let warnings = texts.iter().filter(|text| text.ends_with("mm off?"));
             assert_eq!(warnings.count(), channels);
         }

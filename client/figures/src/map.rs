@@ -78,7 +78,7 @@ mod tests {
 
     use super::plan::FINENESS;
     use super::*;
-    use crate::checks::{assert_well_laid_out, texts};
+    use crate::checks::{assert_shows, texts};
     use crate::drawing::rgb::Rgb;
     use crate::testing;
 
@@ -129,19 +129,10 @@ mod tests {
     fn maps_are_well_laid_out() {
         for gs in [1, 2, 3, 4, 5, 11] {
             let picture = draw(&figure(gs)).unwrap();
-            assert_well_laid_out(&picture);
-            let texts = texts(&picture);
+            let title = "Vero White, channel R: distance to every medium";
+            let labels = [title, "1 − α", "σt [1/mm]", "distance", "best fit", "similarity theory"];
+            let texts = assert_shows(&picture, &labels);
             assert_eq!(texts.iter().filter(|text| text.starts_with("g = ")).count(), gs);
-            for label in [
-                "Vero White, channel R: distance to every medium",
-                "1 − α",
-                "σt [1/mm]",
-                "distance",
-                "best fit",
-                "similarity theory",
-            ] {
-                assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-            }
             let outside = texts.iter().any(|text| text == "similarity theory, outside the grid");
             assert_eq!(outside, gs > 1);
         }
@@ -153,13 +144,8 @@ mod tests {
         let mut map = figure(4);
         map.layers.iter_mut().for_each(|layer| layer.similar = None);
         let picture = noise_figure("paper", &map).unwrap();
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        for label in
-            ["Dictionary paper: noise of its records", "relative standard error", "noisiest for this g"]
-        {
-            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-        }
+        let title = "Dictionary paper: noise of its records";
+        let texts = assert_shows(&picture, &[title, "relative standard error", "noisiest for this g"]);
         assert!(
             !texts.iter().any(|text| text.contains("distance") || text.contains("similarity")),
             "{texts:?}"
@@ -227,13 +213,7 @@ mod tests {
             layers: vec![layer],
         };
         let picture = draw(&figure).unwrap();
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        assert!(
-            texts.iter().any(|t| t.starts_with("α = 1 has no place"))
-                && texts.iter().any(|t| t == "g = −0.25")
-        );
-
+        assert_shows(&picture, &["α = 1 has no place", "g = −0.25"]);
         figure.layers[0].errors[0].pop();
         assert_eq!(draw(&figure).unwrap_err().to_string(), "map for g = -0.25: 1 distances for 2 cells");
         figure.layers[0].errors = vec![vec![f64::NAN; 2]];

@@ -175,34 +175,16 @@ mod tests {
     use optics_model::fit::{GError, ScalePoint};
 
     use super::*;
-    use crate::checks::{assert_well_laid_out, texts};
-    use crate::testing::interval;
+    use crate::checks::{assert_shows, assert_well_laid_out, texts};
+    use crate::testing;
 
     fn answer() -> (ScaleCurve, Common) {
         let points = (0..=200).map(|i| 0.8 + 0.001 * f64::from(i));
-        let points = points.map(|mu| ScalePoint { mu, error: 0.28 + (mu - 0.913).abs() });
+        let points = points.map(|mu| ScalePoint { mu, error: 0.28 + (mu - 0.913).abs() }).collect();
         let at = |g, error| GError { g, error, best_mu: 0.9, best_mu_error: 0.28 };
         let by_g = (0_i32..9).map(|i| at(0.1 * f64::from(i), 0.3 + 0.02 * f64::from((i - 4).abs())));
-        let curve = ScaleCurve {
-            best: ScalePoint { mu: 0.913, error: 0.28 },
-            std_error: Some(0.0042),
-            curvature: None,
-            at_end: false,
-            best_g: 0.3,
-            by_g: Vec::new(),
-            points: points.collect(),
-        };
-        let common = Common {
-            mu: 0.9,
-            mu_std_error: 0.01,
-            mu_interval: interval(0.88, 0.92),
-            mu_chosen: true,
-            g: Some(0.4),
-            g_change: None,
-            g_interval: Some(interval(0.3, 0.5)),
-            by_g: by_g.collect(),
-        };
-        (curve, common)
+        let curve = ScaleCurve { points, ..testing::scale_curve() };
+        (curve, Common { by_g: by_g.collect(), ..testing::common() })
     }
 
     fn figure((curve, common): &(ScaleCurve, Common)) -> Picture {
@@ -213,19 +195,18 @@ mod tests {
     #[test]
     fn minimum_is_shown_with_its_error() {
         let picture = figure(&answer());
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        for label in [
-            "minimum, by records alone: μ* = 0.9130 ± 0.0042",
-            "of the answer, by refined media: μ = 0.900 ± 0.010",
-            "minimum: g = 0.4",
-            "scaling factor μ",
-            "error of the best records, Eq. 3",
-            "anisotropy g",
-            "−2 ln L of all channels",
-        ] {
-            assert!(texts.iter().any(|text| text == label), "{label} in {texts:?}");
-        }
+        assert_shows(
+            &picture,
+            &[
+                "minimum, by records alone: μ* = 0.9130 ± 0.0042",
+                "of the answer, by refined media: μ = 0.900 ± 0.010",
+                "minimum: g = 0.4",
+                "scaling factor μ",
+                "error of the best records, Eq. 3",
+                "anisotropy g",
+                "−2 ln L of all channels",
+            ],
+        );
     }
 
     /// An anisotropy that was given is not shown as a minimum.

@@ -143,7 +143,7 @@ fn draw_panel(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::checks::{assert_well_laid_out, texts};
+    use crate::checks::assert_shows;
     use crate::testing;
 
     fn material(name: &str, channels: &[&str]) -> MaterialFit {
@@ -156,11 +156,7 @@ mod tests {
     fn spectra_need_wavelengths() {
         let white = material("white", &["550", "450 nm", "650"]);
         let picture = spectra_figure(&[white, material("red", &["R", "G", "B"])]).unwrap();
-        assert_well_laid_out(&picture);
-        let texts = texts(&picture);
-        for text in ["white", "σa [1/mm]", "wavelength [nm]"] {
-            assert!(texts.iter().any(|t| t.contains(text)), "{text}: {texts:?}");
-        }
+        let texts = assert_shows(&picture, &["white", "σa [1/mm]", "wavelength [nm]"]);
         assert!(!picture.svg().contains("NaN") && !texts.iter().any(|t| t == "red"));
         for few in [vec!["450", "550"], vec!["R", "G", "B"], vec![]] {
             assert!(spectra_figure(&[material("m", &few)]).is_none(), "{few:?}");

@@ -4,8 +4,8 @@ use optics_model::Medium;
 use optics_model::fit::{
     Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, ErrorSource, HalfWidths,
     Improvement, InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
-    NuisanceEstimate, OutlierPixel, PixelRow, Refined, SceneEstimate, SlabSet, SourceShare, Stretch,
-    Suspicion, Unmixed,
+    NuisanceEstimate, OutlierPixel, PixelRow, Refined, ScaleCurve, ScalePoint, SceneEstimate, SlabSet,
+    SourceShare, Stretch, Suspicion, Unmixed,
 };
 use optics_model::scene::Scope;
 
@@ -58,6 +58,33 @@ pub fn design() -> Design {
 /// An interval that is open below if it begins at 0, and open above if it ends beyond 1.
 pub fn interval(low: f64, high: f64) -> Interval {
     Interval { low, high, open_low: low == 0.0, open_high: high > 1.0 }
+}
+
+/// A chosen scale factor and anisotropy with their intervals.
+pub fn common() -> Common {
+    Common {
+        mu: 0.9,
+        mu_std_error: 0.01,
+        mu_interval: interval(0.88, 0.92),
+        mu_chosen: true,
+        g: Some(0.4),
+        g_change: None,
+        g_interval: Some(interval(0.3, 0.5)),
+        by_g: Vec::new(),
+    }
+}
+
+/// A curve over the scale factor, without its points.
+pub fn scale_curve() -> ScaleCurve {
+    ScaleCurve {
+        points: Vec::new(),
+        best: ScalePoint { mu: 0.913, error: 0.28 },
+        std_error: Some(0.0042),
+        curvature: None,
+        at_end: false,
+        by_g: Vec::new(),
+        best_g: 0.4,
+    }
 }
 
 pub fn candidate(sigma_t_per_mm: f64) -> Candidate {
@@ -199,13 +226,10 @@ pub fn unmixed() -> Unmixed {
     Unmixed {
         common: Common {
             mu: 0.91,
-            mu_std_error: 0.01,
             mu_interval: closed(0.89, 0.93),
-            mu_chosen: true,
             g: Some(0.46),
-            g_change: None,
             g_interval: Some(closed(0.398, 0.5)),
-            by_g: Vec::new(),
+            ..common()
         },
         inks: vec![InkFit { material: "cyan".into(), channels: vec![channel] }],
         mixtures: vec![

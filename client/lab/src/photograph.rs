@@ -12,7 +12,7 @@ mod masked;
 mod netpbm;
 mod png;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tiff;
 mod unreadable;
 

@@ -1,7 +1,7 @@
 //! Tests the texts of answers as users read them.
 
 use farm_figures::misfit::misfit_short;
-use farm_figures::testing::{channel, design, likelihood, scene_estimates, unmixed};
+use farm_figures::testing::{channel, common, design, likelihood, scale_curve, scene_estimates, unmixed};
 use optics_model::fit::{
     Cause, ChannelFit, Common, Design, DesignQuestion, DesignSettings, GError, Interval, MaterialFit,
     PixelRow, ScaleCurve, ScalePoint, Suspicion,
@@ -69,23 +69,19 @@ fn scales() -> String {
         mu: 1.0,
         mu_std_error: 0.0919,
         mu_interval: interval(0.8, 1.1, true),
-        mu_chosen: true,
         g: Some(0.4123),
-        g_change: None,
         g_interval: Some(interval(0.35, 0.47, false)),
-        by_g: Vec::new(),
+        ..common()
     };
     let found = Common { mu_chosen: false, ..open.clone() };
     let given = Common { mu_std_error: 0.0, g_interval: None, ..found.clone() };
     let best = Common { by_g: by_g.to_vec(), ..given.clone() };
+    let best_point = ScalePoint { mu: 0.913, error: 0.2 };
     let curve = |curvature| ScaleCurve {
-        points: Vec::new(),
-        best: ScalePoint { mu: 0.913, error: 0.2 },
+        best: best_point,
         std_error: None,
         curvature: Some(curvature),
-        at_end: false,
-        by_g: Vec::new(),
-        best_g: 0.4,
+        ..scale_curve()
     };
     let texts = [open, found, given, best].map(|common| common_text(&common));
     texts.into_iter().chain([50.0, -50.0].map(|c| scale_text(&curve(c)))).collect::<Vec<_>>().join("\n")

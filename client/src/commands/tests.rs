@@ -2,14 +2,11 @@
 
 mod examples;
 
-use farm_figures::testing::{interval, likelihood, scene_estimates};
+use farm_figures::testing::{self, interval, likelihood, scene_estimates};
 use farm_lab::measurement_file::Note;
-use farm_lab::set_up::{Assumed, SetUp};
-use farm_proto::DictionaryName;
+use farm_lab::set_up::SetUp;
 use farm_proto::ids::WorkerId;
-use farm_proto::status::{
-    DictionaryState, DictionaryStatus, FailedJob, MachineFacts, WorkerState, WorkerStatus,
-};
+use farm_proto::status::{MachineFacts, WorkerState, WorkerStatus};
 use farm_proto::wire::{MeasurementSummary, StatusResponse};
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Common, Curve, DesignQuestion, DesignSettings, DistanceMap,
@@ -17,12 +14,9 @@ use optics_model::fit::{
     PixelRow, PredictedChannel, PredictedProfiles, Refined, ScaleCurve, ScalePoint, SharedErrors,
     SourceShare, Suspicion, ThicknessError, Wavelet,
 };
-use optics_model::grid::{Axes, Quality};
 use optics_model::job::JobSpec;
 use optics_model::phase::SecondLobe;
-use optics_model::{
-    Derivatives, Digest, Estimate, Grid, Medium, Profile, Record, Scene, TransportPoint, Walks,
-};
+use optics_model::{Derivatives, Estimate, Medium, Profile, Record, Scene, TransportPoint, Walks};
 use serde::Serialize;
 
 use super::dictionaries::{list, show};
@@ -32,7 +26,7 @@ use super::fits::{design, fit, map, measure, profile, scale};
 use super::measurements::{kept, simulate};
 use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::output::envelope;
-use crate::testing::is_stable;
+use crate::testing::{dictionary, is_stable};
 
 /// The JSON output is unchanged: one answer per line, as `--json` prints it. Fields may be added to a version, never changed
 /// or removed: a line may only grow.
@@ -54,6 +48,7 @@ fn answers() -> Vec<String> {
     };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
+    let used = |options| UsedOptions::new("paper", options, &assumed);
     let simulated = |several| {
         let style = simulate::JsonStyle { several, walks: 5000, seed: 7 };
         line("simulate", &simulate::SimulateJson::new(&style, &job, 0.9, &record()))
@@ -61,19 +56,16 @@ fn answers() -> Vec<String> {
     let dictionaries = [dictionary(true), dictionary(false)];
     let scaled = scale::ScaleJson { scale: &scale_curve, common: &common[0], materials: &fits[1..] };
     vec![
-        line("fit", &about(used(&free, &assumed), fit::FitJson { materials: &fits }, &notes())),
-        line("fit", &about(used(&bound, &assumed), fit::FitJson { materials: &fits[..1] }, &[])),
-        line("scale", &about(used(&bound, &assumed), scaled, &notes())),
-        line(
-            "measure",
-            &measure::data(used(&free, &assumed), &found(0, Some(scale_curve.clone())), &notes()),
-        ),
+        line("fit", &about(used(&free), fit::FitJson { materials: &fits }, &notes())),
+        line("fit", &about(used(&bound), fit::FitJson { materials: &fits[..1] }, &[])),
+        line("scale", &about(used(&bound), scaled, &notes())),
+        line("measure", &measure::data(used(&free), &found(0, Some(scale_curve.clone())), &notes())),
         line(
             "profile",
             &profile::ProfileJson { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
         ),
-        line("measure", &measure::data(used(&bound, &assumed), &found(1, None), &[])),
-        line("map", &about(used(&free, &assumed), map::MapJson { maps: &[material_map()] }, &notes())),
+        line("measure", &measure::data(used(&bound), &found(1, None), &[])),
+        line("map", &about(used(&free), map::MapJson { maps: &[material_map()] }, &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
         simulated(true),
@@ -83,12 +75,9 @@ fn answers() -> Vec<String> {
         line("show", &show::data(&dictionaries[1])),
         line("list", &list::data(&dictionaries)),
         line("workers", &workers::data(&[worker()])),
-        line("fit", &about(used(&likely, &assumed), fit::FitJson { materials: &[with_likelihood()] }, &[])),
-        line(
-            "design",
-            &design::data("paper", &design_question(likely), &assumed, &farm_figures::testing::design()),
-        ),
-        line("measure", &measure::data(used(&likely, &assumed), &with_inks(fits[..1].to_vec()), &[])),
+        line("fit", &about(used(&likely), fit::FitJson { materials: &[with_likelihood()] }, &[])),
+        line("design", &design::data("paper", &design_question(likely), &assumed, &testing::design())),
+        line("measure", &measure::data(used(&likely), &with_inks(fits[..1].to_vec()), &[])),
         line("measurements", &kept::KeptListJson { measurements: vec![kept_measurement().into()] }),
     ]
 }
@@ -130,7 +119,7 @@ fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
         scale: None,
         common: common(Some(0.4)),
         materials,
-        unmixed: Some(farm_figures::testing::unmixed()),
+        unmixed: Some(testing::unmixed()),
         shared_errors: SharedErrors::default(),
         kept: None,
     }
@@ -146,10 +135,6 @@ fn line(kind: &str, data: &impl Serialize) -> String {
 
 fn notes() -> Vec<Note> {
     vec![Note { code: "x_in_cm", text: "x is in cm".to_owned() }]
-}
-
-fn used<'a>(options: &'a FitOptions, assumed: &Assumed) -> UsedOptions<'a> {
-    UsedOptions::new("paper", options, assumed)
 }
 
 fn options() -> [FitOptions; 3] {
@@ -190,9 +175,8 @@ fn candidate(sigma_t: f64, record: Option<usize>) -> Candidate {
     };
     Candidate {
         medium: Medium::new(sigma_t, 0.999_827, 0.4).unwrap(),
-        sample_ior: 1.53,
-        error: 0.0626,
         thicknesses: vec![thickness(0.5, record), thickness(1.0, record.map(|r| r + 41))],
+        ..testing::candidate(sigma_t)
     }
 }
 
@@ -207,6 +191,7 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         amount: -0.0712,
         misfit_left: 1.04,
     });
+    let plain = testing::channel(name, 6.21, 1.0);
     let refined = Refined {
         best: candidate(6.21, None),
         sigma_t_per_mm: interval(5.9, 6.5),
@@ -216,23 +201,18 @@ fn channel(name: &str, suspicion: Option<(Cause, Option<f64>)>) -> ChannelFit {
         absorption_per_mm: interval(1e-9, 0.005),
         covariance: [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.5]],
         correlation: 0.98,
-        valley: true,
         resolved: false,
         resolved_at_g: false,
-        measurement_noise: 0.01,
-        dictionary_share: 0.1,
         misfit: 3.42,
         suspicion,
         likelihood: likelihood(712.4, 0.5312),
-        from_mixtures: false,
         second_lobe: SecondLobe::new(0.07, -0.5).ok(),
+        ..plain.refined.unwrap()
     };
     ChannelFit {
-        channel: name.to_owned(),
         candidates: vec![candidate(6.0, Some(16_234)), candidate(6.5, Some(17_000))],
         refined: Some(refined),
-        outside: None,
-        curves: Vec::new(),
+        ..testing::channel(name, 6.21, 1.0)
     }
 }
 
@@ -300,23 +280,16 @@ fn common(g: Option<f64>) -> Common {
         mu_interval: interval(0.9, 0.93),
         mu_chosen: g.is_some(),
         g,
-        g_change: None,
         g_interval: g.map(|_| interval(0.35, 0.47)),
         by_g: g.map(|_| by_g()).unwrap_or_default(),
+        ..testing::common()
     }
 }
 
 fn scale_curve() -> ScaleCurve {
     let point = |mu, error| ScalePoint { mu, error };
-    ScaleCurve {
-        points: vec![point(0.8, 0.4), point(0.913, 0.28), point(1.0, 0.5)],
-        best: point(0.913, 0.28),
-        std_error: Some(0.0042),
-        curvature: None,
-        at_end: false,
-        by_g: by_g(),
-        best_g: 0.4,
-    }
+    let points = vec![point(0.8, 0.4), point(0.913, 0.28), point(1.0, 0.5)];
+    ScaleCurve { points, by_g: by_g(), ..testing::scale_curve() }
 }
 
 fn material_map() -> map::MaterialMap {
@@ -357,43 +330,6 @@ fn record() -> Record {
         Profile { radiance_factor: of([0.1, 0.8]), derivatives: Some(derivatives) }
     };
     Record { index: 3, profiles: vec![profile(), profile(), profile()] }
-}
-
-fn dictionary(done: bool) -> DictionaryStatus {
-    let axes = Axes {
-        sigma_t_per_mm: vec![1.0, 4.5],
-        albedo: vec![0.5, 0.9, 0.99],
-        g: vec![-0.1, 0.4],
-        thickness_mm: vec![0.5],
-        sample_ior: vec![1.53],
-    };
-    let walks = Walks::new(25_000).unwrap();
-    let scene = if done { Scene::paper() } else { Scene::smooth() };
-    let grid = Grid::new(scene, axes, walks, 1, done).unwrap();
-    let target = Quality::new(0.01, Walks::new(1_000_000).unwrap()).unwrap();
-    let grid = if done { grid } else { grid.with_quality(target).unwrap() };
-    let failed = |quarantined| FailedJob { job: 2, reason: "no reason".to_owned(), quarantined };
-    DictionaryStatus {
-        name: DictionaryName::new(if done { "paper" } else { "fine" }).unwrap(),
-        grid,
-        grid_digest: Digest::from_bytes([0x5a; 32]),
-        records_digest: done.then_some(Digest::from_bytes([0xc3; 32])),
-        created_unix_ms: 1_790_000_000_123,
-        state: if done { DictionaryState::Done } else { DictionaryState::Cancelled },
-        jobs_done: if done { 4 } else { 1 },
-        jobs_leased: 2,
-        jobs_disputed: if done { 2 } else { 0 },
-        jobs_failed: if done { 0 } else { 2 },
-        failed: if done { Vec::new() } else { vec![failed(true), failed(false)] },
-        work_done: if done { 1.0 } else { 0.362 },
-        priority: -3,
-        reason: if done { String::new() } else { "not needed".to_owned() },
-        owner: if done { "alice".to_owned() } else { String::new() },
-        eta_s: (!done).then_some(75.5),
-        goes_first: (!done).then(|| DictionaryName::new("paper").unwrap()),
-        records_reused: 3,
-        walks: (25_000, 1_000_000),
-    }
 }
 
 fn worker() -> WorkerStatus {

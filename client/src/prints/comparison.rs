@@ -180,31 +180,21 @@ fn exceedance(chi2: f64, degrees: usize) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     fn medium(sigma_t: f64, albedo: f64, sd: f64) -> MediaChannel {
-        let interval = |value: f64| MediaInterval {
-            low: Some(value * (1.0 - Z * sd)),
-            high: Some(value * (1.0 + Z * sd)),
-        };
-        let (scattering, absorption) = (0.6 * sigma_t * albedo, sigma_t * (1.0 - albedo));
-        MediaChannel {
-            channel: "R".to_owned(),
-            sigma_t_per_mm: sigma_t,
-            albedo,
-            g: 0.4,
-            second_lobe: None,
-            sample_ior: 1.53,
-            covariance: [[sd * sd, 0.0, 0.0], [0.0; 3], [0.0; 3]],
-            shared: Vec::new(),
-            resolved: true,
-            misfit: 1.0,
-            sigma_t_interval: interval(sigma_t),
-            albedo_interval: MediaInterval { low: Some(albedo), high: Some(albedo) },
-            g_interval: MediaInterval { low: None, high: Some(0.5) },
-            reduced_scattering_interval: interval(scattering),
-            absorption_interval: interval(absorption),
-        }
+        let interval = |value: f64| json!({"low": value * (1.0 - Z * sd), "high": value * (1.0 + Z * sd)});
+        serde_json::from_value(json!({
+            "channel": "R", "sigma_t_per_mm": sigma_t, "albedo": albedo, "g": 0.4, "sample_ior": 1.53,
+            "covariance": [[sd * sd, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], "resolved": true, "misfit": 1.0,
+            "sigma_t_interval": interval(sigma_t), "albedo_interval": {"low": albedo, "high": albedo},
+            "g_interval": {"low": null, "high": 0.5},
+            "reduced_scattering_interval": interval(0.6 * sigma_t * albedo),
+            "absorption_interval": interval(sigma_t * (1.0 - albedo)),
+        }))
+        .unwrap()
     }
 
     /// One of twenty media that agree has a probability below 5 %: that is no difference.

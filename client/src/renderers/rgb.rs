@@ -100,14 +100,4 @@ mod tests {
             }
         }
     }
-
-    /// A spectrum is sampled at the nearest wavelengths, with a note.
-    #[test]
-    fn spectra_have_the_colours_of_their_neighbours() {
-        let media = three_kinds();
-        let all = blocks(&media);
-        let grey = RgbMedium::of(&all[1]);
-        assert_eq!(grey.absorption, [3.75, 6.75, 6.75]);
-        assert!(grey.notes.last().unwrap().contains("610, 550 and 465 nm"), "{:?}", grey.notes);
-    }
 }

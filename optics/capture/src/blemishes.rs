@@ -181,22 +181,6 @@ mod tests {
         masked as f64 / f64::from(SIDE * SIDE)
     }
 
-    /// Specks and scratches are masked, and nothing else.
-    #[test]
-    fn only_specks_and_scratches_are_masked() {
-        let speck = |x: f64, y: f64| (x - 100.0).hypot(y - 60.0) < 8.0;
-        let scratch = |x: f64, y: f64| (y - 0.5 * x - 50.0).abs() < 1.5;
-        let mask = BlemishMask::find(
-            &residuals(|x, y| if speck(x, y) || scratch(x, y) { -20.0 } else { 0.0 }),
-            MM_PER_PX,
-        );
-        assert_eq!(mask.blemishes.len(), 2);
-        assert!(mask.holds(100, 60) && mask.holds(100, 52) && mask.holds(200, 150) && !mask.holds(100, 180));
-        assert!(share(&mask) < 0.1, "{}", share(&mask));
-        let clean = BlemishMask::find(&residuals(|_, _| 0.0), MM_PER_PX);
-        assert!(clean.blemishes.is_empty() && share(&clean) == 0.0);
-    }
-
     /// Deviations of a quarter of a per cent, however small the noise.
     #[test]
     fn uneven_light_is_no_blemish() {

@@ -124,20 +124,14 @@ mod tests {
         EdgeBins { width: 0.03, reach: 0.6, points }
     }
 
-    /// The fit of an exact edge returns its place and its blur.
+    /// The fit of an exact edge returns its place and its blur; their errors are proportional to those of the bins.
     #[test]
     fn exact_edge_gives_place_and_blur() {
-        let found = fit(&edge(1e-3)).unwrap();
-        assert!((found.origin.value - 0.011).abs() < 1e-8, "{found:?}");
-        assert!((found.blur.value - 0.029).abs() < 1e-8, "{found:?}");
-    }
-
-    /// The errors of place and blur are proportional to those of the bins.
-    #[test]
-    fn edge_errors_grow_with_bin_errors() {
         let [one, two] = [1e-3, 2e-3].map(|e| fit(&edge(e)).unwrap());
-        assert!((two.origin.std_error / one.origin.std_error - 2.0).abs() < 1e-6);
-        assert!((two.blur.std_error / one.blur.std_error - 2.0).abs() < 1e-6);
+        assert!((one.origin.value - 0.011).abs() < 1e-8 && (one.blur.value - 0.029).abs() < 1e-8, "{one:?}");
+        for (one, two) in [(one.origin, two.origin), (one.blur, two.blur)] {
+            assert!((two.std_error / one.std_error - 2.0).abs() < 1e-6);
+        }
     }
 
     /// A bin on the dark side that is as bright as a third of the edge hides neither place nor blur.

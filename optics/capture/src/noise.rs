@@ -207,12 +207,13 @@ mod tests {
         Frame::new(512, 256, RGGB, samples).unwrap()
     }
 
-    /// Pairs of frames give the noise without light and the numbers per electron.
+    /// Pairs of frames give the noise without light and the numbers per electron; where no frame was taken twice, a single
+    /// one does.
     #[test]
     fn frame_pairs_give_gain_and_read_noise() {
-        let (a, b) = (frame(1), frame(2));
-        let mut pairs = Pairs::default();
-        pairs.add(&a, &b, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));
+        let (a, b, black) = (frame(1), frame(2), [Estimate::new(100.0, 0.0); 4]);
+        let (mut pairs, mut single) = (Pairs::default(), Pairs::default());
+        pairs.add(&a, &b, &black, Saturation::all(60_000.0));
         for noise in pairs.fit(&a.sites()).unwrap() {
             // Rounding adds a twelfth to the variance.
             let read = (16.0_f64 + 1.0 / 12.0).sqrt();
@@ -220,16 +221,9 @@ mod tests {
             assert!((noise.read.value / read - 1.0).abs() < 0.03, "{noise:?}");
             assert!((noise.gain.value - 0.7).abs() < 4.0 * noise.gain.std_error, "{noise:?}");
         }
-    }
-
-    /// A single frame is used where no frame was taken twice.
-    #[test]
-    fn single_frame_replaces_a_missing_pair() {
-        let a = frame(3);
-        let mut pairs = Pairs::default();
-        pairs.add_single(&a, &[Estimate::new(100.0, 0.0); 4], Saturation::all(60_000.0));
-        assert!(!pairs.has_pairs());
-        let found = pairs.fit(&a.sites()).unwrap();
+        single.add_single(&a, &black, Saturation::all(60_000.0));
+        assert!(!single.has_pairs());
+        let found = single.fit(&a.sites()).unwrap();
         assert!(found.iter().all(|n| (n.gain.value / 0.7 - 1.0).abs() < 0.05), "{found:?}");
     }
 }

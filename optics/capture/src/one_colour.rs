@@ -55,15 +55,11 @@ const BLOCK_SAMPLES: f64 = (crate::noise::SIDE * crate::noise::SIDE) as f64;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::RGGB;
+    use crate::testing::{RGGB, normal};
 
     /// Light that falls off to one side, with noise; `scale` multiplies the colours.
     fn frame(pattern: Pattern, scale: [f64; 3], grey: bool) -> Frame {
         let mut state = 7_u64;
-        let mut noise = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-        };
         let planes = if pattern == Pattern::Rgb { 3 } else { 1 };
         let mut last = 0.0;
         let samples = (0..400 * 300 * planes).map(|i| {
@@ -73,11 +69,11 @@ mod tests {
                 Pattern::Rgb | Pattern::One(_) => plane,
             };
             if plane == 0 || !grey {
-                last = noise();
+                last = normal(&mut state);
             }
             // Half of it is a dark square.
             let light = if x < 190 { 5000.0 - 2.0 * x as f64 } else { 100.0 };
-            (64.0 + scale[colour] * light + 200.0 * last).max(0.0) as u16
+            (64.0 + scale[colour] * light + 58.0 * last).max(0.0) as u16
         });
         Frame::new(400, 300, pattern, samples.collect()).unwrap()
     }

@@ -2,14 +2,17 @@
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
+use std::sync::atomic::AtomicBool;
 
 use optics_model::fit::FitSettings;
-use optics_model::grid::Axes;
+use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
-use optics_model::scene::{Scene, Sensor};
+use optics_model::scene::{Prior, PriorKind, Scene, Scope, Sensor};
 use optics_model::{
-    Estimate, Grid, MeasuredProfile, Measurement, Medium, PackedRecords, Profile, Record, Walks,
+    Estimate, Grid, MeasuredProfile, Measurement, Medium, PackedRecords, Profile, Record, TransportPoint,
+    Walks,
 };
+use optics_tracer::trace;
 
 use super::{DictionaryBuilder, FitDictionary};
 
@@ -125,6 +128,43 @@ pub(super) fn normal(n: u64) -> f64 {
         ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
     };
     (0..12).map(uniform).sum::<f64>() - 6.0
+}
+
+/// The traced profile of a slab in the scene's first channel, with an index of 1.53.
+pub(super) fn traced_profile(scene: Scene, medium: &Medium, mm: f64, walks: Walks, seed: u64) -> Vec<f64> {
+    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), mm, 1.53).unwrap();
+    let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();
+    let record = trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
+    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
+}
+
+/// The change of a profile by the quantities' differences from the scene in standard deviations: the gel's brightens the
+/// middle, not quite in proportion; the ring's darkens the rims.
+pub(super) fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 {
+    let middle = 0.02 * (-x * x).exp() * (1.0 - 0.3 * g);
+    albedo * (middle * gel * (1.0 + 0.05 * gel) - 0.004 * ring * (x / 5.0).powi(2))
+}
+
+/// A dictionary of the formula with 120 pixels and this number of uncertain quantities: the gel of the scene, then the ring.
+pub(super) fn uncertain_dictionary(quantities: usize) -> FitDictionary {
+    let gel = Prior::new(PriorKind::Thickness, vec![1, 3], 0.02, Scope::Slab).unwrap();
+    let ring = Prior::new(PriorKind::RingAngle, Vec::new(), 1.0, Scope::Session).unwrap();
+    let scene = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
+    let scene = scene.with_priors([gel, ring][..quantities].to_vec()).unwrap();
+    let responses = Responses::of(&scene, &dense_axes(), |varied| Ok(varied.channels().to_vec())).unwrap();
+    let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
+    let grid = responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap();
+    dictionary_of(&grid, |index| {
+        let mut quantities = [0.0; 2];
+        if let Some(variant) = grid.response_of(index / grid.albedo().len()).and_then(|place| place.variant) {
+            let variant = &grid.responses().unwrap().variants()[variant];
+            quantities[variant.prior] = variant.step / grid.scene().priors()[variant.prior].std_error();
+        }
+        exact_record(&grid, index, 3, |x, m, thickness, channel| {
+            let (s, a, g) = (m.sigma_t_per_mm(), m.albedo(), m.g());
+            profile_value(x, s, a, g, thickness, channel as f64) + change(x, a, g, quantities)
+        })
+    })
 }
 
 /// Centres of pixels over 10 mm.

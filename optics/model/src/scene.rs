@@ -356,32 +356,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn scene_needs_exactly_one_sample() {
-        let paper = Scene::paper();
-        let without: Vec<_> =
-            paper.layers().iter().filter(|l| l.medium() != LayerMedium::Sample).cloned().collect();
-        let error = Scene::new(without, paper.channels().to_vec(), paper.light(), paper.sensor(), false);
-        assert!(error.unwrap_err().to_string().contains("exactly one layer must be the sample"));
-    }
-
-    #[test]
-    fn channels_with_the_same_name_are_refused() {
-        let twice = vec![Channel::new("R", 0.9, 0.1).unwrap(), Channel::new("R", 0.8, 0.1).unwrap()];
-        assert_eq!(Scene::paper().with_channels(twice).unwrap_err().field(), "channels[1].name");
-    }
-
-    #[test]
     fn dark_side_alone_may_be_below_black() {
         assert_eq!(Channel::new("R", 0.9, -0.1).unwrap().rho_dark(), -0.1);
         let message = |light, dark| Channel::new("R", light, dark).unwrap_err().to_string();
         assert_eq!(message(0.9, -0.11), "rho_dark = -0.11 is not valid: allowed are -0.1 to 1");
         assert_eq!(message(-0.01, 0.0), "rho_light = -0.01 is not valid: allowed are 0 to 1");
-    }
-
-    #[test]
-    fn pixel_centres_lie_symmetrically_about_the_edge() {
-        let sensor = Sensor::new(10.0, 360, 0.0).unwrap();
-        assert!((sensor.centre_mm(0) + sensor.centre_mm(359)).abs() < 1e-12);
-        assert!((sensor.centre_mm(180) - 0.5 * sensor.pitch_mm()).abs() < 1e-12);
     }
 }

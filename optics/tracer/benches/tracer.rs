@@ -12,7 +12,7 @@ use criterion::measurement::WallTime;
 use criterion::{BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use optics_model::grid::Grid;
 use optics_model::job::JobSpec;
-use optics_model::scene::{Channel, Layer, Scene, Sensor};
+use optics_model::scene::{Layer, Scene};
 use optics_model::{TransportPoint, Walks};
 use optics_tracer::probe::{Scoring, count_events, run_walks};
 use optics_tracer::{Kernel, trace_with};
@@ -125,36 +125,5 @@ fn grid(c: &mut Criterion) {
     }
 }
 
-/// Cost against walks, transport points, albedos, pixels and channels, one at a time: each should be a straight line.
-fn cost(c: &mut Criterion) {
-    let pool = single_threaded();
-    let mut group = group(c, "cost");
-    let mut measure = |name: String, jobs: &[JobSpec]| {
-        group.bench_function(name, |b| {
-            b.iter(|| {
-                for job in jobs {
-                    pool.install(|| trace_with(Kernel::fastest(), job, &AtomicBool::new(false)).unwrap());
-                }
-            });
-        });
-    };
-    let make = |walks, albedos: usize, pixels, channels: usize, seed| {
-        let point = TransportPoint::new(2.5, 0.4, 0.5, 1.53).unwrap();
-        let sensor = Sensor::new(10.0, pixels, 0.0).unwrap();
-        let channel = |i| Channel::new(format!("c{i}"), 0.9, 0.1 + i as f64 / 100.0).unwrap();
-        let scene = Scene::paper().with_sensor(sensor).with_channels((0..channels).map(channel).collect());
-        let albedo = (1..=albedos).map(|i| i as f64 / (albedos + 1) as f64).collect();
-        JobSpec::new(scene.unwrap(), point, albedo, Walks::new(walks).unwrap(), seed, false).unwrap()
-    };
-    for n in [1, 2, 4] {
-        measure(format!("{} walks", n * 100_000), &[make(n * 100_000, 41, 360, 3, 1)]);
-        let points: Vec<_> = (1..=n).map(|seed| make(100_000, 41, 360, 3, seed)).collect();
-        measure(format!("{n} points"), &points);
-        measure(format!("{} albedos", n * 41), &[make(100_000, n as usize * 41, 360, 3, 1)]);
-        measure(format!("{} pixels", n * 360), &[make(100_000, 41, n as u32 * 360, 3, 1)]);
-        measure(format!("{} channels", n * 3), &[make(100_000, 41, 360, n as usize * 3, 1)]);
-    }
-}
-
-criterion_group!(benches, scattering_steps, crossings, scoring, points, grid, cost);
+criterion_group!(benches, scattering_steps, crossings, scoring, points, grid);
 criterion_main!(benches);

@@ -180,24 +180,13 @@ mod tests {
     use crate::math::unit_vector;
     use crate::microfacet::scatter_once;
     use crate::rng::{Stream, uniform};
+    use crate::testing::fresnel;
 
     fn coated(roughness: f64) -> Scene {
         let layers =
             vec![Layer::sample("sample", 0.0).unwrap(), Layer::clear("coat", 1.49, 0.0, roughness).unwrap()];
         let paper = Scene::paper();
         Scene::new(layers, paper.channels().to_vec(), paper.light(), paper.sensor(), false).unwrap()
-    }
-
-    /// Unpolarised Fresnel reflectance in double precision; 1 under total reflection.
-    fn fresnel(cos_i: f64, eta: f64) -> f64 {
-        let sin2_t = eta * eta * (1.0 - cos_i * cos_i);
-        if sin2_t >= 1.0 {
-            return 1.0;
-        }
-        let cos_t = (1.0 - sin2_t).sqrt();
-        let s = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
-        let p = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
-        f64::midpoint(s * s, p * p)
     }
 
     /// ∫ f(sin² θ) d sin² θ over a range, with 200,000 points.

@@ -113,11 +113,6 @@ mod tests {
     }
 
     #[test]
-    fn matched_indices_reflect_nothing() {
-        assert!(facet(0.3, 1.0).reflectance() < 1e-12);
-    }
-
-    #[test]
     fn refraction_obeys_snell_and_keeps_unit_length() {
         let m = Vec3::new(0.1, -0.05, 1.0).normalize();
         let wi = Vec3::new(-0.5, 0.2, 0.7).normalize();

@@ -101,13 +101,4 @@ mod tests {
         assert_ne!(first(0, 0), first(1, 0));
         assert_ne!(first(0, 0), first(1 << 32, 0));
     }
-
-    /// A stream can start at any block.
-    #[test]
-    fn stream_can_start_at_any_block() {
-        let mut stream = Stream::new([1, 2], 3, 4);
-        stream.words();
-        let second = stream.words();
-        assert_eq!(Stream::new([1, 2], 3, 4).at_block(FIRST_BLOCK + 1).words(), second);
-    }
 }

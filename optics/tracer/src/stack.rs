@@ -77,19 +77,3 @@ impl Stack {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// The paper's scene has five interfaces, and the sample is its third layer.
-    #[test]
-    fn paper_scene_has_five_interfaces() {
-        let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
-        let stack = Stack::new(&Scene::paper(), &point);
-        assert_eq!((stack.interfaces.len(), stack.sample), (5, 3));
-        let alphas: Vec<f32> = stack.interfaces.iter().map(|i| i.alpha).collect();
-        assert_eq!(alphas, [0.0, 0.0, 0.05, 0.05, 0.15]);
-        assert_eq!(stack.thickness, [0.0, 0.17, 0.02, 3.0, 0.02, 0.0]);
-    }
-}

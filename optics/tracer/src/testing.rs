@@ -1,6 +1,9 @@
 //! Scenes, and statistics for the unit tests of distributions.
 
+use optics_model::TransportPoint;
 use optics_model::scene::{Channel, Layer, RingLight, Scene, Sensor};
+
+use crate::stack::Stack;
 
 /// Layers over a white base in a ring light, seen from this angle.
 pub(crate) fn scene(layers: Vec<Layer>, [inner, outer]: [f64; 2], polar_deg: f64) -> Scene {
@@ -14,6 +17,23 @@ pub(crate) fn sample(roughness: f64) -> Layer {
 
 pub(crate) fn clear(ior: f64, thickness_mm: f64, roughness: f64) -> Layer {
     Layer::clear("clear", ior, thickness_mm, roughness).unwrap()
+}
+
+/// With σ_t, g, thickness and index of the sample.
+pub(crate) fn stack(scene: &Scene, [sigma_t, g, thickness, ior]: [f64; 4]) -> Stack {
+    Stack::new(scene, &TransportPoint::new(sigma_t, g, thickness, ior).unwrap())
+}
+
+/// Unpolarised Fresnel reflectance in double precision; 1 under total reflection.
+pub(crate) fn fresnel(cos_i: f64, eta: f64) -> f64 {
+    let sin2_t = eta * eta * (1.0 - cos_i * cos_i);
+    if sin2_t >= 1.0 {
+        return 1.0;
+    }
+    let cos_t = (1.0 - sin2_t).sqrt();
+    let s = (eta * cos_i - cos_t) / (eta * cos_i + cos_t);
+    let p = (cos_i - eta * cos_t) / (cos_i + eta * cos_t);
+    f64::midpoint(s * s, p * p)
 }
 
 /// p-value of Pearson's χ² test: the probability of a fit at least this bad if the counts follow the

@@ -14,7 +14,7 @@ mod web;
 use std::io::{BufRead as _, BufReader};
 use std::process::Command;
 
-use farm_tests::cli::{GRID, HEAD, fails, fails_line, farm, folder, json, keys, rows, run_line, write};
+use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, run_line, write};
 use farm_tests::process::{Ran, farmctl, program, run};
 
 /// The JSON of the commands is of their kind. The shapes are in a snapshot of `farmctl`, apart from these.
@@ -179,8 +179,6 @@ fn pictures_and_media_are_written() {
     ] {
         assert!(std::fs::read_to_string(dir.join("out").join(file)).unwrap().contains(text), "{file}");
     }
-    fails_line(dir, "fit m.csv --dictionary grid --plot fit.eps", &["fit.eps", ".svg, .png or .pdf"]);
-    assert!(!dir.join("fit.pdf").exists());
 }
 
 /// The help lists the verbs, and completions are made for each shell. That each verb has help is a unit test of `farmctl`.

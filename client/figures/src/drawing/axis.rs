@@ -209,10 +209,7 @@ mod tests {
         assert_eq!(labels(axis, 120.0, AxisDirection::Across), ["−4", "−2", "0", "2", "4"]);
         assert_eq!(labels(axis, 60.0, AxisDirection::Across), ["−5", "0", "5"]);
         let axis = Axis::exact(Some((0.0, 0.012)));
-        assert_eq!(
-            labels(axis, 60.0, AxisDirection::Up),
-            ["0.000", "0.005", "0.010"].map(|l| if l == "0.000" { "0" } else { l })
-        );
+        assert_eq!(labels(axis, 60.0, AxisDirection::Up), ["0", "0.005", "0.010"]);
     }
 
     #[test]

@@ -91,9 +91,4 @@ mod tests {
         };
         assert!((0..50).all(|i| luminance(i) < luminance(i + 1)));
     }
-
-    #[test]
-    fn colour_is_written_as_six_digits() {
-        assert_eq!(Rgb(0, 114, 178).to_string(), "#0072b2");
-    }
 }

@@ -122,11 +122,23 @@ fn units_in_column_names_are_converted() {
     assert!((profile.x_mm()[0] + 29.5 / 6.0).abs() < 1e-6 && profile.values()[59] < 0.81);
 }
 
-/// Numbers that can be read in two ways are refused.
+/// Bad rows, numbers that can be read in two ways, and mistakes in the measured values are refused with line and column.
 #[test]
-fn ambiguous_numbers_are_refused() {
+fn bad_rows_are_refused_with_their_line() {
+    let start: String = rows("w", "R", 0.5).split_inclusive('\n').take(2).collect();
+    let gap = rows("w", "R", 0.5).replacen("w,R,0.5,-4.41667", "w,R,0.5,-4.40667", 1);
+    let shifted = pixels(0.5).map(|(x, v)| format!("w,R,0.5,{:.6},{v},0.002\n", x + 5.0)).collect();
+    let slabs =
+        rows("w", "R", 0.5).replace(",R,0.5,", ",R,1,") + &rows("w", "R", 1.0).replace(",R,1,", ",R,0.5,");
     let twice = |other: &str| rows("w", "R", 0.5) + &rows("w", other, 0.5);
+    let twin = rows("w", "R", 0.5) + &rows("w", "R", 0.5).replace(",R,", ",G,");
     for (rows, message) in [
+        (start.clone() + "w,R,0.5,zero,1,0\n", "line 4: x_mm = \"zero\" is not a number"),
+        (start.clone() + "w,R,0.5,0.2,inf,0\n", "line 4: value = inf is not a finite number"),
+        (String::new(), "no rows"),
+        (start, "line 2, material w, channel R, 0.5 mm: x_mm = 2 pixels is not valid"),
+        (gap.clone(), "line 5, material w, channel R, 0.5 mm: x_mm["),
+        (gap, "pixels must be equally spaced"),
         ("w,R,0.5,\"1,234\",0.5,0\n".to_owned(), "line 2 has \"1,234\" and line 2 has \"0.5\""),
         (
             "w,R,1,\"1,234.5\",0,0\n".to_owned(),
@@ -134,66 +146,6 @@ fn ambiguous_numbers_are_refused() {
         ),
         (twice("red"), "line 62, material w, 0.5 mm: channel \"red\" means R, which is there under"),
         (twice("R"), "line 2, material w, channel R, 0.5 mm: x_mm = -4.91667 stands here and in line 62"),
-    ] {
-        is_refused(&rows, message);
-    }
-    let doubtful: String = (0..20).map(|i| format!("w;R;1;{};1,{:03}\n", i - 10, 100 + i)).collect();
-    for (text, message) in [
-        (
-            strict().replacen("white,R,0.5,-4.91667", "white,R,\"0,5\",-4.91667", 1),
-            "line 3 has \"0,5\" and line 3 has \"-4.91667\": with points and commas",
-        ),
-        (
-            format!("material;channel;thickness_mm;x_mm;value\n{doubtful}"),
-            "line 2: \"1,100\" can be 1.100 or 1100; write it with a decimal point",
-        ),
-        (
-            "material,channel,thickness_mm,x_mm,value\nw,R,0,5,-4,97,0,31\n".to_owned(),
-            "line 2 has 8 entries where the header has 5: if its commas are decimal, separate the columns by semicolons",
-        ),
-        (
-            strict().replacen("std_error", "radiance", 1),
-            "columns \"value\" and \"radiance\" could both be value",
-        ),
-    ] {
-        assert!(error(&text).contains(message), "{}", error(&text));
-    }
-}
-
-/// Bad files are refused with line and column.
-#[test]
-fn bad_files_are_refused_with_their_line() {
-    let start = rows("w", "R", 0.5).lines().take(2).map(|l| l.to_owned() + "\n").collect::<String>();
-    let gap = rows("w", "R", 0.5).replacen("w,R,0.5,-4.41667", "w,R,0.5,-4.40667", 1);
-    for (rows, message) in [
-        (start.clone() + "w,R,0.5,zero,1,0\n", "line 4: x_mm = \"zero\" is not a number"),
-        (start.clone() + "w,R,0.5,0.2,inf,0\n", "line 4: value = inf is not a finite number"),
-        (String::new(), "no rows"),
-        (start.clone(), "line 2, material w, channel R, 0.5 mm: x_mm = 2 pixels is not valid"),
-        (gap.clone(), "line 5, material w, channel R, 0.5 mm: x_mm["),
-        (gap, "pixels must be equally spaced"),
-    ] {
-        is_refused(&rows, message);
-    }
-    for (text, message) in [
-        ("material,channel,x_mm\nw,R,0\n", "missing columns thickness_mm, value; needed are"),
-        ("material,hue\n", "column \"hue\" is not known"),
-        ("\n \n", "the file is empty"),
-        (&start, "the first line has numbers"),
-        ("# a comment\nmaterial,channel,thickness_mm,x_mm,value\nw,R,1,zero,1\n", "line 3: x_mm = \"zero\""),
-    ] {
-        assert!(error(text).contains(message), "{}", error(text));
-    }
-}
-
-/// Mistakes in the measured values are refused with their lines.
-#[test]
-fn measurement_mistakes_name_their_lines() {
-    let shifted = pixels(0.5).map(|(x, v)| format!("w,R,0.5,{:.6},{v},0.002\n", x + 5.0)).collect();
-    let slabs =
-        rows("w", "R", 0.5).replace(",R,0.5,", ",R,1,") + &rows("w", "R", 1.0).replace(",R,1,", ",R,0.5,");
-    let twin = rows("w", "R", 0.5) + &rows("w", "R", 0.5).replace(",R,", ",G,");
-    for (rows, message) in [
         (
             shifted,
             "its edge seems to be at x = 5.00 mm: x = 0 must be at the edge, so \
@@ -203,6 +155,38 @@ fn measurement_mistakes_name_their_lines() {
         (twin, "line 62, material w, channel G, 0.5 mm: the values are those of channel R at 0.5 mm"),
     ] {
         is_refused(&rows, message);
+    }
+}
+
+/// Heads and numbers that cannot be read, or in two ways, are refused with line and column.
+#[test]
+fn bad_files_are_refused_with_their_line() {
+    let doubtful: String = (0..20).map(|i| format!("w;R;1;{};1,{:03}\n", i - 10, 100 + i)).collect();
+    let strict = strict();
+    for (text, message) in [
+        ("material,channel,x_mm\nw,R,0\n", "missing columns thickness_mm, value; needed are"),
+        ("material,hue\n", "column \"hue\" is not known"),
+        ("\n \n", "the file is empty"),
+        (&rows("w", "R", 0.5), "the first line has numbers"),
+        ("# a comment\nmaterial,channel,thickness_mm,x_mm,value\nw,R,1,zero,1\n", "line 3: x_mm = \"zero\""),
+        (
+            &strict.replacen("white,R,0.5,-4.91667", "white,R,\"0,5\",-4.91667", 1),
+            "line 3 has \"0,5\" and line 3 has \"-4.91667\": with points and commas",
+        ),
+        (
+            &format!("material;channel;thickness_mm;x_mm;value\n{doubtful}"),
+            "line 2: \"1,100\" can be 1.100 or 1100; write it with a decimal point",
+        ),
+        (
+            "material,channel,thickness_mm,x_mm,value\nw,R,0,5,-4,97,0,31\n",
+            "line 2 has 8 entries where the header has 5: if its commas are decimal, separate the columns by semicolons",
+        ),
+        (
+            &strict.replacen("std_error", "radiance", 1),
+            "columns \"value\" and \"radiance\" could both be value",
+        ),
+    ] {
+        assert!(error(text).contains(message), "{}", error(text));
     }
 }
 
@@ -312,15 +296,6 @@ fn suspicions_are_noted_once_per_kind() {
         "{message}"
     );
     assert!(message.ends_with("if it is cm, multiply by 10 (the same in 5 more profiles)"), "{message}");
-}
-
-/// Lines of old spreadsheets end in CR; a comment among them ends with its line.
-#[test]
-fn comment_ends_with_its_cr_line() {
-    let lines: Vec<String> = strict().lines().map(ToOwned::to_owned).collect();
-    let half = lines.len() / 2;
-    let text = [&lines[..half], &["# second half".to_owned()], &lines[half..]].concat().join("\r");
-    assert_eq!(parse(&text).materials, parse(&strict()).materials);
 }
 
 /// A material called `#2` makes rows that look like comments.

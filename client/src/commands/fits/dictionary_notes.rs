@@ -39,8 +39,6 @@ pub(super) fn other_scene(dictionary: &str, session: &Scene, other: &Scene) -> O
 
 #[cfg(test)]
 mod tests {
-    use optics_model::scene::Prior;
-
     use super::*;
 
     /// Drafts of a scene that is estimated are noted; those of an exact scene and of the paper's quality are not.
@@ -53,26 +51,5 @@ mod tests {
         assert_eq!(note.code, "FEW_WALKS");
         assert!(note.text.starts_with("dictionary mine has 5500 walks"), "{}", note.text);
         assert_eq!(few_walks("paper", &Grid::paper().with_effort(NoiseLevel::Draft).unwrap()), None);
-    }
-
-    /// The note names the quantity, with the values of both scenes.
-    #[test]
-    fn note_has_both_values_of_a_prior() {
-        let lab = Scene::lab();
-        let halved = |prior: &Prior| {
-            let half = 0.5 * prior.std_error();
-            Prior::new(prior.kind(), prior.layers().to_vec(), half, prior.scope()).unwrap()
-        };
-        let mut priors = lab.priors().to_vec();
-        let gel = priors.iter_mut().find(|prior| lab.name_of(prior) == "gel thickness").unwrap();
-        *gel = halved(gel);
-        let session = lab.clone().with_priors(priors).unwrap();
-        let found = other_scene("lab", &session, &lab).unwrap();
-        assert_eq!(
-            found.text,
-            "dictionary lab has another scene than the session: gel thickness 0.02 ± 0.02 mm per slab instead of 0.02 ± \
-             0.01 mm per slab; without --dictionary that of its set-up is used"
-        );
-        assert_eq!(other_scene("lab", &lab, &lab), None);
     }
 }

@@ -17,6 +17,7 @@ use crate::likelihood::problem::channel::{self, ChannelMinimum};
 use crate::likelihood::problem::start::Start;
 use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::unknowns::inverse_over_free;
+use crate::surrogate::coordinates;
 use crate::testing::{
     changed, dense, dense_axes, dictionary_of, exact_record, exact_set_up, noisy_profile, noisy_records,
     profile_value, remade, rounded_dictionary_of,
@@ -31,10 +32,8 @@ fn dictionary() -> &'static FitDictionary {
 /// Errors of a profile.
 #[derive(Clone, Copy, Default)]
 struct Flaws {
-    origin_mm: f64,
     gain: f64,
     zero: f64,
-    slope: f64,
     dust: bool,
 }
 
@@ -42,8 +41,7 @@ struct Flaws {
 fn measured((sigma_t, albedo, g): (f64, f64, f64), seed: u64, flaws: Flaws) -> Measurement {
     let profile = |(slab, thickness): (u64, f64)| {
         let at = |x: f64| profile_value(x, sigma_t, albedo, g, thickness, 1.0);
-        let light = |x: f64| 1.0 + flaws.gain + flaws.slope * x / 10.0;
-        let exact = |x: f64| at(x - flaws.origin_mm) * light(x) + flaws.zero;
+        let exact = |x: f64| at(x) * (1.0 + flaws.gain) + flaws.zero;
         let clean =
             noisy_profile(("G", thickness, 120), exact, |v| 0.003 * v, (seed * 2 + slab) * 120 + 5_000_000);
         let speck = |x: f64| flaws.dust && (12.0 * (x + 5.0)) as usize % 17 == 5;
@@ -97,30 +95,6 @@ fn rounded_values_give_the_exact_answer() {
     }
 }
 
-/// The nuisances are found, and the medium with them.
-#[test]
-fn nuisances_and_medium_are_found_together() {
-    let flaws = Flaws { origin_mm: 0.06, gain: 0.001, zero: -0.0015, slope: 0.003, dust: true };
-    for seed in 1..=4 {
-        let measured = measured(MEDIUM, seed, flaws);
-        let found = refined(&measured, FitSettings { g: Bounds::fixed(0.33), ..settings() });
-        let likelihood = &found.likelihood;
-        assert!(likelihood.probability > 0.001 && found.misfit < 1.3, "{likelihood:?}");
-        // In half-widths of the 95 % intervals: 1.8 of them are 3.5 standard errors.
-        let off = |found: f64, truth: f64, ends: &Interval| 2.0 * (found - truth) / (ends.high - ends.low);
-        let sigma_t = off(found.best.medium.sigma_t_per_mm(), MEDIUM.0, &found.sigma_t_per_mm);
-        let albedo = off(found.best.medium.albedo(), MEDIUM.1, &found.albedo);
-        assert!(sigma_t.abs() < 1.8 && albedo.abs() < 1.8, "{seed}: {sigma_t} {albedo}");
-        // Seven specks of one pixel in each profile; the neighbouring pixels that are left out as well deviate by little.
-        let specks = likelihood.outliers.iter().filter(|o| o.deviation < -50.0).count();
-        let others = likelihood.outliers.iter().filter(|o| o.deviation.abs() < 5.0).count();
-        assert!(specks == 14 && others == likelihood.outliers.len() - 14, "{:?}", likelihood.outliers);
-        for n in likelihood.nuisances.iter().filter(|n| n.nuisance == Nuisance::Origin) {
-            assert!((n.value - 0.06).abs() < 4.0 * n.std_error && n.std_error < 0.01, "{n:?}");
-        }
-    }
-}
-
 /// A medium without absorption, in a dictionary whose greatest albedo is 0.99: where α is open, so is σ_a, and its
 /// interval contains 0.
 #[test]
@@ -136,23 +110,12 @@ fn absorption_is_open_where_the_dictionary_ends() {
     assert!(!inside.absorption_per_mm.open_low && inside.absorption_per_mm.low > 0.0, "{inside:?}");
 }
 
-/// One pixel without noise among others is refused, with its place.
+/// Exact data have no noise at all: it is estimated.
 #[test]
-fn zero_standard_error_is_refused_with_place() {
-    let with = |error: fn(f64, f64) -> f64| {
-        let pixel = |x, v, e| (v, Some(error(x, e)));
-        let measurement = remade(&measured(MEDIUM, 1, Flaws::default()), |p| changed(p, pixel));
-        fit(
-            dictionary(),
-            &measurement,
-            &FitOptions::new(FitSettings { objective: None, ..settings() }).unwrap(),
-        )
-    };
-    let refused = with(|x, e| if (12.0 * (x + 5.0)) as usize == 40 { 0.0 } else { e }).unwrap_err();
-    assert!(refused.to_string().contains("std_errors[40]"), "{refused}");
-    // Exact data have no noise at all: it is estimated.
-    let exact = with(|_, _| 0.0).unwrap();
-    assert!(exact.channels[0].refined.is_some());
+fn noise_of_exact_data_is_estimated() {
+    let exact = remade(&measured(MEDIUM, 1, Flaws::default()), |p| changed(p, |_, v, _| (v, Some(0.0))));
+    let options = FitOptions::new(FitSettings { objective: None, ..settings() }).unwrap();
+    assert!(fit(dictionary(), &exact, &options).unwrap().channels[0].refined.is_some());
 }
 
 /// A quantity with a standard error of 0 is no nuisance, and a large standard error of the gain widens the interval.
@@ -168,31 +131,6 @@ fn exactly_given_quantities_are_no_nuisances() {
     assert!(width(&loose) > 3.0 * width(&sure), "{} {}", width(&loose), width(&sure));
 }
 
-/// With everything but σ_t given, the bound is 1/√Σ(∂f/s)², the derivatives taken by quotients of the formula.
-#[test]
-fn single_parameter_bound_matches_the_formula() {
-    let one = FitSettings { g: Bounds::fixed(0.3), albedo: Bounds::fixed(0.9), ..exact_settings() };
-    let medium = (3.1, 0.9, 0.3);
-    let found = refined(&measured(medium, 3, Flaws::default()), one);
-    let bound = found.likelihood.bound.sigma_t_per_mm;
-    let mut information = 0.0;
-    let sigma_t = found.best.medium.sigma_t_per_mm();
-    for thickness in [0.5, 1.0] {
-        for i in 0..120 {
-            let x = (f64::from(i) + 0.5) / 12.0 - 5.0;
-            let at = |s: f64| profile_value(x, s, 0.9, 0.3, thickness, 1.0);
-            let by_ln = (at(1.001 * sigma_t) - at(0.999 * sigma_t)) / 0.002;
-            let noise = 0.003 * profile_value(x, medium.0, 0.9, 0.3, thickness, 1.0);
-            information += (by_ln / noise).powi(2);
-        }
-    }
-    let half = 0.5 * (bound.high / bound.low).ln();
-    let expected = 1.959_964 / f64::sqrt(information);
-    assert!((half / expected - 1.0).abs() < 0.05, "{half} {expected}");
-    let width = 0.5 * (found.sigma_t_per_mm.high / found.sigma_t_per_mm.low).ln();
-    assert!((width / half - 1.0).abs() < 0.1, "{width} {half}");
-}
-
 /// No descent from any fifth medium of the dictionary ends lower than the chosen one.
 #[test]
 fn descent_finds_the_global_minimum() {
@@ -206,45 +144,27 @@ fn descent_finds_the_global_minimum() {
         let scan = data.scan(&surrogates, 0.0).unwrap();
         let starts = channel::starts(&scan, &surrogates);
         let chosen = channel::lowest(&data, &surrogates, &starts).state;
-        let axes = dense_axes();
-        let mut lowest = f64::INFINITY;
-        let all = axes.sigma_t_per_mm.iter().flat_map(|s| {
-            let axes = &axes;
-            axes.albedo.iter().flat_map(move |a| axes.g.iter().map(move |g| (*s, *a, *g)))
-        });
-        for (sigma_t, albedo, g) in all.step_by(5) {
-            let medium = [sigma_t.ln(), (1.0 - albedo).sqrt(), (1.0 - g).ln()];
-            let start = Start { medium, ior: 0, cost: 0.0 };
+        let (grid, mut lowest) = (dictionary.grid(), f64::INFINITY);
+        // Records of two thicknesses.
+        for record in (0..grid.record_count()).step_by(10) {
+            let start = Start { medium: coordinates(&grid.parameters(record).1), ior: 0, cost: 0.0 };
             lowest = channel::lowest(&data, &surrogates, &[start]).state.cost.min(lowest);
         }
         assert!(chosen.cost <= lowest + 1.0, "{medium:?}: {} against {lowest}", chosen.cost);
     }
 }
 
-/// The minimum does not depend on the size of a measurement's pixels.
-#[test]
-fn coarser_pixels_give_the_same_medium() {
-    let fine = measured(MEDIUM, 7, Flaws::default());
-    let coarse = |p: &MeasuredProfile| {
-        let pairs = |v: &[f64]| -> Vec<f64> { v.chunks(2).map(|c| 0.5 * (c[0] + c[1])).collect() };
-        let errors = p.std_errors().unwrap().chunks(2).map(|c| 0.5 * c[0].hypot(c[1])).collect();
-        MeasuredProfile::new("G", p.thickness_mm(), pairs(p.x_mm()), pairs(p.values()), Some(errors)).unwrap()
-    };
-    let coarse = Measurement::new("m", fine.profiles().iter().map(coarse).collect()).unwrap();
-    let held = FitSettings { g: Bounds::fixed(0.33), ..settings() };
-    let (fine, coarse) = (refined(&fine, held), refined(&coarse, held));
-    let deviation = (fine.sigma_t_per_mm.high / fine.sigma_t_per_mm.low).ln() / 3.92;
-    let off = (fine.best.medium.sigma_t_per_mm() / coarse.best.medium.sigma_t_per_mm()).ln().abs();
-    assert!(off < 0.5 * deviation, "{off} of {deviation}");
-}
-
 /// Measurements for which there is no likelihood are refused with the field.
 #[test]
 fn unweighable_measurements_are_refused() {
-    let options = FitOptions::new(settings()).unwrap();
     let good = measured(MEDIUM, 8, Flaws::default());
     let field = |change: &dyn Fn(&MeasuredProfile) -> MeasuredProfile| {
-        fit(dictionary(), &remade(&good, change), &options).unwrap_err().field().to_owned()
+        let [chosen, given] = [None, Some(Objective::Likelihood)].map(|objective| {
+            let options = FitOptions::new(FitSettings { objective, ..settings() }).unwrap();
+            fit(dictionary(), &remade(&good, change), &options).unwrap_err().field().to_owned()
+        });
+        assert_eq!(chosen, given);
+        given
     };
     let zero = |x: f64, v, e| (v, Some(if (12.0 * (x + 5.0)) as usize == 7 { 0.0 } else { e }));
     assert_eq!(field(&|p| changed(p, zero)), "std_errors[7]");
@@ -264,24 +184,19 @@ fn by_white(x: f64, value: f64) -> f64 {
     0.8 * value * 0.5 * (1.0 + (x / 0.6).tanh())
 }
 
-/// A dictionary of channels whose profiles are these functions of x, the formula's value there, and the channel.
-fn dictionary_of_channels(names: &[String], value: impl Fn(f64, f64, usize) -> f64) -> FitDictionary {
+/// A dictionary of one channel and, with `knows_white`, of that channel under a darker white reference.
+fn dictionary_with_white(knows_white: bool) -> FitDictionary {
+    let names = ["G".to_owned(), Channel::darker_white("G")];
+    let names = &names[..=usize::from(knows_white)];
     let channels = names.iter().map(|name| Channel::new(name, 0.9, 0.02).unwrap()).collect();
     let scene = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
     let scene = scene.with_channels(channels).unwrap();
     let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
     let at = |x: f64, m: &Medium, thickness: f64, channel: usize| {
-        value(x, profile_value(x, m.sigma_t_per_mm(), m.albedo(), m.g(), thickness, 1.0), channel)
+        let value = profile_value(x, m.sigma_t_per_mm(), m.albedo(), m.g(), thickness, 1.0);
+        value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)
     };
     dictionary_of(&grid, |index| exact_record(&grid, index, names.len(), at))
-}
-
-/// A dictionary of one channel and, with `knows_white`, of that channel under a darker white reference.
-fn dictionary_with_white(knows_white: bool) -> FitDictionary {
-    let names = ["G".to_owned(), Channel::darker_white("G")];
-    dictionary_of_channels(&names[..=usize::from(knows_white)], |x, value, channel| {
-        value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)
-    })
 }
 
 /// Every column is the derivative of the model, that by the scale with its part through ρ; blur, origin and gain are not
@@ -293,7 +208,7 @@ fn derivatives_match_the_model() {
     let options = FitOptions::new(given).unwrap();
     let data = ChannelData::new(&dictionary, &measurement, 0, "G", &options).unwrap();
     let surrogates = data.surrogates();
-    let medium = [MEDIUM.0.ln(), (1.0 - MEDIUM.1).sqrt(), (1.0 - MEDIUM.2).ln()];
+    let medium = coordinates(&Medium::new(MEDIUM.0, MEDIUM.1, MEDIUM.2).unwrap());
     let (one, media) = (std::slice::from_ref(&data), [medium]);
     let (mut assembly, state) = assemble(one, &[&surrogates[0]], &media, 0.01, Sharing::default());
     assembly.system.terms[0].share_flaws(0.7);

@@ -313,20 +313,16 @@ mod tests {
         };
         let options = FitOptions::new(within).unwrap();
         let curve = scale(dictionary, &materials, &options, &range).unwrap();
+        let error = |options: &FitOptions| -> f64 {
+            let best = |m| crate::fit(dictionary, m, options).unwrap().channels[0].candidates[0].error;
+            materials.iter().map(best).sum()
+        };
         for point in &curve.points {
-            let at = options.with_mu(point.mu, 0.0).unwrap();
-            let sum: f64 = materials
-                .iter()
-                .map(|m| crate::fit(dictionary, m, &at).unwrap().channels[0].candidates[0].error)
-                .sum();
+            let sum = error(&options.with_mu(point.mu, 0.0).unwrap());
             assert!((sum / point.mu - point.error).abs() < 1e-9, "{point:?} {}", sum / point.mu);
         }
         for e in &curve.by_g {
-            let at = options.with_mu(curve.best.mu, 0.0).unwrap().with_g(e.g).unwrap();
-            let sum: f64 = materials
-                .iter()
-                .map(|m| crate::fit(dictionary, m, &at).unwrap().channels[0].candidates[0].error)
-                .sum();
+            let sum = error(&options.with_mu(curve.best.mu, 0.0).unwrap().with_g(e.g).unwrap());
             assert!((sum / curve.best.mu - e.error).abs() < 1e-9, "{e:?}");
             assert!(e.best_mu_error <= e.error);
         }

@@ -58,17 +58,15 @@ fn exact_record_is_marked_as_recorded() {
 #[test]
 fn questions_beyond_the_dictionary_are_refused() {
     let coarse = dictionary(PIXELS);
-    let refused = |medium: (f64, f64, f64), thickness_mm, channels: &[&str]| {
+    for (medium, thickness_mm, channels, message) in [
+        ((9.0, 0.6, 0.0), 0.5, &[][..], "sigma_t_per_mm = 9 is not valid"),
+        ((2.0, 0.95, 0.0), 0.5, &[], "albedo = 0.95 is not valid: the dictionary reaches from 0.3 to 0.9"),
+        ((2.0, 0.6, -0.1), 0.5, &[], "g = -0.1 is not valid"),
+        ((2.0, 0.6, 0.0), 3.0, &[], "thickness_mm = 3 is not valid"),
+        ((2.0, 0.6, 0.0), 0.5, &["X"], "channel = X is not valid: the dictionary has R, G, B"),
+    ] {
         let medium = Medium::new(medium.0, medium.1, medium.2).unwrap();
-        profile(&coarse, &question(medium, thickness_mm, channels)).unwrap_err()
-    };
-    let of_medium = |medium| refused(medium, 0.5, &[]).to_string();
-    assert_eq!(refused((9.0, 0.6, 0.0), 0.5, &[]).field(), "sigma_t_per_mm");
-    assert!(
-        of_medium((2.0, 0.95, 0.0))
-            .contains("albedo = 0.95 is not valid: the dictionary reaches from 0.3 to 0.9")
-    );
-    assert_eq!(refused((2.0, 0.6, -0.1), 0.5, &[]).field(), "g");
-    assert_eq!(refused((2.0, 0.6, 0.0), 3.0, &[]).field(), "thickness_mm");
-    assert!(refused((2.0, 0.6, 0.0), 0.5, &["X"]).to_string().contains("the dictionary has R, G, B"));
+        let refused = profile(&coarse, &question(medium, thickness_mm, channels)).unwrap_err().to_string();
+        assert!(refused.starts_with(message), "{refused}");
+    }
 }

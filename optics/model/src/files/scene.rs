@@ -325,6 +325,19 @@ mod tests {
                 "ior = { std_error = 0.1, per = 'day' }",
                 "layer[0].ior.per = day is not valid: allowed are session, slab, material and channel",
             ),
+            (
+                "roughness = { value = 1.2, std_error = 0.1 }",
+                "layer[0].roughness = 1.2 is not valid: allowed are 0 (smooth) and 0.001 to 1",
+            ),
+            (
+                "[[layer]]\nname = 'g'\nior = 1.3\nthickness_mm = { value = -0.02, std_error = 0.02 }",
+                "layer[1].thickness_mm = -0.02 is not valid: allowed are 0 and 1e-4 to 1000 mm",
+            ),
+            (
+                "[[layer]]\nname = 'g'\nior = { value = 0.9, std_error = 0.01 }\nthickness_mm = 1",
+                "layer[1].ior = 0.9 is not valid: allowed are 1 to 4",
+            ),
+            ("[light]\nring_deg = [85, 95]\nstd_error_deg = 1", "light.ring_deg = [85, 95] is not valid"),
             ("[light]\nring_deg = [40, 50]\nstd_error_deg = -1", "light.std_error_deg = -1"),
             ("[light]\nring_deg = [40, 50]\nstd_error_deg = 60", "light.std_error_deg = 60"),
             (

@@ -1,7 +1,6 @@
 //! Tests exact cases for single walks, without a tally between the physics and the check.
 
 use glam::Vec3;
-use optics_model::TransportPoint;
 use optics_model::scene::{RingLight, Scene};
 use rayon::prelude::*;
 
@@ -10,7 +9,7 @@ use crate::light::Light;
 use crate::math::unit_vector;
 use crate::rng::{Stream, uniform};
 use crate::stack::Stack;
-use crate::testing::{clear, sample, scene};
+use crate::testing::{clear, sample, scene, stack};
 
 /// Mean and standard error.
 fn statistics(samples: impl Iterator<Item = f64>) -> (f64, f64) {
@@ -81,7 +80,7 @@ fn fate(stack: &Stack, n: u32, key: u32, wanted: WalkEvent) -> (f64, f64) {
 /// van de Hulst 1980, "Multiple light scattering", table 35: R 0.09739, T 0.66096.
 #[test]
 fn matched_slab_reflects_and_transmits_as_tabulated() {
-    let stack = Stack::new(&sample_over_air(), &TransportPoint::new(2.0, 0.75, 1.0, 1.0).unwrap());
+    let stack = stack(&sample_over_air(), [2.0, 0.75, 1.0, 1.0]);
     assert_close(fate(&stack, 1_000_000, 1, WalkEvent::Left), 0.09739, 1e-5, 3e-4);
     assert_close(fate(&stack, 1_000_000, 1, WalkEvent::Base), 0.66096, 1e-5, 5e-4);
 }
@@ -90,7 +89,7 @@ fn matched_slab_reflects_and_transmits_as_tabulated() {
 /// mean free paths represents the half space: the loss below is less than exp(−20).
 #[test]
 fn half_space_reflects_as_tabulated() {
-    let stack = Stack::new(&sample_over_air(), &TransportPoint::new(40.0, 0.0, 1.0, 1.5).unwrap());
+    let stack = stack(&sample_over_air(), [40.0, 0.0, 1.0, 1.5]);
     assert_close(fate(&stack, 400_000, 2, WalkEvent::Left), 0.2600, 5e-5, 6e-4);
 }
 
@@ -99,13 +98,12 @@ fn half_space_reflects_as_tabulated() {
 #[test]
 fn mean_path_depends_on_thickness_and_index() {
     for (sigma_t, g) in [(0.5, 0.0), (5.0, 0.8), (20.0, 0.4)] {
-        let point = TransportPoint::new(sigma_t, g, 0.5, 1.5).unwrap();
         let closed = scene(vec![sample(0.0)], [0.0, 90.0], 0.0);
         for (scene, key, end, factor, most_error) in [
             (sample_over_air(), 3, left_or_through as fn(WalkEvent) -> bool, 2.0, 0.02),
             (closed, 4, left, 4.0, 0.05),
         ] {
-            let stack = Stack::new(&scene, &point);
+            let stack = stack(&scene, [sigma_t, g, 0.5, 1.5]);
             let lengths =
                 walks(&stack, 300_000, key, lambertian, end).map(|(w, _)| f64::from(w.length) / sigma_t);
             assert_close(statistics(lengths), factor * 0.5 * 2.25, 0.0, most_error);
@@ -116,9 +114,8 @@ fn mean_path_depends_on_thickness_and_index() {
 /// Nothing is lost where nothing may be: every walk leaves with weight exactly 1.
 #[test]
 fn without_absorption_every_walk_comes_back() {
-    let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
     for scene in [Scene::smooth(), Scene::paper().with_multiple_scattering(true)] {
-        let stack = Stack::new(&scene, &point);
+        let stack = stack(&scene, [6.0, 0.4, 0.5, 1.53]);
         for (walk, event) in walks(&stack, 20_000, 5, down, left) {
             assert_eq!((event, walk.weight), (WalkEvent::Left, 1.0));
         }
@@ -128,8 +125,7 @@ fn without_absorption_every_walk_comes_back() {
 /// Single scattering at rough interfaces loses some energy, but little: the check that the test above can fail.
 #[test]
 fn single_scattering_on_rough_interfaces_loses_energy() {
-    let point = TransportPoint::new(6.0, 0.4, 0.5, 1.53).unwrap();
-    let stack = Stack::new(&Scene::paper(), &point);
+    let stack = stack(&Scene::paper(), [6.0, 0.4, 0.5, 1.53]);
     let (mean, _) = statistics(
         walks(&stack, 20_000, 6, down, left)
             .map(|(walk, event)| if event == WalkEvent::Left { f64::from(walk.weight) } else { 0.0 }),
@@ -141,8 +137,7 @@ fn single_scattering_on_rough_interfaces_loses_energy() {
 /// absorption and over a white base all weight comes back.
 #[test]
 fn roulette_in_very_thick_slabs_is_unbiased() {
-    let point = TransportPoint::new(600.0, 0.0, 0.5, 1.5).unwrap();
-    let stack = Stack::new(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), &point);
+    let stack = stack(&scene(vec![sample(0.0)], [0.0, 90.0], 0.0), [600.0, 0.0, 0.5, 1.5]);
     let mut long = 0;
     let weights = walks(&stack, 20_000, 7, lambertian, left).map(|(walk, event)| {
         long += u32::from(walk.weight > 1.0);
@@ -159,7 +154,7 @@ fn roulette_in_very_thick_slabs_is_unbiased() {
 fn light_without_vertex_agrees_with_walks() {
     let ring = RingLight::new(20.0, 80.0).unwrap();
     let scene = Scene::paper().with_light(ring).with_multiple_scattering(true);
-    let stack = Stack::new(&scene, &TransportPoint::new(1.0, 0.0, 0.5, 1.53).unwrap());
+    let stack = stack(&scene, [1.0, 0.0, 0.5, 1.53]);
     let light = Light::new(&stack, false);
     let [inner, outer] = stack.ring_sin2;
     let ended = |event| event != WalkEvent::Crossed;
@@ -185,11 +180,9 @@ fn light_without_vertex_agrees_with_walks() {
         Vec3::new(sin2.sqrt(), 0.0, -(1.0 - sin2).sqrt())
     };
     let straight = share(10_000_000, 1, &down, &in_ring);
-    println!("{straight:?} {}", light.straight);
     assert_close(straight, light.straight, 0.003 * light.straight, 2e-5);
     let base = share(1_000_000, 2, &from_ring, &|_, event| event == WalkEvent::Base);
     let n_c = stack.iors[stack.iors.len() - 1];
     let expected = f64::from(light.base) * n_c * n_c / f64::from(outer - inner);
-    println!("{base:?} {expected}");
     assert_close(base, expected, 2e-4 * expected, 1e-3);
 }

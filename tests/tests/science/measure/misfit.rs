@@ -42,8 +42,8 @@ fn found(spoil: Spoil, swap: bool) -> Refined {
     fit.channels[0].refined.clone().unwrap()
 }
 
-/// Spoilt photographs are reported with the most likely reason. An exposure that differs between two slabs is not among
-/// them: another medium explains it.
+/// Spoilt photographs are reported with the most likely reason; where no nuisance explains them, there is a misfit. An
+/// exposure that differs between two slabs is not among them: another medium explains it.
 #[test]
 fn spoilt_photographs_get_the_likeliest_reason() {
     let cases: [(&str, Spoil, bool, Cause); 4] = [
@@ -56,6 +56,11 @@ fn spoilt_photographs_get_the_likeliest_reason() {
         let r = found(spoil, swap);
         println!("{what}: misfit {:.2}, {:?}", r.misfit, r.suspicion);
         assert_eq!(r.suspicion.map(|s| s.cause), Some(cause), "{what}");
+        if matches!(cause, Cause::GammaCoded | Cause::ThicknessesSwapped) {
+            let likelihood = &r.likelihood;
+            assert!(r.misfit > MISFIT && likelihood.probability < 1e-6, "{r:?}");
+            assert!(!likelihood.stretches.is_empty());
+        }
     }
 }
 
@@ -87,17 +92,4 @@ fn likelihood_corrects_shifts_and_dust() {
     let left_out = dusty.likelihood.outliers.len();
     // For some of the 32 specks, neighbouring pixels are left out too.
     assert!((30..=80).contains(&left_out), "{left_out} pixels for 32 specks of dust");
-}
-
-/// A deviation that no nuisance explains is reported with its cause, and widens the intervals.
-#[test]
-fn unexplained_measurement_is_reported() {
-    let coded = found(|_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false);
-    let swapped = found(|_, v, _, _| v, true);
-    for (r, cause) in [(coded, Cause::GammaCoded), (swapped, Cause::ThicknessesSwapped)] {
-        let likelihood = &r.likelihood;
-        assert!(r.misfit > MISFIT && likelihood.probability < 1e-6, "{r:?}");
-        assert_eq!(r.suspicion.map(|s| s.cause), Some(cause));
-        assert!(!likelihood.stretches.is_empty());
-    }
 }

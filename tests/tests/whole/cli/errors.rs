@@ -33,9 +33,6 @@ fn bad_parameters_are_refused_with_their_range() {
     };
     for (change, message) in [
         (&["--g", "1"][..], "g = 1 is not valid: allowed are -0.999 to 0.999"),
-        (&["--thickness", "-0.5"], "thickness_mm = -0.5 is not valid"),
-        (&["--sigma-t", "NaN"], "sigma_t_per_mm = NaN is not valid"),
-        (&["--albedo", "1.5"], "albedo = 1.5 is not valid: allowed are 0 to 1"),
         (&["--sample-ior", "0.5"], "sample_ior = 0.5 is not valid"),
         (&["--walks", "1200"], "walks = 1200 is not valid: allowed are multiples of 500"),
         (&["--pixels", "0"], "pixels = 0 is not valid"),
@@ -60,9 +57,6 @@ fn bad_grids_leave_nothing_behind() {
         ("# few\nwalks = 1234", "line 2: walks = 1234 is not valid"),
         ("# few\nwalks = 1234", "; the nearest is 1000"),
         ("sigma_t_per_mm = [1, nan]", "sigma_t_per_mm[1] = NaN is not valid"),
-        ("g = [0.4, 1.0]", "g[1] = 1 is not valid"),
-        ("albedo = [0.9, 0.5]", "albedo[1] = 0.5 is not valid: values must be strictly rising"),
-        ("albedo = []", "albedo = 0 values is not valid"),
         ("colour = 'red'", "unknown field `colour`"),
         ("g = [0.4", "TOML parse error"),
         ("scene = 'none.toml'", "none of \"lab\", \"paper\", \"smooth\", and no file"),
@@ -78,6 +72,8 @@ fn bad_grids_leave_nothing_behind() {
     assert!(!dir.path().join("farm-data").exists(), "a refused submission must not make a data directory");
 }
 
+/// The messages themselves are tested where they are made: of files in `farm-lab`, of fits in `optics-fit`, of settings in
+/// `optics-model`.
 #[test]
 fn bad_measurements_are_refused() {
     let farm = farm();
@@ -85,19 +81,8 @@ fn bad_measurements_are_refused() {
     let good = rows("R", 0.5);
     for (text, message) in [
         ("material,channel,x_mm,value\n".to_owned() + &good, "missing column thickness_mm"),
-        (HEAD.to_owned(), "no rows"),
-        (HEAD.to_owned() + &good.replacen(",0.10004", ",inf", 1), "value = inf"),
-        (HEAD.to_owned() + &good.replacen(",0.10004", ",black", 1), "is not a number"),
         (HEAD.to_owned() + &good + &good, "x must be strictly rising"),
         (HEAD.to_owned() + &rows("X", 0.5), "channel = X is not valid: the dictionary has R, G, B"),
-        (
-            HEAD.to_owned() + &good.lines().map(|l| far(l) + "\n").collect::<String>(),
-            "its edge seems to be at x = 100.00 mm: x = 0 must be at the edge",
-        ),
-        (
-            HEAD.to_owned() + &good.lines().map(|l| flat(l) + "\n").collect::<String>(),
-            "a constant profile says nothing about the medium",
-        ),
         (HEAD.to_owned() + &rows("R", 0.7), "thickness_mm = 0.7 is not valid: the dictionary has 0.5, 1"),
     ] {
         write(dir, "m.csv", &text);
@@ -110,16 +95,9 @@ fn bad_measurements_are_refused() {
     // The only dictionary needs no name.
     assert_eq!(run(dir, &["fit", "m.csv"]).code, 0);
     for (verb, option, message) in [
-        ("fit", "--mu=0", "mu = 0 is not valid"),
-        ("fit", "--lambda=-1", "lambda = -1 is not valid"),
         ("fit", "--g=0.3", "g = 0.3 is not valid: the dictionary has 0.4 alone"),
-        ("fit", "--g=0.6..0.2", "g = 0.6 to 0.2 is not valid: the lower bound must not exceed the upper"),
         ("fit", "--sigma-t=50..", "sigma_t_per_mm = 50 to inf is not valid: the dictionary has"),
-        ("fit", "--albedo=1.5", "albedo = 1.5 is not valid: allowed are 0 to 1"),
-        ("fit", "--level=0", "level = 0 is not valid: allowed are 1 to 10"),
         ("fit", "--offset-std-error=-1", "offset_std_error = -1 is not valid"),
-        ("fit", "--top=0", "top = 0 is not valid"),
-        ("scale", "--mu-min=0", "mu_min = 0 is not valid: allowed are numbers above 0"),
         ("scale", "--mu-min=2", "mu_min = 2 to 1.1 is not valid: the lower bound must not exceed the upper"),
         ("scale", "--mu-step=1e-9", "mu_step = 0.000000001 over 0.8 to 1.1 is not valid"),
         ("measure", "--mu=-1", "mu = -1 is not valid"),
@@ -287,17 +265,4 @@ fn other_programs_report_errors_in_one_line() {
     assert!(data.starts_with("farm-coordinator: data directory /dev/null/farm: cannot be created"), "{data}");
     let url = first_line("farm-worker", &["--server", "not a url"]);
     assert!(url.contains("\"not a url\" must begin with https:// or http://"), "{url}");
-}
-
-/// A row with x increased by 100 mm.
-fn far(row: &str) -> String {
-    let parts: Vec<&str> = row.split(',').collect();
-    let x: f64 = parts[3].parse().expect("x is a number");
-    format!("{},{},{},{},{}", parts[0], parts[1], parts[2], x + 100.0, parts[4])
-}
-
-/// A row with the value 0.5.
-fn flat(row: &str) -> String {
-    let parts: Vec<&str> = row.split(',').collect();
-    format!("{},0.5", parts[..4].join(","))
 }

@@ -1,21 +1,13 @@
 use super::*;
+use crate::photograph::tests::Maker;
 
 const RGGB: [Colour; 4] = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
 
 /// A grey TIFF of 64 × 64 pixels with a tag Orientation.
 fn tiff(orientation: u32, seed: u16) -> Vec<u8> {
-    let samples = (0..64 * 64_u16).map(|i| 1000 + i % 7 + seed);
-    let tags: [(u16, u32); 7] =
-        [(256, 64), (257, 64), (258, 16), (262, 1), (273, 8), (274, orientation), (279, 8192)];
-    let mut file = b"II\x2a\0".to_vec();
-    file.extend(8200_u32.to_le_bytes());
-    file.extend(samples.flat_map(u16::to_le_bytes));
-    file.extend(7_u16.to_le_bytes());
-    for (tag, value) in tags {
-        file.extend(tag.to_le_bytes().into_iter().chain([4, 0, 1, 0, 0, 0]).chain(value.to_le_bytes()));
-    }
-    file.extend([0; 4]);
-    file
+    let strip = (0..64 * 64_u16).flat_map(|i| (1000 + i % 7 + seed).to_le_bytes()).collect();
+    let grey = Maker { width: 64, height: 64, strip, tags: Vec::new(), ..Maker::dng() };
+    grey.with(262, &[1]).with(274, &[orientation]).bytes()
 }
 
 fn pgm(seed: u16) -> Vec<u8> {

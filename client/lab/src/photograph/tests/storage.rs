@@ -193,22 +193,15 @@ fn white_level_may_differ_between_channels() {
 #[test]
 fn small_files_do_not_become_large_pictures() {
     let zeros = |samples: usize| deflated(&vec![0; 2 * samples]);
-    let mut zeros_of_a_picture = Maker::dng().with(259, &[8]);
-    (zeros_of_a_picture.width, zeros_of_a_picture.height) = (8000, 8000);
-    zeros_of_a_picture.strip = zeros(1000);
-    let mut large_tile = Maker::dng()
-        .with(259, &[8])
-        .with(322, &[12_000])
-        .with(323, &[12_000])
-        .with(324, &[8])
-        .with(325, &[100]);
-    large_tile.strip = zeros(100_000);
-    let tiles = 400_usize;
-    let mut one_place = Maker::dng().with(259, &[8]).with(322, &[320]).with(323, &[320]);
-    (one_place.width, one_place.height) = (6400, 6400);
-    one_place.strip = zeros(320 * 320);
-    let length = one_place.strip.len() as u32;
-    one_place = one_place.with(324, &vec![8; tiles]).with(325, &vec![length; tiles]);
+    let deflate = || Maker::dng().with(259, &[8]);
+    let tiles = |side: u32, offsets: &[u32], lengths: &[u32]| {
+        deflate().with(322, &[side]).with(323, &[side]).with(324, offsets).with(325, lengths)
+    };
+    let zeros_of_a_picture = Maker { width: 8000, height: 8000, strip: zeros(1000), ..deflate() };
+    let large_tile = Maker { strip: zeros(100_000), ..tiles(12_000, &[8], &[100]) };
+    let strip = zeros(320 * 320);
+    let length = strip.len() as u32;
+    let one_place = Maker { width: 6400, height: 6400, strip, ..tiles(320, &[8; 400], &[length; 400]) };
     for (maker, samples) in
         [(zeros_of_a_picture, 64_000_000), (large_tile, 144_000_000), (one_place, 6400 * 6400)]
     {

@@ -122,24 +122,3 @@ fn text(line: &StepJson) -> String {
         line.jobs_computing
     )
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A lasting state is reported once, until it is over.
-    #[test]
-    fn lasting_state_is_reported_once() {
-        let output = Output::new(false);
-        let mut reporter = Reporter::new(&output, true);
-        let report = |reporter: &mut Reporter, step| reporter.report(step, "so".to_owned(), None).unwrap();
-        for step in [Step::Held, Step::Holding, Step::Held] {
-            report(&mut reporter, step);
-            assert!(reporter.stands(step));
-        }
-        reporter.is_over(Step::Held);
-        assert!(reporter.stands(Step::Holding) && !reporter.stands(Step::Held));
-        report(&mut reporter, Step::Submitted);
-        assert!(!reporter.stands(Step::Submitted), "each array is reported");
-    }
-}

@@ -199,25 +199,16 @@ mod tests {
     use optics_model::fit::{Bounds, FitOptions, FitSettings, MeasurePlan, SharedErrors};
 
     use super::super::Set;
+    use super::super::tests::measured;
     use super::*;
-    use crate::testing::{dense, noisy_profile, profile_value};
-
-    /// Three channels of a slab of unknown thickness.
-    fn measured() -> Measurement {
-        let media = [("R", 2.2, 0.91), ("G", 3.1, 0.93), ("B", 4.4, 0.95)];
-        let profile = |(i, (name, sigma_t, albedo)): (usize, (&str, f64, f64))| {
-            let exact = |x| profile_value(x, sigma_t, albedo, 0.3, 0.5, i as f64);
-            noisy_profile((name, 0.5, 120), exact, |_| 0.002, 120 * i as u64)
-        };
-        Measurement::new("m", media.into_iter().enumerate().map(profile).collect()).unwrap()
-    }
+    use crate::testing::dense;
 
     /// Changes of two channels have their covariance in the joint fit, and those of one channel at most its own.
     #[test]
     fn shared_errors_have_the_joint_covariance() {
         let dictionary = dense(120, 0.003);
         let settings = FitSettings { thickness_std_error_mm: 0.01, ..FitSettings::default() };
-        let materials = [measured()];
+        let materials = [measured(&[0.5])];
         let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);
@@ -255,7 +246,7 @@ mod tests {
         let exact = Bounds::fixed(0.3);
         let settings =
             FitSettings { gain_std_error: 0.03, g: exact, blur_std_error_mm: 0.0, ..FitSettings::default() };
-        let materials = [measured()];
+        let materials = [measured(&[0.5])];
         let set = Set::new(dictionary, &materials, &FitOptions::new(settings).unwrap()).unwrap();
         let (_, joint) = set.search(&MeasurePlan::default());
         let covariance = joint.covariance.as_ref().unwrap();
@@ -271,7 +262,7 @@ mod tests {
     fn single_channels_share_nothing() {
         assert_eq!(principal(&[RowDVector::zeros(0), RowDVector::zeros(0)], 0).shape(), (2, 0));
         let dictionary = dense(120, 0.003);
-        let one = Measurement::new("m", measured().profiles()[..1].to_vec()).unwrap();
+        let one = Measurement::new("m", measured(&[0.5]).profiles()[..1].to_vec()).unwrap();
         let set = Set::new(dictionary, std::slice::from_ref(&one), &FitOptions::default()).unwrap();
         let plan = MeasurePlan::default();
         let (cells, joint) = set.search(&plan);

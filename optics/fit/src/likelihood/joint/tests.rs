@@ -9,14 +9,15 @@ use optics_model::fit::{MeasurePlan, Measured};
 const NOISE: f64 = 0.002;
 
 /// Channels R, G and B of slabs of these thicknesses, with noise as stated. Each channel prefers a g of its own.
-fn measured(thicknesses_mm: [f64; 2]) -> Measurement {
+pub(super) fn measured(thicknesses_mm: &[f64]) -> Measurement {
     let media = [("R", 2.2, 0.91, 0.27), ("G", 3.1, 0.93, 0.33), ("B", 4.4, 0.95, 0.39)];
     let profile = |(i, (name, sigma_t, albedo, g)): (usize, (&str, f64, f64, f64)), thickness_mm: f64| {
         let exact = |x| profile_value(x, sigma_t, albedo, g, thickness_mm, i as f64);
         let seed = (2 * i) as u64 + u64::from(thickness_mm > 0.75);
         noisy_profile((name, thickness_mm, 120), exact, |_| NOISE, seed * 120)
     };
-    let profiles = media.into_iter().enumerate().flat_map(|c| thicknesses_mm.map(|t| profile(c, t)));
+    let profiles =
+        media.into_iter().enumerate().flat_map(|c| thicknesses_mm.iter().map(move |t| profile(c, *t)));
     Measurement::new("m", profiles.collect()).unwrap()
 }
 
@@ -24,7 +25,7 @@ fn found(thicknesses_mm: [f64; 2], objective: Option<Objective>) -> Result<Measu
     let dictionary = dense(120, 0.003);
     let settings = FitSettings { objective, ..FitSettings::default() };
     let plan = MeasurePlan { search_mu: Some(MuRange::default()), ..MeasurePlan::default() };
-    measure(dictionary, &[measured(thicknesses_mm)], &FitOptions::new(settings).unwrap(), &plan)
+    measure(dictionary, &[measured(&thicknesses_mm)], &FitOptions::new(settings).unwrap(), &plan)
 }
 
 /// A common g is the same number in all channels, to the last bit: renderers make one medium of such channels.

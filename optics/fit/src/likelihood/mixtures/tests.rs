@@ -70,10 +70,7 @@ fn ink_intervals_cover_the_truth_as_claimed() {
     let (mut held, mut count) = (0, 0);
     for seed in 0..25 {
         let found = unmixed(&[WHITE, GREY, ("half", HALF, HALF), ("light", LIGHT, LIGHT)], seed).unwrap();
-        for (what, interval, truth) in against_truth(&found) {
-            if !interval.contains(truth) {
-                println!("{seed}: {what} {interval:?} misses {truth}");
-            }
+        for (_, interval, truth) in against_truth(&found) {
             held += u32::from(interval.contains(truth));
             count += 1;
         }

@@ -1,45 +1,10 @@
 //! Tests uncertain quantities of the scene on a dictionary from a formula whose responses are known.
 
 use optics_model::fit::SceneEstimate;
-use optics_model::grid::Responses;
-use optics_model::scene::{Prior, PriorKind, Scope};
 
 use super::*;
-use crate::surrogate::{Surrogate, coordinates};
-
-/// The change of a profile by the quantities' differences from the scene in standard deviations: the gel's brightens the
-/// middle, not quite in proportion; the ring's darkens the rims.
-fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 {
-    let middle = 0.02 * (-x * x).exp() * (1.0 - 0.3 * g);
-    albedo * (middle * gel * (1.0 + 0.05 * gel) - 0.004 * ring * (x / 5.0).powi(2))
-}
-
-/// The paper's scene with two uncertain quantities, or none.
-fn grid(uncertain: bool) -> Grid {
-    let exact = Scene::paper().with_sensor(Sensor::new(10.0, 120, 0.0).unwrap());
-    let gel = Prior::new(PriorKind::Thickness, vec![1, 3], 0.02, Scope::Slab).unwrap();
-    let ring = Prior::new(PriorKind::RingAngle, Vec::new(), 1.0, Scope::Session).unwrap();
-    let scene = if uncertain { exact.with_priors(vec![gel, ring]).unwrap() } else { exact };
-    let axes = dense_axes();
-    let responses = Responses::of(&scene, &axes, |varied| Ok(varied.channels().to_vec())).unwrap();
-    let grid = Grid::new(scene, axes, Walks::PAPER, 1, false).unwrap();
-    responses.map_or(Ok(grid.clone()), |responses| grid.with_responses(responses)).unwrap()
-}
-
-fn dictionary(uncertain: bool) -> FitDictionary {
-    let grid = grid(uncertain);
-    dictionary_of(&grid, |index| {
-        let mut quantities = [0.0; 2];
-        if let Some(variant) = grid.response_of(index / grid.albedo().len()).and_then(|place| place.variant) {
-            let variant = &grid.responses().unwrap().variants()[variant];
-            quantities[variant.prior] = variant.step / grid.scene().priors()[variant.prior].std_error();
-        }
-        exact_record(&grid, index, 3, |x, m, thickness, channel| {
-            let (s, a, g) = (m.sigma_t_per_mm(), m.albedo(), m.g());
-            profile_value(x, s, a, g, thickness, channel as f64) + change(x, a, g, quantities)
-        })
-    })
-}
+use crate::surrogate::Surrogate;
+use crate::testing::{change, uncertain_dictionary};
 
 /// Channel G at both thicknesses with 0.3 % of noise; the gel's quantity differs between the slabs.
 fn measured(gel: [f64; 2], ring: f64, seed: u64) -> Measurement {
@@ -58,7 +23,7 @@ fn scene_of(found: &Refined) -> &[SceneEstimate] {
 /// Between the nodes responses are interpolated to 1 % of the effect of one standard deviation.
 #[test]
 fn responses_are_interpolated_between_nodes() {
-    let dictionary = dictionary(true);
+    let dictionary = uncertain_dictionary(2);
     let surrogate = Surrogate::new(&dictionary, 1, 0);
     let medium = Medium::new(MEDIUM.0, MEDIUM.1, MEDIUM.2).unwrap();
     let near = Medium::new(1.01 * MEDIUM.0, MEDIUM.1 - 0.005, MEDIUM.2 + 0.01).unwrap();
@@ -89,7 +54,7 @@ fn responses_are_interpolated_between_nodes() {
 /// scene the medium or the misfit is wrong.
 #[test]
 fn scene_is_estimated_with_the_medium() {
-    let [uncertain, exact] = [true, false].map(dictionary);
+    let [uncertain, exact] = [2, 0].map(uncertain_dictionary);
     let with_g = FitSettings { g: Bounds::fixed(MEDIUM.2), ..settings() };
     let off = |found: f64, truth: f64, ends: &Interval| 2.0 * (found - truth).abs() / (ends.high - ends.low);
     for (seed, gel, ring) in [(1, [0.0, 0.0], 0.0), (2, [1.4, -0.2], 1.2), (3, [-0.1, 2.1], -1.5)] {
@@ -121,7 +86,7 @@ fn scene_is_estimated_with_the_medium() {
 #[test]
 fn estimates_end_with_the_responses() {
     let measured = measured([6.0, 0.0], 0.0, 4);
-    let found = refined_with(&dictionary(true), &measured, settings());
+    let found = refined_with(&uncertain_dictionary(2), &measured, settings());
     let gel = &scene_of(&found)[0];
     assert!(gel.at_end && gel.is_conflict(), "{gel:?}");
     assert!((gel.value - (0.02 + 0.088)).abs() < 1e-9, "{gel:?}");

@@ -111,33 +111,28 @@ fn equal_errors_keep_the_record_order() {
 /// Candidates keep the bounds, and bounds outside the dictionary are refused.
 #[test]
 fn bounds_are_kept_or_refused() {
+    type Change = fn(&mut FitSettings);
+    type Kept = fn(&Medium) -> bool;
     let dictionary = dictionary(360);
     let m = measured(4.0, 0.9, 0.0, 360, 10.0);
-    let fixed = options(|s| {
-        s.g = Bounds::fixed(0.4);
-        s.top = 24;
-    });
-    let found = best(&dictionary, &m, &fixed);
-    assert_eq!(found.len(), 12);
-    assert!(found.iter().all(|c| c.medium.g() == 0.4));
-    let within = options(|s| {
-        s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(1.5), Some(4.0)).unwrap();
-        s.albedo = Bounds::new("albedo", None, Some(0.6)).unwrap();
-        s.top = 24;
-    });
-    let found = best(&dictionary, &m, &within);
-    assert_eq!(found.len(), 2 * 2 * 2);
-    assert!(
-        found.iter().all(|c| (1.5..=4.0).contains(&c.medium.sigma_t_per_mm()) && c.medium.albedo() <= 0.6)
-    );
-    // A value between two nodes admits both.
-    let between = options(|s| {
-        s.sigma_t_per_mm = Bounds::fixed(3.0);
-        s.top = 24;
-    });
-    let found = best(&dictionary, &m, &between);
-    assert_eq!(found.len(), 2 * 6);
-    assert!(found.iter().all(|c| [2.0, 4.0].contains(&c.medium.sigma_t_per_mm())));
+    let within: [(Change, usize, Kept); 3] = [
+        (|s| s.g = Bounds::fixed(0.4), 12, |m| m.g() == 0.4),
+        (
+            |s| {
+                s.sigma_t_per_mm = Bounds::new("sigma_t_per_mm", Some(1.5), Some(4.0)).unwrap();
+                s.albedo = Bounds::new("albedo", None, Some(0.6)).unwrap();
+            },
+            2 * 2 * 2,
+            |m| (1.5..=4.0).contains(&m.sigma_t_per_mm()) && m.albedo() <= 0.6,
+        ),
+        // A value between two nodes admits both.
+        (|s| s.sigma_t_per_mm = Bounds::fixed(3.0), 2 * 6, |m| [2.0, 4.0].contains(&m.sigma_t_per_mm())),
+    ];
+    for (change, count, is_kept) in within {
+        let options = FitOptions::new(FitSettings { top: 24, ..*options(change).settings() }).unwrap();
+        let found = best(&dictionary, &m, &options);
+        assert!(found.len() == count && found.iter().all(|c| is_kept(&c.medium)), "{found:?}");
+    }
     let refuse =
         |change: fn(&mut FitSettings)| fit(&dictionary, &m, &options(change)).unwrap_err().to_string();
     assert_eq!(refuse(|s| s.g = Bounds::fixed(0.5)), "g = 0.5 is not valid: the dictionary has 0 to 0.4");
@@ -166,19 +161,22 @@ fn parts_wavelets_and_levels_differ() {
     }
 }
 
-/// Profiles brighter or darker than all records are fitted and marked.
+/// Profiles brighter or darker than all records are fitted and marked, by either objective.
 #[test]
 fn profiles_beyond_all_records_are_marked() {
     let dictionary = dictionary(360);
-    let outside = |factor: f64| {
-        let m = measured(4.0, 0.9, 0.0, 360, 10.0);
-        let scaled = options(|s| s.mu = factor);
-        let channel = fit(&dictionary, &m, &scaled).unwrap().channels.remove(0);
-        (channel.outside, channel.candidates.len())
-    };
-    assert_eq!(outside(1.0), (None, 5));
-    assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
-    assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
+    for objective in [Objective::Paper, Objective::Likelihood] {
+        let outside = |factor: f64| {
+            let m = measured(4.0, 0.9, 0.0, 360, 10.0);
+            let settings = FitSettings { mu: factor, objective: Some(objective), ..FitSettings::default() };
+            let options = FitOptions::new(settings).unwrap();
+            let channel = fit(&dictionary, &m, &options).unwrap().channels.remove(0);
+            (channel.outside, channel.candidates.len())
+        };
+        assert_eq!(outside(1.0), (None, 5));
+        assert_eq!(outside(10.0), (Some(Outside::Brighter), 5));
+        assert_eq!(outside(0.01), (Some(Outside::Darker), 5));
+    }
 }
 
 /// Unknown channels and thicknesses, and an x that hardly overlaps with the dictionary's, are refused.

@@ -5,10 +5,11 @@ use std::sync::atomic::AtomicBool;
 use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
 use optics_model::scene::{Prior, Scene};
-use optics_model::{Grid, Medium, PackedRecords, TransportPoint, Walks};
+use optics_model::{Grid, Medium, PackedRecords, Walks};
 use optics_tracer::{SeenBase, trace};
 
 use crate::surrogate::{Surrogate, coordinates};
+use crate::testing::traced_profile;
 use crate::{DictionaryBuilder, FitDictionary};
 
 const SLABS_MM: [f64; 2] = [0.5, 1.0];
@@ -20,15 +21,7 @@ fn lab() -> Scene {
     lab.with_channels(first).unwrap()
 }
 
-fn records(scene: &Scene, medium: &Medium, thickness_mm: f64, walks: Walks, seed: u64) -> Vec<f64> {
-    let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, IOR).unwrap();
-    let job = JobSpec::new(scene.clone(), point, vec![medium.albedo()], walks, seed, false).unwrap();
-    let record = trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
-    record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
-}
-
 fn dictionary() -> FitDictionary {
-    let scene = lab();
     let axes = Axes {
         sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
         albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
@@ -36,16 +29,17 @@ fn dictionary() -> FitDictionary {
         thickness_mm: SLABS_MM.to_vec(),
         sample_ior: vec![IOR],
     };
-    let base = SeenBase::of(&scene);
-    let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
-    let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
-    traced(&grid.with_responses(responses).unwrap())
+    traced(lab(), axes, Walks::PAPER, 1)
 }
 
-fn traced(grid: &Grid) -> FitDictionary {
+/// The traced dictionary of a scene, with its responses.
+fn traced(scene: Scene, axes: Axes, walks: Walks, seed: u64) -> FitDictionary {
+    let base = SeenBase::of(&scene);
+    let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
+    let grid = Grid::new(scene, axes, walks, seed, false).unwrap().with_responses(responses).unwrap();
     let mut builder = DictionaryBuilder::new(grid.clone());
     for job in 0..grid.job_count() {
-        let job = JobSpec::of(grid, job);
+        let job = JobSpec::of(&grid, job);
         builder.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
     }
     builder.build()
@@ -62,10 +56,7 @@ fn of_roughness(seed: u64) -> FitDictionary {
         thickness_mm: vec![1.0],
         sample_ior: vec![IOR],
     };
-    let base = SeenBase::of(&scene);
-    let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
-    let grid = Grid::new(scene, axes, Walks::new(2500).unwrap(), seed, false).unwrap();
-    traced(&grid.with_responses(responses).unwrap())
+    traced(scene, axes, Walks::new(2500).unwrap(), seed)
 }
 
 /// The model's error is a tenth of the change of a profile, alike at neighbouring pixels and different farther away.
@@ -110,7 +101,6 @@ fn noise_is_the_scatter_between_seeds() {
     };
     let pixels = found[0][0].len();
     let found: f64 = found.iter().flat_map(|of| (0..pixels).map(|p| variance(of, p))).sum();
-    println!("variance stated over found: {:.2}", stated / found);
     assert!((0.7..1.4).contains(&(stated / found)), "{}", stated / found);
 }
 
@@ -188,7 +178,9 @@ fn check_responses(chosen: impl Fn(&Prior) -> bool) {
     let (surrogate, base) = (Surrogate::new(&dictionary, 0, 0), SeenBase::of(&scene));
     let slab_mm = |m: usize| SLABS_MM[m % SLABS_MM.len()];
     let all = |scene: &Scene| -> Vec<Vec<f64>> {
-        let of = |(m, medium): (usize, &Medium)| records(scene, medium, slab_mm(m), walks, m as u64);
+        let of = |(m, medium): (usize, &Medium)| {
+            traced_profile(scene.clone(), medium, slab_mm(m), walks, m as u64)
+        };
         media.iter().enumerate().map(of).collect()
     };
     let plain = all(&scene);

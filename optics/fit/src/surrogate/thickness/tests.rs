@@ -99,29 +99,6 @@ fn slopes_match_difference_quotients() {
     }
 }
 
-/// The error of interpolation between thicknesses is as small as that of the records' model at their own thicknesses;
-/// scaling alone has several times that error.
-#[test]
-fn slabs_of_any_thickness_are_predicted() {
-    let (two, one) = (dictionary(&[0.5, 1.0]), dictionary(&[0.5]));
-    let (two, one) = (Surrogate::new(&two, 0, 0), Surrogate::new(&one, 0, 0));
-    let sensor = two.grid().scene().sensor();
-    let error = |surrogate: &Surrogate, mm: f64, sigma_t: f64| {
-        let exact = Medium::new(sigma_t, 0.92, 0.33).unwrap();
-        let truth: Vec<f64> = (0..PIXELS).map(|i| slab(sensor.centre_mm(i), &exact, mm)).collect();
-        rms(&surrogate.predict_at(mm, medium(sigma_t)).values, &truth)
-    };
-    for sigma_t in [2.5, 4.0] {
-        let model = 1.2e-4;
-        assert!(error(&two, 0.5, sigma_t).max(error(&two, 1.0, sigma_t)) < model, "{sigma_t}");
-        for (mm, shows) in [(0.45, 4.0), (0.55, 3.0), (0.7, 8.0), (0.9, 12.0), (1.1, 15.0)] {
-            let (interpolated, scaled) = (error(&two, mm, sigma_t), error(&one, mm, sigma_t));
-            assert!(interpolated < model, "{mm} mm, {sigma_t}: {interpolated}");
-            assert!(scaled > shows * model, "{mm} mm, {sigma_t}: scaled {scaled}");
-        }
-    }
-}
-
 /// Predictions change without jumps over thickness and σ_t.
 #[test]
 fn predictions_are_continuous() {

@@ -93,17 +93,14 @@ fn density(x: f64, width: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::AtomicBool;
-
     use nalgebra::{DMatrix, DVector};
-    use optics_model::job::JobSpec;
     use optics_model::scene::{Prior, Scene, Sensor};
-    use optics_model::{Medium, TransportPoint, Walks};
-    use optics_tracer::trace;
+    use optics_model::{Medium, Walks};
     use rayon::prelude::*;
 
     use super::super::{Camera, PADDING, convolve, pad};
     use super::*;
+    use crate::testing::traced_profile;
 
     const PIXELS: usize = 360;
     const WIDTH_MM: f64 = 10.0;
@@ -141,13 +138,8 @@ mod tests {
                 scene.varied(prior, between(axis, *low, *high), channels).unwrap()
             });
             let sensor = Sensor::new(WIDTH_MM, (PIXELS * PARTS) as u32, 0.0).unwrap();
-            let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), thickness_mm, 1.53).unwrap();
             let walks = Walks::new(1_000_000).unwrap();
-            let scene = scene.with_sensor(sensor);
-            let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, number, false).unwrap();
-            let record = trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
-            let fine = record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect();
-            Self { fine }
+            Self { fine: traced_profile(scene.with_sensor(sensor), &medium, thickness_mm, walks, number) }
         }
 
         fn averages(fine: &[f64]) -> Vec<f64> {
@@ -197,7 +189,6 @@ mod tests {
             let errors: Vec<[f64; 2]> = slabs.iter().map(error).collect();
             let squares = |of: usize| errors.iter().map(|e| e[of] * e[of]).sum::<f64>();
             let [rms, plain] = [0, 1].map(|of| (squares(of) / errors.len() as f64).sqrt());
-            println!("{blur_mm} mm: {rms:.5}, plain {plain:.5}");
             assert!(rms < most && plain > 6.0 * most, "{blur_mm} mm: {rms} {plain}");
         }
     }
