@@ -64,7 +64,7 @@ pub fn dng(photo: &Photo) -> Vec<u8> {
 }
 
 fn strip(frame: &Frame) -> Vec<u8> {
-    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
     for row in frame.samples().chunks_exact(frame.width()) {
         let before = [0].into_iter().chain(row.iter().copied());
         let differences = row.iter().zip(before).flat_map(|(v, before)| v.wrapping_sub(before).to_le_bytes());

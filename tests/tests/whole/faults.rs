@@ -42,7 +42,7 @@ walks = 5000
 const JOBS: u64 = 12;
 const RECORDS: u64 = 36;
 
-/// Four jobs, for workers with [`LONG_PACE`].
+/// Two jobs, for workers with [`LONG_PACE`].
 const LONG_JOBS: &str = "\
 sigma_t_per_mm = [8, 9]
 albedo = [0.9, 0.999]

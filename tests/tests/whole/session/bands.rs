@@ -19,7 +19,7 @@ use super::{append, captured, measured, read_json};
 
 /// Nodes of the short form's dictionary, whose responses are traced at three extinctions.
 const AXES: &str = "sigma_t_per_mm = [2.5, 4.0, 4.5, 5.1, 5.8, 6.6, 7.5, 11.0]\ng = [0.2, 0.3, 0.4, 0.5, 0.6]\n\
-    albedo = [0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.997, 0.998, 0.999, 0.9995]\nwalks = 60000\n";
+    albedo = [0.94, 0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.997, 0.998, 0.999, 0.9995]\nwalks = 30000\n";
 
 /// Writes and captures a session into the folder `out`.
 fn capture(session: &BandSession, folder: &Path) -> Value {

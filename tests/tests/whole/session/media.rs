@@ -52,7 +52,12 @@ struct Trial {
 
 impl Trial {
     fn normal() -> Self {
-        Self { sessions: 0..1, axes: "g = [0.3, 0.4, 0.5]\n".to_owned(), g: (0.3, 0.5), walks: 4_000_000 }
+        Self {
+            sessions: 0..1,
+            axes: "g = [0.3, 0.4, 0.5]\nwalks = 20000\n".to_owned(),
+            g: (0.3, 0.5),
+            walks: 4_000_000,
+        }
     }
 
     fn long() -> Self {
