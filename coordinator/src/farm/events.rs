@@ -1,9 +1,10 @@
 //! Writes events to the store in batches, and posts some to the webhook, so that no operation waits for them.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
 use ureq::http::Uri;
@@ -20,10 +21,15 @@ const QUEUE: usize = 10_000;
 const BATCH: usize = 500;
 /// Time in which events are gathered between two transactions.
 const PAUSE: Duration = Duration::from_millis(200);
+/// Most time that a question about events waits for those before it.
+const SETTLE: Duration = Duration::from_secs(2);
 
 #[derive(Debug)]
 pub(super) struct Recorder {
     queue: Mutex<Option<mpsc::Sender<StoredEvent>>>,
+    /// Number of events that were queued, and of those that were stored or lost.
+    queued: AtomicU64,
+    settled: watch::Receiver<u64>,
     clock: Clock,
     shares: Mutex<EventShares>,
     webhook: Option<Webhook>,
@@ -33,9 +39,12 @@ pub(super) struct Recorder {
 impl Recorder {
     pub(super) fn start(store: Store, webhook: Option<Uri>) -> Self {
         let (queue, events) = mpsc::channel(QUEUE);
-        let writer = tokio::spawn(write(store, events));
+        let (done, settled) = watch::channel(0);
+        let writer = tokio::spawn(write(store, events, done));
         Self {
             queue: Mutex::new(Some(queue)),
+            queued: AtomicU64::new(0),
+            settled,
             clock: Clock::start(),
             shares: Mutex::default(),
             webhook: webhook.map(Webhook::start),
@@ -68,9 +77,19 @@ impl Recorder {
             webhook.post(&stored);
         }
         let queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
-        if queue.as_ref().is_some_and(|queue| queue.try_send(stored).is_err()) {
+        let Some(queue) = queue.as_ref() else { return };
+        if queue.try_send(stored).is_ok() {
+            self.queued.fetch_add(1, Ordering::Relaxed);
+        } else {
             tracing::warn!("too many events at once: this one is not kept");
         }
+    }
+
+    /// Waits until the events that were recorded before are stored, but not for long.
+    pub(super) async fn settle(&self) {
+        let queued = self.queued.load(Ordering::Relaxed);
+        let _ =
+            tokio::time::timeout(SETTLE, self.settled.clone().wait_for(|settled| *settled >= queued)).await;
     }
 
     /// Writes the waiting events and ends the writer.
@@ -82,12 +101,13 @@ impl Recorder {
     }
 }
 
-async fn write(store: Store, mut events: mpsc::Receiver<StoredEvent>) {
+async fn write(store: Store, mut events: mpsc::Receiver<StoredEvent>, settled: watch::Sender<u64>) {
     let mut batch = Vec::with_capacity(BATCH);
     while events.recv_many(&mut batch, BATCH).await > 0 {
         if let Err(error) = store.add_events(&batch).await {
             tracing::warn!(%error, lost = batch.len(), "events could not be stored");
         }
+        settled.send_modify(|settled| *settled += batch.len() as u64);
         batch.clear();
         if !events.is_closed() {
             tokio::time::sleep(PAUSE).await;

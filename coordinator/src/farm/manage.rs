@@ -290,11 +290,15 @@ impl Farm {
         self.scheduler.query(|d, _| Ok(named(d, name)?.given_up(from, most)))
     }
 
+    /// Events with a number above `after`, those before the question included.
     pub(crate) async fn events(&self, after: i64, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
+        self.scheduler.settle_events().await;
         Ok(self.store.events_after(after, dictionary, most).await?)
     }
 
+    /// The last events, those before the question included.
     pub(crate) async fn newest_events(&self, dictionary: &str, most: u32) -> Result<Vec<StoredEvent>> {
+        self.scheduler.settle_events().await;
         Ok(self.store.newest_events(dictionary, most).await?)
     }
 }

@@ -109,6 +109,11 @@ impl Scheduler {
         self.recorder.record(&Event { actor: actor.to_string(), ..Event::of_farm(kind, message) });
     }
 
+    /// Waits until the events so far are stored, but not for long.
+    pub async fn settle_events(&self) {
+        self.recorder.settle().await;
+    }
+
     pub fn metrics(&self) -> &Metrics {
         &self.metrics
     }

@@ -110,6 +110,16 @@ async fn done() -> (Arc<Farm>, TempDir) {
     (farm, dir)
 }
 
+/// Events are stored in batches, and a question about them has those of what was answered before.
+#[tokio::test]
+async fn events_follow_their_causes_at_once() {
+    let (farm, _dir) = empty().await;
+    for (count, name) in ["a", "b", "c"].map(testing::name).into_iter().enumerate() {
+        farm.submit(&Actor::default(), name, grid(), 0).await.unwrap();
+        assert_eq!(farm.events(0, "", 10).await.unwrap().len(), count + 1);
+    }
+}
+
 fn jobs_done(farm: &Farm) -> u32 {
     farm.status(&name()).unwrap().jobs_done as u32
 }
