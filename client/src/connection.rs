@@ -223,7 +223,7 @@ impl Connection {
 
     async fn embed(coordinator: Coordinator, purpose: Purpose) -> Result<Self> {
         let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let (listener, gate) = Gate::own_user(any_port).await.context("opening a port on loopback")?;
+        let (listener, gate) = Gate::own_user(any_port).context("opening a port on loopback")?;
         let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
         let coordinator = tokio::spawn(coordinator.serve(listener, gate, None, stop_coordinator.clone()));

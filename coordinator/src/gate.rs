@@ -5,8 +5,11 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use farm_link::{CoordinatorAccess, LocalSocket, Role, Tokens};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpSocket};
 use tonic::transport::ServerTlsConfig;
+
+/// Connections that may wait to be accepted.
+const BACKLOG: u32 = 1024;
 
 /// The coordinator's rules of admission.
 #[derive(Debug, Clone)]
@@ -40,9 +43,12 @@ impl Listener {
 }
 
 impl Gate {
-    /// Listens on an address of loopback, for the programs of this user.
-    pub async fn own_user(address: SocketAddr) -> io::Result<(Listener, Self)> {
-        let port = TcpListener::bind(address).await?;
+    /// Listens on an address of loopback, for the programs of this user. The port listens once the socket has its name:
+    /// a program that reaches the port finds the socket.
+    pub fn own_user(address: SocketAddr) -> io::Result<(Listener, Self)> {
+        let port = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+        port.set_reuseaddr(true)?;
+        port.bind(address)?;
         let socket = LocalSocket::open(port.local_addr()?.port()).map_err(|error| {
             let what = "making the socket for this user's programs";
             io::Error::new(
@@ -50,7 +56,7 @@ impl Gate {
                 format!("{what}: {error} (FARM_SOCKETS names another folder for it)"),
             )
         })?;
-        Ok((Listener { port, own_user: Some(socket) }, Self::OwnUser))
+        Ok((Listener { port: port.listen(BACKLOG)?, own_user: Some(socket) }, Self::OwnUser))
     }
 
     pub(crate) fn tls(&self) -> Option<ServerTlsConfig> {
@@ -104,6 +110,33 @@ impl Gate {
                     tracing::error!(%error, "the access file has changed and cannot be used: nothing is changed");
                 }
             },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::TcpStream;
+
+    use super::*;
+
+    /// A program that reaches the port of a coordinator that is starting finds the socket for its user.
+    #[tokio::test]
+    async fn socket_precedes_the_listening_port() {
+        let (first, _) = Gate::own_user("127.0.0.1:0".parse().unwrap()).unwrap();
+        let (address, path) =
+            (first.local_addr().unwrap(), first.own_user.as_ref().unwrap().path().to_owned());
+        drop(first);
+        for _ in 0..20 {
+            assert!(!path.exists());
+            let path = path.clone();
+            let knocking = std::thread::spawn(move || {
+                while TcpStream::connect(address).is_err() {}
+                path.exists()
+            });
+            let listener = Gate::own_user(address).unwrap();
+            assert!(knocking.join().unwrap());
+            drop(listener);
         }
     }
 }

@@ -50,7 +50,7 @@ async fn run(args: Args) -> anyhow::Result<()> {
     let access = args.access.as_deref().map(CoordinatorAccess::read).transpose()?.map(Arc::new);
     let coordinator = Coordinator::open(&config).await?;
     let listening = match access {
-        None if !args.insecure => Gate::own_user(args.listen).await,
+        None if !args.insecure => Gate::own_user(args.listen),
         access => {
             let gate = access.map_or(Gate::Everybody, Gate::File);
             TcpListener::bind(args.listen).await.map(|listener| (listener.into(), gate))

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use rustix::process::{Pid, Signal, kill_process};
 
+use crate::process::{SOON, wait_for};
+
 /// Queues the tasks of an array, one file each.
 const SBATCH: &str = r#"
 [[ ! -e refuses ]] || { echo "sbatch: error: QOSMaxSubmitJobPerUserLimit" >&2; exit 1; }
@@ -42,8 +44,8 @@ rm -f "queue/$1 $2" "running/$1-$2"
 "#;
 
 const SQUEUE: &str = r#"
-[[ ! -e away ]] || { echo "slurm_load_jobs error: Unable to contact slurm controller" >&2; exit 1; }
-touch asked
+[[ ! -e away ]] || { echo >>asked; echo "slurm_load_jobs error: Unable to contact slurm controller" >&2; exit 1; }
+echo >>asked
 for file in queue/*; do
   [[ -e $file ]] || continue
   task=${file#queue/}
@@ -109,9 +111,14 @@ impl Cluster {
         entries(&self.folder.join("queue")).iter().filter(|file| text(file).starts_with(state)).count()
     }
 
-    /// Whether squeue was called.
-    pub fn was_asked(&self) -> bool {
-        self.folder.join("asked").exists()
+    /// Waits until squeue was called this many more times, with an answer or without.
+    ///
+    /// # Panics
+    /// If it is not called.
+    pub fn wait_for_checks(&self, count: usize) {
+        let checks = || std::fs::read(self.folder.join("asked")).map_or(0, |calls| calls.len());
+        let before = checks();
+        wait_for("calls of squeue", SOON, || (checks() >= before + count).then_some(()));
     }
 
     /// Number of arrays that were submitted.

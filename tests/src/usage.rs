@@ -36,18 +36,6 @@ impl Usage {
     }
 }
 
-/// Zombie children of a process.
-pub fn zombies_of(parent: u32) -> Vec<u32> {
-    let processes = std::fs::read_dir("/proc").into_iter().flatten().flatten();
-    let pids = processes.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-    pids.filter(|pid| {
-        let stat = read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-        let fields = stat.rsplit_once(')').map(|(_, rest)| rest.split_whitespace().collect::<Vec<_>>());
-        fields.is_some_and(|f| f.first() == Some(&"Z") && f.get(1) == Some(&parent.to_string().as_str()))
-    })
-    .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -65,17 +53,5 @@ mod tests {
         // Counts of two readings may differ by what threads keep for themselves.
         assert!(after.peak_kib >= after.resident_kib, "{before:?} {after:?}");
         assert_eq!(Usage::of(u32::MAX), None);
-    }
-
-    /// A child that was not waited for is a zombie.
-    #[test]
-    fn unwaited_child_is_a_zombie() {
-        let mut child = std::process::Command::new("true").spawn().unwrap();
-        let is_one = || zombies_of(std::process::id()).contains(&child.id());
-        while !is_one() {
-            std::thread::yield_now();
-        }
-        child.wait().unwrap();
-        assert!(!zombies_of(std::process::id()).contains(&child.id()));
     }
 }

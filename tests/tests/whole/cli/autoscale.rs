@@ -3,7 +3,6 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 use std::process::Command;
-use std::time::Duration;
 
 use farm_tests::cluster::Cluster;
 use farm_tests::farm::Farm;
@@ -95,12 +94,12 @@ fn nothing_is_submitted_while_slurm_is_away() {
 
     cluster.set("away", false);
     let mut autoscaler = start(&farm, &mut autoscale(&farm, &cluster, &worker(), &["--max-workers", "2"]));
-    wait_for("the first check", SOON, || cluster.was_asked().then_some(()));
+    cluster.wait_for_checks(1);
     cluster.set("away", true);
     // Checks that still had an answer are over then.
     wait_for("the event", SOON, || (count(&farm, "unknown") == 1).then_some(()));
     farm.submit("grid", GRID);
-    std::thread::sleep(Duration::from_secs(3));
+    cluster.wait_for_checks(3);
     assert_eq!((count(&farm, "unknown"), cluster.arrays()), (1, 0));
     cluster.set("away", false);
     farm.done("grid");
@@ -120,8 +119,9 @@ fn missing_workers_are_reported_first() {
     wait_for("the event", SOON, || (count(&farm, "failed") > 0).then_some(()));
     let failed = steps(&farm).into_iter().find(|(step, _)| step == "failed").unwrap().1;
     assert!(failed.contains("worker 1_1 ended") && failed.contains("(farm-worker-1_1.log)"), "{failed}");
+    wait_for("the pause", SOON, || (count(&farm, "holding") == 1).then_some(()));
     let submitted = cluster.arrays();
-    std::thread::sleep(Duration::from_secs(4));
+    cluster.wait_for_checks(3);
     assert_eq!((cluster.arrays(), count(&farm, "holding")), (submitted, 1), "{:?}", steps(&farm));
     autoscaler.signal(Signal::TERM);
     assert_eq!(autoscaler.exit_within(SOON), 0, "{}", autoscaler.log());

@@ -86,10 +86,10 @@ async fn results_pass_a_link_that_keeps_breaking() {
     let link = proxy(&farm).await;
     farm.submit("grid", GRID);
     let worker = farm.worker_at(&link.url(), "worker", &SHORT_PACE);
-    for bytes in [100, 5_000, 20_000, 60_000] {
-        farm.leased("grid", 1);
+    for bytes in [60_000, 20_000, 5_000, 100] {
+        // Heartbeats, too, are held when this many bytes have passed.
         link.hold_after(Direction::Requests, bytes);
-        std::thread::sleep(Duration::from_millis(300));
+        wait_for("the link breaks off", LONG, || (link.held_bytes() > 0).then_some(()));
         link.cut();
         link.heal();
     }
