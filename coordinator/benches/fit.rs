@@ -42,7 +42,7 @@ fn made_up() -> FitDictionary {
         let width = 0.3 + point.thickness_mm() / (medium.sigma_t_per_mm() * (1.0 - medium.g()));
         let value = |i: usize| {
             let x = grid.scene().sensor().centre_mm(i);
-            (medium.albedo() * (0.3 + 0.2 * (x / width).tanh() / point.thickness_mm())) as f32
+            (medium.albedo() * (0.3 + 0.2 * libm::tanh(x / width) / point.thickness_mm())) as f32
         };
         let values: Vec<f32> = (0..grid.scene().sensor().pixels()).map(value).collect();
         let estimate = Estimate::new(values.clone(), vec![0.0; values.len()]).unwrap();
@@ -59,7 +59,7 @@ fn made_up() -> FitDictionary {
 
 /// A smooth random-looking sequence of numbers from −1 to 1.
 fn noise(n: usize) -> f64 {
-    ((n as f64 * 12.9898).sin() * 43_758.547).fract()
+    (libm::sin(n as f64 * 12.9898) * 43_758.547).fract()
 }
 
 /// A material and its σ_t and α in R, G, B.

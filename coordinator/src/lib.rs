@@ -23,6 +23,7 @@ mod testing;
 mod throttle;
 mod turns;
 
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -52,6 +53,9 @@ pub enum Error {
     Address(std::io::Error),
 }
 
+/// What comes later. The box has the program's code in this crate: an `async fn` is compiled by each crate that awaits it.
+type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, Error>> + Send + 'a>>;
+
 /// A coordinator that has locked its data directory and loaded its contents.
 #[derive(Debug)]
 pub struct Coordinator {
@@ -61,7 +65,11 @@ pub struct Coordinator {
 
 impl Coordinator {
     /// Locks the data directory, creating it if necessary, and resumes the work that is left in it.
-    pub async fn open(config: &Config) -> Result<Self, Error> {
+    pub fn open(config: &Config) -> Answer<'_, Self> {
+        Box::pin(Self::load(config))
+    }
+
+    async fn load(config: &Config) -> Result<Self, Error> {
         let build = BuildInfo {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             physics_version: PHYSICS_VERSION.to_string(),
@@ -78,14 +86,23 @@ impl Coordinator {
 
     /// Serves the callers that the gate admits until `shutdown`, then closes the database. Metrics are served over HTTP
     /// on a separate listener, if there is one.
-    pub async fn serve(
+    pub fn serve(
         self,
-        listener: impl Into<Listener>,
+        listener: Listener,
+        gate: Gate,
+        metrics: Option<TcpListener>,
+        shutdown: CancellationToken,
+    ) -> Answer<'static, ()> {
+        Box::pin(self.serve_until(listener, gate, metrics, shutdown))
+    }
+
+    async fn serve_until(
+        self,
+        listener: Listener,
         gate: Gate,
         metrics: Option<TcpListener>,
         shutdown: CancellationToken,
     ) -> Result<(), Error> {
-        let listener = listener.into();
         let address = listener.local_addr().map_err(Error::Address)?;
         if let Err(error) = self.farm.store().dir().publish_address(address) {
             tracing::warn!(%error, "commands in the same folder will not find this coordinator");

@@ -64,6 +64,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 /// An approximate edge profile of a white resin.
 fn white(x_mm: f64, reach_mm: f64) -> f64 {
-    let leak = 0.12 * (-x_mm.abs() / reach_mm).exp();
+    let leak = 0.12 * libm::exp(-x_mm.abs() / reach_mm);
     if x_mm < 0.0 { 0.38 + leak } else { 0.75 - leak }
 }

@@ -84,7 +84,7 @@ pub fn begin_to_submit(folder: &Path, grid: &str) -> String {
 pub fn rows(channel: &str, thickness: f64) -> String {
     let row = |i: i32| {
         let x = (f64::from(i) - 29.5) / 6.0;
-        format!("resin,{channel},{thickness},{x:.5},{:.5}\n", 0.45 + 0.35 * (0.5 * x / thickness).tanh())
+        format!("resin,{channel},{thickness},{x:.5},{:.5}\n", 0.45 + 0.35 * libm::tanh(0.5 * x / thickness))
     };
     (0..60).map(row).collect()
 }

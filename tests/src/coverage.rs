@@ -218,8 +218,8 @@ impl Coverage {
 
     /// Geometric mean of the sizes of the relative errors.
     pub fn geometric_error(&self) -> f64 {
-        let logarithms: f64 = self.all().map(|e| e.error().abs().max(1e-6).ln()).sum();
-        (logarithms / self.all().count() as f64).exp()
+        let logarithms: f64 = self.all().map(|e| libm::log(e.error().abs().max(1e-6))).sum();
+        libm::exp(logarithms / self.all().count() as f64)
     }
 
     pub fn median_half_width(&self) -> f64 {
@@ -253,7 +253,7 @@ pub fn of_scene(sessions: &[Vec<Answer>], name: Option<&str>) -> Coverage {
 
 /// Number of significant digits, without an exponent.
 fn significant(value: f64, digits: i32) -> String {
-    let places = digits - 1 - value.abs().max(1e-12).log10().floor() as i32;
+    let places = digits - 1 - libm::log10(value.abs().max(1e-12)).floor() as i32;
     format!("{value:.*}", places.max(0) as usize)
 }
 

@@ -2,6 +2,7 @@
 //! way out it gives running jobs a grace period, delivers finished results and hands the other leases back.
 
 use std::fmt;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -62,9 +63,16 @@ impl fmt::Display for EndReason {
 
 /// Works until `shutdown`, the time limit, or a drain request of the coordinator. Then running jobs get the grace
 /// period to end, finished results are delivered, and the other leases are handed back.
-pub async fn run(config: Config, shutdown: CancellationToken) -> Result<EndReason, Error> {
-    let link = config.coordinator.connect_lazy();
-    work_over(link, config, shutdown).await
+///
+/// The box has the worker's code in this crate: an `async fn` is compiled by each crate that awaits it.
+pub fn run(
+    config: Config,
+    shutdown: CancellationToken,
+) -> Pin<Box<dyn Future<Output = Result<EndReason, Error>> + Send>> {
+    Box::pin(async move {
+        let link = config.coordinator.connect_lazy();
+        work_over(link, config, shutdown).await
+    })
 }
 
 async fn work_over(link: Link, config: Config, shutdown: CancellationToken) -> Result<EndReason, Error> {

@@ -15,8 +15,8 @@ pub(super) fn x_mm() -> Vec<f64> {
 /// A blurred edge at the positions of `x_mm`.
 pub(super) fn edge(dark: f64, light: f64, width_mm: f64) -> Curve {
     let x_mm = x_mm();
-    let values = x_mm.iter().map(|x| dark + (light - dark) * 0.5 * (1.0 + (x / width_mm).tanh()));
-    let gradient = x_mm.iter().map(|x| (light - dark) / (72.0 * width_mm) / (x / width_mm).cosh().powi(2));
+    let values = x_mm.iter().map(|x| dark + (light - dark) * 0.5 * (1.0 + libm::tanh(x / width_mm)));
+    let gradient = x_mm.iter().map(|x| (light - dark) / (72.0 * width_mm) / libm::cosh(x / width_mm).powi(2));
     Curve { values: values.collect(), gradient: gradient.collect() }
 }
 

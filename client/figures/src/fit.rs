@@ -84,7 +84,7 @@ mod tests {
             measured: edge(0.1, 0.8, 0.5),
             candidates: vec![edge(0.12, 0.79, 0.5), edge(0.14, 0.78, 0.6), edge(0.1, 0.8, 0.4)],
             refined: Some(edge(0.11, 0.8, 0.5)),
-            residuals: x_mm().iter().map(|x| 2.5 * (3.0 * x).sin()).collect(),
+            residuals: x_mm().iter().map(|x| 2.5 * libm::sin(3.0 * x)).collect(),
             left_out: vec![10, 11],
         }
     }

@@ -85,7 +85,7 @@ mod tests {
     fn figure(gs: usize) -> DistanceMap {
         let sigma_t_per_mm = vec![1.0, 2.0, 4.0, 10.0, 30.0];
         let albedo = vec![0.05, 0.5, 0.9, 0.99, 0.999, 0.99999];
-        let distance = |s: f64, a: f64| 0.01 + (s / 4.0).ln().abs() + 5.0 * (a - 0.99_f64).abs();
+        let distance = |s: f64, a: f64| 0.01 + libm::log(s / 4.0).abs() + 5.0 * (a - 0.99_f64).abs();
         let row = |s: &f64| albedo.iter().map(|a| distance(*s, *a)).collect();
         let layer = |i: usize| MapLayer {
             g: 0.1 * i as f64,

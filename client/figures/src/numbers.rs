@@ -18,7 +18,7 @@ pub fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
     }
-    let decimals = (digits - 1 - value.abs().log10().floor() as i32).clamp(0, 12) as usize;
+    let decimals = (digits - 1 - libm::log10(value.abs()).floor() as i32).clamp(0, 12) as usize;
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
@@ -28,7 +28,7 @@ pub fn with_error(value: f64, std_error: f64) -> String {
     if !(std_error > 0.0 && std_error.is_finite()) {
         return format!("{} ± {}", minus(&significant(value, 4)), significant(std_error, 1));
     }
-    let decimals = (-std_error.log10().floor()).clamp(0.0, 12.0) as usize;
+    let decimals = (-libm::log10(std_error).floor()).clamp(0.0, 12.0) as usize;
     format!("{} ± {std_error:.decimals$}", fixed(value, decimals))
 }
 
@@ -49,7 +49,7 @@ pub fn albedo(value: f64) -> String {
     if co_albedo <= 0.0 {
         return "1".to_owned();
     }
-    let decimals = (2 - co_albedo.log10().floor() as i32).clamp(2, 9) as usize;
+    let decimals = (2 - libm::log10(co_albedo).floor() as i32).clamp(2, 9) as usize;
     let text = format!("{value:.decimals$}");
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
@@ -57,7 +57,7 @@ pub fn albedo(value: f64) -> String {
 /// An albedo with enough digits that 1 − α has two, for the ends of intervals.
 pub fn albedo_end(value: f64) -> String {
     let co_albedo = 1.0 - value;
-    let decimals = if co_albedo <= 0.0 { 2 } else { (1 - co_albedo.log10().floor() as i32).clamp(2, 6) };
+    let decimals = if co_albedo <= 0.0 { 2 } else { (1 - libm::log10(co_albedo).floor() as i32).clamp(2, 6) };
     let text = format!("{value:.*}", decimals as usize);
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
@@ -69,7 +69,7 @@ pub fn interval(i: &Interval, alone: impl Fn(f64) -> String) -> String {
         (false, false) if i.low == i.high => "held".to_owned(),
         (false, false) => {
             let half = 0.5 * (i.high - i.low).abs();
-            let enough = (-(0.2 * half).log10().floor()).clamp(0.0, 9.0) as usize;
+            let enough = (-libm::log10(0.2 * half).floor()).clamp(0.0, 9.0) as usize;
             // No end is rounded to 0 or 1.
             let rounds_away = |end: f64, decimals: usize| {
                 let shown: f64 = format!("{end:.decimals$}").parse().unwrap_or(end);

@@ -163,7 +163,7 @@ fn over_g(common: &Common, objective: Objective) -> ScalePanel {
 fn value_with_error(value: f64, std_error: Option<f64>) -> String {
     match std_error {
         Some(e) => {
-            let decimals = (1.0 - e.log10().floor()).clamp(0.0, 9.0) as usize;
+            let decimals = (1.0 - libm::log10(e).floor()).clamp(0.0, 9.0) as usize;
             signed(&format!("{value:.decimals$} ± {e:.decimals$}"))
         }
         None => number(value, 5),

@@ -147,12 +147,12 @@ fn channel(material: &str, a: &MediaChannel, b: &MediaChannel) -> ComparedChanne
 fn quantity(name: &'static str, [a, b]: [f64; 2], intervals: [MediaInterval; 2]) -> ComparedQuantity {
     let half = |i: &MediaInterval| Some(0.5 * (i.high? - i.low?)).filter(|half| *half > 0.0);
     let halves = half(&intervals[0]).zip(half(&intervals[1]));
-    let e_n = halves.map(|(u, v)| (a - b) / u.hypot(v));
+    let e_n = halves.map(|(u, v)| (a - b) / libm::hypot(u, v));
     let pooled = halves.map(|(u, v)| {
         let [p, q] = [u.powi(-2), v.powi(-2)];
         let mean = (p * a + q * b) / (p + q);
         // The ratio of Birge: the root of χ² of the mean, which is that of the difference.
-        let birge = (Z * (a - b) / u.hypot(v)).abs().max(1.0);
+        let birge = (Z * (a - b) / libm::hypot(u, v)).abs().max(1.0);
         [mean, birge / (p + q).sqrt()]
     });
     ComparedQuantity { quantity: name, a, b, e_n, pooled }
@@ -161,7 +161,7 @@ fn quantity(name: &'static str, [a, b]: [f64; 2], intervals: [MediaInterval; 2])
 /// χ² of the difference in (ln σ_t, √(1 − α), ln(1 − g)) with the sum of the covariances, in the directions in which it is
 /// not 0: media along a valley are near each other.
 fn probability(a: &MediaChannel, b: &MediaChannel) -> Option<f64> {
-    let at = |c: &MediaChannel| [c.sigma_t_per_mm.ln(), (1.0 - c.albedo).sqrt(), (1.0 - c.g).ln()];
+    let at = |c: &MediaChannel| [libm::log(c.sigma_t_per_mm), (1.0 - c.albedo).sqrt(), libm::log(1.0 - c.g)];
     let difference: [f64; 3] = std::array::from_fn(|i| at(a)[i] - at(b)[i]);
     let sum = |i: usize, j: usize| a.covariance[i][j] + b.covariance[i][j];
     let (chi2, degrees) = optics_layers::chi2(&difference, sum)?;
@@ -173,8 +173,8 @@ fn exceedance(chi2: f64, degrees: usize) -> f64 {
     let tail = libm::erfc((0.5 * chi2).sqrt());
     match degrees {
         1 => tail,
-        2 => (-0.5 * chi2).exp(),
-        _ => tail + (2.0 * chi2 / std::f64::consts::PI).sqrt() * (-0.5 * chi2).exp(),
+        2 => libm::exp(-0.5 * chi2),
+        _ => tail + (2.0 * chi2 / std::f64::consts::PI).sqrt() * libm::exp(-0.5 * chi2),
     }
 }
 
@@ -218,7 +218,7 @@ mod tests {
     /// disagreement.
     #[test]
     fn differences_are_counted_in_uncertainties() {
-        let found = channel("white", &medium(6.0 * 0.03_f64.exp(), 0.9, 0.01), &medium(6.0, 0.9, 0.01));
+        let found = channel("white", &medium(6.0 * libm::exp(0.03_f64), 0.9, 0.01), &medium(6.0, 0.9, 0.01));
         assert!((found.probability.unwrap() - libm::erfc(1.5)).abs() < 1e-9, "{found:?}");
         let of = |name: &str| found.quantities.iter().find(|q| q.quantity == name).unwrap();
         let sigma_t = of("σ_t");

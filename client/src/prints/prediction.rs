@@ -194,7 +194,7 @@ impl PredictJson {
 impl ReflectanceJson {
     /// Value and interval, with two digits of the error.
     pub(crate) fn texts(&self) -> [String; 2] {
-        let digits = (-self.std_error.max(1e-5).log10().floor()).clamp(2.0, 6.0) as usize + 1;
+        let digits = (-libm::log10(self.std_error.max(1e-5)).floor()).clamp(2.0, 6.0) as usize + 1;
         let [low, high] = self.interval;
         [format!("{:.digits$}", self.radiance_factor), format!("{low:.digits$}…{high:.digits$}")]
     }

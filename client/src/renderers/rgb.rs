@@ -59,7 +59,7 @@ impl<'a> RgbMedium<'a> {
         let depth = 1.0 / extinction.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
         OpenPbr {
             depth,
-            colour: extinction.map(|mu| (-mu * depth).exp()),
+            colour: extinction.map(|mu| libm::exp(-mu * depth)),
             scatter: self.scattering.map(|mu| mu * depth),
         }
     }
@@ -94,7 +94,7 @@ mod tests {
             let OpenPbr { depth, colour, scatter } = medium.open_pbr();
             for i in 0..3 {
                 assert!((0.3..=1.0).contains(&colour[i]) && (0.0..=1.0).contains(&scatter[i]));
-                let (extinction, scattering) = (-colour[i].ln() / depth, scatter[i] / depth);
+                let (extinction, scattering) = (-libm::log(colour[i]) / depth, scatter[i] / depth);
                 assert!((scattering / medium.scattering[i] - 1.0).abs() < 1e-12);
                 assert!((extinction - scattering - medium.absorption[i]).abs() < 1e-12 / depth, "{medium:?}");
             }

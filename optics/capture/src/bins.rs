@@ -294,7 +294,7 @@ impl BinFit {
             residuals = samples.iter().map(|s| s.residual(value, slope)).collect::<Vec<_>>();
             scatter = spread(&residuals);
             // The first iteration only finds the level.
-            scale = sigma.hypot(step).max(if round == 0 { 3.0 * scatter } else { 0.0 });
+            scale = libm::hypot(sigma, step).max(if round == 0 { 3.0 * scatter } else { 0.0 });
             let [mut n, mut sx, mut sxx, mut sy, mut sxy] = [0.0; 5];
             for (s, r) in samples.iter().zip(&residuals) {
                 let (w, x, y) = (tukey(r / scale), f64::from(s.offset), f64::from(s.value));

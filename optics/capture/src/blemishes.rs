@@ -194,7 +194,7 @@ mod tests {
     #[test]
     fn hot_pixels_and_bubbles_are_not_masked() {
         let hot = |x: f64, y: f64| if (x, y) == (50.0, 50.0) { 300.0 } else { 0.0 };
-        let bubble = |x: f64, y: f64| if (x - 120.0).hypot(y - 120.0) < 42.0 { -15.0 } else { 0.0 };
+        let bubble = |x: f64, y: f64| if libm::hypot(x - 120.0, y - 120.0) < 42.0 { -15.0 } else { 0.0 };
         let mask = BlemishMask::find(&residuals(|x, y| hot(x, y) + bubble(x, y)), MM_PER_PX);
         assert!(mask.blemishes.is_empty() && share(&mask) == 0.0, "{:?}", mask.blemishes);
     }

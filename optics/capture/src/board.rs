@@ -121,7 +121,7 @@ impl<'a> BareShots<'a> {
         Err(Refusal::NotSlanted {
             label: photo.label.clone(),
             angle_deg: found.edge.angle_deg.value,
-            needed_deg: 1.2 * step.atan2(length_px).to_degrees(),
+            needed_deg: 1.2 * libm::atan2(step, length_px).to_degrees(),
         })
     }
 
@@ -153,7 +153,7 @@ impl<'a> BareShots<'a> {
         let of_square = self.target.square_std_error_mm / self.target.square_mm;
         Ok(Board {
             edge: found.edge,
-            mm_per_px: Estimate::new(scale, scale * of_square.hypot(found.scale_std_error)),
+            mm_per_px: Estimate::new(scale, scale * libm::hypot(of_square, found.scale_std_error)),
             corners_px: found.corners_px.clone(),
             crop_px: edge_frame.crop_px(),
             sfr: std::array::from_fn(|c| {
@@ -236,7 +236,7 @@ fn level(profile: &EdgeProfile, sign: f64) -> Estimate {
     let (value, noise) = crate::least_squares::robust_mean(&values);
     let half = values.len() / 2;
     let [near, far] = [&values[..half], &values[half..]].map(|v| crate::least_squares::robust_mean(v).0);
-    Estimate::new(value, noise.hypot(0.25 * (near - far)))
+    Estimate::new(value, libm::hypot(noise, 0.25 * (near - far)))
 }
 
 /// Relative slope of the light side per 10 mm, at least 1 mm from the edge.

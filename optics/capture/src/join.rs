@@ -156,7 +156,8 @@ mod tests {
 
     fn shot(gain: f64, error: f64, noise: impl Fn(usize) -> f64) -> EdgeProfile {
         let x_mm: Vec<f64> = (0..360).map(|k| (f64::from(k) + 0.5) / 36.0 - 5.0).collect();
-        let values = x_mm.iter().enumerate().map(|(k, x)| gain * (0.5 + 0.3 * x.tanh()) + noise(k)).collect();
+        let values =
+            x_mm.iter().enumerate().map(|(k, x)| gain * (0.5 + 0.3 * libm::tanh(*x)) + noise(k)).collect();
         profile(x_mm, values, error)
     }
 

@@ -206,12 +206,14 @@ impl<'a> Mountings<'a> {
             (Source::Drift, per_channel(&|c| self.drift(c))),
             (Source::Mounting, per_channel(&|c| between(c, 0))),
             (Source::Linearity, calibration.linearity),
-            (Source::Black, per_channel(&|c| black(c).hypot(between(c, 1)))),
+            (Source::Black, per_channel(&|c| libm::hypot(black(c), between(c, 1)))),
             (Source::Glare, per_channel(&|c| calibration.glare[c].std_error * mean(c))),
-            (Source::Slope, per_channel(&|c| self.slope(c).hypot(between(c, 2)))),
+            (Source::Slope, per_channel(&|c| libm::hypot(self.slope(c), between(c, 2)))),
             (
                 Source::Origin,
-                per_channel(&|c| board.origin_mm[c].std_error.hypot(between(c, 3)).hypot(moved)),
+                per_channel(&|c| {
+                    libm::hypot(libm::hypot(board.origin_mm[c].std_error, between(c, 3)), moved)
+                }),
             ),
             (Source::Scale, [board.mm_per_px.std_error / board.mm_per_px.value; 3]),
             (Source::Blur, per_channel(&|c| board.blur_mm[c].std_error)),
@@ -231,10 +233,10 @@ impl<'a> Mountings<'a> {
             None if self.shots.len() < 2 => one,
             None => 0.0,
         });
-        let of_shots = of_shots.fold(0.0, f64::hypot) / self.shots.len() as f64;
+        let of_shots = of_shots.fold(0.0, libm::hypot) / self.shots.len() as f64;
         let compared = self.shots.iter().any(|shot| shot.light.is_some());
         let of_bare = if compared { self.board.light_std_error[c] } else { 0.0 };
-        of_reference.hypot(of_shots).hypot(of_bare).hypot(gain.std_error / gain.value)
+        libm::hypot(libm::hypot(libm::hypot(of_reference, of_shots), of_bare), gain.std_error / gain.value)
     }
 
     /// Error of the slope of the light across the crop, per 10 mm: that of the flat, or of the bare board, whose own
@@ -243,14 +245,14 @@ impl<'a> Mountings<'a> {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
         let of_flat = self.calibration.flat().slope_std_error()[c] * 10.0 / width_mm;
         let seen = self.board.slope[c];
-        let of_board = seen.value.hypot(seen.std_error).hypot(BOARD_SLOPE);
-        1.0 / (1.0 / of_flat).hypot(1.0 / of_board)
+        let of_board = libm::hypot(libm::hypot(seen.value, seen.std_error), BOARD_SLOPE);
+        1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board)
     }
 
     /// Movement across the edge that may have remained undetected.
     fn unseen_movement_mm(&self) -> f64 {
         let axis = self.board.found.across();
-        let of = |s: &ShotReport| s.moved_px[axis].map_or(UNSEEN_PX, |m| m.value.hypot(m.std_error));
+        let of = |s: &ShotReport| s.moved_px[axis].map_or(UNSEEN_PX, |m| libm::hypot(m.value, m.std_error));
         let n = self.shots.len() as f64;
         let mean = (self.shots.iter().map(|s| of(s).powi(2)).sum::<f64>() / n).sqrt();
         mean * self.board.mm_per_px.value

@@ -41,7 +41,8 @@ impl Board {
     pub fn rho(&self, shown: Appearance, gain_std_error: f64) -> [BoardRho; 3] {
         [0, 1, 2].map(|c| {
             let sides = [self.light[c], self.dark[c]];
-            let with = |e: Estimate| Estimate::new(e.value, e.std_error.hypot(gain_std_error * e.value));
+            let with =
+                |e: Estimate| Estimate::new(e.value, libm::hypot(e.std_error, gain_std_error * e.value));
             let [light, dark] = sides.map(|seen| shown.rho(with(seen)));
             let darker = |seen: Estimate| Estimate::new(DARKER_WHITE * seen.value, seen.std_error);
             BoardRho { light, dark, under_darker_white: sides.map(|seen| shown.rho(darker(seen)).value) }
@@ -80,7 +81,7 @@ impl BoardRho {
 
 /// Whether a ρ lies within 0 to 1, up to three of both standard errors.
 fn is_possible(rho: Estimate, of_scene: f64) -> bool {
-    let reach = 3.0 * rho.std_error.hypot(of_scene);
+    let reach = 3.0 * libm::hypot(rho.std_error, of_scene);
     (-reach..=1.0 + reach).contains(&rho.value)
 }
 

@@ -42,7 +42,7 @@ impl EdgeSfr {
             (0..FREQUENCIES).map(|k| k as f64 / (FREQUENCIES - 1) as f64 / mm_per_px).collect();
         let response = cycles_per_mm.iter().map(|f| {
             let (a, b) = transform(&spread, *f);
-            a.hypot(b) / real.abs() / sinc(f * width).powi(2)
+            libm::hypot(a, b) / real.abs() / sinc(f * width).powi(2)
         });
         let response = response.collect();
         Some(Self { cycles_per_mm, response })

@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn contrasts_are_blind_to_polynomials() {
         for n in 1..8 {
-            let x: Vec<f64> = (0..n).map(|i| (f64::from(i) + 0.1 * f64::from(i % 3)).ln_1p()).collect();
+            let x: Vec<f64> = (0..n).map(|i| libm::log1p(f64::from(i) + 0.1 * f64::from(i % 3))).collect();
             let found = contrasts(&x);
             let powers = (n as usize).saturating_sub(1).min(DEGREE + 1);
             assert_eq!(found.len(), if n == 1 { 0 } else { n as usize - powers });

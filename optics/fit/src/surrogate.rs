@@ -31,11 +31,11 @@ pub(crate) const ALBEDO: usize = 1;
 pub(crate) const G: usize = 2;
 
 pub(crate) fn coordinates(medium: &Medium) -> Coordinates {
-    [medium.sigma_t_per_mm().ln(), (1.0 - medium.albedo()).sqrt(), (1.0 - medium.g()).ln()]
+    [libm::log(medium.sigma_t_per_mm()), (1.0 - medium.albedo()).sqrt(), libm::log(1.0 - medium.g())]
 }
 
 pub(crate) fn sigma_t(ln_sigma_t: f64) -> f64 {
-    ln_sigma_t.exp()
+    libm::exp(ln_sigma_t)
 }
 
 pub(crate) fn albedo(root_co_albedo: f64) -> f64 {
@@ -43,7 +43,7 @@ pub(crate) fn albedo(root_co_albedo: f64) -> f64 {
 }
 
 pub(crate) fn g(ln_one_minus_g: f64) -> f64 {
-    1.0 - ln_one_minus_g.exp()
+    1.0 - libm::exp(ln_one_minus_g)
 }
 
 /// Cubic interpolation between the four nearest nodes, or all if there are fewer. `nodes` are in descending order.
@@ -89,8 +89,8 @@ pub(crate) struct Surrogate<'a> {
 impl<'a> Surrogate<'a> {
     pub(crate) fn new(dictionary: &'a FitDictionary, channel: usize, ior: usize) -> Self {
         let grid = dictionary.grid();
-        let sigma_t = grid.sigma_t_per_mm().iter().map(|v| v.ln()).collect();
-        let g = grid.g().iter().map(|v| (1.0 - v).ln()).collect();
+        let sigma_t = grid.sigma_t_per_mm().iter().map(|v| libm::log(*v)).collect();
+        let g = grid.g().iter().map(|v| libm::log(1.0 - v)).collect();
         let albedo = grid.albedo().iter().map(|v| (1.0 - v).sqrt()).collect();
         Self {
             dictionary,
@@ -128,9 +128,13 @@ impl<'a> Surrogate<'a> {
         };
         let [sigma_t, albedo, g] = self.limits();
         [
-            within(sigma_t, settings.sigma_t_per_mm, |v| if v > 0.0 { v.ln() } else { f64::NEG_INFINITY }),
+            within(
+                sigma_t,
+                settings.sigma_t_per_mm,
+                |v| if v > 0.0 { libm::log(v) } else { f64::NEG_INFINITY },
+            ),
             within(albedo, settings.albedo, |v| if v < 1.0 { (1.0 - v).sqrt() } else { 0.0 }),
-            within(g, settings.g, |v| if v < 1.0 { (1.0 - v).ln() } else { f64::NEG_INFINITY }),
+            within(g, settings.g, |v| if v < 1.0 { libm::log(1.0 - v) } else { f64::NEG_INFINITY }),
         ]
     }
 

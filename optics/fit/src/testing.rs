@@ -20,7 +20,7 @@ use super::{DictionaryBuilder, FitDictionary};
 pub(super) fn profile_value(x: f64, sigma_t: f64, albedo: f64, g: f64, thickness: f64, channel: f64) -> f64 {
     let width = 0.3 + thickness / (sigma_t * (1.0 - g));
     let level = albedo * (0.2 + 0.1 * channel);
-    level + 0.3 * albedo * (x / width).tanh() / (1.0 + thickness)
+    level + 0.3 * albedo * libm::tanh(x / width) / (1.0 + thickness)
 }
 
 pub(super) fn coarse_axes() -> Axes {
@@ -141,7 +141,7 @@ pub(super) fn traced_profile(scene: Scene, medium: &Medium, mm: f64, walks: Walk
 /// The change of a profile by the quantities' differences from the scene in standard deviations: the gel's brightens the
 /// middle, not quite in proportion; the ring's darkens the rims.
 pub(super) fn change(x: f64, albedo: f64, g: f64, [gel, ring]: [f64; 2]) -> f64 {
-    let middle = 0.02 * (-x * x).exp() * (1.0 - 0.3 * g);
+    let middle = 0.02 * libm::exp(-x * x) * (1.0 - 0.3 * g);
     albedo * (middle * gel * (1.0 + 0.05 * gel) - 0.004 * ring * (x / 5.0).powi(2))
 }
 

@@ -220,7 +220,7 @@ mod tests {
             let media = [medium(sigma_t, 0.9, [0.0; 3])];
             radiance_factors(&print, &media, &[slab(&[(0, 1.0)])], &[0.5]).unwrap()[0]
         };
-        let slope = (value(6.0 * 0.01_f64.exp()) - value(6.0 * (-0.01_f64).exp())) / 0.02;
+        let slope = (value(6.0 * libm::exp(0.01_f64)) - value(6.0 * libm::exp(-0.01_f64))) / 0.02;
         let uncertain = medium(6.0, 0.9, [0.02_f64.powi(2), 0.0, 0.0]);
         let errors = |media: &[Uncertain], shares: &[(usize, f64)]| {
             predict(&print, media, &[], &[slab(shares)], &[0.5]).unwrap()[0].std_error()

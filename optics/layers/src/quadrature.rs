@@ -196,7 +196,7 @@ fn gauss_legendre(n: usize) -> (Vec<f64>, Vec<f64>) {
         (now, slope)
     };
     let root = |i: usize| {
-        let mut x = -(PI * (i as f64 + 0.75) / (n as f64 + 0.5)).cos();
+        let mut x = -libm::cos(PI * (i as f64 + 0.75) / (n as f64 + 0.5));
         for _ in 0..50 {
             let (value, slope) = polynomial(x);
             x -= value / slope;

@@ -18,7 +18,7 @@ pub(crate) fn slab(
     albedo: f64,
     depth: f64,
 ) -> Operator {
-    let doublings = (depth / THIN).log2().ceil().max(0.0) as i32;
+    let doublings = libm::log2(depth / THIN).ceil().max(0.0) as i32;
     let (mut r, mut t) = thin(quadrature, ior, phase, albedo, depth / 2_f64.powi(doublings));
     let n = quadrature.len();
     for _ in 0..doublings {

@@ -138,9 +138,9 @@ impl Uncertain {
     /// The medium moved in its coordinates; an albedo stays below 1.
     fn moved(&self, by: Vector3<f64>) -> Self {
         let m = self.medium;
-        let sigma_t = (m.sigma_t_per_mm() * by[0].exp()).clamp(1e-6, 1e6);
+        let sigma_t = (m.sigma_t_per_mm() * libm::exp(by[0])).clamp(1e-6, 1e6);
         let albedo = 1.0 - ((1.0 - m.albedo()).sqrt() + by[1]).clamp(0.0, 1.0).powi(2);
-        let g = (1.0 - (1.0 - m.g()) * by[2].exp()).clamp(-Print::MOST_G, Print::MOST_G);
+        let g = (1.0 - (1.0 - m.g()) * libm::exp(by[2])).clamp(-Print::MOST_G, Print::MOST_G);
         Self { medium: Medium::new(sigma_t, albedo, g).unwrap_or(m), ..self.clone() }
     }
 

@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn mirror_shows_the_ring_in_view() {
         let scene = coated(0.0).with_sensor(Sensor::new(10.0, 360, 45.0).unwrap());
-        let expected = fresnel(45_f64.to_radians().cos(), 1.0 / 1.49) / (sin2(50.0) - sin2(40.0));
+        let expected = fresnel(libm::cos(45_f64.to_radians()), 1.0 / 1.49) / (sin2(50.0) - sin2(40.0));
         assert!((BareBoard::of(&scene).unwrap().specular - expected).abs() < 1e-5);
     }
 

@@ -49,7 +49,7 @@ pub(crate) fn chi_square(counts: &[u64], probabilities: &[f64]) -> f64 {
     }
     let dof: f64 = cells - 1.0;
     let spread = 2.0 / (9.0 * dof);
-    let z = ((chi2 / dof).cbrt() - (1.0 - spread)) / spread.sqrt();
+    let z = (libm::cbrt(chi2 / dof) - (1.0 - spread)) / spread.sqrt();
     normal_tail(z)
 }
 
@@ -58,6 +58,6 @@ fn normal_tail(z: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
     let series = [0.319_381_530, -0.356_563_782, 1.781_477_937, -1.821_255_978, 1.330_274_429];
     let poly = series.iter().rev().fold(0.0, |sum, c| (sum + c) * t);
-    let tail = (-0.5 * z * z).exp() / std::f64::consts::TAU.sqrt() * poly;
+    let tail = libm::exp(-0.5 * z * z) / std::f64::consts::TAU.sqrt() * poly;
     if z > 0.0 { tail } else { 1.0 - tail }
 }

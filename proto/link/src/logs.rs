@@ -7,10 +7,10 @@ use std::io::{IsTerminal, Write};
 use std::str::FromStr;
 use std::sync::OnceLock;
 
-use tracing_subscriber::filter::LevelFilter;
+use tracing_subscriber::filter::{self, LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
+use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, filter};
 
 use patient::Patient;
 
@@ -103,33 +103,32 @@ pub fn init(format: LogFormat, default_filter: &str) -> Result<(), LogError> {
     .map_err(|_| LogError::Twice)
 }
 
-fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<EnvFilter, LogError> {
+fn parse_filter(asked: Option<&str>, default_filter: &str) -> Result<Targets, LogError> {
     let filter = asked.map(str::trim).filter(|f| !f.is_empty()).unwrap_or(default_filter);
     // A module without a level would be traced in full, and a misspelt level would count as a module.
-    let mut parts = filter.split(',').map(str::trim).filter(|part| !part.is_empty());
-    if let Some(word) = parts.find(|part| !part.contains(['=', '[']) && part.parse::<LevelFilter>().is_err())
+    let parts: Vec<&str> = filter.split(',').map(str::trim).filter(|part| !part.is_empty()).collect();
+    if let Some(word) = parts.iter().find(|part| !part.contains('=') && part.parse::<LevelFilter>().is_err())
     {
-        return Err(LogError::Word { filter: filter.to_owned(), word: word.to_owned() });
+        return Err(LogError::Word { filter: filter.to_owned(), word: (*word).to_owned() });
     }
-    EnvFilter::builder()
-        .parse(filter)
-        .map_err(|source| LogError::Filter { filter: filter.to_owned(), source })
+    parts.join(",").parse().map_err(|source| LogError::Filter { filter: filter.to_owned(), source })
 }
 
-fn text<W>(filter: EnvFilter, colour: bool, writer: W) -> impl tracing::Subscriber + Send + Sync
+fn text<W>(filter: Targets, colour: bool, writer: W) -> impl tracing::Subscriber + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_ansi(colour)
         .log_internal_errors(LOG_ERRORS_OF_LOGGING)
         .with_writer(writer)
         .finish()
+        .with(filter)
 }
 
 /// The list of spans includes the current one, which is therefore not written a second time.
-fn json<W>(filter: EnvFilter, writer: W) -> impl tracing::Subscriber + Send + Sync
+fn json<W>(filter: Targets, writer: W) -> impl tracing::Subscriber + Send + Sync
 where
     W: for<'a> MakeWriter<'a> + Send + Sync + 'static,
 {
@@ -137,10 +136,11 @@ where
         .json()
         .with_current_span(false)
         .with_span_list(true)
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .log_internal_errors(LOG_ERRORS_OF_LOGGING)
         .with_writer(writer)
         .finish()
+        .with(filter)
 }
 
 #[cfg(test)]
@@ -165,7 +165,7 @@ mod tests {
         std::fs::read_to_string(page.path()).unwrap()
     }
 
-    fn info() -> EnvFilter {
+    fn info() -> Targets {
         parse_filter(None, "info").unwrap()
     }
 
@@ -200,7 +200,7 @@ mod tests {
     fn wrong_filter_or_format_is_refused() {
         assert_eq!(parse_filter(Some("farm=debug"), "info").unwrap().to_string(), "farm=debug");
         assert_eq!(parse_filter(Some(" "), "info").unwrap().to_string(), "info");
-        assert!(parse_filter(Some("WARN,farm_proto=trace,[call]=debug,off"), "info").is_ok());
+        assert!(parse_filter(Some("WARN, farm_proto=trace,off"), "info").is_ok());
         for (given, begin) in [
             ("farm=loud", "FARM_LOG=`farm=loud`: "),
             ("info, verbose", "FARM_LOG=`info, verbose`: `verbose` is no level; allowed are error"),

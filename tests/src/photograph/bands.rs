@@ -42,9 +42,9 @@ impl SpectralMaterial {
     /// If there is no such medium.
     #[must_use]
     pub fn at(&self, wavelength_nm: f64) -> Medium {
-        let sigma_s = self.scattering.0 * (550.0 / wavelength_nm).powf(self.scattering.1);
+        let sigma_s = self.scattering.0 * libm::pow(550.0 / wavelength_nm, self.scattering.1);
         let off = (wavelength_nm - self.line_nm.0) / self.line_nm.1;
-        let sigma_a = self.absorption.0 + self.absorption.1 * (-0.5 * off * off).exp();
+        let sigma_a = self.absorption.0 + self.absorption.1 * libm::exp(-0.5 * off * off);
         let g = 0.4 - 0.05 * (wavelength_nm - 550.0) / 100.0;
         Medium::new(sigma_s + sigma_a, sigma_s / (sigma_s + sigma_a), g).expect("a medium of the example")
     }

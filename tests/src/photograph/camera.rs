@@ -117,7 +117,7 @@ impl Camera {
         let (ox, oy) = (self.origin_px[0], self.origin_px[1]);
         let (x, y) = (x * grown - ox, y * grown - oy);
         let depth = 1.0 + self.keystone[0] * x / w + self.keystone[1] * y / h;
-        let (sin, cos) = self.turn_deg.to_radians().sin_cos();
+        let (sin, cos) = libm::sincos(self.turn_deg.to_radians());
         let scale = self.px_per_mm * depth;
         [(cos * x + sin * y) / scale, (-sin * x + cos * y) / scale]
     }
@@ -223,7 +223,7 @@ pub fn develop(camera: &Camera, light: &[f64], shot: &Shot) -> Photo {
             let mut signal = light * shot.brightness;
             signal *= 1.0 + camera.curve * (signal / full - 0.5);
             if camera.gamma != 1.0 {
-                signal = full * (signal.max(0.0) / full).powf(camera.gamma);
+                signal = full * libm::pow(signal.max(0.0) / full, camera.gamma);
             }
             let variance = camera.read.powi(2) + camera.numbers_per_electron * signal.max(0.0);
             if !shot.exact {
@@ -261,7 +261,7 @@ fn sprinkle(camera: &Camera, light: &mut [f64], dust: Dust, random: &mut Random)
         let turn = random.between(0.0, std::f64::consts::TAU);
         let factor = random.between(0.9, 1.15);
         for _ in 0..(0.4 * h) as usize {
-            (x, y) = (x + turn.cos(), y + turn.sin());
+            (x, y) = (x + libm::cos(turn), y + libm::sin(turn));
             disc(camera, light, [x, y], 0.6, factor);
         }
     }
@@ -274,7 +274,7 @@ fn disc(camera: &Camera, light: &mut [f64], at: [f64; 2], radius: f64, factor: f
     let planes = camera.stride() / camera.width;
     for y in range(at[1], camera.height) {
         for x in range(at[0], camera.width) {
-            if (x as f64 + 0.5 - at[0]).hypot(y as f64 + 0.5 - at[1]) < radius {
+            if libm::hypot(x as f64 + 0.5 - at[0], y as f64 + 0.5 - at[1]) < radius {
                 let first = y * camera.stride() + planes * x;
                 light[first..first + planes].iter_mut().for_each(|v| *v *= factor);
             }

@@ -37,8 +37,8 @@ impl Random {
         if let Some(spare) = self.spare.take() {
             return spare;
         }
-        let radius = (-2.0 * (1.0 - self.even()).ln()).sqrt();
-        let (sin, cos) = (std::f64::consts::TAU * self.even()).sin_cos();
+        let radius = (-2.0 * libm::log(1.0 - self.even())).sqrt();
+        let (sin, cos) = libm::sincos(std::f64::consts::TAU * self.even());
         self.spare = Some(radius * sin);
         radius * cos
     }

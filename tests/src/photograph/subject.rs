@@ -145,7 +145,7 @@ impl Image {
         let x = slab.board.sign * (mm[0] - slab.board.bow_per_mm * mm[1] * mm[1]);
         let mut covered = lookup(&self.tables[c], x);
         if let Some((at, radius, factor)) = slab.bubble {
-            let far = (mm[0] - at[0]).hypot(mm[1] - at[1]);
+            let far = libm::hypot(mm[0] - at[0], mm[1] - at[1]);
             covered *= 1.0 + (factor - 1.0) * side(radius - far);
         }
         if cover > 1.0 - 1e-12 {
@@ -191,7 +191,7 @@ fn blurred(edge: &Edge, c: usize, sigma: f64) -> Vec<f64> {
 fn kernel(nodes: i32, sigma: f64) -> Vec<(f64, f64)> {
     const REACH: f64 = 6.0;
     let steps = (-nodes..=nodes).map(|k| f64::from(k) * REACH / f64::from(nodes));
-    let weights: Vec<(f64, f64)> = steps.map(|u| (u * sigma, (-0.5 * u * u).exp())).collect();
+    let weights: Vec<(f64, f64)> = steps.map(|u| (u * sigma, libm::exp(-0.5 * u * u))).collect();
     let total: f64 = weights.iter().map(|w| w.1).sum();
     weights.into_iter().map(|(d, w)| (d, w / total)).collect()
 }

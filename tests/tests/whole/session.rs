@@ -87,7 +87,7 @@ fn example_session_gives_the_true_profiles() {
     for (channel, lens_mm, light, dark) in
         [("R", 0.036, 0.985, 0.024), ("G", 0.032, 0.972, 0.023), ("B", 0.035, 0.971, 0.026)]
     {
-        let blur_mm = f64::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
+        let blur_mm = libm::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
         let found = field(&format!("/blur_mm/{channel}"));
         assert!((found / blur_mm - 1.0).abs() < 0.03, "{channel}: {found} {blur_mm}");
         let rho = ["light", "dark"].map(|side| field(&format!("/board/rho_{side}/{channel}/value")));

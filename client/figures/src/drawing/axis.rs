@@ -77,7 +77,7 @@ impl Axis {
     /// The position of a value: 0 at the lower end, 1 at the upper.
     pub(crate) fn fraction(&self, value: f64) -> f64 {
         if self.logarithmic {
-            (value / self.low).ln() / (self.high / self.low).ln()
+            libm::log(value / self.low) / libm::log(self.high / self.low)
         } else {
             (value - self.low) / (self.high - self.low)
         }
@@ -86,7 +86,7 @@ impl Axis {
     /// The value at a position; the inverse of [`Axis::fraction`].
     pub(crate) fn value(&self, fraction: f64) -> f64 {
         if self.logarithmic {
-            self.low * (fraction * (self.high / self.low).ln()).exp()
+            self.low * libm::exp(fraction * libm::log(self.high / self.low))
         } else {
             self.low + fraction * (self.high - self.low)
         }
@@ -107,13 +107,13 @@ impl Axis {
     }
 
     fn ticks_with(&self, room: Room) -> Vec<Tick> {
-        let decades = (self.high / self.low).log10();
+        let decades = libm::log10(self.high / self.low);
         if self.logarithmic && decades > 0.4 { self.logarithmic_ticks(room) } else { self.even_ticks(room) }
     }
 
     fn even_ticks(&self, room: Room) -> Vec<Tick> {
         let span = self.high - self.low;
-        let first = (span / 50.0).log10().floor() as i32;
+        let first = libm::log10(span / 50.0).floor() as i32;
         let mut too_dense = Vec::new();
         for (mantissa, exponent) in (first..first + 4).flat_map(|e| [(1, e), (2, e), (5, e)]) {
             let ticks = self.multiples(mantissa, exponent);
@@ -151,7 +151,7 @@ impl Axis {
     }
 
     fn logarithmic_ticks(&self, room: Room) -> Vec<Tick> {
-        let exponents = self.low.log10().floor() as i32..=self.high.log10().ceil() as i32;
+        let exponents = libm::log10(self.low).floor() as i32..=libm::log10(self.high).ceil() as i32;
         let mut values: Vec<(i32, i32)> = exponents.flat_map(|e| (1..10).map(move |m| (m, e))).collect();
         values.retain(|&(m, e)| (-1e-9..=1.0 + 1e-9).contains(&self.fraction(scientific(m, e))));
         let powers = values.iter().any(|&(m, e)| m == 1 && !(-3..=4).contains(&e));

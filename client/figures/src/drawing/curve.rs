@@ -42,13 +42,13 @@ fn simplified(points: &[CanvasPoint]) -> Vec<CanvasPoint> {
 /// Distance of a point from the segment between two others.
 fn distance(point: CanvasPoint, from: CanvasPoint, to: CanvasPoint) -> f64 {
     let along = at(to.x - from.x, to.y - from.y);
-    let length = along.x.hypot(along.y);
+    let length = libm::hypot(along.x, along.y);
     let offset = at(point.x - from.x, point.y - from.y);
     if length == 0.0 {
-        return offset.x.hypot(offset.y);
+        return libm::hypot(offset.x, offset.y);
     }
     let part = ((offset.x * along.x + offset.y * along.y) / (length * length)).clamp(0.0, 1.0);
-    (offset.x - part * along.x).hypot(offset.y - part * along.y)
+    libm::hypot(offset.x - part * along.x, offset.y - part * along.y)
 }
 
 #[cfg(test)]

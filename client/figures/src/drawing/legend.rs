@@ -185,7 +185,8 @@ impl Mark {
             }
             Self::Arrow(eighths) => {
                 let turn = f64::from(eighths) * std::f64::consts::FRAC_PI_4;
-                let tip = |angle: f64, r: f64| at(x + r * (turn + angle).cos(), y + r * (turn + angle).sin());
+                let tip =
+                    |angle: f64, r: f64| at(x + r * libm::cos(turn + angle), y + r * libm::sin(turn + angle));
                 canvas.polygon(&[tip(0.0, 6.5), tip(2.4, 6.0), tip(-2.4, 6.0)], Some(stroke.colour), stroke);
             }
         }

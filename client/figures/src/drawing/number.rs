@@ -5,7 +5,7 @@ pub(crate) fn number(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {
         return if value == 0.0 { "0".to_owned() } else { value.to_string() };
     }
-    let exponent = value.abs().log10().floor() as i32;
+    let exponent = libm::log10(value.abs()).floor() as i32;
     if !(-5..=5).contains(&exponent) {
         let mantissa = number(value / 10_f64.powi(exponent), digits);
         return format!("{mantissa}·10^{{{}}}", signed(&exponent.to_string()));

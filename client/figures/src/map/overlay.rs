@@ -67,7 +67,7 @@ fn beyond(frame: &AxesFrame, medium: &Medium) -> (i8, i8) {
 
 /// The direction in eighths of a turn, clockwise from the right.
 fn eighths(right: i8, up: i8) -> u8 {
-    let turn = f64::from(-up).atan2(f64::from(right)) / std::f64::consts::FRAC_PI_4;
+    let turn = libm::atan2(f64::from(-up), f64::from(right)) / std::f64::consts::FRAC_PI_4;
     turn.round().rem_euclid(8.0) as u8
 }
 

@@ -64,7 +64,7 @@ impl BandOptics {
                 "band {name:?} is blurred {times:.2} times as much as the sharpest: focus each band"
             ));
         }
-        (x.hypot(y) > MOVED_PX).then(|| {
+        (libm::hypot(x, y) > MOVED_PX).then(|| {
             format!(
                 "the picture of band {name:?} lies {x:+.1}, {y:+.1} px from that of the sharpest: filter or camera moved; \
                  each band is measured with its own bare shots, so this does no harm if all of its shots moved"
@@ -75,7 +75,7 @@ impl BandOptics {
 
 /// Corners that both pictures show.
 fn pairs(of_reference: &[[f64; 2]], of_band: &[[f64; 2]]) -> Vec<[[f64; 2]; 2]> {
-    let distance = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let distance = |a: &[f64; 2], b: &[f64; 2]| libm::hypot(a[0] - b[0], a[1] - b[1]);
     let nearest = |corner: &[f64; 2]| {
         let other = of_band.iter().min_by(|a, b| distance(a, corner).total_cmp(&distance(b, corner)))?;
         (distance(other, corner) < SAME_CORNER_PX).then_some([*corner, *other])

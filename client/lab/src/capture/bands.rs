@@ -161,7 +161,7 @@ impl Band {
     fn transmission(&self, nm: f64) -> f64 {
         match &self.filter {
             Filter::Gaussian { fwhm_nm } => {
-                (-0.5 * ((nm - self.wavelength_nm) * FWHM / fwhm_nm).powi(2)).exp()
+                libm::exp(-0.5 * ((nm - self.wavelength_nm) * FWHM / fwhm_nm).powi(2))
             }
             Filter::Table(table) => table.at(nm),
         }

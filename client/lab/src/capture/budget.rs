@@ -46,5 +46,5 @@ impl SessionErrors {
 /// depend on ratios of lengths only.
 pub(super) fn thickness_std_error_mm(channel: &CapturedChannel, sample: &CapturedSample) -> f64 {
     let scale = channel.error(sample, &[Source::Scale]) * sample.about.thickness_mm;
-    sample.about.thickness_std_error_mm.hypot(scale)
+    libm::hypot(sample.about.thickness_std_error_mm, scale)
 }

@@ -78,7 +78,7 @@ fn mean(frame: &Frame, left: usize, top: usize, side: usize) -> [f32; 3] {
 /// The sRGB byte of a linear value (IEC 61966-2-1).
 pub fn srgb(linear: f64) -> u8 {
     let v = linear.clamp(0.0, 1.0);
-    let coded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    let coded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * libm::pow(v, 1.0 / 2.4) - 0.055 };
     (255.0 * coded).round() as u8
 }
 

@@ -200,7 +200,7 @@ fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
     for i in 0..axis.len() {
         let next = axis.get(i + 1).copied().unwrap_or(f64::INFINITY);
         let before = if i == 0 { 0.0 } else { axis[i - 1] };
-        let is_near = |t: &f64| (axis[i] / t).ln().abs() < NEAR.ln();
+        let is_near = |t: &f64| libm::log(axis[i] / t).abs() < libm::log(NEAR);
         // The axis must rise.
         let fits = |t: &f64| before < *t && *t < next;
         let doubles = axis[..i].iter().map(|t| 2.0 * t);

@@ -82,7 +82,7 @@ fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
         let (nm, refined) = (wavelength_nm(&channel.channel)?, channel.refined.as_ref()?);
         let sigma_a = refined.best.medium.absorption_per_mm();
         let interval = refined.absorption_per_mm;
-        (sigma_a > 0.0).then(|| (nm, sigma_a.ln(), 0.5 * (interval.high - interval.low) / sigma_a))
+        (sigma_a > 0.0).then(|| (nm, libm::log(sigma_a), 0.5 * (interval.high - interval.low) / sigma_a))
     };
     let mut bands: Vec<(f64, f64, f64)> = fit.channels.iter().filter_map(known).collect();
     bands.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -119,7 +119,7 @@ mod tests {
     /// Bands of a Gaussian line of 40 nm at 550 nm, whose σ_a is known to 1 %.
     fn line(wavelengths: &[f64]) -> MaterialFit {
         let channel = |nm: &f64| {
-            let sigma_a = 1.2 * (-0.5 * ((nm - 550.0) / 40.0).powi(2)).exp();
+            let sigma_a = 1.2 * libm::exp(-0.5 * ((nm - 550.0) / 40.0).powi(2));
             let mut channel = testing::channel(&nm.to_string(), 5.0 + sigma_a, 1.0);
             let refined = channel.refined.as_mut().unwrap();
             refined.best.medium = Medium::new(5.0 + sigma_a, 5.0 / (5.0 + sigma_a), 0.4).unwrap();

@@ -211,7 +211,7 @@ impl InkMixer<'_> {
             let difference = self.difference(target, &found)?;
             let opacity =
                 self.args.opacity.map_or(0.0, |ratio| 100.0 * (ratio - self.contrast_ratio(&found)).max(0.0));
-            Ok(difference.hypot(opacity))
+            Ok(libm::hypot(difference, opacity))
         };
         closest(&ShareLimits { most }, cost)
     }
@@ -278,7 +278,7 @@ impl InkMixer<'_> {
             let lab = colorimetry.colour(&ordered).lab;
             return Ok(self.lab(found).map_or(f64::INFINITY, |found| delta_e_2000(lab, found)));
         }
-        let squares: f64 = wanted.iter().zip(found).map(|(w, f)| (100.0 * (f[0] / w).ln()).powi(2)).sum();
+        let squares: f64 = wanted.iter().zip(found).map(|(w, f)| (100.0 * libm::log(f[0] / w)).powi(2)).sum();
         Ok((squares / wanted.len() as f64).sqrt())
     }
 

@@ -106,7 +106,7 @@ fn of_channel(
     let transport = |u: &Uncertain| u.medium.reduced_scattering_per_mm() + u.medium.absorption_per_mm();
     // The depth of a medium whose absorption may be 0 is not linear in it, but its inverse square is.
     let fading = |u: &Uncertain| 3.0 * u.medium.absorption_per_mm() * transport(u);
-    let depth = |[x, error]: [f64; 2]| [1.0 / x.sqrt(), 0.5 * error / x.powf(1.5)];
+    let depth = |[x, error]: [f64; 2]| [1.0 / x.sqrt(), 0.5 * error / libm::pow(x, 1.5)];
     let coefficient = |i: usize| known(value(&|u| kubelka_munk(&without, u, thickness_mm)[i]));
     let passed = value(&|u| distance(&polished, u));
     let within = DISTANCES_MM.0 * 1.001..DISTANCES_MM.1 / 1.001;
@@ -134,7 +134,7 @@ fn kubelka_munk(print: &Print, medium: &Uncertain, thickness_mm: f64) -> [f64; 2
     let a = a.max(1.0 + 1e-12);
     let b = (a * a - 1.0).sqrt();
     let ratio = (1.0 / black - a) / b;
-    let s = 0.5 * ((ratio + 1.0) / (ratio - 1.0)).ln() / (b * thickness_mm);
+    let s = 0.5 * libm::log((ratio + 1.0) / (ratio - 1.0)) / (b * thickness_mm);
     [s * (a - 1.0), s]
 }
 
@@ -199,7 +199,7 @@ mod tests {
     #[test]
     fn transmission_distance_follows_beer() {
         let found = distance(&print(1.0, 0.5).unwrap(), &uncertain(3.0, 0.0));
-        let expected = 20_f64.ln() / 3.0 * 8_f64.to_radians().cos();
+        let expected = libm::log(20_f64) / 3.0 * libm::cos(8_f64.to_radians());
         assert!((found / expected - 1.0).abs() < 1e-3, "{found} {expected}");
     }
 }

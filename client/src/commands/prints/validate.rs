@@ -94,7 +94,7 @@ impl DifferenceParts {
     }
 
     fn std_error(&self) -> f64 {
-        self.shared.iter().map(|(_, change)| change * change).sum::<f64>().sqrt().hypot(self.own)
+        libm::hypot(self.shared.iter().map(|(_, change)| change * change).sum::<f64>().sqrt(), self.own)
     }
 }
 
@@ -331,7 +331,7 @@ fn ink(name: &str, patches: &[ChartPatch], found: &[Vec<PatchJson>]) -> InkJson 
         }
         count += channels.len();
     }
-    let std_error = sum_std_error(shared.into_iter()).hypot(variance.sqrt());
+    let std_error = libm::hypot(sum_std_error(shared.into_iter()), variance.sqrt());
     InkJson { material: name.to_owned(), patches: count, z: sum / std_error.max(f64::MIN_POSITIVE) }
 }
 

@@ -77,7 +77,7 @@ impl Pace {
             return (0.0, self.worked_s + passed_s);
         }
         let memory_s = MEMORY_S.max(PARTS_REMEMBERED * self.seconds_per_part.unwrap_or(0.0));
-        let kept = (-passed_s / memory_s).exp();
+        let kept = libm::exp(-passed_s / memory_s);
         (self.finished * kept, self.worked_s * kept + memory_s * (1.0 - kept))
     }
 
@@ -129,7 +129,7 @@ mod tests {
 
     fn assert_near(rates: &[f64], truth: f64, tolerance: f64) {
         for rate in rates {
-            assert!((rate / truth).ln().abs() < tolerance, "{rate}, not {truth}");
+            assert!(libm::log(rate / truth).abs() < tolerance, "{rate}, not {truth}");
         }
     }
 

@@ -27,8 +27,8 @@ pub(super) fn blur_px(
     let half = (reach / WIDTH).ceil() as usize;
     let mut sums = vec![[0.0; 3]; 2 * half];
     let (length, cosine) = match run {
-        Run::Down => (frame.width(), slope.hypot(1.0).recip()),
-        Run::Across => (frame.height(), slope.hypot(1.0).recip()),
+        Run::Down => (frame.width(), libm::hypot(slope, 1.0).recip()),
+        Run::Across => (frame.height(), libm::hypot(slope, 1.0).recip()),
     };
     for point in smooth(points) {
         let on = point.on as usize;

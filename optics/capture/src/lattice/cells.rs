@@ -79,7 +79,7 @@ impl CropCells {
         let inner = (0..CELLS * CELLS).filter(counts).map(corner);
         let mm = |i: f64| (i + 0.5) * 2.0 * HALF_CROP_MM / CELLS as f64 - HALF_CROP_MM;
         let nearest = inner.min_by(|a, b| {
-            let far = |c: &[f64; 2]| mm(c[0]).hypot(mm(c[1]));
+            let far = |c: &[f64; 2]| libm::hypot(mm(c[0]), mm(c[1]));
             far(a).total_cmp(&far(b))
         });
         let [x, y] = nearest.unwrap_or([0.0; 2]);
@@ -89,7 +89,7 @@ impl CropCells {
     fn is_free(&self, sample: &Self, k: usize) -> bool {
         (0..3).all(|c| {
             let (bare, now) = (self.0[c][k], sample.0[c][k]);
-            let noise = bare.std_error.hypot(now.std_error);
+            let noise = libm::hypot(bare.std_error, now.std_error);
             (now.value - bare.value).abs() < (FREE * bare.value).max(3.0 * noise)
         })
     }

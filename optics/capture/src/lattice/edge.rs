@@ -55,11 +55,11 @@ impl EdgeFrame {
         };
         let along = (along - self.middle) * self.square_mm;
         let across = (across - self.index) * self.square_mm - self.offset_mm - self.slope * along;
-        [self.sign * across / self.slope.hypot(1.0), along]
+        [self.sign * across / libm::hypot(self.slope, 1.0), along]
     }
 
     pub fn px(&self, mm: [f64; 2]) -> [f64; 2] {
-        let across = self.sign * mm[0] * self.slope.hypot(1.0) + self.offset_mm + self.slope * mm[1];
+        let across = self.sign * mm[0] * libm::hypot(self.slope, 1.0) + self.offset_mm + self.slope * mm[1];
         let (across, along) = (self.index + across / self.square_mm, self.middle + mm[1] / self.square_mm);
         self.pose.px(match self.run {
             Run::Down => [across, along],
@@ -102,7 +102,7 @@ fn distance(stretch: &EdgeStretch, middle: [f64; 2]) -> f64 {
         Run::Across => (middle[1], middle[0]),
     };
     let nearest = on.clamp(stretch.from(), stretch.to());
-    (stretch.at(nearest) - at).hypot(nearest - on)
+    libm::hypot(stretch.at(nearest) - at, nearest - on)
 }
 
 pub(super) fn dark_side(stretch: &EdgeStretch) -> Side {
@@ -151,7 +151,7 @@ pub(super) fn place(
     }
     let (from_px, to_px) = (frame.px([0.0, -HALF_CROP_MM]), frame.px([0.0, HALF_CROP_MM]));
     let (dx, dy) = (to_px[0] - from_px[0], to_px[1] - from_px[1]);
-    let angle = if run == Run::Down { -dx.atan2(dy) } else { dy.atan2(dx) };
+    let angle = if run == Run::Down { -libm::atan2(dx, dy) } else { libm::atan2(dy, dx) };
     let angle_deg = Estimate::new(angle.to_degrees(), straight.slope_std_error.to_degrees());
     Ok((frame, EdgeLine { from_px, to_px, angle_deg, dark_side: dark_side(stretch), bend_px }))
 }

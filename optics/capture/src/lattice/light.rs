@@ -139,7 +139,7 @@ pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[boo
         let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
         let sound = pairs.clone().filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
         let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
-            sound.map(|(b, s)| (s.value[c] / b.value[c], relative(b).hypot(relative(s)))).unzip();
+            sound.map(|(b, s)| (s.value[c] / b.value[c], libm::hypot(relative(b), relative(s)))).unzip();
         if ratios.len() < PATCHES {
             return None;
         }
@@ -150,7 +150,7 @@ pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[boo
         let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
         let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
         let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
-        *found = Estimate::new(steady.value, steady.std_error.hypot(value * uneven));
+        *found = Estimate::new(steady.value, libm::hypot(steady.std_error, value * uneven));
     }
     Some(found)
 }
@@ -160,7 +160,7 @@ pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[boo
 fn less_chance(factor: Estimate) -> Estimate {
     let change = factor.value - 1.0;
     let lost = change.abs().min(9.0 * factor.std_error.powi(2) / change.abs().max(f64::MIN_POSITIVE));
-    Estimate::new(factor.value - lost.copysign(change), factor.std_error.hypot(lost))
+    Estimate::new(factor.value - lost.copysign(change), libm::hypot(factor.std_error, lost))
 }
 
 /// Largest relative change of the light that is divided out: 5 %, plus the flicker of lamps.
@@ -228,7 +228,7 @@ mod tests {
     fn insignificant_change_is_ignored() {
         let of = |change: f64| less_chance(Estimate::new(1.0 + change, 1e-3));
         assert!([0.0, 1e-3, -2.9e-3].into_iter().all(|change| (of(change).value - 1.0).abs() < 1e-12));
-        assert!((of(-2.9e-3).std_error / 1e-3_f64.hypot(2.9e-3) - 1.0).abs() < 1e-9);
+        assert!((of(-2.9e-3).std_error / libm::hypot(1e-3, 2.9e-3) - 1.0).abs() < 1e-9);
         let far = of(-0.04);
         assert!((far.value - 0.960_225).abs() < 1e-9 && far.std_error < 1.03e-3, "{far:?}");
     }

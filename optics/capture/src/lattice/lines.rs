@@ -29,7 +29,7 @@ impl EdgeStretch {
     }
 
     pub fn length(&self) -> f64 {
-        (self.to() - self.from()) * self.slope.hypot(1.0)
+        (self.to() - self.from()) * libm::hypot(self.slope, 1.0)
     }
 
     /// Angle to the frame's columns or rows, positive clockwise.
@@ -39,7 +39,7 @@ impl EdgeStretch {
         let squares: f64 = self.points.iter().map(|p| (p.on - mean).powi(2)).sum();
         let residuals: Vec<f64> = self.points.iter().map(|p| p.at - self.at(p.on)).collect();
         let error = spread(&residuals) / squares.sqrt() / (1.0 + self.slope * self.slope);
-        let angle = if self.run == Run::Down { -self.slope.atan() } else { self.slope.atan() };
+        let angle = if self.run == Run::Down { -libm::atan(self.slope) } else { libm::atan(self.slope) };
         Estimate::new(angle.to_degrees(), error.to_degrees())
     }
 }

@@ -289,7 +289,7 @@ pub(crate) fn check_blur(
 pub(crate) fn check_shake(label: &str, found: &BoardEdges) -> Result<(), Refusal> {
     if let [Some(across), Some(along)] = found.blur_px {
         let ratio = across.value / along.value;
-        let error = ratio * (across.std_error / across.value).hypot(along.std_error / along.value);
+        let error = ratio * libm::hypot(across.std_error / across.value, along.std_error / along.value);
         if ratio.max(1.0 / ratio) > BLURRED + 2.0 * error {
             let (across_px, along_px) = (across.value, along.value);
             return Err(Refusal::Shaken { label: label.to_owned(), across_px, along_px });

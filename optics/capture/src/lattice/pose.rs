@@ -129,27 +129,29 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
             best = freer;
             open = 0.0;
         } else {
-            open = open
-                .hypot(libm::log(freer.pose.pitch(freer.pose.centre) / best.pose.pitch(best.pose.centre)));
+            open = libm::hypot(
+                open,
+                libm::log(freer.pose.pitch(freer.pose.centre) / best.pose.pitch(best.pose.centre)),
+            );
         }
     }
-    let scale_std_error = best.scale_error().hypot(open);
+    let scale_std_error = libm::hypot(best.scale_error(), open);
     Ok(FittedPose { pose: best.pose, scale_std_error })
 }
 
 /// Start of the fit, from the first two lines of a direction that has two.
 fn similar_start(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> Pose {
     let centre = [0.5 * size[0], 0.5 * size[1]];
-    let half_diagonal = 0.5 * size[0].hypot(size[1]);
+    let half_diagonal = 0.5 * libm::hypot(size[0], size[1]);
     let lines = if down.len() >= 2 { down } else { across };
     let middle = if down.len() >= 2 { centre[1] } else { centre[0] };
     let place = |line: &BoardLine| line.stretches[0].at(middle);
     let (first, last) = (&lines[0], &lines[lines.len() - 1]);
     let slope = first.stretches[0].slope;
-    let px = (place(last) - place(first)) / f64::from(last.index - first.index) / slope.hypot(1.0);
-    let turn = if down.len() >= 2 { -slope.atan() } else { slope.atan() };
+    let px = (place(last) - place(first)) / f64::from(last.index - first.index) / libm::hypot(slope, 1.0);
+    let turn = if down.len() >= 2 { -libm::atan(slope) } else { libm::atan(slope) };
     let s = half_diagonal / px;
-    let (sin, cos) = turn.sin_cos();
+    let (sin, cos) = libm::sincos(turn);
     let mut p = [0.0, s * cos, s * sin, 0.0, -s * sin, s * cos, 0.0, 0.0, 0.0];
     let mut pose = Pose { centre, half_diagonal, p };
     for (lines, row, k) in [(down, 0, Run::Down), (across, 3, Run::Across)] {
@@ -294,7 +296,7 @@ mod tests {
         let pose = pose(-0.01);
         for px in [[20.0, 30.0], [600.0, 400.0], [1190.0, 700.0]] {
             let back = pose.px(pose.squares(px));
-            assert!((back[0] - px[0]).hypot(back[1] - px[1]) < 1e-7, "{px:?} {back:?}");
+            assert!(libm::hypot(back[0] - px[0], back[1] - px[1]) < 1e-7, "{px:?} {back:?}");
         }
     }
 

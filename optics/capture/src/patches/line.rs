@@ -78,7 +78,7 @@ fn channel(
         let rho = neutral.rho[i][c];
         let expected = k * rho + glare * reading.veil;
         patch.deviation[c] = reading.light / expected - 1.0;
-        let own = (neutral.std_error * rho * k).hypot(reading.std_error) / expected;
+        let own = libm::hypot(neutral.std_error * rho * k, reading.std_error) / expected;
         if patch.deviation[c].is_nan() || patch.deviation[c].abs() > NOT_LINEAR.max(3.0 * own) {
             let deviation = 100.0 * patch.deviation[c];
             return Err(Refusal::NotLinear { colour, patch: i + 1, rho, deviation });
@@ -87,7 +87,7 @@ fn channel(
     let white = neutral.white();
     let (rho, of_white) = (neutral.rho[white][c], readings[white]);
     let gain = (of_white.light - glare * of_white.veil) / rho;
-    let gain_error = of_white.std_error.hypot(line.std_error(1) * of_white.veil) / rho;
+    let gain_error = libm::hypot(of_white.std_error, line.std_error(1) * of_white.veil) / rho;
     fitted.gain[c] = Estimate::new(gain, gain_error);
     fitted.glare[c] = Estimate::new(glare, line.std_error(1));
     for (patch, reading) in patches.iter_mut().zip(readings) {
@@ -105,7 +105,8 @@ fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -
     let scale = readings[neutral.white()].light / neutral.rho[neutral.white()][c];
     let mut normal = NormalEquations::new(if curved { 3 } else { 2 });
     for (rho, reading) in neutral.rho.iter().map(|r| r[c]).zip(readings) {
-        let sigma = (neutral.std_error.max(1e-4) * rho * scale).hypot(reading.std_error).max(1e-6 * scale);
+        let sigma =
+            libm::hypot(neutral.std_error.max(1e-4) * rho * scale, reading.std_error).max(1e-6 * scale);
         let row = [rho, reading.veil, rho * rho];
         normal.add(&row[..if curved { 3 } else { 2 }], reading.light, sigma.powi(-2));
     }

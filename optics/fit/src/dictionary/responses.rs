@@ -187,7 +187,7 @@ fn steps_of(responses: &Responses, index: usize, prior: &Prior) -> Vec<(usize, f
 fn curvature(at: [f64; 2], squares: [f64; 2], product: f64, ends: [f64; 2]) -> f64 {
     let half = 0.5 * (squares[0] - squares[1]);
     // The first difference over w is this multiple of the second.
-    let ratio = (half + half.hypot(product)) / product;
+    let ratio = (half + libm::hypot(half, product)) / product;
     let found = (ratio - 1.0) / (at[0] - ratio * at[1]);
     let [low, high] = ends;
     let most = if low < 0.0 { -MOST_CURVATURE / low } else { f64::INFINITY };

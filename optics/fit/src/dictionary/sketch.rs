@@ -239,7 +239,8 @@ mod tests {
     fn profiles(count: usize) -> Vec<Vec<f32>> {
         let value = |i: usize, x: usize| {
             let (a, w) = (0.1 + (i % 7) as f32 * 0.1, 2.0 + (i % 11) as f32);
-            a + 0.2 * ((x as f32 - 30.0) / w).tanh() + 1e-3 * ((i * 7919 + x * 104_729) % 97) as f32 / 97.0
+            a + 0.2 * libm::tanhf((x as f32 - 30.0) / w)
+                + 1e-3 * ((i * 7919 + x * 104_729) % 97) as f32 / 97.0
         };
         (0..count).map(|i| (0..60).map(|x| value(i, x)).collect()).collect()
     }

@@ -184,8 +184,8 @@ impl Found<'_, '_> {
     fn intervals(&self, normal: &Normal, covariance: Option<&DMatrix<f64>>, inflation: f64) -> [Interval; 5] {
         let slots = self.slots();
         let limits = [0, 1, 2].map(|i| self.system.unknowns[slots[i]].limits);
-        let corner = |s: f64, a: f64, g: f64| (1.0 - a * a).max(1e-12).ln() + s + g;
-        let root = |s: f64, a: f64| a * (0.5 * s).exp();
+        let corner = |s: f64, a: f64, g: f64| libm::log((1.0 - a * a).max(1e-12)) + s + g;
+        let root = |s: f64, a: f64| a * libm::exp(0.5 * s);
         let [s, a, g] = limits;
         let reduced = (corner(s.0, a.1, g.0), corner(s.1, a.0, g.1));
         let absorption = (root(s.0, a.0), root(s.1, a.1));
@@ -207,7 +207,7 @@ impl Found<'_, '_> {
             };
             match index {
                 0..3 => interval(ends, |x| self.parameter(index, x), index != LN_SIGMA_T),
-                3 => interval(ends, f64::exp, false),
+                3 => interval(ends, libm::exp, false),
                 _ => {
                     let found = interval(ends, |x| x.max(0.0).powi(2), false);
                     // 0 is an end of the quantity; any other limit is one of the dictionary.
@@ -282,9 +282,9 @@ impl Found<'_, '_> {
         let candidate = |[ior, s, g, a]: &[usize; 4]| {
             let (sigma_t, albedo, anisotropy) = (grid.sigma_t_per_mm()[*s], grid.albedo()[*a], grid.g()[*g]);
             let places = [
-                (slots[LN_SIGMA_T], sigma_t.ln()),
+                (slots[LN_SIGMA_T], libm::log(sigma_t)),
                 (slots[ROOT_CO_ALBEDO], (1.0 - albedo).sqrt()),
-                (slots[LN_ONE_MINUS_G], (1.0 - anisotropy).ln()),
+                (slots[LN_ONE_MINUS_G], libm::log(1.0 - anisotropy)),
             ];
             let state = self.system.held_at(self.state, &places);
             let linear = self.system.linear(&state.x, &state.own);

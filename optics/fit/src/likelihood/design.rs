@@ -79,7 +79,7 @@ impl DesignPlan<'_> {
             bound.absorption_per_mm,
         ];
         // √σ_a is √(1 − α), which is at most 1, times √σ_t.
-        let units = [1.0, 1.0, 1.0, 1.0, (0.5 * self.medium[SIGMA_T]).exp()];
+        let units = [1.0, 1.0, 1.0, 1.0, libm::exp(0.5 * self.medium[SIGMA_T])];
         let mut widths =
             Quantity::all(slots).into_iter().zip(units).zip(ends).map(|((quantity, unit), ends)| {
                 let gradient = quantity.gradient(&state.x);
@@ -132,7 +132,7 @@ impl DesignPlan<'_> {
         let (mut system, state) = System::new(profiles, unknowns, Vec::new());
         let models = system.linear(&state.x, &state.own).into_iter().map(|linear| linear.model);
         for (term, model) in system.terms.iter_mut().zip(models.collect::<Vec<_>>()) {
-            let noise = |v: &f64| (known.noise * v).hypot(known.noise_floor).max(f64::MIN_POSITIVE);
+            let noise = |v: &f64| libm::hypot(known.noise * v, known.noise_floor).max(f64::MIN_POSITIVE);
             term.std_errors = model.iter().map(noise).collect();
             term.values = model;
         }

@@ -97,7 +97,7 @@ pub(crate) fn measure(
     if let Some(range) = &plan.search_mu {
         let (min, max, _) = range.parts();
         // Standard deviation of the logarithm of a factor that is only known to lie in the range.
-        let unknown = (max / min).ln() / 12.0_f64.sqrt();
+        let unknown = libm::log(max / min) / 12.0_f64.sqrt();
         let deviation = joint.deviation(joint.assembly.system.slots[0][LN_SCALE]);
         if max > min && !(deviation > 0.0 && deviation <= unknown) {
             // The data do not determine the factor: the range is its prior.
@@ -171,7 +171,7 @@ impl<'a> Set<'a> {
                 cells.push(self.cell(*scale));
                 continue;
             }
-            let factor = (-scale).exp();
+            let factor = libm::exp(-scale);
             let by_channel: Vec<Vec<Start>> = self
                 .scans
                 .par_iter()
@@ -197,7 +197,7 @@ impl<'a> Set<'a> {
     /// Every channel at its own lowest start.
     fn cell(&self, scale: f64) -> Cell {
         let start = |(scan, surrogates): (&Scan, &Vec<Surrogate>)| {
-            scan.starts(surrogates, (-scale).exp())
+            scan.starts(surrogates, libm::exp(-scale))
                 .first()
                 .copied()
                 .expect("a dictionary has a lowest medium")
@@ -212,7 +212,7 @@ impl<'a> Set<'a> {
         let starts: Vec<Start> = match cell.g {
             // The mesh may have left out some channels.
             Some(common) if cell.starts.len() < self.channels.len() => {
-                let factor = (-cell.scale).exp();
+                let factor = libm::exp(-cell.scale);
                 let start = |(scan, surrogates): (&Scan, &Vec<Surrogate>)| {
                     let all = scan.by_anisotropy(surrogates, &scan.costs(factor), factor);
                     let off = |s: &Start| (g(s.medium[2]) - common).abs();
@@ -269,7 +269,7 @@ impl<'a> Set<'a> {
                 let absorbed = response.as_ref().map(|r| r.suspicion(i));
                 refined.suspicion = absorbed.or(refined.suspicion);
                 let scan = &self.scans[i];
-                let factor = (-state.x[own.slots[0][LN_SCALE]]).exp();
+                let factor = libm::exp(-state.x[own.slots[0][LN_SCALE]]);
                 let nearest = scan.best(&scan.costs(factor), data.options.settings().top as usize);
                 found.fit(Some(refined), &nearest, data.outside(scan))
             })
@@ -283,7 +283,7 @@ impl<'a> Set<'a> {
             material: m.material().to_owned(),
             channels: fits.by_ref().take(m.channels().len()).collect(),
         });
-        let mu = self.base * joint.state.x[scale_slot].exp();
+        let mu = self.base * libm::exp(joint.state.x[scale_slot]);
         let mu_std_error = mu * joint.deviation(scale_slot);
         let by_g = by_g(cells, joint.state.x[scale_slot], self.base);
         Measured {
@@ -320,7 +320,7 @@ fn by_g(cells: &[Cell], scale: f64, base: f64) -> Vec<GError> {
         let near = with().min_by(|a, b| (a.scale - scale).abs().total_cmp(&(b.scale - scale).abs()));
         let best = with().min_by(|a, b| a.cost.total_cmp(&b.cost));
         let (near, best) = (near?, best?);
-        Some(GError { g, error: near.cost, best_mu: base * best.scale.exp(), best_mu_error: best.cost })
+        Some(GError { g, error: near.cost, best_mu: base * libm::exp(best.scale), best_mu_error: best.cost })
     };
     nodes.into_iter().filter_map(error).collect()
 }
@@ -329,7 +329,7 @@ fn by_g(cells: &[Cell], scale: f64, base: f64) -> Vec<GError> {
 pub(in crate::likelihood) fn scales(range: Option<&MuRange>, base: f64) -> Vec<f64> {
     let Some(range) = range else { return vec![0.0] };
     let (min, max, _) = range.parts();
-    let (low, high) = ((min / base).ln(), (max / base).ln());
+    let (low, high) = (libm::log(min / base), libm::log(max / base));
     let steps = ((high - low) / MESH_STEP).ceil().max(1.0);
     (0..=steps as usize).map(|i| low + (high - low) * i as f64 / steps).collect()
 }

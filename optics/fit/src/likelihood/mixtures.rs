@@ -93,7 +93,7 @@ pub(crate) fn unmix(
         }),
     };
     let media: Vec<[f64; 3]> = fits.iter().map(|fit| start_of(fit)).collect();
-    let scale = (measured.common.mu / options.settings().mu).ln();
+    let scale = libm::log(measured.common.mu / options.settings().mu);
     let surrogates: Vec<&Surrogate> = models.iter().collect();
     let (mut assembly, state) = assemble(&channels, &surrogates, &media, scale, sharing);
     let state = assembly.system.approach(state, COARSE);
@@ -160,7 +160,11 @@ fn slabs<'a>(
             let variance = covariance.as_ref().map_or(f64::INFINITY, |c| gradient.dot(&(c * &gradient)));
             let value = quantity.value(&state.x);
             // The coordinates are ln σ_s (1 − g) and √σ_a; the second term is for a root of 0.
-            if which == 0 { value.exp() * variance.sqrt() } else { 2.0 * value * variance.sqrt() + variance }
+            if which == 0 {
+                libm::exp(value) * variance.sqrt()
+            } else {
+                2.0 * value * variance.sqrt() + variance
+            }
         });
         Slab {
             fractions: inks.iter().map(of).collect(),
@@ -311,7 +315,8 @@ impl<'a> Unmixing<'a, '_> {
         let equations = |which: usize| -> Vec<Equation> {
             let equation = |slab: &Slab| {
                 let [s, a, g] = slab.medium;
-                let value = if which == 0 { sigma_t(s) * albedo(a) * g.exp() } else { sigma_t(s) * a * a };
+                let value =
+                    if which == 0 { sigma_t(s) * albedo(a) * libm::exp(g) } else { sigma_t(s) * a * a };
                 Equation { fractions: slab.fractions.clone(), value, std_error: slab.std_errors[which] }
             };
             of_channel().map(equation).filter(|e| e.std_error.is_finite() && e.std_error > 0.0).collect()
@@ -319,8 +324,9 @@ impl<'a> Unmixing<'a, '_> {
         let n = self.inks.len();
         let (reduced, absorption) = (solve(&equations(0), n, 1.0), solve(&equations(1), n, 1.0));
         // Not quite 0, from which a descent would not return.
-        let start =
-            |(r, a): (f64, f64)| [(r / ln_one_minus_g.exp()).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g];
+        let start = |(r, a): (f64, f64)| {
+            [(r / libm::exp(ln_one_minus_g)).max(1e-2), a.max(1e-4).sqrt(), ln_one_minus_g]
+        };
         reduced.into_iter().zip(absorption).map(start).collect()
     }
 

@@ -33,7 +33,7 @@ impl Point {
     }
 
     pub(crate) fn scale(&self) -> f64 {
-        (-self.0[LN_SCALE]).exp()
+        libm::exp(-self.0[LN_SCALE])
     }
 
     /// Gain, zero and slope of the slab.
@@ -47,7 +47,7 @@ impl Point {
     }
 
     pub(crate) fn thickness_mm(&self) -> f64 {
-        self.0[LN_THICKNESS].exp()
+        libm::exp(self.0[LN_THICKNESS])
     }
 
     /// The uncertain quantities of the scene.

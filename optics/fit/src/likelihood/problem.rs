@@ -89,7 +89,7 @@ impl<'a> ProfileData<'a> {
         };
         Term {
             near: surrogate.near(thickness_mm, medium),
-            ..Term::new(exposed, &self.set_up, surrogate, medium, mu.ln())
+            ..Term::new(exposed, &self.set_up, surrogate, medium, libm::log(mu))
         }
     }
 }

@@ -181,7 +181,7 @@ fn unweighable_measurements_are_refused() {
 /// The response of a profile of the formula to a brighter white reference through ρ: light comes from the bright side
 /// alone.
 fn by_white(x: f64, value: f64) -> f64 {
-    0.8 * value * 0.5 * (1.0 + (x / 0.6).tanh())
+    0.8 * value * 0.5 * (1.0 + libm::tanh(x / 0.6))
 }
 
 /// A dictionary of one channel and, with `knows_white`, of that channel under a darker white reference.
@@ -194,7 +194,7 @@ fn dictionary_with_white(knows_white: bool) -> FitDictionary {
     let grid = Grid::new(scene, dense_axes(), Walks::PAPER, 1, false).unwrap();
     let at = |x: f64, m: &Medium, thickness: f64, channel: usize| {
         let value = profile_value(x, m.sigma_t_per_mm(), m.albedo(), m.g(), thickness, 1.0);
-        value + channel as f64 * DARKER_WHITE.ln() * by_white(x, value)
+        value + channel as f64 * libm::log(DARKER_WHITE) * by_white(x, value)
     };
     dictionary_of(&grid, |index| exact_record(&grid, index, names.len(), at))
 }

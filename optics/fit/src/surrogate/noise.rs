@@ -47,13 +47,13 @@ impl Surrogate<'_> {
     /// The records' noise in a prediction at any thickness near one of the dictionary's.
     pub(crate) fn noise_factors_at(&self, thickness_mm: f64, x: Coordinates) -> NoiseFactors {
         let (index, ratio) = self.nearest_thickness(thickness_mm);
-        self.noise_factors(index, [x[SIGMA_T] + ratio.ln(), x[ALBEDO], x[G]])
+        self.noise_factors(index, [x[SIGMA_T] + libm::log(ratio), x[ALBEDO], x[G]])
     }
 
     /// Index of the dictionary's nearest thickness, and the ratio of the given thickness to it.
     pub(super) fn nearest_thickness(&self, thickness_mm: f64) -> (usize, f64) {
         let axis = self.dictionary.grid().thickness_mm();
-        let off = |t: &f64| (thickness_mm / t).ln().abs();
+        let off = |t: &f64| libm::log(thickness_mm / t).abs();
         let nearest = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         nearest.map_or((0, 1.0), |(index, nominal)| (index, thickness_mm / nominal))
     }
@@ -64,7 +64,7 @@ impl Surrogate<'_> {
         let thickness_mm = self.grid().thickness_mm()[thickness];
         let depth = |sigma_t: &f64| (sigma_t * thickness_mm) as f32;
         let depths = self.grid().sigma_t_per_mm().iter().map(depth).collect();
-        let directions = [self.sigma_t.direction(x[SIGMA_T] + ratio.ln()), self.g.direction(x[G])];
+        let directions = [self.sigma_t.direction(x[SIGMA_T] + libm::log(ratio)), self.g.direction(x[G])];
         self.noise_place(x[ALBEDO], depths, directions)
     }
 

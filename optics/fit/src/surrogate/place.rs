@@ -53,10 +53,13 @@ pub(crate) fn check_thickness(
     thickness_mm: f64,
 ) -> Result<(), Invalid> {
     let (low, high) = surrogate.supported(thickness_mm)?;
-    if (low - 1e-9..=high + 1e-9).contains(&medium.sigma_t_per_mm().ln()) {
+    if (low - 1e-9..=high + 1e-9).contains(&libm::log(medium.sigma_t_per_mm())) {
         return Ok(());
     }
-    let allowed =
-        format!("at {thickness_mm} mm the dictionary predicts {:.4} to {:.4}", low.exp(), high.exp());
+    let allowed = format!(
+        "at {thickness_mm} mm the dictionary predicts {:.4} to {:.4}",
+        libm::exp(low),
+        libm::exp(high)
+    );
     Err(Invalid::new("sigma_t_per_mm", medium.sigma_t_per_mm(), allowed))
 }

@@ -144,7 +144,7 @@ mod tests {
     fn coarse_measurements_are_not_taken_as_staircases() {
         // The exact mean of tanh(x/0.2) over a pixel.
         let mean = |x: f64, pitch: f64| {
-            let integral = |x: f64| 0.2 * (x / 0.2).cosh().ln();
+            let integral = |x: f64| 0.2 * libm::log(libm::cosh(x / 0.2));
             (integral(x + pitch / 2.0) - integral(x - pitch / 2.0)) / pitch
         };
         let coarse = measured(180, 10.0, 0.0, |x| mean(x, 10.0 / 180.0));

@@ -54,7 +54,7 @@ impl LocalResponses {
     /// scene. Its derivative by the logarithm of the thickness is that by ln σ_t.
     pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> ProfileChange {
         let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
-        x[SIGMA_T] += thickness_mm.ln();
+        x[SIGMA_T] += libm::log(thickness_mm);
         let off: [f64; 3] = std::array::from_fn(|i| x[i] - self.at[i]);
         let zero = || vec![0.0; pixels];
         let mut change =
@@ -97,13 +97,13 @@ impl LocalResponses {
         }
         // The spectrum of c, by cosines over the width.
         let frequency = |k: usize| PI * k as f64 * ALIKE_MM / width_mm;
-        let weights = (0..pixels).map(|k| (-0.5 * frequency(k).powi(2)).exp()).take_while(|w| *w > 0.01);
+        let weights = (0..pixels).map(|k| libm::exp(-0.5 * frequency(k).powi(2))).take_while(|w| *w > 0.01);
         let weights: Vec<f64> = weights.collect();
         let sum = weights.iter().sum::<f64>() - 0.5;
         let mode = |(k, weight): (usize, &f64)| -> Vec<f64> {
             let share = if k == 0 { *weight } else { 2.0 * weight };
             let size = MODEL_ERROR * (share / sum).sqrt();
-            let wave = |i: usize| (PI * k as f64 * (i as f64 + 0.5) / pixels as f64).cos();
+            let wave = |i: usize| libm::cos(PI * k as f64 * (i as f64 + 0.5) / pixels as f64);
             squares.iter().enumerate().map(|(i, s)| size * s.sqrt() * wave(i)).collect()
         };
         weights.iter().enumerate().map(mode).collect()
@@ -127,7 +127,7 @@ impl Surrogate<'_> {
         };
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
-        optical[SIGMA_T] += thickness_mm.ln();
+        optical[SIGMA_T] += libm::log(thickness_mm);
         Some(LocalResponses { at: optical, each })
     }
 
@@ -142,7 +142,7 @@ impl Surrogate<'_> {
     /// thickness.
     fn response_place(&self, thickness_mm: f64, mut x: Coordinates) -> (usize, Coordinates) {
         let (index, ratio) = self.nearest_thickness(thickness_mm);
-        x[SIGMA_T] += ratio.ln();
+        x[SIGMA_T] += libm::log(ratio);
         (index, x)
     }
 

@@ -15,8 +15,8 @@ fn scattered_once(medium: &Medium, thickness_mm: f64, base: f64) -> f64 {
     let (s, a, g) = (medium.sigma_t_per_mm(), medium.albedo(), medium.g());
     let (cosine_in, cosine) = (0.887_f64, -0.887);
     let both_ways = 1.0 + 1.0 / cosine_in;
-    let through = (-s * thickness_mm * both_ways).exp();
-    let phase = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine).powf(1.5);
+    let through = libm::exp(-s * thickness_mm * both_ways);
+    let phase = (1.0 - g * g) / libm::pow(1.0 + g * g - 2.0 * g * cosine, 1.5);
     a * phase / (4.0 * both_ways) * (1.0 - through) + base * through
 }
 

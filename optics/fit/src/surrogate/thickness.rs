@@ -99,7 +99,7 @@ impl Surrogate<'_> {
         let (low, high) = self.limits()[SIGMA_T];
         let thinner = (axis[0] / thickness_mm).max(1.0);
         let thicker = (axis[axis.len() - 1] / thickness_mm).min(1.0);
-        Ok((low + thinner.ln(), high + thicker.ln()))
+        Ok((low + libm::log(thinner), high + libm::log(thicker)))
     }
 
     /// The profile at any thickness, on the dictionary's pixels. It is continued beyond [`Surrogate::supported`], but is
@@ -125,7 +125,7 @@ impl Surrogate<'_> {
         let per_inverse = 1.0 / (1.0 / thick_mm - 1.0 / thin_mm);
         let weight = |base_mm: f64| (1.0 / thickness_mm - 1.0 / base_mm) * per_inverse;
         let base = if weight(thin_mm).abs() < weight(thick_mm).abs() { thin } else { thick };
-        let optical = x[SIGMA_T] + thickness_mm.ln();
+        let optical = x[SIGMA_T] + libm::log(thickness_mm);
         let (low, high) = common(self.grid(), thin_mm, thick_mm);
         let lacks_base = if base == thin { optical > high } else { optical < low };
         if weight(axis[base]).abs() > SMALL || lacks_base {
@@ -153,7 +153,7 @@ impl Surrogate<'_> {
         thickness_mm: f64,
         x: Coordinates,
     ) -> PredictionAt {
-        let record = self.at_optical_thickness(near.base, x[SIGMA_T] + thickness_mm.ln(), x);
+        let record = self.at_optical_thickness(near.base, x[SIGMA_T] + libm::log(thickness_mm), x);
         let mut sum = self.stretched(&record, near.base, thickness_mm, self.levels());
         if let Some(NearDifference { values, base_mm, per_inverse }) = &near.difference {
             let weight = (1.0 / thickness_mm - 1.0 / base_mm) * per_inverse;
@@ -165,7 +165,7 @@ impl Surrogate<'_> {
 
     /// The profile predicted from records at one thickness, the clear layers being scaled with it.
     fn scaled(&self, thickness: usize, thickness_mm: f64, x: Coordinates) -> PredictionAt {
-        let record = self.at_optical_thickness(thickness, x[SIGMA_T] + thickness_mm.ln(), x);
+        let record = self.at_optical_thickness(thickness, x[SIGMA_T] + libm::log(thickness_mm), x);
         self.stretched(&record, thickness, thickness_mm, self.levels())
     }
 
@@ -180,7 +180,7 @@ impl Surrogate<'_> {
         let weight = (1.0 / thickness_mm - 1.0 / thin_mm) * per_inverse;
         let weight_by_ln_thickness = -per_inverse / thickness_mm;
 
-        let optical = x[SIGMA_T] + thickness_mm.ln();
+        let optical = x[SIGMA_T] + libm::log(thickness_mm);
         let (low, high) = common(self.grid(), thin_mm, thick_mm);
         let nearest = optical.clamp(low, high);
         let of_thin = self.at_optical_thickness(thin, nearest, x);
@@ -225,7 +225,7 @@ impl Surrogate<'_> {
 
     fn at_optical_thickness(&self, thickness: usize, ln_optical: f64, x: Coordinates) -> Prediction {
         let grid = self.grid();
-        let ln_sigma_t = ln_optical - grid.thickness_mm()[thickness].ln();
+        let ln_sigma_t = ln_optical - libm::log(grid.thickness_mm()[thickness]);
         self.predict(thickness, [ln_sigma_t, x[ALBEDO], x[G]])
     }
 
@@ -286,7 +286,7 @@ fn contrast(profile: &[f64]) -> f64 {
 fn common(grid: &Grid, thin_mm: f64, thick_mm: f64) -> (f64, f64) {
     let sigma_t = grid.sigma_t_per_mm();
     // The ends of the axis are included in spite of rounding.
-    ((sigma_t[0] * thick_mm).ln() - SAME, (sigma_t[sigma_t.len() - 1] * thin_mm).ln() + SAME)
+    (libm::log(sigma_t[0] * thick_mm) - SAME, libm::log(sigma_t[sigma_t.len() - 1] * thin_mm) + SAME)
 }
 
 impl ThicknessBasis {
@@ -296,7 +296,7 @@ impl ThicknessBasis {
         if 0 < after && after < axis.len() && between(grid, after - 1) {
             return Self::Two { thin: after - 1, thick: after };
         }
-        let distance = |t: f64| (thickness_mm / t).ln().abs();
+        let distance = |t: f64| libm::log(thickness_mm / t).abs();
         let nearest = (0..axis.len()).min_by(|a, b| distance(axis[*a]).total_cmp(&distance(axis[*b])));
         Self::beyond(grid, nearest.expect("a grid has a thickness"))
     }
@@ -309,7 +309,7 @@ impl ThicknessBasis {
         let (least, greatest, best) = BEYOND;
         let usable =
             |i: &usize| (least..=greatest * (1.0 + SAME)).contains(&ratio(*i)) && overlap(grid, nearest, *i);
-        let off = |i: usize| (ratio(i) / best).ln().abs();
+        let off = |i: usize| libm::log(ratio(i) / best).abs();
         let partner = (0..axis.len()).filter(usable).min_by(|a, b| off(*a).total_cmp(&off(*b)));
         match partner {
             Some(partner) => Self::Two { thin: nearest.min(partner), thick: nearest.max(partner) },

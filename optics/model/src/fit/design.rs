@@ -108,7 +108,7 @@ impl DesignQuestion {
         let s = &settings;
         check("noise", s.noise, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
         check("noise_floor", s.noise_floor, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
-        if s.noise.hypot(s.noise_floor) < 1e-9 {
+        if libm::hypot(s.noise, s.noise_floor) < 1e-9 {
             let given = format!("{} with noise_floor = {}", s.noise, s.noise_floor);
             return Err(Invalid::new(
                 "noise",

@@ -175,8 +175,8 @@ fn check_steps(priors: usize, variants: &[Variant]) -> Result<()> {
 
 /// The nodes next to evenly spread logarithms, both ends included.
 fn spread_extinctions(axis: &[f64]) -> Vec<usize> {
-    let logs: Vec<f64> = axis.iter().map(|v| v.ln()).collect();
-    let span = (logs[logs.len() - 1] - logs[0]) / SIGMA_T_RATIO.ln();
+    let logs: Vec<f64> = axis.iter().map(|v| libm::log(*v)).collect();
+    let span = (logs[logs.len() - 1] - logs[0]) / libm::log(SIGMA_T_RATIO);
     spread(&logs, span.round() as usize + 1)
 }
 
@@ -191,7 +191,7 @@ fn spread_anisotropies(axis: &[f64], scenes: &[Arc<Scene>]) -> Result<Vec<usize>
             Invalid::new("g", e.given(), allowed)
         })?;
     }
-    let logs: Vec<f64> = possible.iter().map(|i| -(1.0 - axis[*i]).ln()).collect();
+    let logs: Vec<f64> = possible.iter().map(|i| -libm::log(1.0 - axis[*i])).collect();
     Ok(spread(&logs, MOST_G).into_iter().map(|i| possible[i]).collect())
 }
 

@@ -168,7 +168,7 @@ mod tests {
     fn tabulated(g: f64) -> PhaseTable {
         let hg = PhaseFunction::henyey_greenstein(g).unwrap();
         let angle_deg: Vec<f64> = (0..=360).map(|i| 0.5 * f64::from(i)).collect();
-        let value = angle_deg.iter().map(|a| 7.0 * hg.density(a.to_radians().cos())).collect();
+        let value = angle_deg.iter().map(|a| 7.0 * hg.density(libm::cos(a.to_radians()))).collect();
         PhaseTable::new(angle_deg, value).unwrap()
     }
 

@@ -39,7 +39,7 @@ fn azimuthal_mean_matches_the_density() {
                 let at = |i: i32| {
                     let phi = 2.0 * PI * f64::from(i) / f64::from(n);
                     let across = ((1.0 - u * u) * (1.0 - mu * mu)).sqrt();
-                    phase.density(u * mu + across * phi.cos())
+                    phase.density(u * mu + across * libm::cos(phi))
                 };
                 let mean = (0..n).map(at).sum::<f64>() / f64::from(n);
                 let found = phase.azimuthal_mean(u, mu);

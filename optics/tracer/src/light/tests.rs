@@ -14,7 +14,7 @@ fn exact(stack: &Stack, arrivals: &Arrivals, z: f64, u: f64) -> f64 {
     let term = |beam: &Beam| {
         let (d, u) = if beam.down { (thickness - z, u) } else { (z, -u) };
         let length = d / beam.cosine + thickness * beam.passed;
-        beam.flux / beam.cosine * phase.azimuthal_mean(u, beam.cosine) * (-length).exp()
+        beam.flux / beam.cosine * phase.azimuthal_mean(u, beam.cosine) * libm::exp(-length)
     };
     let n2 = stack.iors[stack.sample].powi(2);
     let [inner, outer] = stack.ring_sin2.map(f64::from);

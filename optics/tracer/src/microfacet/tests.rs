@@ -15,12 +15,12 @@ fn g1(cos: f64, alpha: f64) -> f64 {
 }
 
 fn direction(theta: f64) -> Vec3 {
-    Vec3::new(theta.sin() as f32, 0.0, theta.cos() as f32)
+    Vec3::new(libm::sin(theta) as f32, 0.0, libm::cos(theta) as f32)
 }
 
 /// Cells: 10 of θ_m up to the angle that holds most of the surface, by 8 of azimuth, and the rest.
 fn probabilities(theta: f64, alpha: f64) -> Vec<f64> {
-    let wi = [theta.sin(), 0.0, theta.cos()];
+    let wi = [libm::sin(theta), 0.0, libm::cos(theta)];
     let limit = 3.0 * alpha;
     let mut cells = vec![0.0; 81];
     let (n, k) = (400, 400);
@@ -32,7 +32,7 @@ fn probabilities(theta: f64, alpha: f64) -> Vec<f64> {
         let d_theta = limit / f64::from(10 * n) * cos * cos;
         for j in 0..8 * k {
             let phi = (f64::from(j) + 0.5) / f64::from(8 * k) * 2.0 * PI;
-            let visible = (wi[0] * sin * phi.cos() + wi[2] * cos).max(0.0);
+            let visible = (wi[0] * sin * libm::cos(phi) + wi[2] * cos).max(0.0);
             let d_omega = sin * d_theta * 2.0 * PI / f64::from(8 * k);
             let cell = (i / n * 8 + j / k) as usize;
             cells[cell] += g1(wi[2], alpha) * visible * density(cos, alpha) / wi[2] * d_omega;
@@ -56,8 +56,8 @@ fn sampled_normals_follow_the_visible_distribution() {
                     uniform(words[1]),
                     words[2],
                 );
-                let tan = f64::from(m.x.hypot(m.y) / m.z) / (3.0 * alpha);
-                let phi = f64::from(m.y).atan2(f64::from(m.x)).rem_euclid(2.0 * PI);
+                let tan = f64::from(libm::hypotf(m.x, m.y) / m.z) / (3.0 * alpha);
+                let phi = libm::atan2(f64::from(m.y), f64::from(m.x)).rem_euclid(2.0 * PI);
                 let cell = if tan < 1.0 {
                     (tan * 10.0) as usize * 8 + ((phi / (2.0 * PI) * 8.0) as usize).min(7)
                 } else {
@@ -76,17 +76,17 @@ fn sampled_normals_follow_the_visible_distribution() {
 #[test]
 fn visible_normals_have_the_right_mean() {
     let (theta, alpha) = (1.8_f64, 0.5);
-    let wi = [theta.sin(), 0.0, theta.cos()];
+    let wi = [libm::sin(theta), 0.0, libm::cos(theta)];
     let (mut weight, mut mean_z, mut mean_x) = (0.0, 0.0, 0.0);
     for i in 0..2000 {
         let cos = (f64::from(i) + 0.5) / 2000.0;
         let sin = (1.0 - cos * cos).sqrt();
         for j in 0..1000 {
             let phi = (f64::from(j) + 0.5) / 1000.0 * 2.0 * PI;
-            let w = (wi[0] * sin * phi.cos() + wi[2] * cos).max(0.0) * density(cos, alpha);
+            let w = (wi[0] * sin * libm::cos(phi) + wi[2] * cos).max(0.0) * density(cos, alpha);
             weight += w;
             mean_z += w * cos;
-            mean_x += w * sin * phi.cos();
+            mean_x += w * sin * libm::cos(phi);
         }
     }
     let n = 400_000;
@@ -153,11 +153,11 @@ fn scatter_plainly(wi: Vec3, alpha: f32, indices: [RelativeIndex; 2], stream: &m
         let lambda = 0.5 * ((1.0 + f64::from(alpha * alpha) * tan2).sqrt() - 1.0);
         let u = f64::from(uniform(words[0]));
         if d.z <= 0.0 {
-            c *= u.powf(1.0 / (1.0 + lambda));
-        } else if u < c.powf(lambda) {
+            c *= libm::pow(u, 1.0 / (1.0 + lambda));
+        } else if u < libm::pow(c, lambda) {
             return Vec3::new(ray.x, ray.y, if side == 0 { ray.z } else { -ray.z });
         } else {
-            c /= u.powf(1.0 / lambda);
+            c /= libm::pow(u, 1.0 / lambda);
         }
         let m = sample_visible_normal(-ray, alpha, uniform(words[1]), words[2]);
         let cos_i = m.dot(-ray);

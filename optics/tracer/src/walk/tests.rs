@@ -25,7 +25,7 @@ fn statistics(samples: impl Iterator<Item = f64>) -> (f64, f64) {
 
 fn assert_close((mean, error): (f64, f64), expected: f64, tolerance: f64, most_error: f64) {
     assert!(error < most_error, "standard error {error} is above the stated {most_error}");
-    let z = (mean - expected) / error.hypot(tolerance);
+    let z = (mean - expected) / libm::hypot(error, tolerance);
     assert!(z.abs() < 3.5, "{mean} ± {error}, expected {expected}: z = {z:.2}");
 }
 

@@ -86,7 +86,7 @@ fn gain(budget: &[Contribution]) -> f64 {
         .iter()
         .filter(|line| sources.contains(&line.source))
         .map(|line| line.std_error[1])
-        .fold(0.0, f64::hypot)
+        .fold(0.0, libm::hypot)
 }
 
 fn noted(found: &SampleProfile, is: impl Fn(&Warning) -> bool) -> bool {
@@ -124,7 +124,7 @@ fn large_light_change_is_refused() {
 /// Lamps that flicker during a rolling shutter: the part of a band in the crop is random.
 #[test]
 fn flicker_bands_are_part_of_the_gain() {
-    let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * (y as f64 / 40.0 + phase).sin();
+    let banded = |phase: f64| move |_: usize, y: usize| 1.0 + 0.01 * libm::sin(y as f64 / 40.0 + phase);
     let found = measured((0..3).map(|i| dimmed(shot(i), banded(i as f64)))).unwrap();
     let off = Off::from_clean(&found);
     println!("bands of 1 %: {off:?}");
@@ -138,7 +138,7 @@ fn with_speck(photo: Photo, at_mm: [f64; 2], diameter_mm: f64) -> Photo {
     let board = &set_up().board;
     dimmed(photo, |x, y| {
         let [dx, dy] = board.to_mm(x as f64 + 0.5, y as f64 + 0.5);
-        let beyond_mm = (dx - at_mm[0]).hypot(dy - at_mm[1]) - 0.5 * diameter_mm;
+        let beyond_mm = libm::hypot(dx - at_mm[0], dy - at_mm[1]) - 0.5 * diameter_mm;
         1.0 - 0.4 * libm::erfc(beyond_mm / (0.025 * std::f64::consts::SQRT_2))
     })
 }

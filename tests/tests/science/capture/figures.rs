@@ -48,10 +48,10 @@ fn geometry_and_constants_are_recovered() {
 fn check_geometry(session: &Session, board: &optics_capture::Board) {
     let camera = &session.camera;
     let (from, to) = (camera.mm(board.edge.from_px), camera.mm(board.edge.to_px));
-    let angle_deg = ((to[0] - from[0]) / (to[1] - from[1])).atan().to_degrees();
+    let angle_deg = libm::atan((to[0] - from[0]) / (to[1] - from[1])).to_degrees();
     let origin_px = camera.px_per_mm * 0.5 * (from[0] + to[0]);
     let [a, b] = [[-4.0, 1.0], [4.0, 1.0]].map(|mm| camera.mm(board.to_px(mm[0], mm[1])));
-    let scale = (b[0] - a[0]).hypot(b[1] - a[1]) / 8.0 - 1.0;
+    let scale = libm::hypot(b[0] - a[0], b[1] - a[1]) / 8.0 - 1.0;
     let stated = board.mm_per_px.std_error / board.mm_per_px.value;
     println!("angle off by {angle_deg:+.5}°, origin {origin_px:+.4} px, scale {scale:+.1e} ± {stated:.1e}");
     assert!(angle_deg.abs() < 0.02 && origin_px.abs() < 0.1 && scale.abs() < 1e-4);

@@ -23,7 +23,7 @@ pub fn white(channel: usize, x_mm: f64) -> f64 {
 
 fn leaking(x: f64, low: f64, high: f64, step: f64, reach: f64) -> f64 {
     let rest = 0.5 * (high - low - step);
-    if x < 0.0 { low + rest * (x / reach).exp() } else { high - rest * (-x / reach).exp() }
+    if x < 0.0 { low + rest * libm::exp(x / reach) } else { high - rest * libm::exp(-x / reach) }
 }
 
 pub fn board() -> Board {
@@ -122,7 +122,7 @@ pub fn truth(edge: fn(usize, f64) -> f64, channel: usize, x_mm: f64, sigma_mm: f
     let (mut sum, mut total) = (0.0, 0.0);
     for k in -NODES..=NODES {
         let u = (f64::from(k) + 0.5) * 6.0 / f64::from(NODES);
-        let weight = (-0.5 * u * u).exp();
+        let weight = libm::exp(-0.5 * u * u);
         for part in 0..PARTS {
             let within = (f64::from(part) + 0.5) / f64::from(PARTS) - 0.5;
             sum += weight * edge(channel, x_mm + u * sigma_mm + within * optics_capture::BIN_MM);
@@ -135,5 +135,5 @@ pub fn truth(edge: fn(usize, f64) -> f64, channel: usize, x_mm: f64, sigma_mm: f
 /// σ as defined for profiles: the lens, and the pixel's aperture.
 pub fn true_blur_mm(session: &Session, channel: usize) -> f64 {
     let pixel_mm = 1.0 / session.camera.px_per_mm;
-    session.camera.lens_mm[channel].hypot(pixel_mm / 12.0_f64.sqrt())
+    libm::hypot(session.camera.lens_mm[channel], pixel_mm / 12.0_f64.sqrt())
 }

@@ -49,7 +49,7 @@ fn spoilt_photographs_get_the_likeliest_reason() {
     let cases: [(&str, Spoil, bool, Cause); 4] = [
         ("edge 0.3 mm off", |x, _, _, at| at(x - 0.3), false, Cause::EdgeOffset),
         ("light rises by 5 % to the edge", |x, v, _, _| v * (1.0 + 0.05 * x / 5.0), false, Cause::Slope),
-        ("sRGB", |_, v, _, _| 1.055 * v.powf(1.0 / 2.4) - 0.055, false, Cause::GammaCoded),
+        ("sRGB", |_, v, _, _| 1.055 * libm::pow(v, 1.0 / 2.4) - 0.055, false, Cause::GammaCoded),
         ("thicknesses exchanged", |_, v, _, _| v, true, Cause::ThicknessesSwapped),
     ];
     for (what, spoil, swap, cause) in cases {

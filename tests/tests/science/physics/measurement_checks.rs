@@ -34,7 +34,8 @@ impl Traced {
     /// The profile with relative noise on every pixel, with or without standard errors.
     fn photograph(&self, noise: f64, has_errors: bool, random: &mut Normal) -> MeasuredProfile {
         let values = self.values.iter().map(|v| v * (1.0 + noise * random.normal())).collect();
-        let errors = self.std_errors.iter().zip(&self.values).map(|(e, v)| e.hypot(noise * v)).collect();
+        let errors =
+            self.std_errors.iter().zip(&self.values).map(|(e, v)| libm::hypot(*e, noise * v)).collect();
         Self { values, std_errors: errors, ..self.clone() }.measured(has_errors)
     }
 
@@ -208,7 +209,7 @@ fn equal_data_under_two_names_are_refused() {
 }
 
 fn srgb(v: f64) -> f64 {
-    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+    if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * libm::pow(v, 1.0 / 2.4) - 0.055 }
 }
 
 /// Values of 8 bits are noted, and refused only where a gamma curve shows.

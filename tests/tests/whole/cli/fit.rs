@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use farm_tests::cli::{HEAD, fails, fails_line, farm, json, keys, rows, run_line, write};
-use farm_tests::process::run;
+use farm_tests::process::{farmctl, run};
 use serde_json::{Value, json as value};
 
 /// All commands that fit take the set-up from the session and from options.
@@ -72,6 +72,33 @@ fn mixtures_give_their_inks() {
     assert!(low < high && low > 0.2 && high < 1.0, "{interval}");
     write(dir, "mix.toml", "[[mixture]]\nmaterial = \"grey\"\nparts = { pale = 0.5, dark = 0.5 }\n");
     fails(dir, &command, &["mixture.material", "grey", "both"]);
+}
+
+/// Answers have the same bits on processors without fused multiplication, as far as the C library can be made to believe
+/// that it runs on one, and with the kernel of such processors.
+#[test]
+fn answers_are_the_same_on_older_processors() {
+    let farm = farm();
+    let dir = farm.path();
+    write(dir, "chart.csv", &chart(dir));
+    for line in [
+        "measure chart.csv --dictionary grid --json",
+        "measure chart.csv --dictionary grid --json --objective paper",
+        "scale chart.csv --dictionary grid --json",
+        "design --dictionary grid --sigma-t 5 --albedo 0.99 --g 0.4 --json",
+        "translucency --sigma-t 5 --albedo 0.95 --g 0.4 --thickness 1 --json",
+    ] {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let mut older = farmctl(dir);
+        older
+            .args(&words)
+            .env("FARM_KERNEL", "scalar")
+            .env("GLIBC_TUNABLES", "glibc.cpu.hwcaps=-FMA,-FMA4,-AVX2");
+        let older = older.output().unwrap();
+        let here = run(dir, &words);
+        assert_eq!(here.code, 0, "{line}: {}", here.stderr);
+        assert!(here.stdout == String::from_utf8_lossy(&older.stdout), "{line}: other digits");
+    }
 }
 
 /// A design compares sets of slabs, and is drawn.

@@ -33,7 +33,7 @@ fn check_optics(session: &BandSession, folder: &Path) {
     for (nm, band) in session.wavelengths_nm.iter().zip(found["bands"].as_array().unwrap()) {
         let number = |path: &str| band.pointer(path).and_then(Value::as_f64).unwrap_or(f64::NAN);
         let (lens_mm, magnification) = BandSession::lens(*nm);
-        let blur_mm = lens_mm.hypot(1.0 / 26.0 / 12_f64.sqrt());
+        let blur_mm = libm::hypot(lens_mm, 1.0 / 26.0 / 12_f64.sqrt());
         let found_mm = found["blur_mm"][nm.to_string()].as_f64().unwrap();
         assert!((found_mm / blur_mm - 1.0).abs() < 0.02, "{nm}: blur {found_mm} for {blur_mm}");
         let reference =

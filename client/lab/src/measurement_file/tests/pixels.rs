@@ -5,8 +5,10 @@ use super::*;
 #[test]
 fn rounded_places_are_even_with_a_note() {
     let row = |(x, v): (f64, f64)| format!("w,R,0.5,{x:.2},{v:.5},0.002\n");
-    let text: String =
-        (0..360).map(|i| (f64::from(i) - 179.5) / 36.0).map(|x| row((x, 0.45 + 0.3 * x.tanh()))).collect();
+    let text: String = (0..360)
+        .map(|i| (f64::from(i) - 179.5) / 36.0)
+        .map(|x| row((x, 0.45 + 0.3 * libm::tanh(x))))
+        .collect();
     let file = parse(&format!("{HEAD}{text}"));
     assert_eq!(codes(&file), ["ROUNDED_X"]);
     let profile = &file.materials[0].profiles()[0];

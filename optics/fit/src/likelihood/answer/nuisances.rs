@@ -70,7 +70,7 @@ impl Found<'_, '_> {
     fn scale_estimate(&self, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
         let (settings, slot) = (self.data.options.settings(), self.slots()[LN_SCALE]);
         let (prior, relative) = (1.0 / settings.mu, settings.ln_mu_std_error());
-        let value = (-self.x(LN_SCALE)).exp() / settings.mu;
+        let value = libm::exp(-self.x(LN_SCALE)) / settings.mu;
         self.is_free(slot).then(|| NuisanceEstimate {
             nuisance: Nuisance::Scale,
             profile_mm: None,
@@ -103,7 +103,7 @@ impl Found<'_, '_> {
     fn thickness_estimate(&self, profile: usize, covariance: &DMatrix<f64>) -> Option<NuisanceEstimate> {
         let (slot, stated_mm) =
             (self.system.slots[profile][LN_THICKNESS], self.system.terms[profile].thickness_mm);
-        let value = self.state.x[slot].exp();
+        let value = libm::exp(self.state.x[slot]);
         self.is_free(slot).then(|| NuisanceEstimate {
             nuisance: Nuisance::Thickness,
             profile_mm: Some(stated_mm),
@@ -147,7 +147,7 @@ impl Found<'_, '_> {
                 value: prior + sd * self.state.own[profile][k] + slab_sd * slab,
                 std_error: variance.max(0.0).sqrt(),
                 prior,
-                prior_std_error: sd.hypot(slab_sd),
+                prior_std_error: libm::hypot(sd, slab_sd),
             }
         };
         term.priors.iter().enumerate().map(estimate).collect()

@@ -53,7 +53,7 @@ impl Found<'_, '_> {
     fn as_found(&self) -> Result<FitOptions, Invalid> {
         let settings = self.data.options.settings();
         let options =
-            self.data.options.with_mu(settings.mu * self.x(LN_SCALE).exp(), settings.mu_std_error)?;
+            self.data.options.with_mu(settings.mu * libm::exp(self.x(LN_SCALE)), settings.mu_std_error)?;
         if self.common_g.is_some() { options.with_g(self.medium(self.state).g()) } else { Ok(options) }
     }
 
@@ -135,7 +135,11 @@ fn changed(
 /// The linear value of an sRGB-coded one (IEC 61966-2-1), and its derivative.
 fn linear(v: f64) -> (f64, f64) {
     let root = (v + 0.055) / 1.055;
-    if v <= 0.040_45 { (v / 12.92, 1.0 / 12.92) } else { (root.powf(2.4), 2.4 / 1.055 * root.powf(1.4)) }
+    if v <= 0.040_45 {
+        (v / 12.92, 1.0 / 12.92)
+    } else {
+        (libm::pow(root, 2.4), 2.4 / 1.055 * libm::pow(root, 1.4))
+    }
 }
 
 #[cfg(test)]

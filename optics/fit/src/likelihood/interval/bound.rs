@@ -31,7 +31,7 @@ pub(crate) fn bound(covariance: &DMatrix<f64>, state: &State, slots: &[usize]) -
         sigma_t_per_mm: Ends { low: sigma_t(s.0), high: sigma_t(s.1) },
         albedo: Ends { low: albedo(root(a.1)), high: albedo(root(a.0)) },
         g: Ends { low: g(g_.1), high: g(g_.0) },
-        reduced_scattering_per_mm: Ends { low: reduced.0.exp(), high: reduced.1.exp() },
+        reduced_scattering_per_mm: Ends { low: libm::exp(reduced.0), high: libm::exp(reduced.1) },
         absorption_per_mm: Ends { low: squared(absorption.0), high: squared(absorption.1) },
     }
 }

@@ -8,7 +8,7 @@ pub(crate) fn exceedance(chi2: f64, degrees_of_freedom: f64) -> f64 {
         return 1.0;
     }
     let spread = 2.0 / (9.0 * degrees_of_freedom);
-    let z = ((chi2 / degrees_of_freedom).cbrt() - (1.0 - spread)) / spread.sqrt();
+    let z = (libm::cbrt(chi2 / degrees_of_freedom) - (1.0 - spread)) / spread.sqrt();
     0.5 * libm::erfc(z / std::f64::consts::SQRT_2)
 }
 

@@ -58,7 +58,7 @@ struct Tried {
 
 /// The exponent with the lowest minimum, from the minimum of the values as they were given.
 fn exponent(joint: &Joint, given: &State) -> Option<Response> {
-    let with_power = |ln_power: f64| with_terms(joint, |term| raised(term, f64::exp(ln_power)));
+    let with_power = |ln_power: f64| with_terms(joint, |term| raised(term, libm::exp(ln_power)));
     let at = |ln_power: f64, from: &State, tolerance: f64| {
         let state = with_power(ln_power).descend(from.clone(), None, tolerance);
         Tried { ln_power, state }
@@ -84,7 +84,7 @@ fn exponent(joint: &Joint, given: &State) -> Option<Response> {
             step *= -0.4;
         }
     }
-    let amount = (-best.ln_power).exp();
+    let amount = libm::exp(-best.ln_power);
     let fall = first - best.state.cost;
     let convincing = fall > CONVINCING && (amount - 1.0).abs() > NEAR_ONE;
     convincing.then(|| {
@@ -101,7 +101,7 @@ fn factor(joint: &Joint, mut system: System, given: &State) -> Option<Response> 
     (unknown.prior, unknown.held, unknown.limits) = (None, false, SCALES);
     let free = system.descend(given.clone(), None, FINE);
     // Values are too large where the factor on μ is below 1.
-    let amount = (given.x[slot] - free.x[slot]).exp() - 1.0;
+    let amount = libm::exp(given.x[slot] - free.x[slot]) - 1.0;
     let fall = given.cost - free.cost;
     let response =
         || Response { cause: Cause::Gain, amount, fall, misfits_left: misfits(joint, &system, &free) };
@@ -116,9 +116,9 @@ fn with_terms<'a>(joint: &Joint<'a>, change: impl Fn(&Term) -> Term) -> System<'
 
 fn raised(term: &Term, power: f64) -> Term {
     let dark = DARK * term.values.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
-    let by = |v: f64| power * v.abs().max(dark).powf(power - 1.0);
+    let by = |v: f64| power * libm::pow(v.abs().max(dark), power - 1.0);
     Term {
-        values: term.values.iter().map(|v| v.signum() * v.abs().powf(power)).collect(),
+        values: term.values.iter().map(|v| v.signum() * libm::pow(v.abs(), power)).collect(),
         std_errors: term.values.iter().zip(&term.std_errors).map(|(v, e)| e * by(*v)).collect(),
         ..term.clone()
     }

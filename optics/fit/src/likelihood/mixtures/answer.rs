@@ -223,7 +223,7 @@ impl<'a, 'b> Solution<'a, 'b> {
             let worst = self.solved.inks.iter().map(|(c, _)| self.disagreement(*c)).fold(1.0, f64::max);
             (self.covariance[(slot, slot)].max(0.0) * worst).sqrt()
         };
-        let mu = self.request.options.settings().mu * x[scale].exp();
+        let mu = self.request.options.settings().mu * libm::exp(x[scale]);
         let mu_std_error = mu * widened(scale);
         let slot = self.solved.inks[0].1[0][LN_ONE_MINUS_G];
         let only = held(self.request.dictionary.grid(), self.request.options)[2];
@@ -271,8 +271,13 @@ struct InkIntervals {
 impl InkIntervals {
     fn of(profile: &ProfileLikelihood, ink: Ink, common_g: Option<Interval>) -> Self {
         let [s, a, g_] = ink.map(|slot| profile.system.unknowns[slot].limits);
-        let limits =
-            [(s.0 + a.0 * a.0, s.1 + a.1 * a.1), (0.0, 1.0), g_, (s.0 * g_.0.exp(), s.1 * g_.1.exp()), a];
+        let limits = [
+            (s.0 + a.0 * a.0, s.1 + a.1 * a.1),
+            (0.0, 1.0),
+            g_,
+            (s.0 * libm::exp(g_.0), s.1 * libm::exp(g_.1)),
+            a,
+        ];
         let quantities = Quantity::of_ink(ink);
         let ends = |i: usize| -> [IntervalEnd; 2] { profile.ends(quantities[i], limits[i]) };
         let positive = |v: f64| v.max(0.0);

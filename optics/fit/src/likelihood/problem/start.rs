@@ -73,7 +73,7 @@ impl Compressed {
         let Source { profile, origin_mm, set_up, scale_std_error, std_errors } = *source;
         let mu = set_up.mu;
         let axis = dictionary.grid().thickness_mm();
-        let off = |t: &f64| (profile.thickness_mm() / t).ln().abs();
+        let off = |t: &f64| libm::log(profile.thickness_mm() / t).abs();
         let (thickness, nominal) = axis.iter().enumerate().min_by(|a, b| off(a.1).total_cmp(&off(b.1)))?;
         let ratio = profile.thickness_mm() / nominal;
         let x: Line = profile.x_mm().iter().map(|x| (x - origin_mm) / ratio).collect();
@@ -98,7 +98,7 @@ impl Compressed {
         let directions: Vec<Line> = basis.directions().iter().map(|d| part(d)).collect();
         let mean = part(basis.mean());
         let smooth = smoothed(&values, &weights, &directions, &mean)?;
-        let gain = set_up.gain_std_error.hypot(scale_std_error);
+        let gain = libm::hypot(set_up.gain_std_error, scale_std_error);
         let columns = loose_columns(&smooth, sensor, pixels.start, set_up, gain, ratio);
         let form = QuadraticForm::new(&weights, &columns)?;
         let k = DMatrix::from_fn(directions.len(), directions.len(), |i, j| {
@@ -117,7 +117,7 @@ impl Compressed {
             -2.0 * (form.of(&values, &mean) - data.dot(&mean_part)),
             form.of(&mean, &mean) - mean_part.dot(&mean_part),
         ];
-        let ln_ratio = ratio.ln();
+        let ln_ratio = libm::log(ratio);
         Some(Self { thickness, ln_ratio, root: root.l().transpose(), data, mean: mean_part, left })
     }
 
@@ -270,7 +270,11 @@ impl Scan<'_> {
     /// Coordinates of a medium of the grid, within the limits.
     fn coordinates(&self, [_, s, g, a]: [usize; 4]) -> [f64; 3] {
         let grid = self.dictionary.grid();
-        let x = [grid.sigma_t_per_mm()[s].ln(), (1.0 - grid.albedo()[a]).sqrt(), (1.0 - grid.g()[g]).ln()];
+        let x = [
+            libm::log(grid.sigma_t_per_mm()[s]),
+            (1.0 - grid.albedo()[a]).sqrt(),
+            libm::log(1.0 - grid.g()[g]),
+        ];
         std::array::from_fn(|i| x[i].clamp(self.region.limits[i].0, self.region.limits[i].1))
     }
 

@@ -26,11 +26,11 @@ impl Quantity {
     pub(crate) fn value(self, x: &DVector<f64>) -> f64 {
         match self {
             Self::Unknown(i) => x[i],
-            Self::ReducedScattering([s, a, g]) => (1.0 - x[a] * x[a]).max(1e-12).ln() + x[s] + x[g],
-            Self::Absorption([s, a, _]) => x[a] * (0.5 * x[s]).exp(),
+            Self::ReducedScattering([s, a, g]) => libm::log((1.0 - x[a] * x[a]).max(1e-12)) + x[s] + x[g],
+            Self::Absorption([s, a, _]) => x[a] * libm::exp(0.5 * x[s]),
             Self::InkSigmaT([s, a, _]) => x[s] + x[a] * x[a],
             Self::InkRootCoAlbedo([s, a, _]) => x[a] / (x[s] + x[a] * x[a]).sqrt(),
-            Self::InkReducedScattering([s, _, g]) => x[s] * x[g].exp(),
+            Self::InkReducedScattering([s, _, g]) => x[s] * libm::exp(x[g]),
         }
     }
 
@@ -43,7 +43,7 @@ impl Quantity {
                 gradient[a] = -2.0 * x[a] / (1.0 - x[a] * x[a]).max(1e-9);
             }
             Self::Absorption([s, a, _]) => {
-                let root = (0.5 * x[s]).exp();
+                let root = libm::exp(0.5 * x[s]);
                 (gradient[s], gradient[a]) = (0.5 * x[a] * root, root);
             }
             Self::InkSigmaT([s, a, _]) => (gradient[s], gradient[a]) = (1.0, 2.0 * x[a]),
@@ -53,7 +53,7 @@ impl Quantity {
                 (gradient[s], gradient[a]) = (-0.5 * x[a] / cubed, x[s] / cubed);
             }
             Self::InkReducedScattering([s, _, g]) => {
-                let factor = x[g].exp();
+                let factor = libm::exp(x[g]);
                 (gradient[s], gradient[g]) = (factor, x[s] * factor);
             }
         }

@@ -57,7 +57,7 @@ pub(crate) const OF_MEAN: f64 = FRAC_1_SQRT_2;
 
 /// Mean and standard deviation of the logarithm of a slab's thickness.
 pub(crate) fn thickness_prior(thickness_mm: f64, set_up: &FitSettings) -> (f64, f64) {
-    (thickness_mm.ln(), set_up.thickness_std_error_mm / thickness_mm)
+    (libm::log(thickness_mm), set_up.thickness_std_error_mm / thickness_mm)
 }
 
 /// An uncertain quantity of the scene among the unknowns.

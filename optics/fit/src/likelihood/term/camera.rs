@@ -247,9 +247,9 @@ impl BlurKernel {
         for j in 0..TAPS {
             let omega = 2.0 * PI * j as f64 * share;
             let both = if j == 0 || j == KERNEL / 2 { share } else { 2.0 * share };
-            let damping = (-0.5 * variance * omega * omega).exp() * both;
+            let damping = libm::exp(-0.5 * variance * omega * omega) * both;
             // cos(kω) by its recurrence.
-            let (mut before, mut now) = (omega.cos(), 1.0);
+            let (mut before, mut now) = (libm::cos(omega), 1.0);
             let twice = 2.0 * before;
             for k in 0..TAPS {
                 kernel.taps[k] += damping * now;

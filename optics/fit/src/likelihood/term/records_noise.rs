@@ -119,7 +119,7 @@ mod tests {
     fn modes_and_remainder_form_the_covariance() {
         let n = 60;
         let factor = |k: usize| -> Line {
-            (0..n).map(|i| ((i * k) as f64 * 0.05).cos() / (1.0 + k as f64).powi(2)).collect()
+            (0..n).map(|i| libm::cos((i * k) as f64 * 0.05) / (1.0 + k as f64).powi(2)).collect()
         };
         let factors: Vec<Line> = (0..30).map(factor).collect();
         let pitch = 10.0 / n as f64;

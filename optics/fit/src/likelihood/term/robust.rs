@@ -27,14 +27,14 @@ const DUST: f64 = 0.4;
 
 fn parts(r: f64) -> (f64, f64) {
     let square = r * r;
-    ((1.0 - SHARE) * (-0.5 * square).exp(), SHARE / WIDTH * (-0.5 * square / (WIDTH * WIDTH)).exp())
+    ((1.0 - SHARE) * libm::exp(-0.5 * square), SHARE / WIDTH * libm::exp(-0.5 * square / (WIDTH * WIDTH)))
 }
 
 /// ρ(r), zero at 0.
 pub(crate) fn rho(r: f64) -> f64 {
     let (normal, odd) = parts(r);
     let at_zero = 1.0 - SHARE + SHARE / WIDTH;
-    -2.0 * ((normal + odd).max(f64::MIN_POSITIVE) / at_zero).ln()
+    -2.0 * libm::log((normal + odd).max(f64::MIN_POSITIVE) / at_zero)
 }
 
 /// dρ/d(r²): close to 1 for inliers.

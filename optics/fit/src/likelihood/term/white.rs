@@ -25,7 +25,7 @@ impl White {
         let values = |of: &Surrogate| of.predict_at(thickness_mm, medium).values;
         let darker = values(&surrogate.under_darker_white()?);
         let pairs = values(surrogate).into_iter().zip(darker);
-        let slope = pairs.map(|(stated, darker)| (stated - darker) / -DARKER_WHITE.ln()).collect();
+        let slope = pairs.map(|(stated, darker)| (stated - darker) / -libm::log(DARKER_WHITE)).collect();
         Some(Self { slope, ln_mu })
     }
 

@@ -13,7 +13,7 @@ fn share(found: &Refined, source: ErrorSource) -> f64 {
 }
 
 fn ln_sigma_t(found: &Refined) -> f64 {
-    found.best.medium.sigma_t_per_mm().ln()
+    libm::log(found.best.medium.sigma_t_per_mm())
 }
 
 /// The shares of a budget add up to 1.

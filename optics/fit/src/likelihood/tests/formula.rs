@@ -31,7 +31,7 @@ fn refined(dictionary: &FitDictionary, medium: (f64, f64, f64), seed: u64, g: Op
 /// A medium within the dense grid that is hardly ever on a node.
 fn medium(seed: u64) -> (f64, f64, f64) {
     let unit = |n: u64| (normal(seed * 3 + n) * 0.3).clamp(-1.0, 1.0);
-    (3.5 * (0.5 * unit(0)).exp(), 0.65 + 0.25 * unit(1), 0.3)
+    (3.5 * libm::exp(0.5 * unit(0)), 0.65 + 0.25 * unit(1), 0.3)
 }
 
 /// 60 media, noise of 1 % in the measurement's pixels and of 1 % in the records' levels. Of 60 intervals of 95 % at least
@@ -47,7 +47,7 @@ fn intervals_cover_the_truth_as_claimed() {
         let (r, grid) = (answer.refined.unwrap(), answer.candidates[0].medium);
         sigma_t_held += u32::from(r.sigma_t_per_mm.contains(sigma_t));
         albedo_held += u32::from(r.albedo.contains(albedo));
-        let off = |v: f64| (v / sigma_t).ln().abs();
+        let off = |v: f64| libm::log(v / sigma_t).abs();
         better += u32::from(off(r.best.medium.sigma_t_per_mm()) < off(grid.sigma_t_per_mm()));
         widths.push(r.sigma_t_per_mm.high / r.sigma_t_per_mm.low - 1.0);
         assert!(r.resolved && !r.valley && r.misfit < 2.0, "{r:?}");
@@ -110,7 +110,7 @@ fn missing_noise_is_estimated() {
     let ratio = silent.measurement_noise / told.measurement_noise;
     // 360 pixels determine a standard deviation to 6 %; one number represents a noise that is a share of the value.
     assert!((0.75..1.25).contains(&ratio), "{ratio}");
-    let width = |r: &Refined| (r.sigma_t_per_mm.high / r.sigma_t_per_mm.low).ln();
+    let width = |r: &Refined| libm::log(r.sigma_t_per_mm.high / r.sigma_t_per_mm.low);
     assert!((0.7..1.4).contains(&(width(&silent) / width(&told))));
 }
 

@@ -41,7 +41,7 @@ impl ResponseNoise {
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
         let PriorNoise { curve, in_channel, factors } = &self.each[prior];
         let (height, slope) = curve.at(in_channel + u);
-        let size = height.hypot(slope);
+        let size = libm::hypot(height, slope);
         factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect()
     }
 }
@@ -110,7 +110,7 @@ impl Surrogate<'_> {
     ) -> Vec<Vec<f64>> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
-        let x: Vec<f64> = nodes.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i].ln()).collect();
+        let x: Vec<f64> = nodes.sigma_t().iter().map(|i| libm::log(grid.sigma_t_per_mm()[*i])).collect();
         let contrasts = contrasts(&x);
         let count = contrasts.len() * nodes.g().len();
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
@@ -140,8 +140,9 @@ impl Surrogate<'_> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         // Interpolation requires nodes in descending order.
-        let s_nodes: Vec<f64> = nodes.sigma_t().iter().map(|i| -grid.sigma_t_per_mm()[*i].ln()).collect();
-        let g_nodes: Vec<f64> = nodes.g().iter().map(|i| (1.0 - grid.g()[*i]).ln()).collect();
+        let s_nodes: Vec<f64> =
+            nodes.sigma_t().iter().map(|i| -libm::log(grid.sigma_t_per_mm()[*i])).collect();
+        let g_nodes: Vec<f64> = nodes.g().iter().map(|i| libm::log(1.0 - grid.g()[*i])).collect();
         let clamped = |nodes: &[f64], x: f64| x.clamp(nodes[nodes.len() - 1], nodes[0]);
         Stencil {
             thickness,
@@ -156,7 +157,7 @@ impl Surrogate<'_> {
 /// Weights, with derivatives by y = ln(1 − g), of a parabola in (1 − g)^{−3/2} through the nodes of y.
 fn along_growth(nodes: &[f64], y: f64) -> Weights {
     // Falling nodes, as interpolation requires.
-    let growth = |y: f64| -(-1.5 * y).exp();
+    let growth = |y: f64| -libm::exp(-1.5 * y);
     let nodes: Vec<f64> = nodes.iter().map(|y| growth(*y)).collect();
     let mut weights = interpolation(&nodes, growth(y));
     weights.slopes.iter_mut().for_each(|slope| *slope *= -1.5 * growth(y));
@@ -170,17 +171,17 @@ mod tests {
     /// Functions 1 and (1 − g)⁻³ of the nodes are reproduced, with their derivatives by ln(1 − g).
     #[test]
     fn growth_with_g_is_exact() {
-        let nodes = [0.0, 0.55, 0.8].map(|g: f64| (1.0 - g).ln());
+        let nodes = [0.0, 0.55, 0.8].map(|g: f64| libm::log(1.0 - g));
         for g in [0.1, 0.4, 0.7_f64] {
-            let y = (1.0 - g).ln();
+            let y = libm::log(1.0 - g);
             let weights = along_growth(&nodes, y);
             let sum = |weights: &[f64], power: f64| -> f64 {
-                weights.iter().zip(&nodes[weights.len() - 3..]).map(|(w, y)| w * (power * y).exp()).sum()
+                weights.iter().zip(&nodes[weights.len() - 3..]).map(|(w, y)| w * libm::exp(power * y)).sum()
             };
             assert!(
                 (sum(&weights.values, 0.0) - 1.0).abs() < 1e-12 && sum(&weights.slopes, 0.0).abs() < 1e-9
             );
-            let exact = (-3.0 * y).exp();
+            let exact = libm::exp(-3.0 * y);
             assert!((sum(&weights.values, -3.0) / exact - 1.0).abs() < 1e-12);
             assert!((sum(&weights.slopes, -3.0) / exact + 3.0).abs() < 1e-9);
         }
@@ -198,7 +199,7 @@ mod tests {
         let noise = ResponseNoise { each, place: NoisePlace::default() };
         assert_eq!(noise.factors(0, 0.0), [[2.0]]);
         // w = 3 with the slope 2.
-        let size = 3.9_f64.hypot(1.6 * 2.0);
+        let size = libm::hypot(3.9_f64, 1.6 * 2.0);
         let found = noise.factors(1, 1.5);
         assert!((found[0][0] - 5.0 * size).abs() < 1e-12 && (found[1][0] - size).abs() < 1e-12, "{found:?}");
     }

@@ -23,7 +23,7 @@ fn lab() -> Scene {
 
 fn dictionary() -> FitDictionary {
     let axes = Axes {
-        sigma_t_per_mm: (0..12).map(|i| 10_f64.powf(f64::from(i) / 11.0)).collect(),
+        sigma_t_per_mm: (0..12).map(|i| libm::pow(10_f64, f64::from(i) / 11.0)).collect(),
         albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
         g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
         thickness_mm: SLABS_MM.to_vec(),
@@ -107,7 +107,7 @@ fn noise_is_the_scatter_between_seeds() {
 /// Media off the nodes: a sequence of low discrepancy over ln σ_t, ln(1 − α) and g.
 fn media(count: u32) -> Vec<Medium> {
     let at = |i: u32, step: f64| (0.5 + f64::from(i) * step).fract();
-    let log = |low: f64, high: f64, u: f64| low * (high / low).powf(u);
+    let log = |low: f64, high: f64, u: f64| low * libm::pow(high / low, u);
     let medium = |i: u32| {
         let co_albedo = log(1e-3, 0.7, at(i, 0.671_043_606_7));
         let sigma_t = log(1.1, 9.0, at(i, 0.819_172_513_4));

@@ -23,7 +23,7 @@ pub(super) fn far_from_scatter(profile: &MeasuredProfile) -> Option<Seen> {
     let ratio = stated / fine;
     let text = |factor: f64, size: &str, cause: &str| {
         // The scatter of a few hundred pixels is accurate to 10 or 20 %.
-        let digit = 10f64.powf(factor.log10().floor());
+        let digit = libm::pow(10f64, libm::log10(factor).floor());
         let factor = (factor / digit).round() * digit;
         format!(
             "its standard errors are about {factor} times {size} than the scatter of neighbouring pixels: {cause}"
@@ -68,7 +68,7 @@ mod tests {
         let x: Vec<f64> = (0..180).map(|i| (f64::from(i) - 89.5) / 18.0).collect();
         // The sum of twelve uniform numbers is nearly normal.
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
-        let values = x.iter().map(|x| 0.45 + 0.3 * (2.0 * x).tanh() + noise * normal()).collect();
+        let values = x.iter().map(|x| 0.45 + 0.3 * libm::tanh(2.0 * x) + noise * normal()).collect();
         MeasuredProfile::new("R", 0.5, x, values, Some(vec![stated; 180])).unwrap()
     }
 

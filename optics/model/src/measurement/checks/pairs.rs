@@ -111,7 +111,7 @@ fn order(thin: &MeasuredProfile, thick: &MeasuredProfile) -> Option<Seen> {
         return None;
     }
     let (a, b) = (EdgeContrast::of(&a, reach, width)?, EdgeContrast::of(&b, reach, width)?);
-    let noise = SURE * a.noise.hypot(b.noise);
+    let noise = SURE * libm::hypot(a.noise, b.noise);
     let exceeds = |rise: f64, ends: f64| {
         // Uneven light may cause a contrast of 0.02.
         b.rise > (rise * a.rise).max(0.02) + noise && b.ends > (ends * a.ends).max(0.02)

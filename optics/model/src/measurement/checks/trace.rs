@@ -62,7 +62,7 @@ impl Trace {
     /// Standard deviation of the level of a window.
     pub fn noise(&self, pixels: usize) -> f64 {
         // The standard error of a median is 1.25 times that of a mean.
-        self.shared.hypot(1.25 * self.scatter / (pixels as f64).sqrt())
+        libm::hypot(self.shared, 1.25 * self.scatter / (pixels as f64).sqrt())
     }
 
     /// Pixels of a length, at least `least`.

@@ -74,13 +74,13 @@ impl Speck {
     fn draw(random: &mut Normal, pixels: f64) -> Self {
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
         let pixel = between(0.0, pixels);
-        let sigma_pixels = between(1.0, 3.0) / (8.0 * 2.0_f64.ln()).sqrt();
+        let sigma_pixels = between(1.0, 3.0) / (8.0 * libm::log(2.0_f64)).sqrt();
         let dark = between(0.0, 1.0) < 0.5;
         Self { pixel, sigma_pixels, share: if dark { -between(0.05, 0.4) } else { between(0.05, 0.2) } }
     }
 
     fn factor(&self, pixel: f64) -> f64 {
-        1.0 + self.share * (-0.5 * ((pixel - self.pixel) / self.sigma_pixels).powi(2)).exp()
+        1.0 + self.share * libm::exp(-0.5 * ((pixel - self.pixel) / self.sigma_pixels).powi(2))
     }
 }
 
@@ -91,7 +91,7 @@ pub(super) fn photographed(truth: &[f64], row: &Row, subject: u64, slab: usize) 
     let x = centres_mm(&scene);
     let exact: Vec<f64> = (0..x.len()).map(|i| flaws.seen(seen[i], x[i], i as f64 + 0.5)).collect();
     let mut noise = Normal::new(450_000 + subject * 2 + slab as u64);
-    noisy(("R", SLABS_MM[slab]), x, &exact, |v| (NOISE_SHARE * v).hypot(NOISE_FLOOR), &mut noise)
+    noisy(("R", SLABS_MM[slab]), x, &exact, |v| libm::hypot(NOISE_SHARE * v, NOISE_FLOOR), &mut noise)
 }
 
 /// The blurred truth averaged over the dictionary's pixels, with the edge at `origin_mm`.
@@ -118,7 +118,7 @@ fn blurred(values: &[f64], sigma: f64) -> Vec<f64> {
         return values.to_vec();
     }
     let reach = (6.0 * sigma).ceil() as isize;
-    let weights: Vec<f64> = (-reach..=reach).map(|k| (-0.5 * (k as f64 / sigma).powi(2)).exp()).collect();
+    let weights: Vec<f64> = (-reach..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma).powi(2))).collect();
     let total: f64 = weights.iter().sum();
     let last = values.len() as isize - 1;
     let at = |i: isize| values[i.clamp(0, last) as usize];

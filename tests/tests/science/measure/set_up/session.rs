@@ -54,7 +54,7 @@ pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> &'static FitDictiona
 
 fn few_nodes() -> Axes {
     Axes {
-        sigma_t_per_mm: (0..9).map(|i| 1.6 * 6.25_f64.powf(f64::from(i) / 8.0)).collect(),
+        sigma_t_per_mm: (0..9).map(|i| 1.6 * libm::pow(6.25_f64, f64::from(i) / 8.0)).collect(),
         albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
         g: vec![0.2, 0.4, 0.6],
         thickness_mm: SLABS_MM.to_vec(),
@@ -129,8 +129,8 @@ impl SetUpSession {
             let (base, peak) = (random.log_uniform(0.003, 0.03), random.log_uniform(0.05, 1.5));
             let (centre, width) = (430.0 + 240.0 * random.uniform(), 30.0 + 40.0 * random.uniform());
             let at = |nm: &f64| {
-                let s = scattering * (550.0 / nm).powf(power);
-                let a = base + peak * (-0.5 * ((nm - centre) / width).powi(2)).exp();
+                let s = scattering * libm::pow(550.0 / nm, power);
+                let a = base + peak * libm::exp(-0.5 * ((nm - centre) / width).powi(2));
                 Medium::new(s + a, s / (s + a), g).unwrap()
             };
             nm.iter().map(at).collect()
@@ -218,7 +218,7 @@ impl SetUpSession {
         let materials: Vec<Measurement> = (0..count).into_par_iter().map(|m| self.measurement(m)).collect();
         let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
         let known = FitSettings::default().gain_std_error;
-        let gain_std_error = if self.flawed { known.hypot(LEVEL) } else { known };
+        let gain_std_error = if self.flawed { libm::hypot(known, LEVEL) } else { known };
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
         measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &unknown_factor()).unwrap()

@@ -47,7 +47,7 @@ impl Laboratory {
     pub(super) fn draw(number: u64, (g_min, g_max): (f64, f64)) -> Self {
         let mut random = Random::new(810_000 + number);
         let g = random.between(g_min, g_max);
-        let mut log = |low: f64, high: f64| low * (high / low).powf(random.even());
+        let mut log = |low: f64, high: f64| low * libm::pow(high / low, random.even());
         let media = [0; 3].map(|_| Medium::new(log(1.1, 28.0), 1.0 - log(1e-3, 0.7), g).unwrap());
         let thickness_mm = STATED_MM.map(|t| t + THICKNESS_MM * random.normal());
         let square_mm = STATED_SQUARE_MM + SQUARE_MM * random.normal();

@@ -124,10 +124,12 @@ mod tests {
             let share = |axis: i32| (0.5 + (number + 1) as f64 * 1.112_775_684_278_7_f64.powi(-axis)).fract();
             let between = |axis, low: f64, high: f64| low + (high - low) * share(axis);
             let g = between(1, 0.0, 0.8);
-            let sigma_t = (between(2, 0.4_f64.ln(), 12_f64.ln()).exp() / (1.0 - g)).clamp(0.5, 28.0);
+            let sigma_t =
+                (libm::exp(between(2, libm::log(0.4_f64), libm::log(12_f64))) / (1.0 - g)).clamp(0.5, 28.0);
             let medium =
-                Medium::new(sigma_t, 1.0 - between(3, 1e-3_f64.ln(), 0.7_f64.ln()).exp(), g).unwrap();
-            let thickness_mm = between(4, 0.25_f64.ln(), 1.2_f64.ln()).exp();
+                Medium::new(sigma_t, 1.0 - libm::exp(between(3, libm::log(1e-3_f64), libm::log(0.7_f64))), g)
+                    .unwrap();
+            let thickness_mm = libm::exp(between(4, libm::log(0.25_f64), libm::log(1.2_f64)));
             let lab = Scene::lab();
             let scene = lab.clone().with_channels(lab.channels()[..1].to_vec()).unwrap();
             let is = |prior: &&Prior, name: &str| lab.name_of(prior).starts_with(name);

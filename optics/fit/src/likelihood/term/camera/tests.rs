@@ -14,7 +14,7 @@ fn edge(pixels: usize, origin: f64, w: f64) -> Line {
     // ∫ erf = t erf(t) + exp(−t²)/√π
     let integral = |x: f64| {
         let t = (x - origin) / (w * 2.0_f64.sqrt());
-        w * 2.0_f64.sqrt() * (t * libm::erf(t) + (-t * t).exp() / PI.sqrt())
+        w * 2.0_f64.sqrt() * (t * libm::erf(t) + libm::exp(-t * t) / PI.sqrt())
     };
     x(pixels, 0.0)
         .iter()
@@ -43,11 +43,11 @@ fn shift_blur_and_resampling_match_the_formula() {
     {
         let camera = Camera::new(&x(pixels, 0.0), WIDTH_MM / pixels as f64, WIDTH_MM, PIXELS);
         let seen = camera.values(&profile, origin, blur * blur);
-        let exact = edge(pixels, origin, 0.12_f64.hypot(blur));
+        let exact = edge(pixels, origin, libm::hypot(0.12_f64, blur));
         let off = largest(&seen, &exact);
         // With six nodes an integral is off by at most 17/720 h⁶ of its sixth derivative, beside the edge between
         // black and white, at either end of a pixel.
-        let (h, w) = (WIDTH_MM / PIXELS as f64, 0.12_f64.hypot(blur));
+        let (h, w) = (WIDTH_MM / PIXELS as f64, libm::hypot(0.12_f64, blur));
         let fifth = 3.0 * 0.8 / (2.0 * PI).sqrt() / w.powi(5);
         let bound = 2.0 * 17.0 / 720.0 * h.powi(6) * fifth * pixels as f64 / WIDTH_MM;
         // The completion at the edge counts fifth derivatives as a step: Σ w_k (2k + 1)⁵/1,920 of them, of which a
