@@ -1,5 +1,7 @@
 //! Tests what is computed: physics, photographs that become profiles, and media that are found again.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 mod capture;
 mod measure;
 mod physics;

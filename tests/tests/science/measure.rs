@@ -3,8 +3,6 @@
 //! In the normal run the dictionary has the paper's grid at three anisotropies; with `FARM_TEST_EFFORT=8` it is the
 //! paper's whole dictionary, with many more media.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 mod imperfect;
 mod misfit;
 mod mixtures;

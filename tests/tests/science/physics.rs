@@ -2,8 +2,6 @@
 //!
 //! Seeds are fixed. Each test states its number of walks and the largest error that it would not detect.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 mod boards;
 mod example;
 mod measurement_checks;

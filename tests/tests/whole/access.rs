@@ -1,7 +1,5 @@
 //! Access control over real sockets: encryption, tokens and roles, certificates, and the number of connections.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 mod guarded;
 mod unauthenticated;
 mod unfinished;

@@ -13,8 +13,6 @@
 //! The blocks of a document run in bash, in its own empty folder with `examples`, and with the paper's dictionary in
 //! `farm-data`. The blocks of Python are run by `python/tests/test_documents.py`.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 

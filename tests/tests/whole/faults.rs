@@ -3,8 +3,6 @@
 //! Short by default; `FARM_TEST_EFFORT=20` runs more rounds with longer pauses, up to those of real links and
 //! keepalives.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 mod away;
 mod backups;
 mod clock;

@@ -2,6 +2,8 @@
 //!
 //! Most of these tests wait for processes, and run side by side.
 
+#![expect(clippy::unwrap_used, reason = "a test may panic")]
+
 mod access;
 mod cli;
 mod documents;

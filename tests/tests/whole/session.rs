@@ -1,7 +1,5 @@
 //! From photographs to media: `farmctl capture` and `farmctl measure` with the example session.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 mod bands;
 mod media;
 
@@ -173,17 +171,28 @@ fn refused(change: impl Fn(&Path), message: &[&str]) {
     assert!(!folder.path().join("out").exists(), "{message:?}: partial result");
 }
 
+/// Another text in the session file, in place of one that is there.
+fn edited(folder: &Path, from: &str, to: &str) {
+    let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
+    assert!(session.contains(from), "{session}");
+    write(folder, "session.toml", &session.replacen(from, to, 1));
+}
+
+/// The tests of `client/lab/src/capture/session_file` have the fields of sessions, those of `photograph` the files, and
+/// `science capture` the photographs. Profiles that `measure` would refuse are not written either.
 #[test]
 fn invalid_sessions_are_refused_with_field() {
     type Change = fn(Vec<u8>) -> Vec<u8>;
-    // The tests of `client/lab/src/capture/session_file` have the fields of sessions, those of `photograph` the files, and
-    // `science capture` the photographs.
-    let swapped = |folder: &Path| {
-        let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
-        assert!(session.contains("[0.956, 0.594,"), "{session}");
-        write(folder, "session.toml", &session.replacen("[0.956, 0.594,", "[0.594, 0.956,", 1));
-    };
+    let swapped = |folder: &Path| edited(folder, "[0.956, 0.594,", "[0.594, 0.956,");
     refused(swapped, &["not linear", "order of the patches"]);
+    // The thicker slab blurs the edge more.
+    let exchanged = |folder: &Path| {
+        for (from, to) in [("= 0.512", "= x"), ("= 1.006", "= 0.512"), ("= x", "= 1.006")] {
+            edited(folder, from, to);
+        }
+    };
+    let message = ["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"];
+    refused(exchanged, &message);
     let other_camera = |mut bytes: Vec<u8>| {
         while let Some(at) = bytes.windows(7).position(|w| w == b"Made M1") {
             bytes[at + 6] = b'2';
@@ -191,12 +200,11 @@ fn invalid_sessions_are_refused_with_field() {
         bytes
     };
     let half = |bytes: Vec<u8>| bytes[..bytes.len() / 2].to_vec();
-    let files: [(Change, &[&str]); 3] = [
-        (|_| b"\xff\xd8\xff\xe0".to_vec(), &["photograph white_05_2.dng", "JPEG holds 8 bits"]),
-        (half, &["photograph white_05_2.dng: the file is cut off or damaged"]),
+    let files: [(Change, &str); 2] = [
+        (half, "photograph white_05_2.dng: the file is cut off or damaged"),
         (
             other_camera,
-            &["white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera"],
+            "white_05_2.dng was taken with Made M2, dark_1.dng with Made M1: a session has one camera",
         ),
     ];
     for (change, message) in files {
@@ -204,20 +212,8 @@ fn invalid_sessions_are_refused_with_field() {
             let file = folder.join("white_05_2.dng");
             std::fs::write(&file, change(std::fs::read(&file).unwrap())).unwrap();
         };
-        refused(spoil, message);
+        refused(spoil, &[message]);
     }
-}
-
-/// The thicker slab blurs the edge more; profiles that `measure` would refuse are not written.
-#[test]
-fn profiles_are_checked_as_measure_checks_them() {
-    let swap = |folder: &Path| {
-        let session = std::fs::read_to_string(folder.join("session.toml")).unwrap();
-        let swapped =
-            session.replace("= 0.512", "= x").replace("= 1.006", "= 0.512").replace("= x", "= 1.006");
-        write(folder, "session.toml", &swapped);
-    };
-    refused(swap, &["profiles of these photographs", "channel R, 0.512 mm", "their thicknesses are swapped"]);
 }
 
 /// Single photographs can be checked, and a board can be printed.

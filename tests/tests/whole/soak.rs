@@ -8,11 +8,7 @@
 //! between the first and the last third of that time, the medians of its memory and open files must not grow by more
 //! than a warm allocator and open connections explain.
 
-#![expect(
-    clippy::unwrap_used,
-    clippy::disallowed_methods,
-    reason = "a test may panic, and this one works in real time"
-)]
+#![expect(clippy::disallowed_methods, reason = "this test works in real time")]
 
 mod client;
 mod maltreated;

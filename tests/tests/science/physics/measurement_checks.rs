@@ -1,8 +1,6 @@
 //! Tests the checks of measurements with traced media: they accept every medium, and detect each mistake where it is
 //! visible.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 

@@ -1,7 +1,5 @@
 //! The noise of records, compared with that of the paper's dictionary.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::sync::atomic::AtomicBool;
 
 use farm_tests::reference;

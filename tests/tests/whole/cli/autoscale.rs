@@ -1,7 +1,5 @@
 //! `farmctl slurm autoscale` with real workers, on a simulated Slurm.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::process::Command;
 
 use farm_tests::cluster::Cluster;

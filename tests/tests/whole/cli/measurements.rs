@@ -1,7 +1,5 @@
 //! Measurement files: those that `simulate` and `export` write, and the messages about those of users.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use farm_tests::cli::{GRID, HEAD, fails, fails_line, farm, folder, json, rows, run_line, write};
 use farm_tests::process::run;
 use serde_json::Value;
@@ -48,11 +46,6 @@ fn own_files_are_measured_without_a_note() {
     }
     let many = ["--measurement writes one medium", "pick one with --sigma-t, --albedo, --g"];
     fails_line(dir, "export grid --measurement white", &many);
-    fails(
-        dir,
-        &["export", "grid", "--sigma-t", "6", "--albedo", "0.999", "--measurement", ""],
-        &["measurement = \"\""],
-    );
 }
 
 #[test]

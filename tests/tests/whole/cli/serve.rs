@@ -1,7 +1,5 @@
 //! `farmctl serve`: a farm for other programs of the machine.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Stdio};

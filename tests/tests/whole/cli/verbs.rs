@@ -1,7 +1,5 @@
 //! All verbs of the real programs, over TLS with access files: exit codes, backup, restore.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
 use farm_tests::process::{LONG, Ran, SOON, run, wait_for};

@@ -1,7 +1,5 @@
 //! The server of `farmctl web`: access control, and the calls that it passes to the farm.
 
-#![expect(clippy::unwrap_used, reason = "a test may panic")]
-
 use std::collections::HashMap;
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
