@@ -86,7 +86,6 @@ fn answers_are_the_same_on_older_processors() {
         "measure chart.csv --dictionary grid --json --objective paper",
         "scale chart.csv --dictionary grid --json",
         "design --dictionary grid --sigma-t 5 --albedo 0.99 --g 0.4 --json",
-        "translucency --sigma-t 5 --albedo 0.95 --g 0.4 --thickness 1 --json",
     ] {
         let words: Vec<&str> = line.split_whitespace().collect();
         let mut older = farmctl(dir);
