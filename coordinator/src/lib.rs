@@ -53,7 +53,7 @@ pub enum Error {
     Address(std::io::Error),
 }
 
-/// The rest of a call. It is boxed so that its code is compiled here: an `async fn` is compiled by each crate that awaits it.
+/// The rest of a call, boxed so that it is compiled here: an `async fn` is compiled by each crate that awaits it.
 type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, Error>> + Send + 'a>>;
 
 /// A coordinator that has locked its data directory and loaded its contents.
