@@ -74,7 +74,7 @@ fn mixtures_give_their_inks() {
     fails(dir, &command, &["mixture.material", "grey", "both"]);
 }
 
-/// Answers have the same bits on processors without fused multiplication: the C library is told that it runs on one.
+/// Answers have the same bits on processors without fused multiplication, as a setting of the C library imitates them.
 #[test]
 fn answers_are_the_same_on_older_processors() {
     let farm = farm();
