@@ -4,19 +4,15 @@ mod guarded;
 mod unauthenticated;
 mod unfinished;
 
-use std::time::Duration;
-
 use farm_coordinator::connections::Limits;
 use farm_link::{ClientAccess, Role, Target, failure};
+use farm_tests::process::SOON;
 use tokio::io::AsyncWriteExt as _;
 use tokio::net::TcpStream;
 use tokio::time::{Instant, timeout};
 use tonic::{Code, Request};
 
 use guarded::{Access, GuardedServer, call, health};
-
-/// Time limit of actions that should be quick.
-const SOON: Duration = Duration::from_secs(8);
 
 const LEASES: &str = "/farm.v1.Leases/Acquire";
 const FITS: &str = "/farm.v1.Fits/Fit";

@@ -127,7 +127,7 @@ async fn wait(until: impl Fn() -> bool) {
             tokio::time::sleep(Duration::from_millis(5)).await;
         }
     };
-    tokio::time::timeout(super::SOON, waited).await.expect("it happens in time");
+    tokio::time::timeout(farm_tests::process::SOON, waited).await.expect("it happens in time");
 }
 
 pub type Answered = Result<Response<()>, Status>;

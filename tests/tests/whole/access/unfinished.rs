@@ -4,7 +4,7 @@ use bytes::Bytes;
 use farm_link::Link;
 use farm_proto::wire::{FitRequest, MeasuredProfile, Measurement};
 use farm_tests::farm::Farm;
-use farm_tests::process::{run, wait_for};
+use farm_tests::process::{SOON, run, wait_for};
 use farm_tests::usage::Usage;
 use http_body::Frame;
 use http_body_util::StreamBody;
@@ -14,8 +14,6 @@ use tokio_stream::StreamExt as _;
 use tonic::body::Body;
 use tonic::client::GrpcService as _;
 use tonic::{Code, Status};
-
-use super::SOON;
 
 /// Bytes that each request sends of a message of twice this size.
 const BYTES: usize = 8 << 20;
