@@ -1,67 +1,207 @@
 //! The reflection and transmission of the interface between two layers.
+//!
+//! The ring that is seen through a rough face has ends that are narrower than the distance of nodes. So matrices of rough
+//! faces are right in the mean over polynomials (Galerkin's method): with ℓ_i, the polynomial that is 1 at node i and 0 at
+//! the other nodes of its segment, they follow from the integrals over ℓ_i ℓ_j of the rays from direction i to j.
 
 use nalgebra::DMatrix;
 use optics_tracer::face::{Face, FacePoint, FaceSide};
 use rayon::prelude::*;
 
 use crate::operator::Operator;
-use crate::quadrature::Quadrature;
+use crate::quadrature::{Quadrature, Segment};
 
-/// Points of the sequence over the microfacets of a rough face. Few rays of a very rough face meet a narrow ring: it has
-/// more, and so has the sensor's direction.
-const POINTS: u32 = 1 << 12;
-const MANY_POINTS: u32 = 1 << 14;
-const POINTS_OF_SENSOR: u32 = 1 << 16;
-/// Roughness from which on a face is very rough, and width of a ring over α below which it is narrow.
-const VERY_ROUGH: f64 = 0.2;
-const NARROW: f64 = 0.5;
+/// Rays for each node of a rough face, for those in the ring, and for the sensor's direction.
+const RAYS: u32 = 1 << 10;
+const RAYS_OF_RING: u32 = 1 << 13;
+const RAYS_OF_SENSOR: u32 = 1 << 16;
+/// Rays for each node by which the loss of a face is found.
+const RAYS_OF_LOSS: u32 = 1 << 14;
 
-/// `ring` is the difference of sin θ of its ends.
-pub(crate) fn face(quadrature: &Quadrature, face: &Face, ring: f64) -> Operator {
-    let [above, below] =
-        [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, ring, from));
-    Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 }
+pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Operator {
+    if face.roughness == 0.0 {
+        let [above, below] = [face.iors, [face.iors[1], face.iors[0]]].map(|iors| smooth(quadrature, iors));
+        return Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 };
+    }
+    let [above, below] = [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, from));
+    let matrices = |own: &Rays, other: &Rays| {
+        let mut pair = [
+            reciprocal(quadrature, &own.reflected, &own.reflected),
+            reciprocal(quadrature, &own.transmitted, &other.transmitted),
+        ];
+        for matrix in &mut pair {
+            divide_by_masses(quadrature, matrix);
+        }
+        keep_sums(quadrature, pair, own)
+    };
+    let ([reflects_above, up], [reflects_below, down]) = (matrices(&above, &below), matrices(&below, &above));
+    Operator { reflects_above, reflects_below, down, up }
 }
 
-/// Distributions of the rays that come from one side in each direction: reflected and transmitted.
-fn one_side(quadrature: &Quadrature, face: &Face, ring: f64, from: FaceSide) -> (DMatrix<f64>, DMatrix<f64>) {
+/// Reflection and transmission of a smooth face.
+fn smooth(quadrature: &Quadrature, [own, other]: [f64; 2]) -> (DMatrix<f64>, DMatrix<f64>) {
+    let n = quadrature.len();
+    let (mut reflected, mut transmitted) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+    for i in (0..n).filter(|i| quadrature.exists(*i, own)) {
+        reflected[(i, i)] = reflectance(quadrature.cosine(i, own), own / other);
+        transmitted[(i, i)] = 1.0 - reflected[(i, i)];
+    }
+    (reflected, transmitted)
+}
+
+/// Integrals over ℓ_i ℓ_j of the rays that come from one side.
+struct Rays {
+    reflected: DMatrix<f64>,
+    transmitted: DMatrix<f64>,
+    /// Share of the light from each direction that leaves the face.
+    kept: Vec<f64>,
+}
+
+fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> Rays {
     let n = quadrature.len();
     let [own, other] = if from == FaceSide::Above { face.iors } else { [face.iors[1], face.iors[0]] };
-    let is_hard = face.roughness > VERY_ROUGH || ring < NARROW * face.roughness;
-    let of_others = if is_hard { MANY_POINTS } else { POINTS };
-    let row = |i: usize| {
-        let mut rows = [vec![0.0; n], vec![0.0; n]];
-        if !quadrature.exists(i, own) {
-            // It is a direction of other layers only.
-            return rows;
-        }
-        if face.roughness == 0.0 {
-            let reflectance = reflectance(quadrature.cosine(i, own), own / other);
-            rows[0][i] = reflectance;
-            rows[1][i] = 1.0 - reflectance;
-            return rows;
-        }
-        let sin2 = quadrature.s2[i] / (own * own);
-        let mut histograms = [vec![0.0; quadrature.places()], vec![0.0; quadrature.places()]];
-        let mut whole = 0.0;
-        let points = if i == quadrature.sensor() { POINTS_OF_SENSOR } else { of_others };
-        for number in 0..points {
-            let rays = face.rays(from, sin2, FacePoint::new(number, points));
-            for (direction, share) in rays.into_iter().flatten() {
-                let sin2 = f64::from(direction.x * direction.x + direction.y * direction.y);
-                let (side, ior) = if direction.z > 0.0 { (0, own) } else { (1, other) };
-                let s2 = (ior * ior * sin2).min(ior * ior * (1.0 - 1e-9));
-                quadrature.deposit(s2, share, &mut histograms[side]);
-                whole += share;
+    let exists: Vec<bool> = (0..n).map(|i| quadrature.exists(i, own)).collect();
+    let kept = |i: usize| if exists[i] { kept(face, from, quadrature.s2[i] / (own * own)) } else { 0.0 };
+    let kept: Vec<f64> = (0..n).into_par_iter().map(kept).collect();
+    let cast = Cast { quadrature, face, from, own, other };
+    let mut blocks: Vec<(usize, Vec<f64>)> = quadrature
+        .segments()
+        .par_iter()
+        .filter(|segment| segment.exists(own))
+        .map(|segment| (segment.nodes.start, cast.segment(segment)))
+        .collect();
+    blocks.push((quadrature.sensor(), cast.sensor()));
+    let (mut reflected, mut transmitted) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
+    for (first, block) in blocks {
+        for (i, sums) in (first..).zip(block.chunks(2 * n)) {
+            let measure = if i == quadrature.sensor() { 1.0 } else { quadrature.weights[i] };
+            let scale = measure * kept[i] / sums.iter().sum::<f64>();
+            for j in 0..n {
+                reflected[(i, j)] = scale * sums[j];
+                transmitted[(i, j)] = scale * sums[n + j];
             }
         }
-        // Surfaces that lose no light keep the number of rays; the others lose what they lose.
-        let scale = if face.multiple_scattering { whole } else { f64::from(points) };
-        histograms.map(|histogram| quadrature.spread(&histogram).iter().map(|v| v / scale).collect())
+    }
+    Rays { reflected, transmitted, kept }
+}
+
+/// Share of a ray's light that leaves a face.
+fn kept(face: &Face, from: FaceSide, sin2: f64) -> f64 {
+    if face.multiple_scattering {
+        return 1.0;
+    }
+    let share = |number| {
+        let rays = face.rays(from, sin2, FacePoint::new(number, RAYS_OF_LOSS));
+        rays.into_iter().flatten().map(|(_, share)| share).sum::<f64>()
     };
-    let rows: Vec<[Vec<f64>; 2]> = (0..n).into_par_iter().map(row).collect();
-    let matrix = |side: usize| DMatrix::from_fn(n, n, |i, j| rows[i][side][j]);
-    (matrix(0), matrix(1))
+    (0..RAYS_OF_LOSS).map(share).sum::<f64>() / f64::from(RAYS_OF_LOSS)
+}
+
+/// Rays on one side of a rough face.
+#[derive(Clone, Copy)]
+struct Cast<'a> {
+    quadrature: &'a Quadrature,
+    face: &'a Face,
+    from: FaceSide,
+    own: f64,
+    other: f64,
+}
+
+impl Cast<'_> {
+    /// Sums over the rays that come from the directions of a segment: `[direction][side][node]`.
+    fn segment(&self, segment: &Segment) -> Vec<f64> {
+        let count = segment.nodes.len();
+        let rays = if segment.lit { RAYS_OF_RING } else { RAYS } * count as u32;
+        let mut sums = vec![0.0; count * 2 * self.quadrature.len()];
+        let (mut weights, mut room) = (Vec::new(), Vec::new());
+        for number in 0..rays {
+            let point = FacePoint::new(number, rays);
+            let (s2, slope) = segment.at(point.u);
+            segment.interpolation(point.u, &mut weights);
+            for weight in &mut weights {
+                *weight *= slope;
+            }
+            self.add(s2, &weights, point, &mut sums, &mut room);
+        }
+        sums
+    }
+
+    fn sensor(&self) -> Vec<f64> {
+        let mut sums = vec![0.0; 2 * self.quadrature.len()];
+        let (s2, mut room) = (self.quadrature.s2[self.quadrature.sensor()], Vec::new());
+        for number in 0..RAYS_OF_SENSOR {
+            let point = FacePoint::steep(number, RAYS_OF_SENSOR);
+            self.add(s2, &[point.weight], point, &mut sums, &mut room);
+        }
+        sums
+    }
+
+    /// Adds a ray, which counts for directions with these weights.
+    fn add(&self, s2: f64, weights: &[f64], point: FacePoint, sums: &mut [f64], room: &mut Vec<f64>) {
+        let n = self.quadrature.len();
+        let sin2 = (s2 / (self.own * self.own)).min(1.0 - 1e-12);
+        for (direction, share) in self.face.rays(self.from, sin2, point).into_iter().flatten() {
+            let sin2 = f64::from(direction.x * direction.x + direction.y * direction.y);
+            let (side, ior) = if direction.z > 0.0 { (0, self.own) } else { (1, self.other) };
+            let s2 = ior * ior * sin2.min(1.0 - 1e-9);
+            let segment = self.quadrature.segment(s2);
+            segment.interpolation(segment.place(s2), room);
+            for (row, weight) in sums.chunks_mut(2 * n).zip(weights) {
+                let row = &mut row[side * n..][segment.nodes.clone()];
+                row.iter_mut().zip(&*room).for_each(|(sum, to)| *sum += weight * share * to);
+            }
+        }
+    }
+}
+
+/// By reciprocity the integrals of the rays from i to j are those from j to i. Of the two the mean is taken; where
+/// just one of the directions is in the ring, whose ends are sharp, the rays that come from it.
+fn reciprocal(quadrature: &Quadrature, rays: &DMatrix<f64>, back: &DMatrix<f64>) -> DMatrix<f64> {
+    let weights = &quadrature.weights;
+    DMatrix::from_fn(rays.nrows(), rays.ncols(), |i, j| {
+        if weights[i] == 0.0 || weights[j] == 0.0 {
+            return rays[(i, j)];
+        }
+        let returned = back[(j, i)];
+        match (quadrature.is_lit(i), quadrature.is_lit(j)) {
+            (false, true) => returned,
+            (true, false) => rays[(i, j)],
+            _ => f64::midpoint(rays[(i, j)], returned),
+        }
+    })
+}
+
+/// From integrals over ℓ_i to radiances at the nodes, by the polynomial that has these integrals.
+fn divide_by_masses(quadrature: &Quadrature, matrix: &mut DMatrix<f64>) {
+    for segment in quadrature.segments() {
+        let mut rows = matrix.rows_mut(segment.nodes.start, segment.nodes.len());
+        let solved = segment.mass.clone().lu().solve(&rows).expect("polynomials are independent");
+        rows.copy_from(&solved);
+    }
+}
+
+/// Scales each row so that light that is alike from all directions loses what it lost; what comes from the ring is left,
+/// unless it is most.
+fn keep_sums(quadrature: &Quadrature, mut pair: [DMatrix<f64>; 2], rays: &Rays) -> [DMatrix<f64>; 2] {
+    let n = quadrature.len();
+    let others: Vec<usize> = (0..n).filter(|j| !quadrature.is_lit(*j)).collect();
+    for i in 0..n {
+        let sum = |columns: &[usize]| -> f64 {
+            pair.iter().map(|matrix| columns.iter().map(|j| matrix[(i, *j)]).sum::<f64>()).sum()
+        };
+        let all: Vec<usize> = (0..n).collect();
+        let (whole, rest) = (sum(&all), sum(&others));
+        let (scaled, part) = if rest > 0.5 * whole { (&others, rest) } else { (&all, whole) };
+        if part > 0.0 {
+            let factor = 1.0 + (rays.kept[i] - whole) / part;
+            for matrix in &mut pair {
+                for j in scaled {
+                    matrix[(i, *j)] *= factor;
+                }
+            }
+        }
+    }
+    pair
 }
 
 /// Unpolarised Fresnel reflectance; `eta` is the index on the ray's side over the other.

@@ -4,7 +4,7 @@
 //! j. By reciprocity a row is also the distribution over j of a ray that arrives from direction i, so the row of the
 //! sensor needs no weight of its own.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Loss of light at every passage between two layers: without it, directions that are totally reflected on both sides,
 /// and that no light enters, would have no solution.
@@ -32,20 +32,28 @@ impl Operator {
         }
     }
 
-    /// Light upwards through this layer, of which `light` comes from below, over something that reflects light from above
-    /// by `base`: T↑ (1 − B R′)⁻¹ L.
-    pub(crate) fn passed(&self, base: &DMatrix<f64>, light: &DVector<f64>) -> DVector<f64> {
-        let n = base.nrows();
-        let back = DMatrix::identity(n, n) * (1.0 + LOSS) - base * &self.reflects_below;
-        &self.up * back.lu().solve(light).expect("light between two layers fades")
+    /// No layer, between n directions.
+    pub(crate) fn none(n: usize) -> Self {
+        let (zero, one) = (DMatrix::zeros(n, n), DMatrix::identity(n, n));
+        Self { reflects_above: zero.clone(), reflects_below: zero, down: one.clone(), up: one }
     }
 
-    /// The reflection from above of this layer over something that reflects light from above by `base`:
-    /// R + T↑ (1 − B R′)⁻¹ B T↓.
-    pub(crate) fn over(&self, base: &DMatrix<f64>) -> DMatrix<f64> {
-        let n = base.nrows();
-        let back = DMatrix::identity(n, n) * (1.0 + LOSS) - base * &self.reflects_below;
-        let returned = back.lu().solve(&(base * &self.down)).expect("light between two layers fades");
-        &self.reflects_above + &self.up * returned
+    /// This layer on top of another: R + T↑ (1 − R₂ R′)⁻¹ R₂ T↓ and so on, R₂ being the reflection of the other.
+    pub(crate) fn over(&self, below: &Self) -> Self {
+        let up = solved(&(&below.reflects_above * &self.reflects_below), &below.up);
+        let down = solved(&(&self.reflects_below * &below.reflects_above), &self.down);
+        Self {
+            reflects_above: &self.reflects_above + &self.up * (&below.reflects_above * &down),
+            reflects_below: &below.reflects_below + &below.down * (&self.reflects_below * &up),
+            down: &below.down * down,
+            up: &self.up * up,
+        }
     }
+}
+
+/// (1 − M)⁻¹ L: the light L between two layers, of which M returns after a reflection by both.
+pub(crate) fn solved(returned: &DMatrix<f64>, light: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = returned.nrows();
+    let rest = DMatrix::identity(n, n) * (1.0 + LOSS) - returned;
+    rest.lu().solve(light).expect("light between two layers fades")
 }

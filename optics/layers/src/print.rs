@@ -1,6 +1,6 @@
 //! A stack of slabs in the place of a scene's sample, and its radiance factor over a base.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, RowDVector};
 use optics_model::angle::sin2;
 use optics_model::phase::PhaseShape;
 use optics_model::scene::LayerMedium;
@@ -8,7 +8,7 @@ use optics_model::{Medium, Scene};
 use optics_tracer::face::Face;
 
 use crate::faces::face;
-use crate::operator::Operator;
+use crate::operator::{Operator, solved};
 use crate::quadrature::Quadrature;
 use crate::slab::slab;
 
@@ -27,13 +27,29 @@ pub struct Print {
     sample_ior: f64,
     /// Index of the lowest layer, which the base touches.
     base_ior: f64,
-    /// From top to bottom; None stands for the slabs.
-    elements: Vec<Option<Operator>>,
-    /// Indices of the nodes within the ring, and its measure sin²θ_outer − sin²θ_inner.
-    lit: Vec<usize>,
-    ring: f64,
-    /// Whether the sensor's mirror direction lies within the ring.
-    is_mirrored: bool,
+    /// All that is above the slabs, and all below them.
+    top: Operator,
+    bottom: Operator,
+    /// Radiance of the ring by direction: that of even light which is as bright on a horizontal surface.
+    ring: DVector<f64>,
+}
+
+/// A radiance factor over Lambertian bases of any reflectance: s + a ρ/(1 − b ρ).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Level {
+    /// Over a black base.
+    pub over_black: f64,
+    /// Share of the ring's light that comes to a base, times what a base of this radiance adds.
+    pub through: f64,
+    /// Share of the light of a base that comes back to it.
+    pub returned: f64,
+}
+
+impl Level {
+    /// Over a base of this reflectance.
+    pub fn at(&self, rho: f64) -> f64 {
+        self.over_black + self.through * rho / (1.0 - self.returned * rho)
+    }
 }
 
 impl Print {
@@ -50,14 +66,11 @@ impl Print {
         };
         let iors: Vec<f64> = std::iter::once(1.0).chain(scene.layers().iter().map(ior)).collect();
         let ring = [scene.light().inner_deg(), scene.light().outer_deg()].map(sin2);
-        let sines = ring.map(f64::sqrt);
-        let rough =
-            scene.layers().iter().map(optics_model::scene::Layer::roughness).filter(|alpha| *alpha > 0.0);
-        let roughness = rough.min_by(f64::total_cmp);
-        let sensor = sin2(scene.sensor().polar_deg());
-        let quadrature = Quadrature::new(&iors, sample_ior, roughness, peak, sines, sensor);
+        let quadrature = Quadrature::new(&iors, sample_ior, peak, ring, sin2(scene.sensor().polar_deg()));
         let mut faces: Vec<(Face, Operator)> = Vec::new();
-        let mut elements = Vec::new();
+        let none = Operator::none(quadrature.len());
+        // Above the sample and from there on.
+        let mut sides = vec![none.clone()];
         for (i, layer) in scene.layers().iter().enumerate() {
             // Between layers of one index there is no interface.
             if iors[i] != iors[i + 1] {
@@ -66,46 +79,53 @@ impl Print {
                     roughness: layer.roughness(),
                     multiple_scattering: scene.multiple_scattering(),
                 };
-                let operator =
-                    known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own, sines[1] - sines[0]));
+                let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
                 faces.push((own, operator.clone()));
-                elements.push(Some(operator));
+                let side = sides.last_mut().expect("one, at least");
+                *side = side.over(&operator);
             }
             if layer.medium() == LayerMedium::Sample {
-                elements.push(None);
+                sides.push(none.clone());
             }
         }
-        let is_lit =
-            |i: &usize| (ring[0]..=ring[1]).contains(&quadrature.s2[*i]) && quadrature.weights[*i] > 0.0;
-        let lit = (0..quadrature.len()).filter(is_lit).collect();
+        let bottom = sides.pop().unwrap_or_else(|| none.clone());
+        let measure = scene.light().measure();
+        // Smooth faces mirror the ring in the sensor's own direction.
+        let is_lit = |i: usize| match quadrature.sensor() {
+            sensor if sensor == i => (ring[0]..=ring[1]).contains(&quadrature.s2[i]),
+            _ => quadrature.is_lit(i),
+        };
+        let ring = DVector::from_fn(quadrature.len(), |i, _| if is_lit(i) { 1.0 / measure } else { 0.0 });
         let base_ior = *iors.last().expect("air, at least");
-        let is_mirrored = (ring[0]..=ring[1]).contains(&quadrature.s2[quadrature.sensor()]);
-        Self { quadrature, sample_ior, base_ior, elements, lit, ring: scene.light().measure(), is_mirrored }
+        Self { quadrature, sample_ior, base_ior, top: sides.pop().unwrap_or(none), bottom, ring }
     }
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
     pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
-        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
-        rho.iter().map(|rho| self.radiance_factor(&slabs, *rho)).collect()
+        let level = self.level(&self.slabs(slabs), &self.sensor(), &self.ring);
+        rho.iter().map(|rho| level.at(*rho)).collect()
+    }
+
+    /// Share of even light from above that comes back in all directions, over Lambertian bases of these reflectances.
+    pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
+        let even = self.even(1.0);
+        let all = RowDVector::from_fn(even.len(), |_, i| even[i] * self.quadrature.weights[i]);
+        let level = self.level(&self.slabs(slabs), &all, &even);
+        rho.iter().map(|rho| level.at(*rho)).collect()
     }
 
     /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
     /// a base.
     pub fn transmittance(&self, slabs: &[PrintLayer]) -> f64 {
-        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
-        let n = self.quadrature.len();
-        let mut reflection = DMatrix::zeros(n, n);
-        let below = |i: usize, _| if self.quadrature.exists(i, 1.0) { 1.0 } else { 0.0 };
-        let mut light = DVector::from_fn(n, below);
-        let layers = self.elements.iter().rev().flat_map(|element| match element {
-            Some(face) => vec![face],
-            None => slabs.iter().rev().collect(),
-        });
-        for layer in layers {
-            light = layer.passed(&reflection, &light);
-            reflection = layer.over(&reflection);
-        }
-        light[self.quadrature.sensor()]
+        let whole = self.top.over(&self.slabs(slabs)).over(&self.bottom);
+        (self.sensor() * whole.up * self.even(1.0))[0]
+    }
+
+    /// All slabs as one layer.
+    fn slabs(&self, slabs: &[PrintLayer]) -> Operator {
+        let mut operators = slabs.iter().map(|slab| self.operator(slab));
+        let first = operators.next().unwrap_or_else(|| Operator::none(self.quadrature.len()));
+        operators.fold(first, |above, slab| above.over(&slab))
     }
 
     fn operator(&self, s: &PrintLayer) -> Operator {
@@ -115,44 +135,57 @@ impl Print {
         slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth)
     }
 
-    /// Share of even light from above that comes back in all directions, over Lambertian bases of these reflectances.
-    pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
-        let slabs: Vec<Operator> = slabs.iter().map(|s| self.operator(s)).collect();
-        let in_air: Vec<usize> =
-            (0..self.quadrature.len()).filter(|i| self.quadrature.exists(*i, 1.0)).collect();
-        let of = |rho: &f64| {
-            let reflection = self.reflection(&slabs, *rho);
-            let leaves = |i: usize| in_air.iter().map(|j| reflection[(i, *j)]).sum::<f64>();
-            in_air.iter().map(|i| self.quadrature.weights[*i] * leaves(*i)).sum()
-        };
-        rho.iter().map(of).collect()
+    /// What is seen in a sum over directions, of light from above.
+    ///
+    /// A base sends the same radiance x = ρ (c + b x) in all directions, c being the share of the light that reaches it.
+    fn level(&self, slab: &Operator, seen: &RowDVector<f64>, light: &DVector<f64>) -> Level {
+        let (top, bottom) = (&self.top, &self.bottom);
+        let even = self.even(self.base_ior);
+        let share = self.base_ior.powi(-2);
+        let received = RowDVector::from_fn(even.len(), |_, i| share * even[i] * self.quadrature.weights[i]);
+        let emitted = &bottom.up * &even;
+        // From light that goes down above the slab, and from that of the base, to what goes down below it.
+        let into = DMatrix::from_columns(&[&slab.reflects_below * &emitted]);
+        let below = solved(&(&slab.reflects_below * &bottom.reflects_above), &append(&slab.down, &into));
+        let n = even.len();
+        let (down, base_down) = (below.columns(0, n), below.column(n).into_owned());
+        // What goes up above it, without the light that the top returns, and with it.
+        let reflected = &slab.reflects_above + &slab.up * (&bottom.reflects_above * down);
+        let base_up = &slab.up * (&emitted + &bottom.reflects_above * &base_down);
+        let entering = &top.down * light;
+        let sources = DMatrix::from_columns(&[&reflected * &entering, base_up]);
+        let up = solved(&(&reflected * &top.reflects_below), &sources);
+        let back = &top.reflects_below * &up;
+        let [of_light, of_base] = [down * (&entering + back.column(0)), base_down + down * back.column(1)];
+        let reaches = &received * &bottom.down;
+        let leaves = seen * &top.up;
+        let number = |row: &RowDVector<f64>, column: &DVector<f64>| (row * column)[0];
+        Level {
+            over_black: number(seen, &(&top.reflects_above * light))
+                + number(&leaves, &up.column(0).into_owned()),
+            through: number(&reaches, &of_light) * number(&leaves, &up.column(1).into_owned()),
+            returned: number(&received, &(&bottom.reflects_below * &even)) + number(&reaches, &of_base),
+        }
     }
 
-    fn radiance_factor(&self, slabs: &[Operator], rho: f64) -> f64 {
-        let reflection = self.reflection(slabs, rho);
+    /// The sensor's direction.
+    fn sensor(&self) -> RowDVector<f64> {
         let sensor = self.quadrature.sensor();
-        // Smooth faces mirror the ring in the sensor's own direction.
-        let lit = self.lit.iter().chain(self.is_mirrored.then_some(&sensor));
-        lit.map(|j| reflection[(sensor, *j)]).sum::<f64>() / self.ring
+        RowDVector::from_fn(self.quadrature.len(), |_, i| if i == sensor { 1.0 } else { 0.0 })
     }
 
-    /// The reflection of all layers over a Lambertian base.
-    fn reflection(&self, slabs: &[Operator], rho: f64) -> DMatrix<f64> {
-        self.elements.iter().rev().fold(self.base(rho), |below, element| match element {
-            Some(face) => face.over(&below),
-            None => slabs.iter().rev().fold(below, |below, slab| slab.over(&below)),
-        })
+    /// The same radiance in all directions of a medium.
+    fn even(&self, ior: f64) -> DVector<f64> {
+        let exists = |i: usize, _| if self.quadrature.exists(i, ior) { 1.0 } else { 0.0 };
+        DVector::from_fn(self.quadrature.len(), exists)
     }
+}
 
-    /// A Lambertian base sends the same radiance in all directions.
-    fn base(&self, rho: f64) -> DMatrix<f64> {
-        let n2 = self.base_ior * self.base_ior;
-        let of = |i: usize, j: usize| {
-            let exist = [i, j].iter().all(|k| self.quadrature.exists(*k, self.base_ior));
-            if exist { rho * self.quadrature.weights[j] / n2 } else { 0.0 }
-        };
-        DMatrix::from_fn(self.quadrature.len(), self.quadrature.len(), of)
-    }
+/// Columns after others.
+fn append(matrix: &DMatrix<f64>, more: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut both = matrix.clone().resize_horizontally(matrix.ncols() + more.ncols(), 0.0);
+    both.columns_mut(matrix.ncols(), more.ncols()).copy_from(more);
+    both
 }
 
 /// The operator of a face like an earlier one, or like one upside down.
