@@ -130,8 +130,8 @@ impl Cast<'_> {
         let mut sums = vec![0.0; 2 * self.quadrature.len()];
         let (s2, mut room) = (self.quadrature.s2[self.quadrature.sensor()], Vec::new());
         for number in 0..RAYS_OF_SENSOR {
-            let point = FacePoint::steep(number, RAYS_OF_SENSOR);
-            self.add(s2, &[point.weight], point, &mut sums, &mut room);
+            let point = FacePoint::new(number, RAYS_OF_SENSOR);
+            self.add(s2, &[1.0], point, &mut sums, &mut room);
         }
         sums
     }

@@ -52,7 +52,7 @@ impl Operator {
 }
 
 /// (1 − M)⁻¹ L: the light L between two layers, of which M returns after a reflection by both.
-pub(crate) fn solved(returned: &DMatrix<f64>, light: &DMatrix<f64>) -> DMatrix<f64> {
+fn solved(returned: &DMatrix<f64>, light: &DMatrix<f64>) -> DMatrix<f64> {
     let n = returned.nrows();
     let rest = DMatrix::identity(n, n) * (1.0 + LOSS) - returned;
     rest.lu().solve(light).expect("light between two layers fades")

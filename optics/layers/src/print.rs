@@ -8,7 +8,7 @@ use optics_model::{Medium, Scene};
 use optics_tracer::face::Face;
 
 use crate::faces::face;
-use crate::operator::{Operator, solved};
+use crate::operator::Operator;
 use crate::quadrature::Quadrature;
 use crate::slab::slab;
 
@@ -34,20 +34,18 @@ pub struct Print {
     ring: DVector<f64>,
 }
 
-/// A radiance factor over Lambertian bases of any reflectance: s + a ρ/(1 − b ρ).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Level {
+/// What is seen over Lambertian bases of any reflectance: s + a ρ/(1 − b ρ).
+struct Level {
     /// Over a black base.
-    pub over_black: f64,
-    /// Share of the ring's light that comes to a base, times what a base of this radiance adds.
-    pub through: f64,
-    /// Share of the light of a base that comes back to it.
-    pub returned: f64,
+    over_black: f64,
+    /// The light that reaches a base, times what a base adds that sends it back.
+    through: f64,
+    /// Share of a base's light that comes back to it.
+    returned: f64,
 }
 
 impl Level {
-    /// Over a base of this reflectance.
-    pub fn at(&self, rho: f64) -> f64 {
+    fn at(&self, rho: f64) -> f64 {
         self.over_black + self.through * rho / (1.0 - self.returned * rho)
     }
 }
@@ -102,7 +100,7 @@ impl Print {
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
     pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
-        let level = self.level(&self.slabs(slabs), &self.sensor(), &self.ring);
+        let level = self.level(slabs, &self.sensor(), &self.ring);
         rho.iter().map(|rho| level.at(*rho)).collect()
     }
 
@@ -110,22 +108,14 @@ impl Print {
     pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
         let even = self.even(1.0);
         let all = RowDVector::from_fn(even.len(), |_, i| even[i] * self.quadrature.weights[i]);
-        let level = self.level(&self.slabs(slabs), &all, &even);
+        let level = self.level(slabs, &all, &even);
         rho.iter().map(|rho| level.at(*rho)).collect()
     }
 
     /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
     /// a base.
     pub fn transmittance(&self, slabs: &[PrintLayer]) -> f64 {
-        let whole = self.top.over(&self.slabs(slabs)).over(&self.bottom);
-        (self.sensor() * whole.up * self.even(1.0))[0]
-    }
-
-    /// All slabs as one layer.
-    fn slabs(&self, slabs: &[PrintLayer]) -> Operator {
-        let mut operators = slabs.iter().map(|slab| self.operator(slab));
-        let first = operators.next().unwrap_or_else(|| Operator::none(self.quadrature.len()));
-        operators.fold(first, |above, slab| above.over(&slab))
+        (self.whole(slabs).up * self.even(1.0))[self.quadrature.sensor()]
     }
 
     fn operator(&self, s: &PrintLayer) -> Operator {
@@ -135,36 +125,26 @@ impl Print {
         slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth)
     }
 
-    /// What is seen in a sum over directions, of light from above.
+    /// The layers above the base as one.
+    fn whole(&self, slabs: &[PrintLayer]) -> Operator {
+        let slabs = slabs.iter().map(|slab| self.operator(slab));
+        slabs.fold(self.top.clone(), |above, slab| above.over(&slab)).over(&self.bottom)
+    }
+
+    /// What is seen, a sum over directions, of light from above.
     ///
-    /// A base sends the same radiance x = ρ (c + b x) in all directions, c being the share of the light that reaches it.
-    fn level(&self, slab: &Operator, seen: &RowDVector<f64>, light: &DVector<f64>) -> Level {
-        let (top, bottom) = (&self.top, &self.bottom);
-        let even = self.even(self.base_ior);
+    /// A base sends the same radiance x = ρ (c + b x) in all directions, c being the light that reaches it.
+    fn level(&self, slabs: &[PrintLayer], seen: &RowDVector<f64>, light: &DVector<f64>) -> Level {
+        let whole = self.whole(slabs);
+        let base = self.even(self.base_ior);
         let share = self.base_ior.powi(-2);
-        let received = RowDVector::from_fn(even.len(), |_, i| share * even[i] * self.quadrature.weights[i]);
-        let emitted = &bottom.up * &even;
-        // From light that goes down above the slab, and from that of the base, to what goes down below it.
-        let into = DMatrix::from_columns(&[&slab.reflects_below * &emitted]);
-        let below = solved(&(&slab.reflects_below * &bottom.reflects_above), &append(&slab.down, &into));
-        let n = even.len();
-        let (down, base_down) = (below.columns(0, n), below.column(n).into_owned());
-        // What goes up above it, without the light that the top returns, and with it.
-        let reflected = &slab.reflects_above + &slab.up * (&bottom.reflects_above * down);
-        let base_up = &slab.up * (&emitted + &bottom.reflects_above * &base_down);
-        let entering = &top.down * light;
-        let sources = DMatrix::from_columns(&[&reflected * &entering, base_up]);
-        let up = solved(&(&reflected * &top.reflects_below), &sources);
-        let back = &top.reflects_below * &up;
-        let [of_light, of_base] = [down * (&entering + back.column(0)), base_down + down * back.column(1)];
-        let reaches = &received * &bottom.down;
-        let leaves = seen * &top.up;
-        let number = |row: &RowDVector<f64>, column: &DVector<f64>| (row * column)[0];
+        let received = RowDVector::from_fn(base.len(), |_, i| share * base[i] * self.quadrature.weights[i]);
+        let product =
+            |row: &RowDVector<f64>, by: &DMatrix<f64>, column: &DVector<f64>| (row * (by * column))[0];
         Level {
-            over_black: number(seen, &(&top.reflects_above * light))
-                + number(&leaves, &up.column(0).into_owned()),
-            through: number(&reaches, &of_light) * number(&leaves, &up.column(1).into_owned()),
-            returned: number(&received, &(&bottom.reflects_below * &even)) + number(&reaches, &of_base),
+            over_black: product(seen, &whole.reflects_above, light),
+            through: product(&received, &whole.down, light) * product(seen, &whole.up, &base),
+            returned: product(&received, &whole.reflects_below, &base),
         }
     }
 
@@ -179,13 +159,6 @@ impl Print {
         let exists = |i: usize, _| if self.quadrature.exists(i, ior) { 1.0 } else { 0.0 };
         DVector::from_fn(self.quadrature.len(), exists)
     }
-}
-
-/// Columns after others.
-fn append(matrix: &DMatrix<f64>, more: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut both = matrix.clone().resize_horizontally(matrix.ncols() + more.ncols(), 0.0);
-    both.columns_mut(matrix.ncols(), more.ncols()).copy_from(more);
-    both
 }
 
 /// The operator of a face like an earlier one, or like one upside down.

@@ -36,8 +36,6 @@ pub struct FacePoint {
     number: u32,
     /// Evenly spaced, for the direction of rays.
     pub u: f64,
-    /// Share of the light that it stands for, over the mean.
-    pub weight: f64,
     /// For the microfacet.
     normal: f32,
     azimuth_bits: u32,
@@ -51,17 +49,9 @@ impl FacePoint {
         Self {
             number,
             u: (f64::from(number) + 0.5) / f64::from(count),
-            weight: 1.0,
             normal: shift(0.754_877_666_246_692_7) as f32,
             azimuth_bits: (65_536.0 * shift(0.569_840_290_998_053_2)) as u32,
         }
-    }
-
-    /// A point of a sequence that has many among the steep microfacets, to which rays far from the mirror direction are due.
-    pub fn steep(number: u32, count: u32) -> Self {
-        let point = Self::new(number, count);
-        let left = 1.0 - f64::from(point.normal);
-        Self { normal: (1.0 - left.powi(3).max(1e-7)) as f32, weight: 3.0 * left * left, ..point }
     }
 }
 
