@@ -34,8 +34,8 @@ pub struct Print {
     ring: DVector<f64>,
 }
 
-/// What is seen over Lambertian bases of any reflectance: s + a ρ/(1 − b ρ).
-struct Level {
+/// The light seen over Lambertian bases of any reflectance, as a function of it: s + a ρ/(1 − b ρ).
+struct OverBase {
     /// Over a black base.
     over_black: f64,
     /// The light that reaches a base, times what a base adds that sends it back.
@@ -44,7 +44,7 @@ struct Level {
     returned: f64,
 }
 
-impl Level {
+impl OverBase {
     fn at(&self, rho: f64) -> f64 {
         self.over_black + self.through * rho / (1.0 - self.returned * rho)
     }
@@ -100,16 +100,16 @@ impl Print {
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
     pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
-        let level = self.level(slabs, &self.sensor(), &self.ring);
-        rho.iter().map(|rho| level.at(*rho)).collect()
+        let seen = self.over_base(slabs, &self.sensor(), &self.ring);
+        rho.iter().map(|rho| seen.at(*rho)).collect()
     }
 
     /// Share of even light from above that comes back in all directions, over Lambertian bases of these reflectances.
     pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
         let even = self.even(1.0);
         let all = RowDVector::from_fn(even.len(), |_, i| even[i] * self.quadrature.weights[i]);
-        let level = self.level(slabs, &all, &even);
-        rho.iter().map(|rho| level.at(*rho)).collect()
+        let seen = self.over_base(slabs, &all, &even);
+        rho.iter().map(|rho| seen.at(*rho)).collect()
     }
 
     /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
@@ -131,17 +131,16 @@ impl Print {
         slabs.fold(self.top.clone(), |above, slab| above.over(&slab)).over(&self.bottom)
     }
 
-    /// What is seen, a sum over directions, of light from above.
-    ///
-    /// A base sends the same radiance x = ρ (c + b x) in all directions, c being the light that reaches it.
-    fn level(&self, slabs: &[PrintLayer], seen: &RowDVector<f64>, light: &DVector<f64>) -> Level {
+    /// The sum over directions that is seen of light from above. A base sends the same radiance x = ρ (c + b x) in all
+    /// directions, c being the light that reaches it.
+    fn over_base(&self, slabs: &[PrintLayer], seen: &RowDVector<f64>, light: &DVector<f64>) -> OverBase {
         let whole = self.whole(slabs);
         let base = self.even(self.base_ior);
         let share = self.base_ior.powi(-2);
         let received = RowDVector::from_fn(base.len(), |_, i| share * base[i] * self.quadrature.weights[i]);
         let product =
             |row: &RowDVector<f64>, by: &DMatrix<f64>, column: &DVector<f64>| (row * (by * column))[0];
-        Level {
+        OverBase {
             over_black: product(seen, &whole.reflects_above, light),
             through: product(&received, &whole.down, light) * product(seen, &whole.up, &base),
             returned: product(&received, &whole.reflects_below, &base),
@@ -154,7 +153,7 @@ impl Print {
         RowDVector::from_fn(self.quadrature.len(), |_, i| if i == sensor { 1.0 } else { 0.0 })
     }
 
-    /// The same radiance in all directions of a medium.
+    /// Light with the same radiance in all directions of a medium.
     fn even(&self, ior: f64) -> DVector<f64> {
         let exists = |i: usize, _| if self.quadrature.exists(i, ior) { 1.0 } else { 0.0 };
         DVector::from_fn(self.quadrature.len(), exists)
