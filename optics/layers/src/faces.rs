@@ -23,7 +23,8 @@ pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Operator {
         let [above, below] = [face.iors, [face.iors[1], face.iors[0]]].map(|iors| smooth(quadrature, iors));
         return Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 };
     }
-    let [above, below] = [FaceSide::Above, FaceSide::Below].map(|from| one_side(quadrature, face, from));
+    let rays = |from| one_side(quadrature, face, from);
+    let (above, below) = rayon::join(|| rays(FaceSide::Above), || rays(FaceSide::Below));
     let matrices = |own: &Rays, other: &Rays| {
         let mut pair = [
             reciprocal(quadrature, &own.reflected, &own.reflected),
@@ -64,13 +65,10 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> Rays {
     let kept = |i: usize| if exists[i] { kept(face, from, quadrature.s2[i] / (own * own)) } else { 0.0 };
     let kept: Vec<f64> = (0..n).into_par_iter().map(kept).collect();
     let cast = Cast { quadrature, face, from, own, other };
-    let mut blocks: Vec<(usize, Vec<f64>)> = quadrature
-        .segments()
-        .par_iter()
-        .filter(|segment| segment.exists(own))
-        .map(|segment| (segment.nodes.start, cast.segment(segment)))
-        .collect();
-    blocks.push((quadrature.sensor(), cast.sensor()));
+    let segments = quadrature.segments().par_iter().filter(|segment| segment.exists(own));
+    let from_segments = segments.map(|segment| (segment.nodes.start, cast.segment(segment)));
+    let from_sensor = rayon::iter::once(quadrature.sensor()).map(|sensor| (sensor, cast.sensor()));
+    let blocks: Vec<(usize, Vec<f64>)> = from_segments.chain(from_sensor).collect();
     let (mut reflected, mut transmitted) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
     for (first, block) in blocks {
         for (i, sums) in (first..).zip(block.chunks(2 * n)) {
