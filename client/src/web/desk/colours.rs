@@ -24,7 +24,8 @@ pub(super) fn radiance_factors(media: Vec<wire::Medium>) -> Result<Vec<f64>> {
 
 fn radiance_factor(medium: Medium) -> Result<f64> {
     let phase = PhaseShape::default();
-    let peak = phase.function(medium.g())?.peak_width();
+    // Narrower peaks take long, and hardly change an impression.
+    let peak = phase.function(medium.g())?.peak_width().max(1.0 - Print::MOST_G);
     let slab = PrintLayer { medium, phase, thickness_mm: THICK_MM };
     let factors = Print::new(&Scene::smooth(), IOR, peak).radiance_factors(&[slab], &[0.0, 1.0]);
     Ok(f64::midpoint(factors[0], factors[1]))
