@@ -27,5 +27,5 @@ pub(crate) fn traced(job: &JobSpec) -> Result<Vec<Record>> {
 fn traced_in(job: &JobSpec, scene: Scene) -> Result<Vec<Record>> {
     let albedo = job.albedo().to_vec();
     let job = JobSpec::new(scene, job.point(), albedo, job.walks(), job.seed(), job.derivatives())?;
-    Ok(optics_tracer::trace(&job, &AtomicBool::new(false))?)
+    Ok(optics_layers::records(&job, &AtomicBool::new(false))?)
 }

@@ -6,7 +6,7 @@ use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Channel, Scene, Sensor};
 use optics_model::{Digest, Grid, Record, Walks};
-use optics_tracer::trace;
+use optics_layers::records;
 use rayon::prelude::*;
 
 /// A grid of 12 jobs and 36 records that takes a second of one core.
@@ -37,7 +37,7 @@ pub fn grid_of(text: &str) -> Grid {
 
 /// The records of a job of a grid, directly from the tracer.
 pub fn traced(grid: &Grid, job: usize) -> Vec<Record> {
-    trace(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
+    records(&JobSpec::of(grid, job), &AtomicBool::new(false)).unwrap()
 }
 
 /// The digest of a grid's records without any faults.

@@ -11,7 +11,7 @@ use std::sync::{Mutex, OnceLock};
 use optics_fit::{DictionaryBuilder, FitDictionary};
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, PHYSICS_VERSION, PackedRecords};
-use optics_tracer::{trace, trace_set};
+use optics_layers::records_of_set;
 
 /// Dictionaries with more bytes, such as those of many bands, are used by one test alone, and are not stored.
 const MOST_BYTES: usize = 300 << 20;
@@ -23,7 +23,7 @@ pub fn records(job: &JobSpec) -> PackedRecords {
 
 fn records_within(folder: &Path, job: &JobSpec) -> PackedRecords {
     read(folder, job).unwrap_or_else(|| {
-        let packed = PackedRecords::pack(job, &trace(job, &AtomicBool::new(false)).unwrap());
+        let packed = PackedRecords::pack(job, &optics_layers::records(job, &AtomicBool::new(false)).unwrap());
         write(folder, job, &packed);
         packed
     })
@@ -62,7 +62,7 @@ fn build(folder: &Path, grid: &Grid) -> FitDictionary {
         let (set, others): (Vec<_>, Vec<_>) =
             missing.iter().cloned().partition(|job| first.shares_walks_with(job));
         missing = others;
-        for (job, records) in set.iter().zip(trace_set(&set, &AtomicBool::new(false)).unwrap()) {
+        for (job, records) in set.iter().zip(records_of_set(&set, &AtomicBool::new(false)).unwrap()) {
             let packed = PackedRecords::pack(job, &records);
             builder.add(&packed);
             if is_stored {
@@ -127,7 +127,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
         let [one, other] = [3, 4].map(|job| JobSpec::of(&small_grid(), job));
-        let traced = PackedRecords::pack(&one, &trace(&one, &AtomicBool::new(false)).unwrap());
+        let traced = PackedRecords::pack(&one, &optics_layers::records(&one, &AtomicBool::new(false)).unwrap());
         assert!(!is_read(folder, &one));
         assert_eq!(records_within(folder, &one), traced);
         assert_eq!(read(folder, &one), Some(traced.clone()));
@@ -149,7 +149,7 @@ mod tests {
         let (grid, folder) = (small_grid(), tempfile::tempdir().unwrap());
         let mut single = DictionaryBuilder::new(grid.clone());
         for job in (0..grid.job_count()).map(|job| JobSpec::of(&grid, job)) {
-            single.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
+            single.add(&PackedRecords::pack(&job, &optics_layers::records(&job, &AtomicBool::new(false)).unwrap()));
         }
         let single = single.build();
         for built in [(); 2].map(|()| build(folder.path(), &grid)) {

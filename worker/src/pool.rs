@@ -8,10 +8,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use farm_link::memory::usable_bytes;
+use optics_layers::{block_of_set, records_of_set};
 use optics_model::PackedRecords;
 use optics_model::job::JobSpec;
 use optics_model::sums::Sums;
-use optics_tracer::{Stopped, trace_set, trace_set_block};
+use optics_tracer::Stopped;
 use tokio::sync::oneshot;
 
 use crate::leases::JobSwitches;
@@ -91,10 +92,10 @@ fn trace_now(
     guarded(|| {
         wait(pace, stop)?;
         if let Some(block) = jobs[0].block() {
-            let sums = trace_set_block(jobs, block, stop)?;
+            let sums = block_of_set(jobs, block, stop)?;
             return Ok(sums.into_iter().map(TraceResult::Sums).collect());
         }
-        let records = trace_set(jobs, stop)?;
+        let records = records_of_set(jobs, stop)?;
         let packed = jobs.iter().zip(&records).map(|(job, records)| PackedRecords::pack(job, records));
         Ok(packed.map(TraceResult::Records).collect())
     })
@@ -154,9 +155,9 @@ fn panic_text(panic: &(dyn Any + Send)) -> String {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use optics_layers::records;
     use optics_model::Scene;
     use optics_model::scene::Sensor;
-    use optics_tracer::trace;
 
     use super::*;
     use crate::testing::{as_thick_as, job};
@@ -205,9 +206,9 @@ mod tests {
         let TraceEnd::Finished(results) = end else { panic!("{end:?}") };
         assert_eq!(results.len(), 2);
         for (result, job) in results.iter().zip(&jobs) {
-            let TraceResult::Records(records) = result else { panic!("{result:?}") };
-            let expected = trace(job, &AtomicBool::new(false)).unwrap();
-            assert_eq!(*records, PackedRecords::pack(job, &expected));
+            let TraceResult::Records(found) = result else { panic!("{result:?}") };
+            let expected = records(job, &AtomicBool::new(false)).unwrap();
+            assert_eq!(*found, PackedRecords::pack(job, &expected));
         }
     }
 

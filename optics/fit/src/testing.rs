@@ -12,7 +12,7 @@ use optics_model::{
     Estimate, Grid, MeasuredProfile, Measurement, Medium, PackedRecords, Profile, Record, TransportPoint,
     Walks,
 };
-use optics_tracer::trace;
+use optics_layers::records;
 
 use super::{DictionaryBuilder, FitDictionary};
 
@@ -134,7 +134,7 @@ pub(super) fn normal(n: u64) -> f64 {
 pub(super) fn traced_profile(scene: Scene, medium: &Medium, mm: f64, walks: Walks, seed: u64) -> Vec<f64> {
     let point = TransportPoint::new(medium.sigma_t_per_mm(), medium.g(), mm, 1.53).unwrap();
     let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, seed, false).unwrap();
-    let record = trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
+    let record = records(&job, &AtomicBool::new(false)).unwrap().remove(0);
     record.profiles[0].radiance_factor.values().iter().map(|v| f64::from(*v)).collect()
 }
 

@@ -6,36 +6,53 @@
 
 use nalgebra::DMatrix;
 use optics_tracer::face::{Face, FacePoint, FaceSide};
-use rayon::prelude::*;
 
+use crate::dense::solved;
 use crate::operator::Operator;
 use crate::quadrature::{Quadrature, Segment};
+use crate::remembered::Remembered;
 
 /// Rays for each node of a rough face, for those in the ring, and for the sensor's direction.
-const RAYS: u32 = 1 << 10;
+const RAYS: u32 = 1 << 12;
 const RAYS_OF_RING: u32 = 1 << 13;
-const RAYS_OF_SENSOR: u32 = 1 << 16;
+const RAYS_OF_SENSOR: u32 = 1 << 14;
 /// Rays for each node by which the loss of a face is found.
-const RAYS_OF_LOSS: u32 = 1 << 14;
+const RAYS_OF_LOSS: u32 = 1 << 15;
 
+/// The matrices of a face, which are computed once.
 pub(crate) fn face(quadrature: &Quadrature, face: &Face) -> Operator {
+    static KNOWN: Remembered<Operator> = Remembered::new(64);
+    let [above, below] = face.iors;
+    if above > below {
+        return self::face(quadrature, &Face { iors: [below, above], ..*face }).turned();
+    }
+    let numbers = [above, below, face.roughness, f64::from(u8::from(face.multiple_scattering))];
+    let key = quadrature.key().iter().copied().chain(numbers.map(f64::to_bits)).collect();
+    KNOWN.get(key, || computed(quadrature, face))
+}
+
+fn computed(quadrature: &Quadrature, face: &Face) -> Operator {
     if face.roughness == 0.0 {
         let [above, below] = [face.iors, [face.iors[1], face.iors[0]]].map(|iors| smooth(quadrature, iors));
         return Operator { reflects_above: above.0, reflects_below: below.0, up: above.1, down: below.1 };
     }
     let rays = |from| one_side(quadrature, face, from);
-    let (above, below) = rayon::join(|| rays(FaceSide::Above), || rays(FaceSide::Below));
-    let matrices = |own: &Rays, other: &Rays| {
+    let (above, below) = std::thread::scope(|scope| {
+        let above = scope.spawn(|| rays(FaceSide::Above));
+        let below = rays(FaceSide::Below);
+        (above.join().expect("rays do not panic"), below)
+    });
+    let matrices = |own: &Rays, other: &Rays, share: f64| {
         let mut pair = [
-            reciprocal(quadrature, &own.reflected, &own.reflected),
-            reciprocal(quadrature, &own.transmitted, &other.transmitted),
+            reciprocal(quadrature, &own.reflected, &own.reflected, 0.5),
+            reciprocal(quadrature, &own.transmitted, &other.transmitted, share),
         ];
         for matrix in &mut pair {
             divide_by_masses(quadrature, matrix);
         }
         keep_sums(quadrature, pair, own)
     };
-    let ([reflects_above, up], [reflects_below, down]) = (matrices(&above, &below), matrices(&below, &above));
+    let ([reflects_above, up], [reflects_below, down]) = (matrices(&above, &below, 1.0), matrices(&below, &above, 0.0));
     Operator { reflects_above, reflects_below, down, up }
 }
 
@@ -63,11 +80,11 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> Rays {
     let [own, other] = if from == FaceSide::Above { face.iors } else { [face.iors[1], face.iors[0]] };
     let exists: Vec<bool> = (0..n).map(|i| quadrature.exists(i, own)).collect();
     let kept = |i: usize| if exists[i] { kept(face, from, quadrature.s2[i] / (own * own)) } else { 0.0 };
-    let kept: Vec<f64> = (0..n).into_par_iter().map(kept).collect();
+    let kept: Vec<f64> = (0..n).map(kept).collect();
     let cast = Cast { quadrature, face, from, own, other };
-    let segments = quadrature.segments().par_iter().filter(|segment| segment.exists(own));
+    let segments = quadrature.segments().iter().filter(|segment| segment.exists(own));
     let from_segments = segments.map(|segment| (segment.nodes.start, cast.segment(segment)));
-    let from_sensor = rayon::iter::once(quadrature.sensor()).map(|sensor| (sensor, cast.sensor()));
+    let from_sensor = std::iter::once(quadrature.sensor()).map(|sensor| (sensor, cast.sensor()));
     let blocks: Vec<(usize, Vec<f64>)> = from_segments.chain(from_sensor).collect();
     let (mut reflected, mut transmitted) = (DMatrix::zeros(n, n), DMatrix::zeros(n, n));
     for (first, block) in blocks {
@@ -153,8 +170,9 @@ impl Cast<'_> {
 }
 
 /// By reciprocity the integrals of the rays from i to j are those from j to i. Of the two the mean is taken; where
-/// just one of the directions is in the ring, whose ends are sharp, the rays that come from it.
-fn reciprocal(quadrature: &Quadrature, rays: &DMatrix<f64>, back: &DMatrix<f64>) -> DMatrix<f64> {
+/// just one of the directions is in the ring, whose ends are sharp, the rays that come from it; where both are, the
+/// first have this share.
+fn reciprocal(quadrature: &Quadrature, rays: &DMatrix<f64>, back: &DMatrix<f64>, share: f64) -> DMatrix<f64> {
     let weights = &quadrature.weights;
     DMatrix::from_fn(rays.nrows(), rays.ncols(), |i, j| {
         if weights[i] == 0.0 || weights[j] == 0.0 {
@@ -164,7 +182,8 @@ fn reciprocal(quadrature: &Quadrature, rays: &DMatrix<f64>, back: &DMatrix<f64>)
         match (quadrature.is_lit(i), quadrature.is_lit(j)) {
             (false, true) => returned,
             (true, false) => rays[(i, j)],
-            _ => f64::midpoint(rays[(i, j)], returned),
+            (true, true) => share * rays[(i, j)] + (1.0 - share) * returned,
+            (false, false) => f64::midpoint(rays[(i, j)], returned),
         }
     })
 }
@@ -173,7 +192,7 @@ fn reciprocal(quadrature: &Quadrature, rays: &DMatrix<f64>, back: &DMatrix<f64>)
 fn divide_by_masses(quadrature: &Quadrature, matrix: &mut DMatrix<f64>) {
     for segment in quadrature.segments() {
         let mut rows = matrix.rows_mut(segment.nodes.start, segment.nodes.len());
-        let solved = segment.mass.clone().lu().solve(&rows).expect("polynomials are independent");
+        let solved = solved(segment.mass.clone(), rows.clone_owned());
         rows.copy_from(&solved);
     }
 }
@@ -189,9 +208,10 @@ fn keep_sums(quadrature: &Quadrature, mut pair: [DMatrix<f64>; 2], rays: &Rays) 
         };
         let all: Vec<usize> = (0..n).collect();
         let (whole, rest) = (sum(&all), sum(&others));
-        let (scaled, part) = if rest > 0.5 * whole { (&others, rest) } else { (&all, whole) };
+        let missing = rays.kept[i] - whole;
+        let (scaled, part) = if missing.abs() < 0.5 * rest { (&others, rest) } else { (&all, whole) };
         if part > 0.0 {
-            let factor = 1.0 + (rays.kept[i] - whole) / part;
+            let factor = 1.0 + missing / part;
             for matrix in &mut pair {
                 for j in scaled {
                     matrix[(i, *j)] *= factor;

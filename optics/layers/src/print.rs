@@ -1,16 +1,20 @@
 //! A stack of slabs in the place of a scene's sample, and its radiance factor over a base.
 
-use nalgebra::{DMatrix, DVector, RowDVector};
+use std::sync::Arc;
+
+use nalgebra::{DVector, RowDVector};
 use optics_model::angle::sin2;
-use optics_model::phase::PhaseShape;
-use optics_model::scene::LayerMedium;
+use optics_model::controls::NARROWEST_PEAK;
+use optics_model::phase::{PhaseFunction, PhaseShape};
+use optics_model::scene::{Layer, LayerMedium};
 use optics_model::{Medium, Scene};
 use optics_tracer::face::Face;
 
 use crate::faces::face;
-use crate::operator::Operator;
+use crate::operator::{Covered, Operator, OverBase};
 use crate::quadrature::Quadrature;
-use crate::slab::slab;
+use crate::remembered::Remembered;
+use crate::slab::Slab;
 
 /// A slab of a medium.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,40 +36,25 @@ pub struct Print {
     bottom: Operator,
     /// Radiance of the ring by direction: that of even light which is as bright on a horizontal surface.
     ring: DVector<f64>,
-}
-
-/// The light seen over Lambertian bases of any reflectance, as a function of it: s + a ρ/(1 − b ρ).
-struct OverBase {
-    /// Over a black base.
-    over_black: f64,
-    /// The light that reaches a base, times what a base adds that sends it back.
-    through: f64,
-    /// Share of a base's light that comes back to it.
-    returned: f64,
-}
-
-impl OverBase {
-    fn at(&self, rho: f64) -> f64 {
-        self.over_black + self.through * rho / (1.0 - self.returned * rho)
-    }
+    /// The numbers that all this follows from, as bits.
+    key: Vec<u64>,
 }
 
 impl Print {
     /// Greatest |g| of a lobe that the directions resolve to 1 %.
-    pub const MOST_G: f64 = 0.96;
+    pub const MOST_G: f64 = 1.0 - NARROWEST_PEAK;
 
     /// A scene whose sample has this index, for slabs whose phase functions have peaks of at least this width
     /// (`PhaseFunction::peak_width`: 1 − |g| of a lobe). Channels, phase function and uncertain quantities of the scene are
     /// not used.
     pub fn new(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
-        let ior = |layer: &optics_model::scene::Layer| match layer.medium() {
+        let ior = |layer: &Layer| match layer.medium() {
             LayerMedium::Clear { ior, .. } => ior,
             LayerMedium::Sample => sample_ior,
         };
         let iors: Vec<f64> = std::iter::once(1.0).chain(scene.layers().iter().map(ior)).collect();
         let ring = [scene.light().inner_deg(), scene.light().outer_deg()].map(sin2);
         let quadrature = Quadrature::new(&iors, sample_ior, peak, ring, sin2(scene.sensor().polar_deg()));
-        let mut faces: Vec<(Face, Operator)> = Vec::new();
         let none = Operator::none(quadrature.len());
         // Above the sample and from there on.
         let mut sides = vec![none.clone()];
@@ -77,10 +66,8 @@ impl Print {
                     roughness: layer.roughness(),
                     multiple_scattering: scene.multiple_scattering(),
                 };
-                let operator = known(&faces, &own).unwrap_or_else(|| face(&quadrature, &own));
-                faces.push((own, operator.clone()));
                 let side = sides.last_mut().expect("one, at least");
-                *side = side.over(&operator);
+                *side = side.over(&face(&quadrature, &own));
             }
             if layer.medium() == LayerMedium::Sample {
                 sides.push(none.clone());
@@ -95,7 +82,15 @@ impl Print {
         };
         let ring = DVector::from_fn(quadrature.len(), |i, _| if is_lit(i) { 1.0 / measure } else { 0.0 });
         let base_ior = *iors.last().expect("air, at least");
-        Self { quadrature, sample_ior, base_ior, top: sides.pop().unwrap_or(none), bottom, ring }
+        let key = looks(scene).chain(quadrature.key().iter().copied()).collect();
+        Self { quadrature, sample_ior, base_ior, top: sides.pop().unwrap_or(none), bottom, ring, key }
+    }
+
+    /// Like [`Self::new`], but what is the same for many media is computed once.
+    pub(crate) fn remembered(scene: &Scene, sample_ior: f64, peak: f64) -> Arc<Self> {
+        static KNOWN: Remembered<Arc<Print>> = Remembered::new(64);
+        let numbers = [sample_ior, peak].map(f64::to_bits);
+        KNOWN.get(looks(scene).chain(numbers).collect(), || Arc::new(Self::new(scene, sample_ior, peak)))
     }
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
@@ -115,36 +110,45 @@ impl Print {
     /// Share of the light that passes the layers: the radiance at the sensor over that of even light in air below, without
     /// a base.
     pub fn transmittance(&self, slabs: &[PrintLayer]) -> f64 {
-        (self.whole(slabs).up * self.even(1.0))[self.quadrature.sensor()]
+        let slabs = slabs.iter().map(|slab| self.operator(slab));
+        let whole = slabs.fold(self.top.clone(), |above, slab| above.over(&slab)).over(&self.bottom);
+        (whole.up * self.even(1.0))[self.quadrature.sensor()]
     }
 
     fn operator(&self, s: &PrintLayer) -> Operator {
         // A mean cosine at the limit of the lobes may lie beyond it by rounding.
         let phase = s.phase.function_near(s.medium.g());
-        let depth = s.medium.sigma_t_per_mm() * s.thickness_mm;
-        slab(&self.quadrature, self.sample_ior, &phase, s.medium.albedo(), depth)
+        self.slab(&phase, s.medium.albedo(), s.medium.sigma_t_per_mm() * s.thickness_mm).operator()
     }
 
-    /// The layers above the base as one.
-    fn whole(&self, slabs: &[PrintLayer]) -> Operator {
-        let slabs = slabs.iter().map(|slab| self.operator(slab));
-        slabs.fold(self.top.clone(), |above, slab| above.over(&slab)).over(&self.bottom)
+    /// A slab of an optical thickness.
+    pub(crate) fn slab(&self, phase: &PhaseFunction, albedo: f64, depth: f64) -> Slab {
+        Slab::new(&self.quadrature, self.sample_ior, phase, albedo, depth)
+    }
+
+    /// The radiance factor of a slab.
+    pub(crate) fn level(&self, slab: &Slab) -> OverBase {
+        self.base().under(&slab.clone().operator()).seen_above(&self.top, &self.sensor(), &self.ring)
+    }
+
+    /// The numbers that a print follows from, as bits.
+    pub(crate) fn key(&self) -> &[u64] {
+        &self.key
     }
 
     /// The sum over directions that is seen of light from above. A base sends the same radiance x = ρ (c + b x) in all
     /// directions, c being the light that reaches it.
     fn over_base(&self, slabs: &[PrintLayer], seen: &RowDVector<f64>, light: &DVector<f64>) -> OverBase {
-        let whole = self.whole(slabs);
+        let slabs = slabs.iter().rev().map(|slab| self.operator(slab));
+        slabs.fold(self.base(), |below, slab| below.under(&slab)).seen_above(&self.top, seen, light)
+    }
+
+    /// The base and all that is below the slabs.
+    fn base(&self) -> Covered {
         let base = self.even(self.base_ior);
         let share = self.base_ior.powi(-2);
         let received = RowDVector::from_fn(base.len(), |_, i| share * base[i] * self.quadrature.weights[i]);
-        let product =
-            |row: &RowDVector<f64>, by: &DMatrix<f64>, column: &DVector<f64>| (row * (by * column))[0];
-        OverBase {
-            over_black: product(seen, &whole.reflects_above, light),
-            through: product(&received, &whole.down, light) * product(seen, &whole.up, &base),
-            returned: product(&received, &whole.reflects_below, &base),
-        }
+        Covered::new(&self.bottom, &base, &received)
     }
 
     /// The sensor's direction.
@@ -160,14 +164,15 @@ impl Print {
     }
 }
 
-/// The operator of a face like an earlier one, or like one upside down.
-fn known(faces: &[(Face, Operator)], own: &Face) -> Option<Operator> {
-    let turned = Face { iors: [own.iors[1], own.iors[0]], ..*own };
-    faces.iter().find_map(|(face, operator)| match () {
-        () if face == own => Some(operator.clone()),
-        () if *face == turned => Some(operator.turned()),
-        () => None,
-    })
+/// What of a scene a print depends on, besides the index of its sample, as bits.
+fn looks(scene: &Scene) -> impl Iterator<Item = u64> {
+    let layer = |layer: &Layer| match layer.medium() {
+        LayerMedium::Clear { ior, .. } => [ior, layer.roughness()],
+        LayerMedium::Sample => [0.0, layer.roughness()],
+    };
+    let (light, losing) = (scene.light(), f64::from(u8::from(!scene.multiple_scattering())));
+    let others = [light.inner_deg(), light.outer_deg(), scene.sensor().polar_deg(), losing];
+    scene.layers().iter().flat_map(layer).chain(others).map(f64::to_bits).collect::<Vec<_>>().into_iter()
 }
 
 #[cfg(test)]

@@ -40,13 +40,18 @@ pub(crate) struct Quadrature {
     /// Weights of d(s²).
     pub weights: Vec<f64>,
     segments: Vec<Segment>,
+    /// The numbers that it follows from.
+    key: Vec<u64>,
 }
 
 impl Quadrature {
     /// `iors` are the indices of all layers; `scattering` is that of the slabs, `peak` the width of the narrowest peak of a
     /// phase function; `ring` are s² of its ends, and `sensor` is s² of the sensor.
     pub(crate) fn new(iors: &[f64], scattering: f64, peak: f64, ring: [f64; 2], sensor: f64) -> Self {
-        let per_cosine = (PER_PEAK / peak).clamp(PER_COSINE.0, PER_COSINE.1);
+        // In steps, so that media of similar g have the same.
+        let per_cosine = (10.0 * (0.1 * PER_PEAK / peak).ceil()).clamp(PER_COSINE.0, PER_COSINE.1);
+        let numbers = iors.iter().chain([&scattering, &per_cosine]).chain(&ring).chain([&sensor]);
+        let key = numbers.map(|number| number.to_bits()).collect();
         let greatest = iors.iter().fold(scattering.max(1.0), |a, b| a.max(*b)).powi(2);
         let squares = iors.iter().map(|n| n * n).chain(ring);
         let mut places: Vec<f64> = squares.chain([0.0, 1.0, scattering * scattering]).collect();
@@ -74,11 +79,16 @@ impl Quadrature {
         }
         s2.push(sensor);
         weights.push(0.0);
-        Self { s2, weights, segments }
+        Self { s2, weights, segments, key }
     }
 
     pub(crate) fn len(&self) -> usize {
         self.s2.len()
+    }
+
+    /// The numbers that it follows from, as bits.
+    pub(crate) fn key(&self) -> &[u64] {
+        &self.key
     }
 
     /// Index of the sensor's direction.

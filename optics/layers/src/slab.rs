@@ -3,6 +3,7 @@
 use nalgebra::DMatrix;
 use optics_model::phase::PhaseFunction;
 
+use crate::dense::{product, solved};
 use crate::operator::Operator;
 use crate::quadrature::Quadrature;
 
@@ -10,25 +11,48 @@ use crate::quadrature::Quadrature;
 /// (τ/μ)³/12 of its light.
 const THIN: f64 = 1.0 / 64.0;
 
-/// A slab without its faces, in a medium of index `ior`: `depth` is its optical thickness.
-pub(crate) fn slab(
-    quadrature: &Quadrature,
-    ior: f64,
-    phase: &PhaseFunction,
-    albedo: f64,
-    depth: f64,
-) -> Operator {
-    let doublings = libm::log2(depth / THIN).ceil().max(0.0) as i32;
-    let (mut r, mut t) = thin(quadrature, ior, phase, albedo, depth / 2_f64.powi(doublings));
-    let n = quadrature.len();
-    for _ in 0..doublings {
-        let between = DMatrix::identity(n, n) - &r * &r;
-        let through = between.lu().solve(&t).expect("light between two layers fades");
-        let reflected = &r + &t * (&r * &through);
-        t = &t * through;
-        r = reflected;
+/// A slab without its faces, in the directions of a quadrature, which passes as much from above as from below.
+#[derive(Debug, Clone)]
+pub(crate) struct Slab {
+    reflects: DMatrix<f64>,
+    passes: DMatrix<f64>,
+}
+
+impl Slab {
+    /// A slab in a medium of index `ior`: `depth` is its optical thickness.
+    pub(crate) fn new(
+        quadrature: &Quadrature,
+        ior: f64,
+        phase: &PhaseFunction,
+        albedo: f64,
+        depth: f64,
+    ) -> Self {
+        let doublings = libm::log2(depth / THIN).ceil().max(0.0) as i32;
+        let thin = thin(quadrature, ior, phase, albedo, depth / 2_f64.powi(doublings));
+        (0..doublings).fold(thin, |slab, _| slab.doubled())
     }
-    Operator { reflects_above: r.clone(), reflects_below: r, down: t.clone(), up: t }
+
+    /// A slab of twice the thickness.
+    pub(crate) fn doubled(&self) -> Self {
+        let n = self.reflects.nrows();
+        let between = DMatrix::identity(n, n) - product(&self.reflects, &self.reflects);
+        let through = solved(between, self.passes.clone());
+        let returned = product(&self.reflects, &through);
+        Self {
+            reflects: &self.reflects + product(&self.passes, &returned),
+            passes: product(&self.passes, &through),
+        }
+    }
+
+    pub(crate) fn operator(self) -> Operator {
+        let Self { reflects, passes } = self;
+        Operator {
+            reflects_above: reflects.clone(),
+            reflects_below: reflects,
+            down: passes.clone(),
+            up: passes,
+        }
+    }
 }
 
 /// Reflection and transmission of a thin slab by the trapezoidal rule.
@@ -41,7 +65,7 @@ fn thin(
     phase: &PhaseFunction,
     albedo: f64,
     tau: f64,
-) -> (DMatrix<f64>, DMatrix<f64>) {
+) -> Slab {
     let n = quadrature.len();
     let (forward, backward) = scattering(quadrature, ior, phase);
     let exists = |i: usize| quadrature.exists(i, ior);
@@ -57,10 +81,10 @@ fn thin(
         });
         let one = DMatrix::from_fn(n, n, |i, j| if i == j { 1.0 } else { 0.0 });
         let kept = DMatrix::from_fn(n, n, |i, j| if i == j && exists(i) { 1.0 } else { 0.0 });
-        (one - &step).lu().solve(&(kept + step)).expect("a thin slab passes light")
+        solved(one - &step, kept + step)
     };
     let (even, odd) = (side(1.0), side(-1.0));
-    ((&even - &odd) * 0.5, (even + odd) * 0.5)
+    Slab { reflects: (&even - &odd) * 0.5, passes: (even + odd) * 0.5 }
 }
 
 /// Shares of the light scattered in direction i that come from direction j, on the same way down or up, and on the other:

@@ -109,7 +109,7 @@ fn layer(layer: &Layer, phase: &PhaseShape) -> Vec<u8> {
     bytes
 }
 
-fn phase(phase: &PhaseShape) -> Vec<u8> {
+pub(crate) fn phase(phase: &PhaseShape) -> Vec<u8> {
     let mut bytes = Vec::new();
     match phase {
         PhaseShape::Lobes(second) => {

@@ -3,6 +3,7 @@
 use crate::digest::Digest;
 use crate::grid::{Grid, Walks};
 use crate::medium::TransportPoint;
+use crate::phase::PhaseShape;
 use crate::scene::Scene;
 use crate::{PHYSICS_VERSION, canonical};
 
@@ -51,6 +52,11 @@ impl Digest {
         hash_numbers(&mut hasher, &numbers);
         hasher.update(&canonical::scene(scene));
         hasher.into()
+    }
+
+    /// Digest of a phase function's shape.
+    pub fn of_phase(phase: &PhaseShape) -> Self {
+        Self::of_bytes(&canonical::phase(phase))
     }
 
     /// Identity of the sums of blocks of walks: that of the walks, and the albedos that they are weighted with.

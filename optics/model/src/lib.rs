@@ -5,6 +5,7 @@
 
 pub mod angle;
 mod canonical;
+pub mod controls;
 pub mod digest;
 mod files;
 pub mod fit;
@@ -34,6 +35,6 @@ pub use profile::{Derivatives, Estimate, Profile, Record};
 pub use quantities::Quantity;
 pub use scene::Scene;
 
-/// Version of everything that changes the bytes of a record: tracer, sampling, random streams.
+/// Version of everything that changes the bytes of a record: tracer, sampling, random streams, exact levels.
 /// Workers and coordinator must agree on it.
-pub const PHYSICS_VERSION: u32 = 7;
+pub const PHYSICS_VERSION: u32 = 8;

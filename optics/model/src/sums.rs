@@ -1,5 +1,6 @@
-//! Accumulates sums over batches of walks, and computes records from them.
+//! Accumulates sums over batches of walks, and computes records from them, with exact levels where they are known.
 
+use crate::controls::Controls;
 use crate::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use crate::invalid::{Invalid, Result};
 use crate::job::JobSpec;
@@ -14,8 +15,13 @@ pub fn result_bytes(job: &JobSpec) -> usize {
     }
 }
 
-/// Sums of a profile's numbers over batches, and of the squares of the batches' deviations from the mean of their chunk:
+/// Relative accuracy of exact levels.
+const LEVEL_ERROR: f64 = 1e-4;
+
+/// Sums over batches of a profile's numbers, and of the squares of the batches' deviations from the mean of their chunk:
 /// `[pixel][channel][quantity][albedo]`.
+///
+/// With exact levels the deviations are those of the corrected radiance factor: see [`Self::into_records`].
 ///
 /// Addition of floating-point numbers depends on the order, so sums are merged in the order of their batches,
 /// wherever they were computed.
@@ -23,6 +29,12 @@ pub fn result_bytes(job: &JobSpec) -> usize {
 pub struct Sums {
     pub sums: Vec<f64>,
     pub deviations: Vec<f64>,
+    /// What the walks score over uniform bases of ρ_light and ρ_dark, at the job's albedos and then at those of its
+    /// [`Controls`]: `[light, dark][channel][albedo]`; empty without controls.
+    pub levels: Vec<f64>,
+    /// Radiance factors over uniform bases, without noise: `[light, dark][channel][control]`. They are 0 until they are
+    /// set.
+    pub exact: Vec<f64>,
     batches: u64,
 }
 
@@ -32,18 +44,35 @@ impl Sums {
 
     /// Sums over no batch.
     pub fn new(job: &JobSpec) -> Self {
-        let len = Self::len(job);
-        Self { sums: vec![0.0; len], deviations: vec![0.0; len], batches: 0 }
+        let [len, levels, exact] = Self::lengths(job);
+        let zeros = |len| vec![0.0; len];
+        Self { sums: zeros(len), deviations: zeros(len), levels: zeros(levels), exact: zeros(exact), batches: 0 }
     }
 
-    fn len(job: &JobSpec) -> usize {
-        let scene = job.scene();
-        scene.sensor().pixels() * scene.channels().len() * quantities(job) * job.albedo().len()
+    /// Sums over no batch, of which records are made without exact levels.
+    pub fn of_walks_alone(job: &JobSpec) -> Self {
+        Self { levels: Vec::new(), exact: Vec::new(), ..Self::new(job) }
+    }
+
+    /// Whether exact levels correct the records.
+    pub fn is_controlled(&self) -> bool {
+        !self.levels.is_empty()
+    }
+
+    /// Numbers of the sums, of the levels and of the exact levels.
+    fn lengths(job: &JobSpec) -> [usize; 3] {
+        let (scene, albedos) = (job.scene(), job.albedo().len());
+        let channels = scene.channels().len();
+        let len = scene.sensor().pixels() * channels * quantities(job) * albedos;
+        let controls = Controls::of_job(job).albedos().len();
+        let levels = if controls > 0 { albedos + controls } else { 0 };
+        [len, 2 * channels * levels, 2 * channels * controls]
     }
 
     /// Bytes that a job's sums take, in memory and on the wire.
     pub fn bytes(job: &JobSpec) -> usize {
-        2 * Self::len(job) * size_of::<f64>()
+        let [len, levels, exact] = Self::lengths(job);
+        (2 * len + levels + exact) * size_of::<f64>()
     }
 
     /// Counts batches whose numbers have been added: a chunk, or the remaining batches in the last one.
@@ -57,18 +86,18 @@ impl Sums {
     /// If they belong to a job of another shape.
     pub fn merge(&mut self, next: &Self) {
         assert_eq!(self.sums.len(), next.sums.len(), "sums of one shape are merged");
-        for (a, b) in self.sums.iter_mut().zip(&next.sums) {
-            *a += b;
-        }
-        for (a, b) in self.deviations.iter_mut().zip(&next.deviations) {
-            *a += b;
-        }
+        let add = |own: &mut [f64], next: &[f64]| own.iter_mut().zip(next).for_each(|(a, b)| *a += b);
+        add(&mut self.sums, &next.sums);
+        add(&mut self.deviations, &next.deviations);
+        add(&mut self.levels, &next.levels);
+        self.exact.clone_from(&next.exact);
         self.batches += next.batches;
     }
 
-    /// Sums, then deviations: 64-bit floats, little endian.
+    /// Sums, deviations, levels, exact levels: 64-bit floats, little endian.
     pub fn to_le_bytes(&self) -> Vec<u8> {
-        self.sums.iter().chain(&self.deviations).flat_map(|v| v.to_le_bytes()).collect()
+        let parts = [&self.sums, &self.deviations, &self.levels, &self.exact];
+        parts.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect()
     }
 
     /// The sums of a job over a number of batches, as [`Self::to_le_bytes`] wrote them.
@@ -84,13 +113,20 @@ impl Sums {
             let allowed = format!("at most {:e} is allowed", Self::LARGEST);
             return Err(Invalid::new(format!("sums[{i}]"), sums[i], allowed));
         }
-        let deviations = sums.split_off(sums.len() / 2);
-        Ok(Self { sums, deviations, batches })
+        let [len, levels, _] = Self::lengths(job);
+        let exact = sums.split_off(2 * len + levels);
+        let levels = sums.split_off(2 * len);
+        let deviations = sums.split_off(len);
+        Ok(Self { sums, deviations, levels, exact, batches })
     }
 
     /// Mean and standard error per pixel, one record per albedo.
     ///
     /// The mean over n batches in c chunks is Σb / n; its standard error √(Σ(b − mean of its chunk)² / (n (n − c))).
+    ///
+    /// With exact levels U and the walks' own, L, the radiance factor F becomes F + (1 − s) Δ_dark + s Δ_light, with the
+    /// share s = (F − L_dark)/(L_light − L_dark) and Δ = Σ w (U − L) over the [`Controls`]. Pixels far from the edge have the
+    /// exact levels. The accuracy of these is part of the standard errors.
     pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
         let scene = job.scene();
         let (pixels, channels, albedos) =
@@ -100,14 +136,23 @@ impl Sums {
         let batches = self.batches as f64;
         let degrees = batches - self.batches.div_ceil(CHUNK_BATCHES) as f64;
         let scale = 1.0 / (BATCH_WALKS as f64 * scene.light().measure());
+        let controls = Controls::of_job(job);
         let estimate = |channel: usize, quantity: usize, albedo: usize| {
             let column = (channel * quantities + quantity) * albedos + albedo;
+            let controlled = quantity == 0 && self.is_controlled();
+            let level = controlled.then(|| {
+                [0, 1].map(|side| self.level(&controls, channels, [side, channel, albedo], scale / batches))
+            });
             let (values, mut std_errors): (_, Vec<f32>) = (0..pixels)
                 .map(|pixel| {
                     let at = pixel * row + column;
-                    let variance = self.deviations[at] / degrees;
-                    let mean = self.sums[at] / batches;
-                    ((mean * scale) as f32, ((variance / batches).sqrt() * scale) as f32)
+                    let by_walks = (self.deviations[at] / degrees / batches).sqrt() * scale;
+                    let mean = self.sums[at] / batches * scale;
+                    let Some([light, dark]) = &level else { return (mean as f32, by_walks as f32) };
+                    let contrast = light.own - dark.own;
+                    let share = if contrast == 0.0 { 0.5 } else { (mean - dark.own) / contrast };
+                    let value = mean + (1.0 - share) * dark.change + share * light.change;
+                    (value as f32, libm::hypot(by_walks, LEVEL_ERROR * value) as f32)
                 })
                 .unzip();
             // A record is the same whether it was packed or not.
@@ -128,6 +173,27 @@ impl Sums {
             })
             .collect()
     }
+
+    fn level(
+        &self,
+        controls: &Controls,
+        channels: usize,
+        [side, channel, albedo]: [usize; 3],
+        scale: f64,
+    ) -> Level {
+        let (row, count) = (side * channels + channel, controls.albedos().len());
+        let len = self.levels.len() / (2 * channels);
+        let (own, walked) = self.levels[row * len..][..len].split_at(len - count);
+        let exact = &self.exact[row * count..][..count];
+        let changes: Vec<f64> = exact.iter().zip(walked).map(|(exact, walked)| exact - walked * scale).collect();
+        Level { own: own[albedo] * scale, change: controls.at(albedo, &changes) }
+    }
+}
+
+/// A level of one albedo: the walks' own, and Δ.
+struct Level {
+    own: f64,
+    change: f64,
 }
 
 /// Quantities estimated per albedo: the radiance factor, and ∂/∂α and ∂/∂σ_t if requested.

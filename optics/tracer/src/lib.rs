@@ -33,6 +33,7 @@ mod wavefront;
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use optics_model::controls::Controls;
 use optics_model::grid::{BATCH_WALKS, BLOCK_BATCHES, CHUNK_BATCHES};
 use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
@@ -44,9 +45,8 @@ pub use bare_board::{BareBoard, SeenBase};
 use exits::{Chunk, Exits, Offset};
 pub use kernel::Kernel;
 use light::Light;
-use scatterings::NodePowers;
 use stack::Stack;
-use tally::Tally;
+use tally::{Albedos, Tally};
 use vertex::Vertices;
 use wavefront::Places;
 
@@ -62,49 +62,49 @@ const WAVE_BYTES: usize = 64 << 20;
 pub struct Stopped;
 
 /// Traces a job on the current rayon pool with the kernel of this process ([`Kernel::chosen`]) and returns one record
-/// per albedo. Checks `stop` continually.
+/// per albedo, by walks alone. Checks `stop` continually.
 pub fn trace(job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
     trace_with(Kernel::chosen(), job, stop)
 }
 
 /// Traces a job with the given kernel: the records of all kernels are the same to the last bit.
 pub fn trace_with(kernel: Kernel, job: &JobSpec, stop: &AtomicBool) -> Result<Vec<Record>, Stopped> {
-    Ok(trace_set_with(kernel, std::slice::from_ref(job), stop)?.pop().unwrap_or_default())
+    let sums = set_sums(kernel, std::slice::from_ref(job), stop, Sums::of_walks_alone)?.pop();
+    Ok(sums.map_or_else(Vec::new, |sums| sums.into_records(job)))
 }
 
-/// Traces jobs that share their walks in the time of one and their scoring: for each the records that [`trace`] returns.
+/// Traces jobs that share their walks in the time of one and their scoring: for each the sums over all of its walks, in
+/// which exact levels are to be set.
 ///
 /// # Panics
 /// If two of the jobs do not share their walks ([`JobSpec::shares_walks_with`]).
-pub fn trace_set(jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
-    trace_set_with(Kernel::chosen(), jobs, stop)
+pub fn trace_set(jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Sums>, Stopped> {
+    set_sums(Kernel::chosen(), jobs, stop, Sums::new)
 }
 
-fn trace_set_with(kernel: Kernel, jobs: &[JobSpec], stop: &AtomicBool) -> Result<Vec<Vec<Record>>, Stopped> {
-    let Some(tracer) = Tracer::new(kernel, jobs, stop) else { return Ok(Vec::new()) };
-    let mut totals: Vec<_> = jobs.iter().map(Sums::new).collect();
+fn set_sums(
+    kernel: Kernel,
+    jobs: &[JobSpec],
+    stop: &AtomicBool,
+    empty: fn(&JobSpec) -> Sums,
+) -> Result<Vec<Sums>, Stopped> {
+    let Some(tracer) = Tracer::new(kernel, jobs, stop, empty) else { return Ok(Vec::new()) };
+    let mut totals: Vec<_> = jobs.iter().map(empty).collect();
     for block in 0..jobs[0].walks().blocks() {
         merge(&mut totals, &tracer.block(block)?);
     }
-    Ok(totals.into_iter().zip(jobs).map(|(total, job)| total.into_records(job)).collect())
+    Ok(totals)
 }
 
-/// Traces one block of a job's walks. The sums of all blocks, merged in their order, make the job's records.
-///
-/// # Panics
-/// If the job has no such block.
-pub fn trace_block(job: &JobSpec, block: u32, stop: &AtomicBool) -> Result<Sums, Stopped> {
-    let mut sums = trace_set_block(std::slice::from_ref(job), block, stop)?;
-    Ok(sums.pop().expect("one job has sums"))
-}
-
-/// Traces one block of jobs that share their walks.
+/// Traces one block of jobs that share their walks, like [`trace_set`]. The sums of all blocks, merged in their order, are
+/// those of the job.
 ///
 /// # Panics
 /// If the jobs have no such block, or do not share their walks.
 pub fn trace_set_block(jobs: &[JobSpec], block: u32, stop: &AtomicBool) -> Result<Vec<Sums>, Stopped> {
     assert!(jobs.iter().all(|job| block < job.walks().blocks()), "block {block} is not of these jobs");
-    Tracer::new(Kernel::chosen(), jobs, stop).map_or_else(|| Ok(Vec::new()), |tracer| tracer.block(block))
+    let tracer = Tracer::new(Kernel::chosen(), jobs, stop, Sums::new);
+    tracer.map_or_else(|| Ok(Vec::new()), |tracer| tracer.block(block))
 }
 
 fn merge(totals: &mut [Sums], sums: &[Sums]) {
@@ -125,27 +125,35 @@ struct Tracer<'a> {
     jobs: &'a [JobSpec],
     stack: Stack,
     light: Light,
-    powers: NodePowers,
+    albedos: Albedos,
     key: [u32; 2],
     stop: &'a AtomicBool,
+    empty: fn(&JobSpec) -> Sums,
 }
 
 impl<'a> Tracer<'a> {
     /// None without jobs.
-    fn new(kernel: Kernel, jobs: &'a [JobSpec], stop: &'a AtomicBool) -> Option<Self> {
+    fn new(
+        kernel: Kernel,
+        jobs: &'a [JobSpec],
+        stop: &'a AtomicBool,
+        empty: fn(&JobSpec) -> Sums,
+    ) -> Option<Self> {
         let job = jobs.first()?;
         for other in jobs {
             assert!(job.shares_walks_with(other), "{:?} has walks of its own", other.point());
         }
         let stack = Stack::new(job.scene(), &job.point());
+        let controls = if empty(job).is_controlled() { Controls::of_job(job) } else { Controls::default() };
         Some(Self {
             kernel,
             jobs,
             light: kernel.light(&stack, job.derivatives()),
             stack,
-            powers: NodePowers::new(job.albedo(), MOST_SCATTERINGS),
+            albedos: Albedos::new(job, controls, MOST_SCATTERINGS),
             key: stream_key(job.seed(), &job.point()),
             stop,
+            empty,
         })
     }
 
@@ -155,7 +163,7 @@ impl<'a> Tracer<'a> {
         let batches = self.jobs[0].walks().batches();
         let chunks =
             u64::from(block) * CHUNKS..((u64::from(block) + 1) * CHUNKS).min(batches.div_ceil(CHUNK_BATCHES));
-        let mut totals: Vec<_> = self.jobs.iter().map(Sums::new).collect();
+        let mut totals: Vec<_> = self.jobs.iter().map(self.empty).collect();
         let bytes: usize = self.jobs.iter().map(Sums::bytes).sum();
         // Waves bound the memory: the sums of one wave at a time wait to be merged.
         let most = 2 * rayon::current_num_threads().max(1);
@@ -198,7 +206,7 @@ impl<'a> Tracer<'a> {
         vertices: &Vertices,
         batches: u64,
     ) -> Result<Sums, Stopped> {
-        let mut tally = Tally::new(job, &self.light, &self.powers, hits, vertices);
+        let mut tally = Tally::new(job, &self.light, &self.albedos, hits, vertices);
         let mut rest = &vertices.all[..];
         for batch in 1..=batches {
             if self.stop.load(Ordering::Relaxed) {
@@ -209,7 +217,7 @@ impl<'a> Tracer<'a> {
             (of_batch, rest) = rest.split_at(rest.partition_point(|vertex| vertex.walk < end));
             self.kernel.score(&mut tally, of_batch);
         }
-        let mut sums = Sums::new(job);
+        let mut sums = (self.empty)(job);
         self.kernel.end(&mut tally, &mut sums);
         Ok(sums)
     }

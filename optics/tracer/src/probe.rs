@@ -2,6 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
+use optics_model::controls::Controls;
 use optics_model::grid::{BATCH_WALKS, CHUNK_BATCHES};
 use optics_model::identity::stream_key;
 use optics_model::job::JobSpec;
@@ -10,9 +11,8 @@ use optics_model::sums::Sums;
 use super::exits::{Chunk, Exits};
 use super::kernel::Kernel;
 use super::light::Light;
-use super::scatterings::NodePowers;
 use super::stack::Stack;
-use super::tally::Tally;
+use super::tally::{Albedos, Tally};
 use super::vertex::Vertices;
 use super::walk::{self, Events};
 use super::wavefront::Places;
@@ -45,7 +45,7 @@ pub struct Scoring<'a> {
     job: &'a JobSpec,
     kernel: Kernel,
     light: Light,
-    powers: NodePowers,
+    albedos: Albedos,
     exits: Exits,
     vertices: Vertices,
 }
@@ -57,15 +57,15 @@ impl<'a> Scoring<'a> {
         let stack = Stack::new(job.scene(), &job.point());
         let light = Light::new(&stack, job.derivatives());
         kernel.run_chunk(&stack, &light, chunk, &AtomicBool::new(false), &mut places, &mut exits)?;
-        let powers = NodePowers::new(job.albedo(), MOST_SCATTERINGS);
-        Ok(Self { job, kernel, light, powers, exits, vertices: Vertices::default() })
+        let albedos = Albedos::new(job, Controls::of_job(job), MOST_SCATTERINGS);
+        Ok(Self { job, kernel, light, albedos, exits, vertices: Vertices::default() })
     }
 
     /// Scores the walks as one batch; returns the memory that the sums take.
     pub fn score(&mut self) -> usize {
         let mut sums = Sums::new(self.job);
         self.vertices.set(&mut self.exits, &self.light);
-        let mut tally = Tally::new(self.job, &self.light, &self.powers, self.exits.hits(), &self.vertices);
+        let mut tally = Tally::new(self.job, &self.light, &self.albedos, self.exits.hits(), &self.vertices);
         self.kernel.score(&mut tally, &self.vertices.all);
         self.kernel.end(&mut tally, &mut sums);
         Sums::bytes(self.job)

@@ -4,6 +4,9 @@
 //! entry position X, a staircase with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so
 //! that the average over each pixel is exact, and integrates at the end.
 //!
+//! Over a uniform base the staircase is flat: its height by the number of hits gives the levels that a profile reaches far
+//! from the edge.
+//!
 //! Only the base breaks the symmetry of left and right, so the mirror image of a walk is as likely as the walk: both
 //! are scored. This reduces the noise of profiles near the edge, and that of their gradients even more.
 //!
@@ -16,6 +19,7 @@
 )]
 
 use fearless_simd::{ExtractToken, Simd, SimdBase, f32x8};
+use optics_model::controls::Controls;
 use optics_model::grid::BATCH_WALKS;
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
@@ -39,7 +43,7 @@ pub struct Tally<'a> {
     free_path_px: f32,
     mm_px: f32,
     edge_px: f32,
-    powers: &'a NodePowers,
+    albedos: &'a Albedos,
     /// Hits of all vertices.
     hits: &'a [Offset],
     nodes: usize,
@@ -48,20 +52,78 @@ pub struct Tally<'a> {
     moments: usize,
     /// `[cell][channel][moment][node]`, with one cell more than pixels.
     steps: Vec<f32>,
-    /// Sums of walks whose hits are few and all in view, by their number: `[hits][moment][node]`. Left of the view all of
-    /// them are dark, whatever the channel.
-    dark: Vec<f32>,
+    /// Sums of walks with few hits, by their number: `[hits][moment][node]`.
+    by_hits: Vec<f32>,
+    /// Sums of the others, weighted as over uniform bases: `[side][channel][moment][node]`.
+    many_hits: [Vec<f32>; 2],
     /// Positions of a walk's steps in pixels from the left end.
     positions: Vec<f32>,
     /// Pixels at which the spread of batches is observed, see [`observed`].
     observed: Vec<usize>,
-    /// Their values up to the last batch, and the sums of the batches' contributions and of the squares of these:
-    /// `[pixel][column]`.
-    before: Vec<f32>,
-    sums: Vec<f64>,
-    squares: Vec<f64>,
+    /// Their values up to the last batch, by pixel.
+    before: Vec<Vec<f32>>,
+    /// Levels at the controls up to the last batch: `[side][channel][control]`.
+    levels_before: Vec<f32>,
+    /// By pixel.
+    spread: Vec<Spread>,
     batches: u64,
 }
+
+/// Albedos that steps are told for: those of the job, and those of its controls.
+#[derive(Debug)]
+pub struct Albedos {
+    powers: NodePowers,
+    controls: Controls,
+    control_powers: NodePowers,
+}
+
+impl Albedos {
+    /// For walks of up to `most` scatterings.
+    pub fn new(job: &JobSpec, controls: Controls, most: u32) -> Self {
+        let [powers, control_powers] =
+            [job.albedo(), controls.albedos()].map(|albedos| NodePowers::new(albedos, most));
+        Self { powers, controls, control_powers }
+    }
+}
+
+/// Sums over batches of contributions to a pixel, by column: of a = F − C_dark and b = C_light − C_dark, C being the levels
+/// that the controls tell, and of their squares and products. Without controls a is F, and b is 0.
+#[derive(Debug, Default, Clone)]
+struct Spread {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    aa: Vec<f64>,
+    ab: Vec<f64>,
+    bb: Vec<f64>,
+}
+
+impl Spread {
+    fn new(columns: usize) -> Self {
+        let [a, b, aa, ab, bb] = std::array::from_fn(|_| vec![0.0; columns]);
+        Self { a, b, aa, ab, bb }
+    }
+
+    fn add(&mut self, column: usize, a: f64, b: f64) {
+        self.a[column] += a;
+        self.b[column] += b;
+        self.aa[column] += a * a;
+        self.ab[column] += a * b;
+        self.bb[column] += b * b;
+    }
+
+    /// Sum of the squares of the deviations of a − s b from its mean.
+    fn deviation(&self, column: usize, share: f64, batches: f64) -> f64 {
+        let [a, b] = [self.a[column], self.b[column]];
+        let variance = self.aa[column] - a * a / batches;
+        let covariance = self.ab[column] - a * b / batches;
+        let of_level = self.bb[column] - b * b / batches;
+        (variance - share * (covariance + covariance - share * of_level)).max(0.0)
+    }
+}
+
+/// Sides of the base.
+const LIGHT: usize = 0;
+const DARK: usize = 1;
 
 /// The base in one channel: powers of its reflectances for numbers of hits, and the difference of the reflectances.
 #[derive(Debug)]
@@ -78,6 +140,11 @@ impl Base {
             std::iter::successors(Some(1.0), next).take(most_hits + 1).map(single).collect()
         };
         Self { light: powers(rho_light), dark: powers(rho_dark), contrast: (rho_light - rho_dark) as f32 }
+    }
+
+    /// Twice the weight of hits over a base that is light or dark everywhere: that of a walk and of its mirror image.
+    fn uniform(&self, side: usize, hits: usize) -> f32 {
+        2.0 * flush(if side == DARK { self.dark[hits] } else { self.light[hits] })
     }
 
     /// ρ_light^a ρ_dark^b.
@@ -101,7 +168,7 @@ impl<'a> Tally<'a> {
     pub fn new(
         job: &'a JobSpec,
         light: &'a Light,
-        powers: &'a NodePowers,
+        albedos: &'a Albedos,
         hits: &'a [Offset],
         vertices: &Vertices,
     ) -> Self {
@@ -110,7 +177,8 @@ impl<'a> Tally<'a> {
         let nodes = count(vertices.most_scatterings);
         let moments = if job.derivatives() { 2 } else { 1 };
         let observed = observed(sensor.pixels());
-        let shown = observed.len() * channels.len() * quantities(job) * job.albedo().len();
+        let columns = channels.len() * quantities(job) * job.albedo().len();
+        let of_level = channels.len() * moments * nodes;
         let most_hits = vertices.most_hits as usize;
         let px_per_mm = 1.0 / sensor.pitch_mm();
         Self {
@@ -120,18 +188,19 @@ impl<'a> Tally<'a> {
             free_path_px: (px_per_mm / job.point().sigma_t_per_mm()) as f32,
             mm_px: px_per_mm as f32,
             edge_px: (0.5 * sensor.width_mm() * px_per_mm) as f32,
-            powers,
+            albedos,
             hits,
             nodes,
             base: channels.iter().map(|c| Base::new(c.rho_light(), c.rho_dark(), most_hits)).collect(),
             moments,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * moments * nodes],
-            dark: vec![0.0; (most_hits.min(FEW_HITS) + 1) * moments * nodes],
+            by_hits: vec![0.0; (most_hits.min(FEW_HITS) + 1) * moments * nodes],
+            many_hits: [0, 1].map(|_| vec![0.0; of_level]),
             positions: Vec::new(),
+            before: vec![vec![0.0; columns]; observed.len()],
+            levels_before: vec![0.0; 2 * channels.len() * albedos.controls.albedos().len()],
+            spread: vec![Spread::new(columns); observed.len()],
             observed,
-            before: vec![0.0; shown],
-            sums: vec![0.0; shown],
-            squares: vec![0.0; shown],
             batches: 0,
         }
     }
@@ -154,13 +223,24 @@ impl<'a> Tally<'a> {
         let left = self.positions.iter().take_while(|&&p| p <= 0.0).count();
         let right = self.positions.iter().rev().take_while(|&&p| p >= pixels).count();
         let weights = f32x8::from_slice(simd, &vertex.weights);
-        if left + right == 0 && hits <= FEW_HITS {
+        if hits <= FEW_HITS {
             let at = hits * self.moments * self.nodes + vertex.first_node as usize;
-            add(&mut self.dark, at, self.nodes, self.moments, weights, vertex.length);
+            add(&mut self.by_hits, at, self.nodes, self.moments, weights, vertex.length);
         } else {
+            for channel in 0..self.base.len() {
+                let at = channel * self.moments * self.nodes + vertex.first_node as usize;
+                for (side, level) in self.many_hits.iter_mut().enumerate() {
+                    let value = self.base[channel].uniform(side, hits);
+                    add(level, at, self.nodes, self.moments, weights * value, vertex.length);
+                }
+            }
+        }
+        if left + right > 0 {
+            // In the first pixel some of its hits are light.
             for channel in 0..self.base.len() {
                 let base = &self.base[channel];
                 let value = base.weight(left, hits - left) + base.weight(right, hits - right);
+                let value = value - base.uniform(DARK, hits);
                 self.add_step(0, channel, weights * value, vertex);
             }
         }
@@ -213,17 +293,38 @@ impl<'a> Tally<'a> {
         1.0 / self.job.point().sigma_t_per_mm()
     }
 
-    /// Sum over all walks that are dark in the first pixel, and over their mirror images: `[channel][moment][node]`.
-    fn beyond(&self) -> Vec<f32> {
+    /// Sum over all walks, and over their mirror images, over a base that is light or dark everywhere:
+    /// `[channel][moment][node]`.
+    fn uniform(&self, side: usize) -> Vec<f32> {
         let of_one = self.moments * self.nodes;
-        let mut level = vec![0.0; self.base.len() * of_one];
+        let mut level = self.many_hits[side].clone();
         for (base, level) in self.base.iter().zip(level.chunks_exact_mut(of_one)) {
-            for (hits, dark) in self.dark.chunks_exact(of_one).enumerate() {
-                let weight = 2.0 * base.weight(0, hits);
-                level.iter_mut().zip(dark).for_each(|(level, dark)| *level += weight * dark);
+            for (hits, sum) in self.by_hits.chunks_exact(of_one).enumerate() {
+                let weight = base.uniform(side, hits);
+                level.iter_mut().zip(sum).for_each(|(level, sum)| *level += weight * sum);
             }
         }
         level
+    }
+
+    /// Levels at the controls: `[channel][control]`.
+    #[inline(always)]
+    fn at_controls<S: Simd>(&self, simd: S, level: &[f32]) -> Vec<f32> {
+        let mut told = vec![0.0; self.base.len() * self.albedos.controls.albedos().len()];
+        self.tell_radiance(simd, level, &self.albedos.control_powers, &mut told);
+        told
+    }
+
+    /// Radiances of the contents of nodes, for every channel and albedo of `powers`.
+    #[inline(always)]
+    fn tell_radiance<S: Simd>(&self, simd: S, level: &[f32], powers: &NodePowers, out: &mut [f32]) {
+        let albedos = out.len() / self.base.len();
+        if albedos > 0 {
+            let rows = level.chunks_exact(self.nodes * self.moments);
+            for (level, out) in rows.zip(out.chunks_exact_mut(albedos)) {
+                powers.sum(simd, &level[..self.nodes], out);
+            }
+        }
     }
 
     /// Numbers of a pixel: every channel's quantities for every albedo.
@@ -240,17 +341,17 @@ impl<'a> Tally<'a> {
             .zip(out.chunks_exact_mut(quantities(self.job) * albedos));
         for (level, row) in rows {
             let (values, derivatives) = row.split_at_mut(albedos);
-            self.powers.sum(simd, &level[..nodes], values);
+            self.albedos.powers.sum(simd, &level[..nodes], values);
             if !derivatives.is_empty() {
                 let (d_albedo, d_sigma_t) = derivatives.split_at_mut(albedos);
                 let (sums, lengths) = level.split_at(nodes);
-                self.powers.sum_derivatives(simd, sums, d_albedo);
+                self.albedos.powers.sum_derivatives(simd, sums, d_albedo);
                 // n/σ_t − L, L being a length in mm.
                 let free_path = self.mean_free_path_mm() as f32;
-                let numbers = sums.iter().zip(lengths).zip(self.powers.numbers());
+                let numbers = sums.iter().zip(lengths).zip(self.albedos.powers.numbers());
                 let held: Vec<f32> =
                     numbers.map(|((sum, length), n)| flush((sum * *n as f32 - length) * free_path)).collect();
-                self.powers.sum(simd, &held, d_sigma_t);
+                self.albedos.powers.sum(simd, &held, d_sigma_t);
             }
         }
     }
@@ -258,10 +359,10 @@ impl<'a> Tally<'a> {
     /// Records the contribution of the batch to the observed pixels.
     #[inline(always)]
     fn end_batch<S: Simd>(&mut self, simd: S) {
-        let columns = self.columns();
-        let mut level = self.beyond();
+        let mut level = self.uniform(DARK);
+        let [dark, contrast] = self.batch_levels(simd, &level);
         let row = level.len();
-        let mut shown = vec![0.0; columns];
+        let mut shown = vec![0.0; self.columns()];
         let mut at = 0;
         for (cell, steps) in self.steps.chunks_exact(row).enumerate() {
             level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
@@ -269,24 +370,50 @@ impl<'a> Tally<'a> {
                 continue;
             }
             self.tell(simd, &level, &mut shown);
-            let places = at * columns..(at + 1) * columns;
-            let sums = self.sums[places.clone()].iter_mut().zip(&mut self.squares[places.clone()]);
-            for ((shown, before), (sum, square)) in shown.iter().zip(&mut self.before[places]).zip(sums) {
+            let (before, spread) = (&mut self.before[at], &mut self.spread[at]);
+            for (column, (shown, before)) in shown.iter().zip(before).enumerate() {
                 let added = f64::from(shown - *before);
                 *before = *shown;
-                *sum += added;
-                *square += added * added;
+                spread.add(column, added - dark[column], contrast[column]);
             }
             at += 1;
         }
         self.batches += 1;
     }
 
+    /// By column, the dark level of the last batch that the controls tell, and the light one's difference from it; 0 for
+    /// derivatives. `dark` is the level of all batches so far.
+    #[inline(always)]
+    fn batch_levels<S: Simd>(&mut self, simd: S, dark: &[f32]) -> [Vec<f64>; 2] {
+        let columns = self.columns();
+        let mut told = [vec![0.0; columns], vec![0.0; columns]];
+        let controls = &self.albedos.controls;
+        if controls.is_empty() {
+            return told;
+        }
+        let mut now = self.at_controls(simd, &self.uniform(LIGHT));
+        now.extend(self.at_controls(simd, dark));
+        let added = now.iter().zip(&self.levels_before).map(|(now, before)| f64::from(now - before));
+        let added: Vec<f64> = added.collect();
+        self.levels_before = now;
+        let (albedos, count) = (self.job.albedo().len(), controls.albedos().len());
+        for channel in 0..self.base.len() {
+            let level = |side: usize| &added[(side * self.base.len() + channel) * count..][..count];
+            for albedo in 0..albedos {
+                let column = channel * quantities(self.job) * albedos + albedo;
+                let [light, dark] = [LIGHT, DARK].map(|side| controls.at(albedo, level(side)));
+                (told[0][column], told[1][column]) = (dark, light - dark);
+            }
+        }
+        told
+    }
+
     /// Adds the sums of the batches and their spread to `total`.
     #[inline(always)]
     pub fn end<S: Simd>(&mut self, simd: S, total: &mut Sums) {
         let columns = self.columns();
-        let mut level = self.beyond();
+        let mut level = self.uniform(DARK);
+        let shares = self.end_levels(simd, &level, total);
         let row = level.len();
         let mut shown = vec![0.0; columns];
         let straight = self.straight();
@@ -298,7 +425,10 @@ impl<'a> Tally<'a> {
             }
         }
         let batches = self.batches as f64;
-        let deviation = |at: usize| (self.squares[at] - self.sums[at] * self.sums[at] / batches).max(0.0);
+        let deviation = |at: usize, column: usize| {
+            let share = shares.share(column, self.before[at][column]);
+            self.spread[at].deviation(column, share, batches)
+        };
         let deviations = total.deviations.chunks_exact_mut(columns);
         let mut at = 0;
         for (pixel, deviations) in deviations.enumerate() {
@@ -309,11 +439,40 @@ impl<'a> Tally<'a> {
             let between = (self.observed[next] - self.observed[at]).max(1) as f64;
             let share = (pixel - self.observed[at]) as f64 / between;
             for (column, sum) in deviations.iter_mut().enumerate() {
-                let [a, b] = [at, next].map(|place| deviation(place * columns + column));
+                let [a, b] = [at, next].map(|place| deviation(place, column));
                 *sum += a + share * (b - a);
             }
         }
         total.add_batches(self.batches);
+    }
+
+    /// Adds the levels of all batches to `total`.
+    #[inline(always)]
+    fn end_levels<S: Simd>(&self, simd: S, dark: &[f32], total: &mut Sums) -> Shares {
+        let (channels, albedos) = (self.base.len(), self.job.albedo().len());
+        let controls = self.albedos.controls.albedos().len();
+        let mut shares = Shares { dark: vec![0.0; self.columns()], contrast: vec![0.0; self.columns()] };
+        if controls == 0 {
+            return shares;
+        }
+        let straight = self.light.straight * (self.batches * BATCH_WALKS) as f64;
+        let mut own = vec![vec![0.0; channels * albedos]; 2];
+        for (side, level) in [&self.uniform(LIGHT), dark].into_iter().enumerate() {
+            self.tell_radiance(simd, level, &self.albedos.powers, &mut own[side]);
+            let at_controls = self.at_controls(simd, level);
+            let rows = own[side].chunks_exact(albedos).zip(at_controls.chunks_exact(controls));
+            let len = channels * (albedos + controls);
+            let sums = total.levels[side * len..][..len].chunks_exact_mut(albedos + controls);
+            for (sums, (own, at_controls)) in sums.zip(rows) {
+                let added = own.iter().chain(at_controls);
+                sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += f64::from(*added) + straight);
+            }
+        }
+        for (i, (light, dark)) in own[LIGHT].iter().zip(&own[DARK]).enumerate() {
+            let column = i / albedos * quantities(self.job) * albedos + i % albedos;
+            (shares.dark[column], shares.contrast[column]) = (*dark, light - dark);
+        }
+        shares
     }
 
     /// Contribution to every pixel of light that meets interfaces only.
@@ -327,6 +486,22 @@ impl<'a> Tally<'a> {
             quantity.extend(std::iter::repeat_n(-length_mm * walks, albedos));
         }
         quantity.repeat(self.base.len())
+    }
+}
+
+/// The levels of a chunk by column; 0 for columns that are not controlled.
+struct Shares {
+    dark: Vec<f32>,
+    contrast: Vec<f32>,
+}
+
+impl Shares {
+    /// The light side's share of a value, see [`Sums::into_records`].
+    fn share(&self, column: usize, value: f32) -> f64 {
+        match f64::from(self.contrast[column]) {
+            0.0 => 0.5,
+            contrast => f64::from(value - self.dark[column]) / contrast,
+        }
     }
 }
 

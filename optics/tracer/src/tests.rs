@@ -3,11 +3,10 @@
 use std::sync::atomic::AtomicBool;
 
 use optics_model::job::JobSpec;
-use optics_model::profile::Record;
 use optics_model::scene::Sensor;
 use optics_model::{Scene, TransportPoint, Walks};
 
-use super::{Kernel, Sums, trace, trace_block, trace_set, trace_set_block, trace_set_with, trace_with};
+use super::{Kernel, Sums, set_sums, trace_set, trace_set_block, trace_with};
 
 static RUN: AtomicBool = AtomicBool::new(false);
 
@@ -22,16 +21,22 @@ fn set(walks: u64, derivatives: bool) -> Vec<JobSpec> {
     [[3.0, 1.0], [6.0, 0.5], [12.0, 0.25]].map(job).to_vec()
 }
 
-/// A record does not depend on the other jobs that share its walks.
+fn alone(job: &JobSpec) -> Sums {
+    trace_set(std::slice::from_ref(job), &RUN).unwrap().remove(0)
+}
+
+/// A job's sums do not depend on the other jobs that share its walks, nor on the kernel.
 #[test]
 fn jobs_of_a_set_match_single_jobs() {
     for derivatives in [false, true] {
         let jobs = set(15_000, derivatives);
-        let alone: Vec<Vec<Record>> = jobs.iter().map(|job| trace(job, &RUN).unwrap()).collect();
-        assert_ne!(alone[0], alone[1], "lengths count");
+        let alone: Vec<Sums> = jobs.iter().map(alone).collect();
+        assert_ne!(alone[0].sums, alone[1].sums, "lengths count");
+        assert_eq!(alone[0].levels, alone[1].levels, "lengths do not count over a uniform base");
         assert_eq!(trace_set(&jobs, &RUN).unwrap(), alone);
-        assert_eq!(trace_set_with(Kernel::SCALAR, &jobs, &RUN).unwrap(), alone);
-        assert_eq!(trace_with(Kernel::SCALAR, &jobs[2], &RUN).unwrap(), alone[2]);
+        assert_eq!(set_sums(Kernel::SCALAR, &jobs, &RUN, Sums::new).unwrap(), alone);
+        let [record, scalar] = [Kernel::chosen(), Kernel::SCALAR].map(|kernel| trace_with(kernel, &jobs[2], &RUN));
+        assert_eq!(record.unwrap(), scalar.unwrap());
     }
     assert_eq!(trace_set(&[], &RUN), Ok(vec![]));
 }
@@ -40,8 +45,9 @@ fn jobs_of_a_set_match_single_jobs() {
 #[test]
 fn blocks_of_a_set_match_single_jobs() {
     let jobs = set(1_005_000, false);
-    let alone: Vec<Sums> = jobs.iter().map(|job| trace_block(job, 1, &RUN).unwrap()).collect();
-    assert_eq!(trace_set_block(&jobs, 1, &RUN).unwrap(), alone);
+    let block = |jobs: &[JobSpec]| trace_set_block(jobs, 1, &RUN).unwrap();
+    let alone: Vec<Sums> = jobs.iter().flat_map(|job| block(std::slice::from_ref(job))).collect();
+    assert_eq!(block(&jobs), alone);
 }
 
 /// Jobs that do not share their walks cannot be traced as a set.

@@ -12,7 +12,6 @@ use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::Sensor;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, PHYSICS_VERSION, Quality, Walks};
-use optics_tracer::trace;
 use tonic::Code;
 use tonic_types::StatusExt;
 
@@ -112,7 +111,7 @@ async fn points_are_traced_until_the_target_error() -> Result<()> {
         let mut records = traced(&plain, job);
         while let Some(more) = quality.more_walks(spec.walks(), Quality::noise_of(&records)) {
             spec = spec.with_walks(more);
-            records = trace(&spec, &AtomicBool::new(false))?;
+            records = optics_layers::records(&spec, &AtomicBool::new(false))?;
         }
         assert!(
             Quality::noise_of(&records) <= target,

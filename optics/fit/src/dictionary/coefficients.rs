@@ -148,7 +148,7 @@ mod tests {
     use optics_model::grid::{Axes, NoiseLevel};
     use optics_model::job::JobSpec;
     use optics_model::{Grid, PackedRecords, Scene};
-    use optics_tracer::trace;
+    use optics_layers::records;
 
     use crate::DictionaryBuilder;
 
@@ -164,7 +164,7 @@ mod tests {
         let mut builder = DictionaryBuilder::new(grid.clone());
         let mut noise = Vec::new();
         for job in (0..grid.job_count()).map(|job| JobSpec::of(&grid, job)) {
-            let records = trace(&job, &AtomicBool::new(false)).unwrap();
+            let records = records(&job, &AtomicBool::new(false)).unwrap();
             noise.extend(
                 records.iter().map(|record| record.profiles[0].radiance_factor.std_errors().to_vec()),
             );

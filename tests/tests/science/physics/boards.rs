@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use optics_model::job::JobSpec;
 use optics_model::scene::Channel;
 use optics_model::{Scene, TransportPoint, Walks};
-use optics_tracer::trace;
+use optics_layers::records;
 
 /// Profiles over all boards come from one set of walks, so the difference is the error of the interpolation alone. It
 /// stays below 0.00003 of white, a tenth of a pixel's noise in a photograph of the example session.
@@ -24,7 +24,7 @@ fn boards_are_interpolated_without_noise() {
         let point = TransportPoint::new(sigma_t, g, thickness_mm, 1.53).unwrap();
         let albedo = vec![0.3, 0.9, 0.99, 0.999, 0.99999];
         let job = JobSpec::new(scene.clone(), point, albedo, Walks::new(20_000).unwrap(), 7, false).unwrap();
-        for record in trace(&job, &AtomicBool::new(false)).unwrap() {
+        for record in records(&job, &AtomicBool::new(false)).unwrap() {
             let values = |channel: usize| record.profiles[channel].radiance_factor.values();
             for (i, channel) in own.iter().enumerate() {
                 let weights = channel.board_weights();

@@ -9,7 +9,7 @@ use optics_model::job::JobSpec;
 use optics_model::measurement::checks::{Finding, Kind, check};
 use optics_model::scene::{Scene, Sensor};
 use optics_model::{MeasuredProfile, Measurement, TransportPoint, Walks};
-use optics_tracer::trace;
+use optics_layers::records;
 
 const SIGMA_T_PER_MM: [f64; 5] = [0.5, 1.5, 5.0, 14.0, 40.0];
 const G: [f64; 3] = [0.0, 0.4, 0.8];
@@ -90,7 +90,7 @@ fn traced(sensor: usize, sigma_t: f64, g: f64) -> Vec<Sample> {
         let point = TransportPoint::new(sigma_t, g, thickness_mm, 1.53).unwrap();
         let walks = Walks::new(50_000 * effort()).unwrap();
         let job = JobSpec::new(scene.clone(), point, ALBEDO.to_vec(), walks, 7, false).unwrap();
-        for (sample, record) in samples.iter_mut().zip(trace(&job, &AtomicBool::new(false)).unwrap()) {
+        for (sample, record) in samples.iter_mut().zip(records(&job, &AtomicBool::new(false)).unwrap()) {
             sample.profiles.extend(scene.channels().iter().zip(&record.profiles).map(
                 |(channel, profile)| {
                     let wide = |v: &[f32]| v.iter().copied().map(f64::from).collect();

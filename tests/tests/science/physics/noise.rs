@@ -8,7 +8,7 @@ use optics_model::job::JobSpec;
 use optics_model::phase::PhaseShape;
 use optics_model::scene::Channel;
 use optics_model::{Grid, Scene, TransportPoint, Walks};
-use optics_tracer::trace;
+use optics_layers::records;
 
 /// Samples per pixel of the paper's dictionary.
 const SAMPLES: f64 = 250_000.0;
@@ -33,7 +33,7 @@ fn variances(
     all.dedup();
     let measure = scene.light().measure();
     let job = JobSpec::new(scene, point, all.clone(), walks, seed, false).unwrap();
-    let records = trace(&job, &AtomicBool::new(false)).unwrap();
+    let records = records(&job, &AtomicBool::new(false)).unwrap();
     let record = |albedo: f64| &records[all.binary_search_by(|a| a.total_cmp(&albedo)).unwrap()];
     let of_albedo = |albedo: &f64| {
         let profile = &record(*albedo).profiles[0].radiance_factor;

@@ -6,7 +6,8 @@ use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
 use optics_model::scene::{Prior, Scene};
 use optics_model::{Grid, Medium, PackedRecords, Walks};
-use optics_tracer::{SeenBase, trace};
+use optics_layers::records;
+use optics_tracer::SeenBase;
 
 use crate::surrogate::{Surrogate, coordinates};
 use crate::testing::traced_profile;
@@ -40,7 +41,7 @@ fn traced(scene: Scene, axes: Axes, walks: Walks, seed: u64) -> FitDictionary {
     let mut builder = DictionaryBuilder::new(grid.clone());
     for job in 0..grid.job_count() {
         let job = JobSpec::of(&grid, job);
-        builder.add(&PackedRecords::pack(&job, &trace(&job, &AtomicBool::new(false)).unwrap()));
+        builder.add(&PackedRecords::pack(&job, &records(&job, &AtomicBool::new(false)).unwrap()));
     }
     builder.build()
 }

@@ -210,7 +210,7 @@ impl Traced {
             let values = estimate.values().iter().map(|v| f64::from(*v)).collect();
             TracedProfile { values, std_error: (squares / 360.0).sqrt() }
         };
-        optics_tracer::trace(&job, &AtomicBool::new(false)).unwrap().into_iter().map(profile).collect()
+        optics_layers::records(&job, &AtomicBool::new(false)).unwrap().into_iter().map(profile).collect()
     }
 
     /// A dictionary that ranges over σ_t from 1 to 20 and has nodes where a medium of this optical thickness needs them,
