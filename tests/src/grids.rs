@@ -2,11 +2,11 @@
 
 use std::sync::atomic::AtomicBool;
 
+use optics_layers::records;
 use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Channel, Scene, Sensor};
 use optics_model::{Digest, Grid, Record, Walks};
-use optics_layers::records;
 use rayon::prelude::*;
 
 /// A grid of 12 jobs and 36 records that takes a second of one core.

@@ -9,9 +9,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock};
 
 use optics_fit::{DictionaryBuilder, FitDictionary};
+use optics_layers::records_of_set;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, PHYSICS_VERSION, PackedRecords};
-use optics_layers::records_of_set;
 
 /// Dictionaries with more bytes, such as those of many bands, are used by one test alone, and are not stored.
 const MOST_BYTES: usize = 300 << 20;
@@ -127,7 +127,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
         let [one, other] = [3, 4].map(|job| JobSpec::of(&small_grid(), job));
-        let traced = PackedRecords::pack(&one, &optics_layers::records(&one, &AtomicBool::new(false)).unwrap());
+        let traced =
+            PackedRecords::pack(&one, &optics_layers::records(&one, &AtomicBool::new(false)).unwrap());
         assert!(!is_read(folder, &one));
         assert_eq!(records_within(folder, &one), traced);
         assert_eq!(read(folder, &one), Some(traced.clone()));
@@ -149,7 +150,10 @@ mod tests {
         let (grid, folder) = (small_grid(), tempfile::tempdir().unwrap());
         let mut single = DictionaryBuilder::new(grid.clone());
         for job in (0..grid.job_count()).map(|job| JobSpec::of(&grid, job)) {
-            single.add(&PackedRecords::pack(&job, &optics_layers::records(&job, &AtomicBool::new(false)).unwrap()));
+            single.add(&PackedRecords::pack(
+                &job,
+                &optics_layers::records(&job, &AtomicBool::new(false)).unwrap(),
+            ));
         }
         let single = single.build();
         for built in [(); 2].map(|()| build(folder.path(), &grid)) {

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::AtomicBool;
 
+use optics_layers::records;
 use optics_model::fit::FitSettings;
 use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
@@ -12,7 +13,6 @@ use optics_model::{
     Estimate, Grid, MeasuredProfile, Measurement, Medium, PackedRecords, Profile, Record, TransportPoint,
     Walks,
 };
-use optics_layers::records;
 
 use super::{DictionaryBuilder, FitDictionary};
 

@@ -13,7 +13,7 @@ use crate::quadrature::{Quadrature, Segment};
 use crate::remembered::Remembered;
 
 /// Rays for each node of a rough face, for those in the ring, and for the sensor's direction.
-const RAYS: u32 = 1 << 12;
+const RAYS: u32 = 1 << 10;
 const RAYS_OF_RING: u32 = 1 << 13;
 const RAYS_OF_SENSOR: u32 = 1 << 14;
 /// Rays for each node by which the loss of a face is found.
@@ -52,7 +52,8 @@ fn computed(quadrature: &Quadrature, face: &Face) -> Operator {
         }
         keep_sums(quadrature, pair, own)
     };
-    let ([reflects_above, up], [reflects_below, down]) = (matrices(&above, &below, 1.0), matrices(&below, &above, 0.0));
+    let ([reflects_above, up], [reflects_below, down]) =
+        (matrices(&above, &below, 1.0), matrices(&below, &above, 0.0));
     Operator { reflects_above, reflects_below, down, up }
 }
 

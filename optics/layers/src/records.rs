@@ -58,6 +58,7 @@ fn levels(job: &JobSpec) -> Vec<f64> {
     let phase = (scene.phase(), point.g());
     let ladder = |albedo: &f64| Ladder::remembered(&print, phase, *albedo, depth);
     let ladders: Vec<_> = controls.albedos().par_iter().map(ladder).collect();
-    let rows = [Channel::rho_light, Channel::rho_dark].into_iter().flat_map(|rho| scene.channels().iter().map(rho));
+    let rows =
+        [Channel::rho_light, Channel::rho_dark].into_iter().flat_map(|rho| scene.channels().iter().map(rho));
     rows.flat_map(|rho| ladders.iter().map(move |ladder| ladder.level(depth, rho))).collect()
 }

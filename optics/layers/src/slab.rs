@@ -59,13 +59,7 @@ impl Slab {
 ///
 /// With D downwards and U upwards, dD/dτ = A D + B U and −dU/dτ = A U + B D. For light that arrives from both sides, alike
 /// or with opposite signs, both are the solutions E± = (1 − τ/2 (A ± B))⁻¹ (1 + τ/2 (A ± B)) = T ± R.
-fn thin(
-    quadrature: &Quadrature,
-    ior: f64,
-    phase: &PhaseFunction,
-    albedo: f64,
-    tau: f64,
-) -> Slab {
+fn thin(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction, albedo: f64, tau: f64) -> Slab {
     let n = quadrature.len();
     let (forward, backward) = scattering(quadrature, ior, phase);
     let exists = |i: usize| quadrature.exists(i, ior);

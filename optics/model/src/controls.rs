@@ -30,7 +30,8 @@ impl Controls {
         let places: Vec<[(usize, f64); 2]> = job.albedo().iter().map(|albedo| weights(*albedo)).collect();
         let is_used = |k: &usize| places.iter().flatten().any(|(place, weight)| place == k && *weight > 0.0);
         let used: Vec<usize> = (0..ALBEDOS.len()).filter(is_used).collect();
-        let number = |(place, weight): (usize, f64)| (used.iter().position(|k| *k == place).unwrap_or(0), weight);
+        let number =
+            |(place, weight): (usize, f64)| (used.iter().position(|k| *k == place).unwrap_or(0), weight);
         Self {
             albedos: used.iter().map(|k| ALBEDOS[*k]).collect(),
             weights: places.iter().map(|pair| pair.map(number)).collect(),

@@ -46,7 +46,13 @@ impl Sums {
     pub fn new(job: &JobSpec) -> Self {
         let [len, levels, exact] = Self::lengths(job);
         let zeros = |len| vec![0.0; len];
-        Self { sums: zeros(len), deviations: zeros(len), levels: zeros(levels), exact: zeros(exact), batches: 0 }
+        Self {
+            sums: zeros(len),
+            deviations: zeros(len),
+            levels: zeros(levels),
+            exact: zeros(exact),
+            batches: 0,
+        }
     }
 
     /// Sums over no batch, of which records are made without exact levels.
@@ -152,7 +158,8 @@ impl Sums {
                     let contrast = light.own - dark.own;
                     let share = if contrast == 0.0 { 0.5 } else { (mean - dark.own) / contrast };
                     let value = mean + (1.0 - share) * dark.change + share * light.change;
-                    (value as f32, libm::hypot(by_walks, LEVEL_ERROR * value) as f32)
+                    let level_error = LEVEL_ERROR * value;
+                    (value as f32, (by_walks * by_walks + level_error * level_error).sqrt() as f32)
                 })
                 .unzip();
             // A record is the same whether it was packed or not.
@@ -185,7 +192,8 @@ impl Sums {
         let len = self.levels.len() / (2 * channels);
         let (own, walked) = self.levels[row * len..][..len].split_at(len - count);
         let exact = &self.exact[row * count..][..count];
-        let changes: Vec<f64> = exact.iter().zip(walked).map(|(exact, walked)| exact - walked * scale).collect();
+        let changes: Vec<f64> =
+            exact.iter().zip(walked).map(|(exact, walked)| exact - walked * scale).collect();
         Level { own: own[albedo] * scale, change: controls.at(albedo, &changes) }
     }
 }

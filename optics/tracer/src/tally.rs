@@ -103,15 +103,25 @@ impl Spread {
         Self { a, b, aa, ab, bb }
     }
 
-    fn add(&mut self, column: usize, a: f64, b: f64) {
-        self.a[column] += a;
-        self.b[column] += b;
-        self.aa[column] += a * a;
-        self.ab[column] += a * b;
-        self.bb[column] += b * b;
+    /// Adds a batch's contributions to F, less C_dark, and to C_light − C_dark.
+    #[inline(always)]
+    fn add(&mut self, added: &[f32], [dark, contrast]: &[Vec<f64>; 2]) {
+        let [a, b, aa, ab, bb] = [&mut self.a, &mut self.b, &mut self.aa, &mut self.ab, &mut self.bb];
+        let len = added.len();
+        let [dark, contrast] = [&dark[..len], &contrast[..len]];
+        let [a, b, aa, ab, bb] = [a, b, aa, ab, bb].map(|sums| &mut sums[..len]);
+        for i in 0..len {
+            let (of_dark, of_contrast) = (f64::from(added[i]) - dark[i], contrast[i]);
+            a[i] += of_dark;
+            b[i] += of_contrast;
+            aa[i] += of_dark * of_dark;
+            ab[i] += of_dark * of_contrast;
+            bb[i] += of_contrast * of_contrast;
+        }
     }
 
     /// Sum of the squares of the deviations of a − s b from its mean.
+    #[inline(always)]
     fn deviation(&self, column: usize, share: f64, batches: f64) -> f64 {
         let [a, b] = [self.a[column], self.b[column]];
         let variance = self.aa[column] - a * a / batches;
@@ -360,7 +370,7 @@ impl<'a> Tally<'a> {
     #[inline(always)]
     fn end_batch<S: Simd>(&mut self, simd: S) {
         let mut level = self.uniform(DARK);
-        let [dark, contrast] = self.batch_levels(simd, &level);
+        let levels = self.batch_levels(simd, &level);
         let row = level.len();
         let mut shown = vec![0.0; self.columns()];
         let mut at = 0;
@@ -370,12 +380,10 @@ impl<'a> Tally<'a> {
                 continue;
             }
             self.tell(simd, &level, &mut shown);
-            let (before, spread) = (&mut self.before[at], &mut self.spread[at]);
-            for (column, (shown, before)) in shown.iter().zip(before).enumerate() {
-                let added = f64::from(shown - *before);
-                *before = *shown;
-                spread.add(column, added - dark[column], contrast[column]);
-            }
+            // What is left in `before` is the contribution of this batch.
+            self.before[at].iter_mut().zip(&shown).for_each(|(before, shown)| *before = shown - *before);
+            self.spread[at].add(&self.before[at], &levels);
+            self.before[at].copy_from_slice(&shown);
             at += 1;
         }
         self.batches += 1;
@@ -425,10 +433,16 @@ impl<'a> Tally<'a> {
             }
         }
         let batches = self.batches as f64;
-        let deviation = |at: usize, column: usize| {
-            let share = shares.share(column, self.before[at][column]);
-            self.spread[at].deviation(column, share, batches)
-        };
+        let observed: Vec<Vec<f64>> = self
+            .spread
+            .iter()
+            .zip(&self.before)
+            .map(|(spread, values)| {
+                let deviation =
+                    |column| spread.deviation(column, shares.share(column, values[column]), batches);
+                (0..columns).map(deviation).collect()
+            })
+            .collect();
         let deviations = total.deviations.chunks_exact_mut(columns);
         let mut at = 0;
         for (pixel, deviations) in deviations.enumerate() {
@@ -438,8 +452,7 @@ impl<'a> Tally<'a> {
             let next = (at + 1).min(self.observed.len() - 1);
             let between = (self.observed[next] - self.observed[at]).max(1) as f64;
             let share = (pixel - self.observed[at]) as f64 / between;
-            for (column, sum) in deviations.iter_mut().enumerate() {
-                let [a, b] = [at, next].map(|place| deviation(place, column));
+            for (sum, (a, b)) in deviations.iter_mut().zip(observed[at].iter().zip(&observed[next])) {
                 *sum += a + share * (b - a);
             }
         }
@@ -497,6 +510,7 @@ struct Shares {
 
 impl Shares {
     /// The light side's share of a value, see [`Sums::into_records`].
+    #[inline(always)]
     fn share(&self, column: usize, value: f32) -> f64 {
         match f64::from(self.contrast[column]) {
             0.0 => 0.5,

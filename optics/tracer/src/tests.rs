@@ -35,7 +35,8 @@ fn jobs_of_a_set_match_single_jobs() {
         assert_eq!(alone[0].levels, alone[1].levels, "lengths do not count over a uniform base");
         assert_eq!(trace_set(&jobs, &RUN).unwrap(), alone);
         assert_eq!(set_sums(Kernel::SCALAR, &jobs, &RUN, Sums::new).unwrap(), alone);
-        let [record, scalar] = [Kernel::chosen(), Kernel::SCALAR].map(|kernel| trace_with(kernel, &jobs[2], &RUN));
+        let [record, scalar] =
+            [Kernel::chosen(), Kernel::SCALAR].map(|kernel| trace_with(kernel, &jobs[2], &RUN));
         assert_eq!(record.unwrap(), scalar.unwrap());
     }
     assert_eq!(trace_set(&[], &RUN), Ok(vec![]));

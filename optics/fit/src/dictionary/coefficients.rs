@@ -145,10 +145,10 @@ fn describe(basis: &[Vec<f64>], values: &[f64], mut add: impl FnMut(f64)) {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
+    use optics_layers::records;
     use optics_model::grid::{Axes, NoiseLevel};
     use optics_model::job::JobSpec;
     use optics_model::{Grid, PackedRecords, Scene};
-    use optics_layers::records;
 
     use crate::DictionaryBuilder;
 

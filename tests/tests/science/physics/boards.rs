@@ -2,10 +2,10 @@
 
 use std::sync::atomic::AtomicBool;
 
+use optics_layers::records;
 use optics_model::job::JobSpec;
 use optics_model::scene::Channel;
 use optics_model::{Scene, TransportPoint, Walks};
-use optics_layers::records;
 
 /// Profiles over all boards come from one set of walks, so the difference is the error of the interpolation alone. It
 /// stays below 0.00003 of white, a tenth of a pixel's noise in a photograph of the example session.

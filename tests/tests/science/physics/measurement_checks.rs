@@ -5,11 +5,11 @@ use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 use farm_tests::statistics::{Normal, effort};
+use optics_layers::records;
 use optics_model::job::JobSpec;
 use optics_model::measurement::checks::{Finding, Kind, check};
 use optics_model::scene::{Scene, Sensor};
 use optics_model::{MeasuredProfile, Measurement, TransportPoint, Walks};
-use optics_layers::records;
 
 const SIGMA_T_PER_MM: [f64; 5] = [0.5, 1.5, 5.0, 14.0, 40.0];
 const G: [f64; 3] = [0.0, 0.4, 0.8];

@@ -3,12 +3,12 @@
 use std::sync::atomic::AtomicBool;
 
 use farm_tests::reference;
+use optics_layers::records;
 use optics_model::grid::{Effort, NoiseLevel};
 use optics_model::job::JobSpec;
 use optics_model::phase::PhaseShape;
 use optics_model::scene::Channel;
 use optics_model::{Grid, Scene, TransportPoint, Walks};
-use optics_layers::records;
 
 /// Samples per pixel of the paper's dictionary.
 const SAMPLES: f64 = 250_000.0;

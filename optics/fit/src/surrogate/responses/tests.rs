@@ -2,11 +2,11 @@
 
 use std::sync::atomic::AtomicBool;
 
+use optics_layers::records;
 use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
 use optics_model::scene::{Prior, Scene};
 use optics_model::{Grid, Medium, PackedRecords, Walks};
-use optics_layers::records;
 use optics_tracer::SeenBase;
 
 use crate::surrogate::{Surrogate, coordinates};
