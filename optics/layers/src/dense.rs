@@ -102,4 +102,18 @@ mod tests {
             assert!((solved(system, b) - expected).abs().max() < 1e-12, "{n}");
         }
     }
+
+    /// Vectors of any width give the same bits.
+    #[test]
+    fn all_vector_widths_give_the_same_bits() {
+        let n = 45;
+        let [a, b] =
+            [0, 7].map(|seed| DMatrix::from_fn(n, n, |i, j| libm::sin((seed + i * 31 + j * 17) as f64)));
+        let (mut narrow, mut left) = (DMatrix::zeros(n, n), a.clone());
+        dispatch!(Level::baseline(), _simd => multiply([n, n], a.as_slice(), b.as_slice(), narrow.as_mut_slice()));
+        assert_eq!(narrow, product(&a, &b));
+        let mut solution = b.clone();
+        dispatch!(Level::baseline(), _simd => eliminate(n, left.as_mut_slice(), solution.as_mut_slice()));
+        assert_eq!(solution, solved(a, b));
+    }
 }

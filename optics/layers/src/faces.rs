@@ -14,8 +14,8 @@ use crate::remembered::Remembered;
 
 /// Rays for each node of a rough face, for those in the ring, and for the sensor's direction.
 const RAYS: u32 = 1 << 10;
-const RAYS_OF_RING: u32 = 1 << 13;
-const RAYS_OF_SENSOR: u32 = 1 << 14;
+const RAYS_OF_RING: u32 = 1 << 11;
+const RAYS_OF_SENSOR: u32 = 1 << 13;
 /// Rays for each node by which the loss of a face is found.
 const RAYS_OF_LOSS: u32 = 1 << 15;
 

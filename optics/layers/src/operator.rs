@@ -105,7 +105,7 @@ impl Covered {
         }
     }
 
-    /// What is seen above one more layer, of light from above.
+    /// The light that is seen above one more layer.
     pub(crate) fn seen_above(
         &self,
         layer: &Operator,

@@ -14,7 +14,7 @@ use crate::faces::face;
 use crate::operator::{Covered, Operator, OverBase};
 use crate::quadrature::Quadrature;
 use crate::remembered::Remembered;
-use crate::slab::Slab;
+use crate::slab::MediumSlab;
 
 /// A slab of a medium.
 #[derive(Debug, Clone, PartialEq)]
@@ -122,12 +122,12 @@ impl Print {
     }
 
     /// A slab of an optical thickness.
-    pub(crate) fn slab(&self, phase: &PhaseFunction, albedo: f64, depth: f64) -> Slab {
-        Slab::new(&self.quadrature, self.sample_ior, phase, albedo, depth)
+    pub(crate) fn slab(&self, phase: &PhaseFunction, albedo: f64, depth: f64) -> MediumSlab {
+        MediumSlab::new(&self.quadrature, self.sample_ior, phase, albedo, depth)
     }
 
     /// The radiance factor of a slab.
-    pub(crate) fn level(&self, slab: &Slab) -> OverBase {
+    pub(crate) fn level(&self, slab: &MediumSlab) -> OverBase {
         self.base().under(&slab.clone().operator()).seen_above(&self.top, &self.sensor(), &self.ring)
     }
 
@@ -164,7 +164,7 @@ impl Print {
     }
 }
 
-/// What of a scene a print depends on, besides the index of its sample, as bits.
+/// The numbers of a scene that a print depends on, besides the index of its sample, as bits.
 fn looks(scene: &Scene) -> impl Iterator<Item = u64> {
     let layer = |layer: &Layer| match layer.medium() {
         LayerMedium::Clear { ior, .. } => [ior, layer.roughness()],

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, OnceLock, PoisonError};
 
-type Cells<V> = HashMap<Vec<u64>, Arc<OnceLock<V>>>;
+type KnownValues<V> = HashMap<Vec<u64>, Arc<OnceLock<V>>>;
 
 /// Values by their keys; when there are too many, all are forgotten.
 pub(crate) struct Remembered<V> {
     most: usize,
-    known: LazyLock<Mutex<Cells<V>>>,
+    known: LazyLock<Mutex<KnownValues<V>>>,
 }
 
 impl<V: Clone> Remembered<V> {

@@ -13,12 +13,12 @@ const THIN: f64 = 1.0 / 64.0;
 
 /// A slab without its faces, in the directions of a quadrature, which passes as much from above as from below.
 #[derive(Debug, Clone)]
-pub(crate) struct Slab {
+pub(crate) struct MediumSlab {
     reflects: DMatrix<f64>,
     passes: DMatrix<f64>,
 }
 
-impl Slab {
+impl MediumSlab {
     /// A slab in a medium of index `ior`: `depth` is its optical thickness.
     pub(crate) fn new(
         quadrature: &Quadrature,
@@ -59,7 +59,7 @@ impl Slab {
 ///
 /// With D downwards and U upwards, dD/dτ = A D + B U and −dU/dτ = A U + B D. For light that arrives from both sides, alike
 /// or with opposite signs, both are the solutions E± = (1 − τ/2 (A ± B))⁻¹ (1 + τ/2 (A ± B)) = T ± R.
-fn thin(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction, albedo: f64, tau: f64) -> Slab {
+fn thin(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction, albedo: f64, tau: f64) -> MediumSlab {
     let n = quadrature.len();
     let (forward, backward) = scattering(quadrature, ior, phase);
     let exists = |i: usize| quadrature.exists(i, ior);
@@ -78,7 +78,7 @@ fn thin(quadrature: &Quadrature, ior: f64, phase: &PhaseFunction, albedo: f64, t
         solved(one - &step, kept + step)
     };
     let (even, odd) = (side(1.0), side(-1.0));
-    Slab { reflects: (&even - &odd) * 0.5, passes: (even + odd) * 0.5 }
+    MediumSlab { reflects: (&even - &odd) * 0.5, passes: (even + odd) * 0.5 }
 }
 
 /// Shares of the light scattered in direction i that come from direction j, on the same way down or up, and on the other:

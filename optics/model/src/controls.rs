@@ -1,4 +1,4 @@
-//! Albedos at which the levels of walks are compared with exact ones, and how the difference is told at other albedos.
+//! Chooses albedos at which the levels of walks are compared with exact ones, and interpolates the differences.
 //!
 //! A level is the radiance factor over a uniform base, which a profile reaches far from the edge. Walks of a finite number
 //! give it as L, a solver of plane layers as U. For any weights w the mean of Σ w (U − L) over a few albedos is 0, so
@@ -72,7 +72,7 @@ mod tests {
         Controls::of_job(&JobSpec::new(Scene::paper(), point, albedo, Walks::PAPER, 1, false).unwrap())
     }
 
-    /// A function that is linear in √(1 − α) between neighbours is told exactly, at any albedo.
+    /// A function that is linear in √(1 − α) between neighbours is interpolated exactly, at any albedo.
     #[test]
     fn linear_functions_are_exact() {
         let albedo = vec![0.0, 0.2, 0.35, 0.9375, 0.99, 0.99999, 1.0];

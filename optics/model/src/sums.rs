@@ -29,7 +29,7 @@ const LEVEL_ERROR: f64 = 1e-4;
 pub struct Sums {
     pub sums: Vec<f64>,
     pub deviations: Vec<f64>,
-    /// What the walks score over uniform bases of ρ_light and ρ_dark, at the job's albedos and then at those of its
+    /// Scores of the walks over uniform bases of ρ_light and ρ_dark, at the job's albedos and then at those of its
     /// [`Controls`]: `[light, dark][channel][albedo]`; empty without controls.
     pub levels: Vec<f64>,
     /// Radiance factors over uniform bases, without noise: `[light, dark][channel][control]`. They are 0 until they are
@@ -131,8 +131,8 @@ impl Sums {
     /// The mean over n batches in c chunks is Σb / n; its standard error √(Σ(b − mean of its chunk)² / (n (n − c))).
     ///
     /// With exact levels U and the walks' own, L, the radiance factor F becomes F + (1 − s) Δ_dark + s Δ_light, with the
-    /// share s = (F − L_dark)/(L_light − L_dark) and Δ = Σ w (U − L) over the [`Controls`]. Pixels far from the edge have the
-    /// exact levels. The accuracy of these is part of the standard errors.
+    /// share s = (F − L_dark)/(L_light − L_dark) and Δ = Σ w (U − L) over the [`Controls`]. Far from the edge the exact
+    /// levels are left. Their accuracy is part of the standard errors.
     pub fn into_records(self, job: &JobSpec) -> Vec<Record> {
         let scene = job.scene();
         let (pixels, channels, albedos) =
@@ -187,19 +187,19 @@ impl Sums {
         channels: usize,
         [side, channel, albedo]: [usize; 3],
         scale: f64,
-    ) -> Level {
+    ) -> WalkedLevel {
         let (row, count) = (side * channels + channel, controls.albedos().len());
         let len = self.levels.len() / (2 * channels);
         let (own, walked) = self.levels[row * len..][..len].split_at(len - count);
         let exact = &self.exact[row * count..][..count];
         let changes: Vec<f64> =
             exact.iter().zip(walked).map(|(exact, walked)| exact - walked * scale).collect();
-        Level { own: own[albedo] * scale, change: controls.at(albedo, &changes) }
+        WalkedLevel { own: own[albedo] * scale, change: controls.at(albedo, &changes) }
     }
 }
 
 /// A level of one albedo: the walks' own, and Δ.
-struct Level {
+struct WalkedLevel {
     own: f64,
     change: f64,
 }

@@ -69,7 +69,7 @@ pub struct Tally<'a> {
     batches: u64,
 }
 
-/// Albedos that steps are told for: those of the job, and those of its controls.
+/// Albedos at which steps are summed: those of the job, and those of its controls.
 #[derive(Debug)]
 pub struct Albedos {
     powers: NodePowers,
@@ -87,7 +87,7 @@ impl Albedos {
 }
 
 /// Sums over batches of contributions to a pixel, by column: of a = F − C_dark and b = C_light − C_dark, C being the levels
-/// that the controls tell, and of their squares and products. Without controls a is F, and b is 0.
+/// by the controls, and of their squares and products. Without controls a is F, and b is 0.
 #[derive(Debug, Default, Clone)]
 struct Spread {
     a: Vec<f64>,
@@ -320,14 +320,14 @@ impl<'a> Tally<'a> {
     /// Levels at the controls: `[channel][control]`.
     #[inline(always)]
     fn at_controls<S: Simd>(&self, simd: S, level: &[f32]) -> Vec<f32> {
-        let mut told = vec![0.0; self.base.len() * self.albedos.controls.albedos().len()];
-        self.tell_radiance(simd, level, &self.albedos.control_powers, &mut told);
-        told
+        let mut levels = vec![0.0; self.base.len() * self.albedos.controls.albedos().len()];
+        self.sum_radiance(simd, level, &self.albedos.control_powers, &mut levels);
+        levels
     }
 
     /// Radiances of the contents of nodes, for every channel and albedo of `powers`.
     #[inline(always)]
-    fn tell_radiance<S: Simd>(&self, simd: S, level: &[f32], powers: &NodePowers, out: &mut [f32]) {
+    fn sum_radiance<S: Simd>(&self, simd: S, level: &[f32], powers: &NodePowers, out: &mut [f32]) {
         let albedos = out.len() / self.base.len();
         if albedos > 0 {
             let rows = level.chunks_exact(self.nodes * self.moments);
@@ -380,7 +380,7 @@ impl<'a> Tally<'a> {
                 continue;
             }
             self.tell(simd, &level, &mut shown);
-            // What is left in `before` is the contribution of this batch.
+            // `before` holds the contribution of this batch for a moment.
             self.before[at].iter_mut().zip(&shown).for_each(|(before, shown)| *before = shown - *before);
             self.spread[at].add(&self.before[at], &levels);
             self.before[at].copy_from_slice(&shown);
@@ -389,15 +389,15 @@ impl<'a> Tally<'a> {
         self.batches += 1;
     }
 
-    /// By column, the dark level of the last batch that the controls tell, and the light one's difference from it; 0 for
+    /// By column, the dark level of the last batch by the controls, and the light one's difference from it; 0 for
     /// derivatives. `dark` is the level of all batches so far.
     #[inline(always)]
     fn batch_levels<S: Simd>(&mut self, simd: S, dark: &[f32]) -> [Vec<f64>; 2] {
         let columns = self.columns();
-        let mut told = [vec![0.0; columns], vec![0.0; columns]];
+        let mut levels = [vec![0.0; columns], vec![0.0; columns]];
         let controls = &self.albedos.controls;
         if controls.is_empty() {
-            return told;
+            return levels;
         }
         let mut now = self.at_controls(simd, &self.uniform(LIGHT));
         now.extend(self.at_controls(simd, dark));
@@ -410,10 +410,10 @@ impl<'a> Tally<'a> {
             for albedo in 0..albedos {
                 let column = channel * quantities(self.job) * albedos + albedo;
                 let [light, dark] = [LIGHT, DARK].map(|side| controls.at(albedo, level(side)));
-                (told[0][column], told[1][column]) = (dark, light - dark);
+                (levels[0][column], levels[1][column]) = (dark, light - dark);
             }
         }
-        told
+        levels
     }
 
     /// Adds the sums of the batches and their spread to `total`.
@@ -471,7 +471,7 @@ impl<'a> Tally<'a> {
         let straight = self.light.straight * (self.batches * BATCH_WALKS) as f64;
         let mut own = vec![vec![0.0; channels * albedos]; 2];
         for (side, level) in [&self.uniform(LIGHT), dark].into_iter().enumerate() {
-            self.tell_radiance(simd, level, &self.albedos.powers, &mut own[side]);
+            self.sum_radiance(simd, level, &self.albedos.powers, &mut own[side]);
             let at_controls = self.at_controls(simd, level);
             let rows = own[side].chunks_exact(albedos).zip(at_controls.chunks_exact(controls));
             let len = channels * (albedos + controls);

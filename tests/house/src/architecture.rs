@@ -39,7 +39,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("proto", &["optics-model"]),
     ("proto/link", &[]),
     ("coordinator", &["optics-model", "optics-fit", "farm-proto", "farm-link"]),
-    ("worker", &["optics-model", "optics-tracer", "farm-proto", "farm-link"]),
+    ("worker", &["optics-model", "optics-tracer", "optics-layers", "farm-proto", "farm-link"]),
     ("client/figures", &["optics-model"]),
     ("client/lab", &["optics-model", "optics-tracer", "optics-capture", "farm-figures"]),
     (

@@ -37,12 +37,13 @@ impl NoiseLevel {
 
     /// Walks that the noisiest record of a point needs, which is the brightest.
     ///
-    /// Found by tracing. In units of the paper's variance, the variance of a walk is (τ + 1.3)/(τ + 3), and exact levels leave
-    /// 1/(2 + 1.2 τ) of it at the worst pixel, in scenes with and without rough faces and for all g: together 0.21/(1 + τ/4.5).
+    /// Found by tracing. In units of the paper's variance, the variance of a walk is (τ + 1.3)/(τ + 3), and exact levels
+    /// leave 1/(2 + 1.2 τ) of it at the worst pixel, in scenes with and without rough faces and for all g: together
+    /// 0.21/(1 + τ/4.5).
     pub fn walks(self, point: &TransportPoint) -> Walks {
         // Part of the physics version: the walks of a level are not in a grid's digest.
         const OF_THIN: f64 = 11_000.0;
-        /// Fewer tell too little about their own spread.
+        /// Of fewer the spread is uncertain.
         const LEAST_BATCHES: u64 = 4;
         let share = match self {
             Self::Draft => 0.1,

@@ -28,9 +28,8 @@ const CELLS: usize = 128;
 const NEAR: usize = 16;
 const BEAMS: f64 = 512.0;
 /// Width of the phase function's peak from which it does not distinguish the directions in merged cells: of other
-/// functions, and of a single lobe. The latter is too small (with g = 0.8 and σ_t = 1/mm, the dark side has a relative error
-/// of 0.006), but records of single lobes depend on it.
-const WIDE: [f64; 2] = [0.5, 0.1];
+/// functions, and of a single lobe.
+const WIDE: [f64; 2] = [0.5, 0.25];
 /// Passes through the sample that beams distinguish; the last two represent all later ones, too. Where rough faces lose
 /// no light, some of it passes at grazing angles, and a mean length would represent lengths that differ too much. There
 /// beams distinguish lengths: none, four to an octave up to 64 thicknesses, and beyond.
