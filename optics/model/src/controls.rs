@@ -6,6 +6,7 @@
 //! that the record shares with its levels.
 
 use crate::job::JobSpec;
+use crate::phase::PhaseShape;
 
 /// Narrowest peak of a phase function for which levels are computed: 1 − |g| of a lobe.
 pub const NARROWEST_PEAK: f64 = 0.04;
@@ -23,8 +24,7 @@ pub struct Controls {
 impl Controls {
     /// None of a job whose levels are not computed, see [`NARROWEST_PEAK`].
     pub fn of_job(job: &JobSpec) -> Self {
-        let phase = job.scene().phase().function_near(job.point().g());
-        if phase.peak_width() < NARROWEST_PEAK * (1.0 - 1e-9) {
+        if !is_computed(job.scene().phase(), job.point().g()) {
             return Self::default();
         }
         let places: Vec<[(usize, f64); 2]> = job.albedo().iter().map(|albedo| weights(*albedo)).collect();
@@ -50,6 +50,11 @@ impl Controls {
     pub fn at(&self, albedo: usize, values: &[f64]) -> f64 {
         self.weights[albedo].iter().map(|(place, weight)| weight * values[*place]).sum()
     }
+}
+
+/// Whether levels are computed for a phase function of this mean cosine, see [`NARROWEST_PEAK`].
+pub fn is_computed(phase: &PhaseShape, g: f64) -> bool {
+    phase.function_near(g).peak_width() >= NARROWEST_PEAK * (1.0 - 1e-9)
 }
 
 /// Two neighbouring albedos, with weights linear in √(1 − α).

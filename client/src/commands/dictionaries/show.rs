@@ -11,6 +11,7 @@ use clap::Args;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryStatus, FailedJob};
 use farm_proto::wire::{GetRequest, ListFailedRequest};
+use optics_model::controls::is_computed;
 use optics_model::grid::{Axes, Effort};
 use optics_model::{Grid, SceneFile, Walks};
 use serde::Serialize;
@@ -181,6 +182,7 @@ fn text(status: &DictionaryStatus) -> String {
         ("grid digest", status.grid_digest.to_string()),
         ("records digest", digest),
     ];
+    lines.extend(narrow(grid).map(|text| ("levels", text)));
     if status.records_reused > 0 {
         lines
             .push(("reused", format!("{} records were there before", grouped(status.records_reused as u64))));
@@ -210,6 +212,14 @@ fn text(status: &DictionaryStatus) -> String {
     };
     lines.extend(status.failed.iter().map(failed));
     lines.iter().map(|(name, value)| format!("{name:<15} {value}\n")).collect()
+}
+
+/// The anisotropies at which records have the levels of their walks; None if exact ones are computed for all.
+fn narrow(grid: &Grid) -> Option<String> {
+    let narrow = grid.g().iter().filter(|g| !is_computed(grid.scene().phase(), **g));
+    let narrow: Vec<f64> = narrow.copied().collect();
+    let text = || format!("of the walks alone at g {}: the phase function is too narrow", axis(&narrow));
+    (!narrow.is_empty()).then(text)
 }
 
 fn walks(grid: &Grid) -> String {

@@ -43,7 +43,7 @@ impl NoiseLevel {
     pub fn walks(self, point: &TransportPoint) -> Walks {
         // Part of the physics version: the walks of a level are not in a grid's digest.
         const OF_THIN: f64 = 11_000.0;
-        /// Of fewer the spread is uncertain.
+        /// Fewer batches do not show their spread.
         const LEAST_BATCHES: u64 = 4;
         let share = match self {
             Self::Draft => 0.1,
