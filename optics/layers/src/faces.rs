@@ -16,6 +16,9 @@ use crate::remembered::Remembered;
 const RAYS: u32 = 1 << 10;
 const RAYS_OF_RING: u32 = 1 << 11;
 const RAYS_OF_SENSOR: u32 = 1 << 13;
+/// Roughness up to which this many suffice; their number rises with its square up to a limit.
+const ROUGH: f64 = 0.12;
+const MOST_TIMES: f64 = 16.0;
 /// Rays for each node by which the loss of a face is found.
 const RAYS_OF_LOSS: u32 = 1 << 15;
 
@@ -82,7 +85,8 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> Rays {
     let exists: Vec<bool> = (0..n).map(|i| quadrature.exists(i, own)).collect();
     let kept = |i: usize| if exists[i] { kept(face, from, quadrature.s2[i] / (own * own)) } else { 0.0 };
     let kept: Vec<f64> = (0..n).map(kept).collect();
-    let cast = Cast { quadrature, face, from, own, other };
+    let times = (face.roughness / ROUGH).powi(2).clamp(1.0, MOST_TIMES) as u32;
+    let cast = Cast { quadrature, face, from, own, other, times };
     let segments = quadrature.segments().iter().filter(|segment| segment.exists(own));
     let from_segments = segments.map(|segment| (segment.nodes.start, cast.segment(segment)));
     let from_sensor = std::iter::once(quadrature.sensor()).map(|sensor| (sensor, cast.sensor()));
@@ -121,13 +125,15 @@ struct Cast<'a> {
     from: FaceSide,
     own: f64,
     other: f64,
+    /// Factor on the number of rays.
+    times: u32,
 }
 
 impl Cast<'_> {
     /// Sums over the rays that come from the directions of a segment: `[direction][side][node]`.
     fn segment(&self, segment: &Segment) -> Vec<f64> {
         let count = segment.nodes.len();
-        let rays = if segment.lit { RAYS_OF_RING } else { RAYS } * count as u32;
+        let rays = if segment.lit { RAYS_OF_RING } else { RAYS } * count as u32 * self.times;
         let mut sums = vec![0.0; count * 2 * self.quadrature.len()];
         let (mut weights, mut room) = (Vec::new(), Vec::new());
         for number in 0..rays {
@@ -145,8 +151,9 @@ impl Cast<'_> {
     fn sensor(&self) -> Vec<f64> {
         let mut sums = vec![0.0; 2 * self.quadrature.len()];
         let (s2, mut room) = (self.quadrature.s2[self.quadrature.sensor()], Vec::new());
-        for number in 0..RAYS_OF_SENSOR {
-            let point = FacePoint::new(number, RAYS_OF_SENSOR);
+        let rays = RAYS_OF_SENSOR * self.times;
+        for number in 0..rays {
+            let point = FacePoint::new(number, rays);
             self.add(s2, &[1.0], point, &mut sums, &mut room);
         }
         sums
