@@ -380,5 +380,8 @@ def test_a_medium_for_mitsuba_is_what_farmctl_writes(farm: resin_farm.Farm, tmp_
     exec((tmp_path / "media" / "media.py").read_text(encoding="utf-8"), written)
     measured = farm.measure(WHITE, mu=1.0, g=0.4)["white"]
     assert measured.to_mitsuba() == written["media"]["white"]
+    assert measured["R"].refined is not None
+    other = dataclasses.replace(measured["R"].refined.medium, g=0.5)
+    red = dataclasses.replace(measured["R"], refined=dataclasses.replace(measured["R"].refined, medium=other))
     with pytest.raises(ValueError, match="one g is needed"):
-        farm.measure(WHITE, mu=1.0, free_g=True)["white"].to_mitsuba()
+        dataclasses.replace(measured, channels=(red, *measured.channels[1:])).to_mitsuba()
