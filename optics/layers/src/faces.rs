@@ -16,8 +16,10 @@ use crate::remembered::Remembered;
 const RAYS: u32 = 1 << 10;
 const RAYS_OF_RING: u32 = 1 << 11;
 const RAYS_OF_SENSOR: u32 = 1 << 13;
-/// Roughness up to which this many suffice; their number rises with its square up to a limit.
+/// Roughness up to which this many suffice, and measure of the ring down to which; their number rises with the square of
+/// the one and the inverse of the other, up to a limit.
 const ROUGH: f64 = 0.12;
+const NARROW: f64 = 0.17;
 const MOST_TIMES: f64 = 16.0;
 /// Rays for each node by which the loss of a face is found.
 const RAYS_OF_LOSS: u32 = 1 << 15;
@@ -85,7 +87,8 @@ fn one_side(quadrature: &Quadrature, face: &Face, from: FaceSide) -> Rays {
     let exists: Vec<bool> = (0..n).map(|i| quadrature.exists(i, own)).collect();
     let kept = |i: usize| if exists[i] { kept(face, from, quadrature.s2[i] / (own * own)) } else { 0.0 };
     let kept: Vec<f64> = (0..n).map(kept).collect();
-    let times = (face.roughness / ROUGH).powi(2).clamp(1.0, MOST_TIMES) as u32;
+    let ring: f64 = (0..n).filter(|i| quadrature.is_lit(*i)).map(|i| quadrature.weights[i]).sum();
+    let times = (face.roughness / ROUGH).powi(2).max(NARROW / ring).clamp(1.0, MOST_TIMES) as u32;
     let cast = Cast { quadrature, face, from, own, other, times };
     let segments = quadrature.segments().iter().filter(|segment| segment.exists(own));
     let from_segments = segments.map(|segment| (segment.nodes.start, cast.segment(segment)));

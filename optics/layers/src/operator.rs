@@ -64,7 +64,7 @@ fn between(returned: &DMatrix<f64>, light: &DMatrix<f64>) -> DMatrix<f64> {
     solved(rest, light.clone())
 }
 
-/// Layers above a base that sends back the same radiance in all directions, as far as they count for the light from above.
+/// A base that sends back the same radiance in all directions, under layers, as far as it counts for the light above them.
 #[derive(Debug)]
 pub(crate) struct Covered {
     reflects_above: DMatrix<f64>,
@@ -77,7 +77,7 @@ pub(crate) struct Covered {
 }
 
 impl Covered {
-    /// A base under a layer. `base` is its light, `received` what counts of the light that reaches it.
+    /// A base under a layer. `base` is its light; `received` weighs the light that reaches it.
     pub(crate) fn new(layer: &Operator, base: &DVector<f64>, received: &RowDVector<f64>) -> Self {
         Self {
             reflects_above: layer.reflects_above.clone(),
@@ -131,7 +131,7 @@ pub(crate) struct OverBase {
     /// Over a black base.
     over_black: f64,
     /// The light that reaches a base, times what a base adds that sends it back.
-    pub through: f64,
+    through: f64,
     /// Share of a base's light that comes back to it.
     returned: f64,
 }

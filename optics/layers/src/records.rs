@@ -62,3 +62,61 @@ fn levels(job: &JobSpec) -> Vec<f64> {
         [Channel::rho_light, Channel::rho_dark].into_iter().flat_map(|rho| scene.channels().iter().map(rho));
     rows.flat_map(|rho| ladders.iter().map(move |ladder| ladder.level(depth, rho))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use optics_model::scene::{Layer, RingLight, Scene, Sensor};
+    use optics_model::{TransportPoint, Walks};
+
+    use super::*;
+
+    static RUN: AtomicBool = AtomicBool::new(false);
+
+    fn job(scene: &Scene, g: f64, albedo: f64, walks: u64) -> JobSpec {
+        let point = TransportPoint::new(4.0, g, 0.5, 1.53).unwrap();
+        let scene = scene.clone().with_sensor(Sensor::new(16.0, 32, 0.0).unwrap());
+        JobSpec::new(scene, point, vec![albedo], Walks::new(walks).unwrap(), 3, false).unwrap()
+    }
+
+    /// Values and standard errors of the first channel.
+    fn pixels(records: Result<Vec<Record>, Stopped>) -> Vec<(f64, f64)> {
+        let record = records.unwrap().remove(0);
+        let estimate = &record.profiles[0].radiance_factor;
+        let pairs = estimate.values().iter().zip(estimate.std_errors());
+        pairs.map(|(value, error)| (f64::from(*value), f64::from(*error))).collect()
+    }
+
+    /// In every pixel records agree with many more walks alone, and far from the edge with little noise. The narrow ring and
+    /// the very rough face need more rays than the built-in scenes.
+    #[test]
+    fn records_agree_with_walks_alone() {
+        let ring = RingLight::new(44.9, 45.1).unwrap();
+        let bare = vec![Layer::sample("sample", 0.4).unwrap()];
+        let paper = Scene::paper();
+        let bare = Scene::new(bare, paper.channels().to_vec(), paper.light(), paper.sensor(), true).unwrap();
+        for (scene, g) in [(Scene::smooth(), 0.4), (paper.clone().with_light(ring), 0.8), (bare, 0.0)] {
+            for albedo in [0.84, 0.995] {
+                let found = pixels(records(&job(&scene, g, albedo, 4000), &RUN));
+                let truth = pixels(optics_tracer::trace(&job(&scene, g, albedo, 1_000_000), &RUN));
+                for ((found, error), (truth, of_truth)) in found.iter().zip(&truth) {
+                    let room = 5.0 * libm::hypot(*error, *of_truth);
+                    assert!(
+                        (found - truth).abs() < room,
+                        "{g} {albedo}: {found} ± {error}, {truth} ± {of_truth}"
+                    );
+                }
+                for end in [0, found.len() - 1] {
+                    let (value, error) = found[end];
+                    assert!(error < 3e-3 * value, "{g} {albedo}: {value} ± {error}");
+                }
+            }
+        }
+    }
+
+    /// Under a peak that the solver does not resolve, records are those of the walks.
+    #[test]
+    fn narrow_peaks_leave_the_walks_alone() {
+        let job = job(&Scene::smooth(), 0.98, 0.9, 2000);
+        assert_eq!(records(&job, &RUN), optics_tracer::trace(&job, &RUN));
+    }
+}

@@ -18,6 +18,8 @@
     reason = "what is not inlined is not compiled for the instruction set that was chosen at run time"
 )]
 
+mod spread;
+
 use fearless_simd::{ExtractToken, Simd, SimdBase, f32x8};
 use optics_model::controls::Controls;
 use optics_model::grid::BATCH_WALKS;
@@ -29,6 +31,7 @@ use super::exits::Offset;
 use super::light::Light;
 use super::scatterings::{NodePowers, WINDOW, count, single};
 use super::vertex::{Vertex, Vertices};
+use spread::{Levels, Spread};
 
 /// Number of hits on the base that most walks stay below. Behind very thick samples there may be thousands.
 const FEW_HITS: usize = 64;
@@ -58,15 +61,9 @@ pub struct Tally<'a> {
     many_hits: [Vec<f32>; 2],
     /// Positions of a walk's steps in pixels from the left end.
     positions: Vec<f32>,
-    /// Pixels at which the spread of batches is observed, see [`observed`].
-    observed: Vec<usize>,
-    /// Their values up to the last batch, by pixel.
-    before: Vec<Vec<f32>>,
     /// Levels at the controls up to the last batch: `[side][channel][control]`.
-    levels_before: Vec<f32>,
-    /// By pixel.
-    spread: Vec<Spread>,
-    batches: u64,
+    controls: Vec<f32>,
+    spread: Spread,
 }
 
 /// Albedos at which steps are summed: those of the job, and those of its controls.
@@ -83,51 +80,6 @@ impl Albedos {
         let [powers, control_powers] =
             [job.albedo(), controls.albedos()].map(|albedos| NodePowers::new(albedos, most));
         Self { powers, controls, control_powers }
-    }
-}
-
-/// Sums over batches of contributions to a pixel, by column: of a = F − C_dark and b = C_light − C_dark, C being the levels
-/// by the controls, and of their squares and products. Without controls a is F, and b is 0.
-#[derive(Debug, Default, Clone)]
-struct Spread {
-    a: Vec<f64>,
-    b: Vec<f64>,
-    aa: Vec<f64>,
-    ab: Vec<f64>,
-    bb: Vec<f64>,
-}
-
-impl Spread {
-    fn new(columns: usize) -> Self {
-        let [a, b, aa, ab, bb] = std::array::from_fn(|_| vec![0.0; columns]);
-        Self { a, b, aa, ab, bb }
-    }
-
-    /// Adds a batch's contributions to F, less C_dark, and to C_light − C_dark.
-    #[inline(always)]
-    fn add(&mut self, added: &[f32], [dark, contrast]: &[Vec<f64>; 2]) {
-        let [a, b, aa, ab, bb] = [&mut self.a, &mut self.b, &mut self.aa, &mut self.ab, &mut self.bb];
-        let len = added.len();
-        let [dark, contrast] = [&dark[..len], &contrast[..len]];
-        let [a, b, aa, ab, bb] = [a, b, aa, ab, bb].map(|sums| &mut sums[..len]);
-        for i in 0..len {
-            let (of_dark, of_contrast) = (f64::from(added[i]) - dark[i], contrast[i]);
-            a[i] += of_dark;
-            b[i] += of_contrast;
-            aa[i] += of_dark * of_dark;
-            ab[i] += of_dark * of_contrast;
-            bb[i] += of_contrast * of_contrast;
-        }
-    }
-
-    /// Sum of the squares of the deviations of a − s b from its mean.
-    #[inline(always)]
-    fn deviation(&self, column: usize, share: f64, batches: f64) -> f64 {
-        let [a, b] = [self.a[column], self.b[column]];
-        let variance = self.aa[column] - a * a / batches;
-        let covariance = self.ab[column] - a * b / batches;
-        let of_level = self.bb[column] - b * b / batches;
-        (variance - share * (covariance + covariance - share * of_level)).max(0.0)
     }
 }
 
@@ -186,9 +138,8 @@ impl<'a> Tally<'a> {
         let channels = job.scene().channels();
         let nodes = count(vertices.most_scatterings);
         let moments = if job.derivatives() { 2 } else { 1 };
-        let observed = observed(sensor.pixels());
         let columns = channels.len() * quantities(job) * job.albedo().len();
-        let of_level = channels.len() * moments * nodes;
+        let level_len = channels.len() * moments * nodes;
         let most_hits = vertices.most_hits as usize;
         let px_per_mm = 1.0 / sensor.pitch_mm();
         Self {
@@ -205,13 +156,10 @@ impl<'a> Tally<'a> {
             moments,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * moments * nodes],
             by_hits: vec![0.0; (most_hits.min(FEW_HITS) + 1) * moments * nodes],
-            many_hits: [0, 1].map(|_| vec![0.0; of_level]),
+            many_hits: [0, 1].map(|_| vec![0.0; level_len]),
             positions: Vec::new(),
-            before: vec![vec![0.0; columns]; observed.len()],
-            levels_before: vec![0.0; 2 * channels.len() * albedos.controls.albedos().len()],
-            spread: vec![Spread::new(columns); observed.len()],
-            observed,
-            batches: 0,
+            controls: vec![0.0; 2 * channels.len() * albedos.controls.albedos().len()],
+            spread: Spread::new(sensor.pixels(), columns),
         }
     }
 
@@ -370,23 +318,19 @@ impl<'a> Tally<'a> {
     #[inline(always)]
     fn end_batch<S: Simd>(&mut self, simd: S) {
         let mut level = self.uniform(DARK);
-        let levels = self.batch_levels(simd, &level);
+        let [dark, contrast] = self.batch_levels(simd, &level);
         let row = level.len();
         let mut shown = vec![0.0; self.columns()];
         let mut at = 0;
         for (cell, steps) in self.steps.chunks_exact(row).enumerate() {
             level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
-            if self.observed.get(at) != Some(&cell) {
-                continue;
+            if self.spread.pixel(at) == Some(cell) {
+                self.tell(simd, &level, &mut shown);
+                self.spread.add(at, &shown, &dark, &contrast);
+                at += 1;
             }
-            self.tell(simd, &level, &mut shown);
-            // `before` holds the contribution of this batch for a moment.
-            self.before[at].iter_mut().zip(&shown).for_each(|(before, shown)| *before = shown - *before);
-            self.spread[at].add(&self.before[at], &levels);
-            self.before[at].copy_from_slice(&shown);
-            at += 1;
         }
-        self.batches += 1;
+        self.spread.end_batch(&contrast);
     }
 
     /// By column, the dark level of the last batch by the controls, and the light one's difference from it; 0 for
@@ -401,9 +345,9 @@ impl<'a> Tally<'a> {
         }
         let mut now = self.at_controls(simd, &self.uniform(LIGHT));
         now.extend(self.at_controls(simd, dark));
-        let added = now.iter().zip(&self.levels_before).map(|(now, before)| f64::from(now - before));
+        let added = now.iter().zip(&self.controls).map(|(now, before)| f64::from(now - before));
         let added: Vec<f64> = added.collect();
-        self.levels_before = now;
+        self.controls = now;
         let (albedos, count) = (self.job.albedo().len(), controls.albedos().len());
         for channel in 0..self.base.len() {
             let level = |side: usize| &added[(side * self.base.len() + channel) * count..][..count];
@@ -421,7 +365,7 @@ impl<'a> Tally<'a> {
     pub fn end<S: Simd>(&mut self, simd: S, total: &mut Sums) {
         let columns = self.columns();
         let mut level = self.uniform(DARK);
-        let shares = self.end_levels(simd, &level, total);
+        let own = self.end_levels(simd, &level, total);
         let row = level.len();
         let mut shown = vec![0.0; columns];
         let straight = self.straight();
@@ -432,66 +376,44 @@ impl<'a> Tally<'a> {
                 *sum += f64::from(*shown) + straight;
             }
         }
-        let batches = self.batches as f64;
-        let observed: Vec<Vec<f64>> = self
-            .spread
-            .iter()
-            .zip(&self.before)
-            .map(|(spread, values)| {
-                let deviation =
-                    |column| spread.deviation(column, shares.share(column, values[column]), batches);
-                (0..columns).map(deviation).collect()
-            })
-            .collect();
-        let deviations = total.deviations.chunks_exact_mut(columns);
-        let mut at = 0;
-        for (pixel, deviations) in deviations.enumerate() {
-            while at + 1 < self.observed.len() && self.observed[at + 1] <= pixel {
-                at += 1;
-            }
-            let next = (at + 1).min(self.observed.len() - 1);
-            let between = (self.observed[next] - self.observed[at]).max(1) as f64;
-            let share = (pixel - self.observed[at]) as f64 / between;
-            for (sum, (a, b)) in deviations.iter_mut().zip(observed[at].iter().zip(&observed[next])) {
-                *sum += a + share * (b - a);
-            }
-        }
-        total.add_batches(self.batches);
+        self.spread.add_deviations(&own, &mut total.deviations);
+        total.add_batches(self.spread.batches());
     }
 
-    /// Adds the levels of all batches to `total`.
+    /// Adds the levels of all batches to `total`, and returns those of its albedos; 0 in columns without controls.
     #[inline(always)]
-    fn end_levels<S: Simd>(&self, simd: S, dark: &[f32], total: &mut Sums) -> Shares {
+    fn end_levels<S: Simd>(&self, simd: S, dark: &[f32], total: &mut Sums) -> Levels {
         let (channels, albedos) = (self.base.len(), self.job.albedo().len());
         let controls = self.albedos.controls.albedos().len();
-        let mut shares = Shares { dark: vec![0.0; self.columns()], contrast: vec![0.0; self.columns()] };
+        let mut levels = Levels { dark: vec![0.0; self.columns()], contrast: vec![0.0; self.columns()] };
         if controls == 0 {
-            return shares;
+            return levels;
         }
-        let straight = self.light.straight * (self.batches * BATCH_WALKS) as f64;
-        let mut own = vec![vec![0.0; channels * albedos]; 2];
-        for (side, level) in [&self.uniform(LIGHT), dark].into_iter().enumerate() {
-            self.sum_radiance(simd, level, &self.albedos.powers, &mut own[side]);
-            let at_controls = self.at_controls(simd, level);
-            let rows = own[side].chunks_exact(albedos).zip(at_controls.chunks_exact(controls));
-            let len = channels * (albedos + controls);
-            let sums = total.levels[side * len..][..len].chunks_exact_mut(albedos + controls);
-            for (sums, (own, at_controls)) in sums.zip(rows) {
-                let added = own.iter().chain(at_controls);
-                sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += f64::from(*added) + straight);
-            }
+        let straight = self.light.straight * self.walks();
+        let mut own = [LIGHT, DARK].map(|_| vec![0.0; channels * albedos]);
+        self.sum_radiance(simd, &self.uniform(LIGHT), &self.albedos.powers, &mut own[LIGHT]);
+        self.sum_radiance(simd, dark, &self.albedos.powers, &mut own[DARK]);
+        let rows = own.iter().flat_map(|own| own.chunks_exact(albedos));
+        let rows = rows.zip(self.controls.chunks_exact(controls));
+        for (sums, (own, at_controls)) in total.levels.chunks_exact_mut(albedos + controls).zip(rows) {
+            let added = own.iter().chain(at_controls);
+            sums.iter_mut().zip(added).for_each(|(sum, added)| *sum += f64::from(*added) + straight);
         }
         for (i, (light, dark)) in own[LIGHT].iter().zip(&own[DARK]).enumerate() {
             let column = i / albedos * quantities(self.job) * albedos + i % albedos;
-            (shares.dark[column], shares.contrast[column]) = (*dark, light - dark);
+            (levels.dark[column], levels.contrast[column]) = (*dark, light - dark);
         }
-        shares
+        levels
+    }
+
+    /// Number of walks of all batches.
+    fn walks(&self) -> f64 {
+        (self.spread.batches() * BATCH_WALKS) as f64
     }
 
     /// Contribution to every pixel of light that meets interfaces only.
     fn straight(&self) -> Vec<f64> {
-        let walks = (self.batches * BATCH_WALKS) as f64;
-        let albedos = self.job.albedo().len();
+        let (walks, albedos) = (self.walks(), self.job.albedo().len());
         let mut quantity = vec![self.light.straight * walks; albedos];
         if self.job.derivatives() {
             quantity.extend(std::iter::repeat_n(0.0, albedos));
@@ -499,23 +421,6 @@ impl<'a> Tally<'a> {
             quantity.extend(std::iter::repeat_n(-length_mm * walks, albedos));
         }
         quantity.repeat(self.base.len())
-    }
-}
-
-/// The levels of a chunk by column; 0 for columns that are not controlled.
-struct Shares {
-    dark: Vec<f32>,
-    contrast: Vec<f32>,
-}
-
-impl Shares {
-    /// The light side's share of a value, see [`Sums::into_records`].
-    #[inline(always)]
-    fn share(&self, column: usize, value: f32) -> f64 {
-        match f64::from(self.contrast[column]) {
-            0.0 => 0.5,
-            contrast => f64::from(value - self.dark[column]) / contrast,
-        }
     }
 }
 
@@ -528,27 +433,4 @@ fn add<S: Simd>(sums: &mut [f32], at: usize, nodes: usize, moments: usize, weigh
         let window = &mut sums[at + nodes..at + nodes + WINDOW];
         (f32x8::from_slice(weights.token(), window) + weights * length).store_slice(window);
     }
-}
-
-/// Pixels at which the spread of batches is observed, the first and the last among them. In between, the spread is
-/// interpolated: it is smooth except near the edge.
-fn observed(pixels: usize) -> Vec<usize> {
-    let mut observed = Vec::new();
-    let mut pixel = 0;
-    while pixel + 1 < pixels {
-        observed.push(pixel);
-        let from_edge = (2 * pixel + 1).abs_diff(pixels) / 2;
-        let step = match from_edge {
-            0..4 => 1,
-            4..12 => 2,
-            12..36 => 6,
-            _ => 24,
-        };
-        // Not over the fine ones near the edge.
-        let next = pixel + step;
-        let fine = (pixels / 2).saturating_sub(4);
-        pixel = if pixel < fine && next > fine { fine } else { next };
-    }
-    observed.push(pixels - 1);
-    observed
 }

@@ -34,8 +34,8 @@ pub(crate) struct SubmitArgs {
     /// Name of the dictionary [default: the file's name, "lab" or "paper"].
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
-    /// How quiet the records are to be: draft, paper or fine, for about a tenth of the paper's work, the paper's noise,
-    /// and ten times the work; instead of the grid file's setting.
+    /// How quiet the records are to be: draft, paper or fine, for errors up to three times as large as the paper's, the
+    /// paper's, and a third of them with ten times the walks; instead of the grid file's setting.
     #[arg(long, value_name = "LEVEL", value_parser = level)]
     quality: Option<NoiseLevel>,
     /// Wait until the dictionary is finished; without a server, submit always waits.

@@ -88,8 +88,9 @@ fn records_are_no_noisier_than_the_paper() {
     for (sigma_t, g, thickness) in [(1.0, 0.0, 0.5), (2.5, 0.4, 1.0), (10.0, 0.8, 0.5), (20.0, 0.2, 1.0)] {
         let point = TransportPoint::new(sigma_t, g, thickness, 1.53).unwrap();
         let walks = NoiseLevel::Paper.walks(&point);
-        let of_seed = |seed| variances(PhaseShape::default(), point, (0.985, 0.024), &albedos, walks, seed);
-        let runs: Vec<Vec<Vec<[f64; 2]>>> = (1..=8).map(of_seed).collect();
+        let seed_variances =
+            |seed| variances(PhaseShape::default(), point, (0.985, 0.024), &albedos, walks, seed);
+        let runs: Vec<Vec<Vec<[f64; 2]>>> = (1..=8).map(seed_variances).collect();
         let ratio = |albedo: usize, first: usize| {
             let pixels = runs.iter().flat_map(|run| &run[albedo][first..first + NEIGHBOURS]);
             let [ours, sample] =
