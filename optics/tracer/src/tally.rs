@@ -31,7 +31,7 @@ use super::exits::Offset;
 use super::light::Light;
 use super::scatterings::{NodePowers, WINDOW, count, single};
 use super::vertex::{Vertex, Vertices};
-use spread::{Levels, Spread};
+use spread::{Spread, WalkLevels};
 
 /// Number of hits on the base that most walks stay below. Behind very thick samples there may be thousands.
 const FEW_HITS: usize = 64;
@@ -382,10 +382,10 @@ impl<'a> Tally<'a> {
 
     /// Adds the levels of all batches to `total`, and returns those of its albedos; 0 in columns without controls.
     #[inline(always)]
-    fn end_levels<S: Simd>(&self, simd: S, dark: &[f32], total: &mut Sums) -> Levels {
+    fn end_levels<S: Simd>(&self, simd: S, dark: &[f32], total: &mut Sums) -> WalkLevels {
         let (channels, albedos) = (self.base.len(), self.job.albedo().len());
         let controls = self.albedos.controls.albedos().len();
-        let mut levels = Levels { dark: vec![0.0; self.columns()], contrast: vec![0.0; self.columns()] };
+        let mut levels = WalkLevels { dark: vec![0.0; self.columns()], contrast: vec![0.0; self.columns()] };
         if controls == 0 {
             return levels;
         }

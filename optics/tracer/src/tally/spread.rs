@@ -23,12 +23,12 @@ struct PixelSums {
 }
 
 /// The levels of a chunk by column: the dark one, and the light one's difference from it.
-pub struct Levels {
+pub struct WalkLevels {
     pub dark: Vec<f32>,
     pub contrast: Vec<f32>,
 }
 
-impl Levels {
+impl WalkLevels {
     /// The light side's share of a value, see [`optics_model::sums::Sums::into_records`].
     #[inline(always)]
     fn share(&self, column: usize, value: f32) -> f64 {
@@ -85,7 +85,7 @@ impl Spread {
     /// Adds for every pixel and column the sum of the squares of the deviations of a − s b from its mean, s being the share
     /// of all batches. Between observed pixels it is interpolated.
     #[inline(always)]
-    pub fn add_deviations(&self, levels: &Levels, deviations: &mut [f64]) {
+    pub fn add_deviations(&self, levels: &WalkLevels, deviations: &mut [f64]) {
         let columns = self.b.len();
         let each = |sums: &PixelSums| -> Vec<f64> {
             let deviation = |column| self.deviation(sums, column, levels.share(column, sums.value[column]));
