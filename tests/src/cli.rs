@@ -21,6 +21,13 @@ pub fn write(folder: &Path, name: &str, text: &str) {
     std::fs::write(folder.join(name), text).unwrap();
 }
 
+/// Gives the grid file of a captured session other axes.
+pub fn set_axes(grid: &Path, axes: &str) {
+    let text = std::fs::read_to_string(grid).unwrap();
+    let others: Vec<_> = text.lines().filter(|line| !line.starts_with("albedo = ")).collect();
+    std::fs::write(grid, axes.to_owned() + &others.join("\n")).unwrap();
+}
+
 /// A folder with the dictionary `grid`.
 pub fn farm() -> tempfile::TempDir {
     let folder = folder();

@@ -90,21 +90,11 @@ fn named_scene(name: &str, folder: &Path) -> Result<Scene> {
     Scene::try_from(scene).map_err(|e| in_file(e, &text, &path, "scene file"))
 }
 
-/// The grid with a name: `paper`, or `lab` with the same axes in the scene of a laboratory and its responses.
+/// The grid with a name: `paper`, or `lab` with its responses.
 pub fn named_grid(name: &str) -> Option<Grid> {
-    let paper = Grid::paper();
     match name {
-        "paper" => Some(paper),
-        "lab" => {
-            let grid = Grid::new(
-                Scene::lab(),
-                paper.axes().clone(),
-                paper.effort(),
-                paper.seed(),
-                paper.derivatives(),
-            );
-            Some(grid.and_then(with_responses).expect("the built-in grids are valid"))
-        }
+        "paper" => Some(Grid::paper()),
+        "lab" => Some(with_responses(Grid::lab()).expect("the built-in grids are valid")),
         _ => None,
     }
 }

@@ -78,7 +78,7 @@ class Farm(FarmAccess):
         """Computes a dictionary; if it exists with the same grid, continues it.
 
         Args:
-            grid: a grid, the path of a grid file, or "lab" for the paper's axes in the scene of a laboratory; the
+            grid: a grid, the path of a grid file, or "lab" for a laboratory's own measurements; the
                 paper's grid if None.
             name: if None the file's name, "grid" for a `Grid`, "lab" or "paper" for these two.
             quality: the noise of the records, instead of the grid's.

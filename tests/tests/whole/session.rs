@@ -5,7 +5,7 @@ mod media;
 
 use std::path::{Path, PathBuf};
 
-use farm_tests::cli::{fails, folder, json, keys, write};
+use farm_tests::cli::{fails, folder, json, keys, set_axes, write};
 use farm_tests::process::{Ran, run};
 use farm_tests::reference::root;
 use serde_json::Value;
@@ -43,10 +43,6 @@ fn measured(folder: &Path, args: &[&str]) -> Value {
     let measured = run(folder, &[&["measure", "out", "--json"], args].concat());
     assert_eq!(measured.code, 0, "{}", measured.stderr);
     json(&measured, "measure")
-}
-
-fn append(file: &Path, text: &str) {
-    std::fs::write(file, std::fs::read_to_string(file).unwrap() + text).unwrap();
 }
 
 fn read_json(file: &Path) -> Value {
@@ -112,7 +108,7 @@ fn captured_folder_is_measured_and_reported() {
     let folder = copy();
     captured(folder.path(), &["-q"]);
     let axes = "sigma_t_per_mm = [4, 5.2, 6.7, 8.7, 11, 15, 20, 27]\ng = [0.4]\nwalks = 51000\n";
-    append(&folder.path().join("out/grid.toml"), axes);
+    set_axes(&folder.path().join("out/grid.toml"), axes);
     let data = measured(folder.path(), &[]);
     for (channel, sigma_t) in
         data["materials"][0]["channels"].as_array().unwrap().iter().zip([6.0, 9.0, 24.0])

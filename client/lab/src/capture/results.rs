@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use optics_capture::{EdgeProfile, Estimate, Source};
 use optics_model::ProfileSetup;
+use optics_model::grid::Axes;
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -163,13 +164,13 @@ fn scene(captured: &Captured) -> Result<String> {
     ))
 }
 
-/// The paper's axes with this session's thicknesses.
+/// The axes of `lab` with this session's thicknesses.
 fn grid(captured: &Captured) -> Result<String> {
     let thicknesses = captured.parts[0].samples.iter().map(|sample| sample.about.thickness_mm);
     let file = GridFile {
         scene: SceneRef::Named("scene.toml".to_owned()),
         sigma_t_per_mm: None,
-        albedo: None,
+        albedo: Some(Axes::ALBEDO.to_vec()),
         g: None,
         thickness_mm: Some(grouped(thicknesses.collect())),
         sample_ior: None,
@@ -179,7 +180,7 @@ fn grid(captured: &Captured) -> Result<String> {
         quality: None,
     };
     Ok(format!(
-        "# The dictionary of a session: axes that are left out are the paper's. Slabs that are nearly alike, or\n\
+        "# The dictionary of a session, with the axes of `lab`. Slabs that are nearly alike, or\n\
          # near a nominal thickness, share one; the fit uses the measured thicknesses.\n\n{}",
         toml::to_string(&file)?.trim_end()
     ))

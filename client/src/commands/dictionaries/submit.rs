@@ -29,7 +29,7 @@ Examples:
   farmctl submit grid.toml --name fine            compute a grid of your own
   farmctl submit grid.toml --server http://farm:7700 --wait")]
 pub(crate) struct SubmitArgs {
-    /// Grid file in TOML, or "lab" for the paper's axes in the scene of a laboratory [default: the paper's grid].
+    /// Grid file in TOML, or "lab" for a laboratory's own measurements [default: the paper's grid].
     grid: Option<PathBuf>,
     /// Name of the dictionary [default: the file's name, "lab" or "paper"].
     #[arg(long, value_name = "NAME")]

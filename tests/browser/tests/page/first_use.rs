@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use farm_browser_tests::browser::{self, Browser};
+use farm_tests::cli::set_axes;
 use farm_tests::page::Page;
 use farm_tests::process::{LONG, SOON, run};
 use serde_json::{Value, json};
@@ -23,7 +24,7 @@ async fn first_use_computes_measures_and_saves() {
     // The default scene is that of a laboratory, unless the paper's scene is chosen.
     go_to(&browser, "Farm").await;
     browser.shows("There is none yet").await;
-    browser.shows("62,320 records in 1,520 jobs").await;
+    browser.shows("44,080 records in 1,520 jobs").await;
     browser.shows("farmctl submit lab").await;
     browser.pick("form select[name=scene]", "paper").await;
     browser.shows("34,276 records in 836 jobs").await;
@@ -241,12 +242,10 @@ async fn capture_is_measured_as_by_the_command() {
     let session = farm_tests::reference::root().join("examples/session/session.toml");
     let captured = run(folder.path(), &["capture", session.to_str().unwrap(), "-o", "session"]);
     assert_eq!(captured.code, 0, "{}", captured.stderr);
-    // The axes of the session's grid are the paper's; the test uses coarser ones to save time.
-    let grid = folder.path().join("session/grid.toml");
+    // Coarser axes save time.
     let axes = "sigma_t_per_mm = [5, 6, 8, 10, 14, 20, 26]\nalbedo = [0.998, 0.999, 0.9995, 0.9999]\n\
                 g = [0.2, 0.4, 0.6]\nwalks = 5000\n";
-    let text = std::fs::read_to_string(&grid).unwrap();
-    std::fs::write(&grid, format!("{axes}{text}")).unwrap();
+    set_axes(&folder.path().join("session/grid.toml"), axes);
     let page = Page::start(folder.path(), &[]);
     let browser = let_in(&page).await;
     go_to(&browser, "Capture").await;

@@ -54,7 +54,7 @@ fn thicker_gel_is_absorbed() {
 #[test]
 #[ignore = "long form"]
 fn every_changed_quantity_is_absorbed() {
-    check(Nodes::Paper, &ChangedSetUp::names());
+    check(Nodes::Lab, &ChangedSetUp::names());
 }
 
 /// Answers by session: errors of the quantities of the scene are common to one.
@@ -81,7 +81,7 @@ fn random(materials: usize) {
     let given = std::env::var("FARM_TEST_SET_UPS");
     let sets = given.map_or(40 * effort(), |v| v.parse().expect("FARM_TEST_SET_UPS is a whole number"));
     let fitted = |number, changed| {
-        SetUpSession::random(number, materials, changed).measured(dictionary(Nodes::Paper, changed))
+        SetUpSession::random(number, materials, changed).measured(dictionary(Nodes::Lab, changed))
     };
     let found: Sessions = (0..sets).map(|number| fitted(number, true)).collect();
     // Widths hardly differ between sessions.

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use farm_tests::cli::{folder, json};
+use farm_tests::cli::{folder, json, set_axes};
 use farm_tests::coverage::{Answer, Coverage, media_table};
 use farm_tests::dng::dng;
 use farm_tests::photograph::{BandSession, Camera, EXAMPLE_NM, SpectralMaterial, spectral_nm};
@@ -15,7 +15,7 @@ use farm_tests::statistics::effort;
 use optics_capture::{Frame, Pattern};
 use serde_json::Value;
 
-use super::{append, captured, measured, read_json};
+use super::{captured, measured, read_json};
 
 /// Nodes of the short form's dictionary, whose responses are traced at three extinctions.
 const AXES: &str = "sigma_t_per_mm = [2.5, 4.0, 4.5, 5.1, 5.8, 6.6, 7.5, 11.0]\ng = [0.2, 0.3, 0.4, 0.5, 0.6]\n\
@@ -82,7 +82,7 @@ fn bands_become_spectra() {
     assert_eq!(data["profiles"][0]["channel"], wavelengths[0].to_string());
     check_optics(&session, folder.path());
     if !is_long {
-        append(&folder.path().join("out/grid.toml"), AXES);
+        set_axes(&folder.path().join("out/grid.toml"), AXES);
     }
     let data = measured(folder.path(), &["-o", "media"]);
     let found = answers(&data, &session);

@@ -23,8 +23,8 @@ use farm_tests::coverage::{Answer, Coverage, QUANTITIES, media_table, table};
 use farm_tests::statistics::effort;
 use serde_json::Value;
 
-use super::{append, captured, measured};
-use farm_tests::cli::folder;
+use super::{captured, measured};
+use farm_tests::cli::{folder, set_axes};
 use laboratory::{Laboratory, STATED_MM};
 
 /// Largest median error of σ_t in several sessions. In a single one the errors of the channels are nearly the same, so the
@@ -77,7 +77,7 @@ impl Trial {
         let folder = folder();
         laboratory.photograph(folder.path(), self.walks);
         let report = captured(folder.path(), &[]).stdout;
-        append(&folder.path().join("out/grid.toml"), &self.axes);
+        set_axes(&folder.path().join("out/grid.toml"), &self.axes);
         let g = laboratory.media[0].g();
         let data = data.to_str().unwrap();
         let found = measured(folder.path(), &["--g", &g.to_string(), "--data", data]);

@@ -19,6 +19,7 @@ use farm_tests::statistics::Normal;
 use optics_model::grid::Axes;
 use optics_model::scene::Scene;
 use optics_model::{Digest, Grid, MeasuredProfile, Measurement, Walks};
+use tokio_util::sync::CancellationToken;
 use tonic::{Code, Request, Status};
 
 /// Records of one dictionary.
@@ -103,10 +104,10 @@ impl Client {
         }
     }
 
-    /// Works until `end`; returns the remaining dictionaries.
-    pub async fn run(mut self, end: Instant) -> Vec<Live> {
+    /// Works until it is stopped; returns the remaining dictionaries.
+    pub async fn run(mut self, stop: CancellationToken) -> Vec<Live> {
         for round in 0.. {
-            if Instant::now() > end {
+            if stop.is_cancelled() {
                 break;
             }
             // Some grids are repeated under another name, so that their records are reused.

@@ -51,8 +51,7 @@ fn broad_bands_bias_absorption() {
             let material = Measurement::new("magenta", profiles).unwrap();
             let settings = FitSettings { refine: true, g: Bounds::fixed(0.4), ..FitSettings::default() };
             let options = FitOptions::new(settings).unwrap();
-            let found =
-                measure(dictionary(Nodes::Paper, true), &[material], &options, &MeasurePlan::default());
+            let found = measure(dictionary(Nodes::Lab, true), &[material], &options, &MeasurePlan::default());
             Answer::all(&found.unwrap().materials, [&with_g(&magenta.at(nm))]).remove(0)
         };
         let both = fitted(&SLABS_MM);

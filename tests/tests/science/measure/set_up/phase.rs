@@ -53,7 +53,7 @@ fn heavier_second_lobe_is_absorbed() {
 fn second_lobes_of_six_media_are_absorbed() {
     for (weight, g) in [(0.0, 0.0), (0.05, -0.5), (0.10, -0.5), (0.25, -0.65)] {
         let name = format!("{weight} of {g}");
-        let (found, held) = six_media(Nodes::Paper, &name, &lobes(weight, g), 0.4);
+        let (found, held) = six_media(Nodes::Lab, &name, &lobes(weight, g), 0.4);
         let doubted = found.iter().filter(|a| a.is_doubted()).count();
         println!("  {doubted} of {} answers doubt the scene", found.len());
         let is_honest = if weight > 0.2 { doubted >= 5 } else { held >= 28 && doubted == 0 };
@@ -69,7 +69,7 @@ fn random_second_lobes_keep_their_coverage() {
         let mut random = Normal::new(940_000 + number);
         let phases = (0..6).map(|_| lobes(0.2 * random.uniform(), -0.7 * random.uniform())).collect();
         let session = SetUpSession::of_phases(number, phases);
-        session.answers(&session.fitted(dictionary(Nodes::Paper, true), phase))
+        session.answers(&session.fitted(dictionary(Nodes::Lab, true), phase))
     };
     let [found, plain] = [PhaseModel::TwoLobes, PhaseModel::HenyeyGreenstein]
         .map(|phase| (0..20).map(|number| set(number, phase)).collect::<Sessions>());
@@ -87,7 +87,7 @@ fn spheres_of_a_pigment_are_absorbed() {
     for name in ["rutile", "carbon"] {
         let table = reference::phase_table(name).unwrap();
         let g = table.mean_cosine();
-        let (_, held) = six_media(Nodes::Paper, name, &PhaseShape::Table(Arc::new(table)), g);
+        let (_, held) = six_media(Nodes::Lab, name, &PhaseShape::Table(Arc::new(table)), g);
         assert!(held >= 28, "{name}: {held} of 30 intervals hold");
     }
 }

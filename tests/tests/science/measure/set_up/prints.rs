@@ -101,7 +101,7 @@ fn predicted_prints_keep_their_coverage() {
     let side = &lab.channels()[0];
     let channel = |nm: &f64| Channel::new(nm.to_string(), side.rho_light(), side.rho_dark()).unwrap();
     let scene = lab.clone().with_channels(NM.iter().map(channel).collect()).unwrap();
-    let dictionary = dictionary_of(&scene, Nodes::Paper);
+    let dictionary = dictionary_of(&scene, Nodes::Lab);
     let viewing = Viewing { illuminant: Illuminant::D50, observer: StandardObserver::TwoDegrees };
     let colorimetry = Colorimetry::new(&NM, viewing).unwrap();
     let (mut factors, mut labs) = (Coverage::default(), [(); 3].map(|()| Coverage::default()));
@@ -157,7 +157,7 @@ fn predicted_photographs_keep_their_coverage() {
     let mut factors = Coverage::default();
     for number_of in 0..20 * effort() {
         let session = SetUpSession::random(number_of, 6, true);
-        let session = MeasuredSession::new(session, dictionary(Nodes::Paper, true));
+        let session = MeasuredSession::new(session, dictionary(Nodes::Lab, true));
         let mut of_session = Vec::new();
         for (material, thickness_mm) in [0.3, 1.0, 2.0].into_iter().enumerate() {
             let found = session.predicted(&format!("m{material}:{thickness_mm}"), "light,dark,0.5", &[]);

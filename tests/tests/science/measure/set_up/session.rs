@@ -27,7 +27,7 @@ const LEVEL: f64 = 0.0008;
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Nodes {
     Few,
-    Paper,
+    Lab,
 }
 
 /// Dictionary of the scene with its responses, or with those to the phase function alone.
@@ -44,7 +44,7 @@ pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionar
 pub(super) fn dictionary_of(scene: &Scene, nodes: Nodes) -> &'static FitDictionary {
     let grid = match nodes {
         Nodes::Few => Grid::new(scene.clone(), few_nodes(), Walks::PAPER, 1, false),
-        Nodes::Paper => Grid::new(scene.clone(), Grid::paper().axes().clone(), NoiseLevel::Paper, 1, false),
+        Nodes::Lab => Grid::new(scene.clone(), Axes::lab(), NoiseLevel::Paper, 1, false),
     };
     let (grid, base) = (grid.unwrap(), SeenBase::of(scene));
     let responses = Responses::of(scene, grid.axes(), |varied| base.through(varied)).unwrap();
