@@ -16,7 +16,7 @@ pub(super) fn few_walks(dictionary: &str, grid: &Grid) -> Option<Note> {
     (few && grid.quality().is_none() && grid.responses().is_some()).then(|| Note {
         code: "FEW_WALKS",
         text: format!(
-            "dictionary {dictionary} has {own} walks for its thinnest sample: with fewer than {enough}, those of quality \
+            "dictionary {dictionary} has {own} walks for its thickest sample: with fewer than {enough}, those of quality \
              paper, intervals with an estimated set-up may be too narrow and g far off"
         ),
     })
@@ -49,7 +49,7 @@ mod tests {
         let draft = lab.with_effort(NoiseLevel::Draft).unwrap();
         let note = few_walks("mine", &draft).unwrap();
         assert_eq!(note.code, "FEW_WALKS");
-        assert!(note.text.starts_with("dictionary mine has 2000 walks"), "{}", note.text);
+        assert!(note.text.starts_with("dictionary mine has 5500 walks"), "{}", note.text);
         assert_eq!(few_walks("paper", &Grid::paper().with_effort(NoiseLevel::Draft).unwrap()), None);
     }
 }

@@ -145,15 +145,14 @@ fn describe(basis: &[Vec<f64>], values: &[f64], mut add: impl FnMut(f64)) {
 mod tests {
     use std::sync::atomic::AtomicBool;
 
-    use optics_layers::records;
     use optics_model::grid::{Axes, NoiseLevel};
     use optics_model::job::JobSpec;
     use optics_model::{Grid, PackedRecords, Scene};
+    use optics_tracer::trace;
 
     use crate::DictionaryBuilder;
 
-    /// Traced records differ from their profiles in the basis by less than a fifth of their noise at its greatest, and
-    /// mostly far less.
+    /// Traced records differ from their profiles in the basis by less than a fifth of their noise, and mostly far less.
     #[test]
     fn basis_leaves_less_than_the_noise() {
         let scene = Scene::paper();
@@ -165,21 +164,21 @@ mod tests {
         let mut builder = DictionaryBuilder::new(grid.clone());
         let mut noise = Vec::new();
         for job in (0..grid.job_count()).map(|job| JobSpec::of(&grid, job)) {
-            let records = records(&job, &AtomicBool::new(false)).unwrap();
-            let greatest = |errors: &[f32]| errors.iter().copied().fold(0.0, f32::max);
-            let errors = records.iter().map(|record| record.profiles[0].radiance_factor.std_errors());
-            noise.extend(errors.map(|errors| f64::from(greatest(errors))));
+            let records = trace(&job, &AtomicBool::new(false)).unwrap();
+            noise.extend(
+                records.iter().map(|record| record.profiles[0].radiance_factor.std_errors().to_vec()),
+            );
             builder.add(&PackedRecords::pack(&job, &records));
         }
         let dictionary = builder.build();
         let (records, found) = (dictionary.records(0), dictionary.coefficients(0));
         let mut left: Vec<f64> = Vec::new();
-        for (index, error) in noise.iter().enumerate() {
+        for (index, errors) in noise.iter().enumerate() {
             let row: Vec<f64> = found.row(records, index).iter().map(|c| f64::from(*c)).collect();
             let [profile] = found.profiles([&row]);
             let values = records.values(index, 0..records.pixels());
-            let square = |(p, v): (&f64, &f32)| ((p - f64::from(*v)) / error).powi(2);
-            let squares = profile.iter().zip(&*values).map(square).sum::<f64>();
+            let square = |((p, v), s): ((&f64, &f32), &f32)| ((p - f64::from(*v)) / f64::from(*s)).powi(2);
+            let squares = profile.iter().zip(&*values).zip(errors).map(square).sum::<f64>();
             left.push((squares / profile.len() as f64).sqrt());
         }
         left.sort_by(f64::total_cmp);

@@ -5,17 +5,17 @@ use super::{BATCH_WALKS, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::medium::TransportPoint;
 
-/// Level of the noise of records, at the pixel where it is largest.
+/// Level of the noise of records.
 ///
 /// The paper's own level is the noise of its path tracer with 250,000 samples per pixel. The variance of such a sample is
 /// known exactly, see `docs/design/estimator.md`: at an albedo α and reflectances ρ it is F(α², ρ²)/Δ − F(α, ρ)², F being
 /// the profile and Δ the ring's measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoiseLevel {
-    /// A tenth of the walks at most: errors up to three times as large.
+    /// A tenth of the work: errors three times as large.
     Draft,
     Paper,
-    /// Ten times the walks: errors a third as large.
+    /// Ten times the work: errors a third as large.
     Fine,
 }
 
@@ -37,14 +37,11 @@ impl NoiseLevel {
 
     /// Walks that the noisiest record of a point needs, which is the brightest.
     ///
-    /// Found by tracing. In units of the paper's variance, the variance of a walk is (τ + 1.3)/(τ + 3), and exact levels
-    /// leave 1/(2 + 1.2 τ) of it at the worst pixel, in scenes with and without rough faces and for all g: together
-    /// 0.21/(1 + τ/4.5).
+    /// Found by tracing: in units of the paper's variance, the variance of a walk depends practically on the optical
+    /// thickness alone, as (τ + 1.3)/(τ + 3).
     pub fn walks(self, point: &TransportPoint) -> Walks {
         // Part of the physics version: the walks of a level are not in a grid's digest.
-        const OF_THIN: f64 = 11_000.0;
-        /// Fewer batches do not show their spread.
-        const LEAST_BATCHES: u64 = 4;
+        const OF_THICK: f64 = 53_000.0;
         let share = match self {
             Self::Draft => 0.1,
             Self::Paper => 1.0,
@@ -52,8 +49,8 @@ impl NoiseLevel {
         };
         // In single precision, in which points that share their walks have the same value.
         let tau = f64::from(point.walked_slab().optical_thickness);
-        let walks = share * OF_THIN / (1.0 + tau / 4.5);
-        let batches = ((walks / BATCH_WALKS as f64).ceil() as u64).max(LEAST_BATCHES);
+        let walks = share * OF_THICK * (tau + 1.3) / (tau + 3.0);
+        let batches = (walks / BATCH_WALKS as f64).ceil() as u64;
         Walks::new(batches * BATCH_WALKS).expect("whole batches, and enough of them")
     }
 }
@@ -95,13 +92,14 @@ mod tests {
         level.walks(&TransportPoint::new(sigma_t, 0.4, 1.0, 1.53).unwrap()).get()
     }
 
-    /// Thin samples need more walks than thick ones for the same noise.
+    /// Thick samples need more walks than thin ones for the same noise.
     #[test]
-    fn thin_samples_need_more_walks() {
-        assert_eq!([0.5, 2.0, 30.0].map(|tau| walks(NoiseLevel::Paper, tau)), [10_000, 8_000, 2_000]);
-        assert_eq!([0.5, 2.0, 30.0].map(|tau| walks(NoiseLevel::Fine, tau)), [99_000, 76_500, 14_500]);
+    fn thick_samples_need_more_walks() {
+        assert_eq!([0.5, 2.0, 30.0].map(|tau| walks(NoiseLevel::Paper, tau)), [27_500, 35_000, 50_500]);
+        assert_eq!(walks(NoiseLevel::Draft, 2.0), 3_500);
+        assert_eq!(walks(NoiseLevel::Fine, 2.0), 350_000);
         // A very thin and a very thick sample.
-        assert_eq!([1e-4, 1e4].map(|tau| walks(NoiseLevel::Draft, tau)), [2_000, 2_000]);
+        assert_eq!([1e-4, 1e4].map(|tau| walks(NoiseLevel::Draft, tau)), [2_500, 5_500]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 use std::sync::atomic::AtomicBool;
 
-use optics_model::grid::{Axes, NoiseLevel};
+use optics_model::grid::Axes;
 use optics_model::job::JobSpec;
 use optics_model::scene::{Channel, Layer, Scene, Sensor};
 use optics_model::{Grid, Medium, Record, TransportPoint, Walks};
@@ -206,11 +206,11 @@ impl Traced {
         let job = JobSpec::new(scene, point, self.albedo.clone(), walks, 1, false).unwrap();
         let profile = |record: Record| {
             let estimate = &record.profiles[0].radiance_factor;
-            let std_error = estimate.std_errors().iter().copied().fold(0.0, f32::max);
+            let squares = estimate.std_errors().iter().map(|e| f64::from(*e).powi(2)).sum::<f64>();
             let values = estimate.values().iter().map(|v| f64::from(*v)).collect();
-            TracedProfile { values, std_error: std_error.into() }
+            TracedProfile { values, std_error: (squares / 360.0).sqrt() }
         };
-        optics_layers::records(&job, &AtomicBool::new(false)).unwrap().into_iter().map(profile).collect()
+        optics_tracer::trace(&job, &AtomicBool::new(false)).unwrap().into_iter().map(profile).collect()
     }
 
     /// A dictionary that ranges over σ_t from 1 to 20 and has nodes where a medium of this optical thickness needs them,
@@ -241,11 +241,10 @@ impl Traced {
         })
     }
 
-    /// Errors of predictions at a thickness, by albedo, as shares of the noise of a record of the paper's quality at its
-    /// noisiest pixel.
+    /// Errors of predictions at a thickness, by albedo, as shares of the noise of a record with the paper's number of
+    /// walks.
     fn errors(&self, tau: f64, mm: f64, predict: impl Fn(Coordinates) -> PredictionAt) -> Vec<f64> {
-        let point = TransportPoint::new(tau, self.g, 1.0, 1.53).unwrap();
-        let walks = self.walks as f64 / NoiseLevel::Paper.walks(&point).get() as f64;
+        let walks = self.walks as f64 / Walks::PAPER.get() as f64;
         let error = |(albedo, truth): (&f64, TracedProfile)| {
             let medium = Medium::new(tau / mm, *albedo, self.g).unwrap();
             let predicted = predict(coordinates(&medium)).values;
