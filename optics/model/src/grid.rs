@@ -244,10 +244,10 @@ impl Grid {
             let point = TransportPoint::new(sigma_t, self.g()[0], thickness, self.sample_ior()[0]);
             self.effort.walks(&point.expect("axes hold checked values"))
         };
-        // The thinnest sample needs the most walks.
+        // The thickest sample needs the most walks.
         [
-            of(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
             of(self.sigma_t_per_mm()[0], self.thickness_mm()[0]),
+            of(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
         ]
     }
 
