@@ -55,7 +55,7 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// Albedos between which cubic interpolation of profiles in √(1 − α), as in fits, errs by less than 0.1 %.
+    /// Albedos between which cubic interpolation of profiles in √(1 − α), as in fits, errs by 0.1 % at most.
     pub const ALBEDO: [f64; 29] = [
         0.05, 0.12, 0.2, 0.28, 0.36, 0.44, 0.52, 0.59, 0.65, 0.71, 0.76, 0.8, 0.84, 0.87, 0.9, 0.92, 0.94,
         0.955, 0.966, 0.976, 0.983, 0.989, 0.993, 0.996, 0.998, 0.999, 0.9996, 0.9999, 0.99999,

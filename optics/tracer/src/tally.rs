@@ -292,7 +292,7 @@ impl<'a> Tally<'a> {
 
     /// Converts the contents of nodes to a pixel's columns.
     #[inline(always)]
-    fn tell<S: Simd>(&self, simd: S, level: &[f32], out: &mut [f32]) {
+    fn fill_columns<S: Simd>(&self, simd: S, level: &[f32], out: &mut [f32]) {
         let (nodes, albedos) = (self.nodes, self.job.albedo().len());
         let rows = level
             .chunks_exact(nodes * self.moments)
@@ -325,7 +325,7 @@ impl<'a> Tally<'a> {
         for (cell, steps) in self.steps.chunks_exact(row).enumerate() {
             level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
             if self.spread.pixel(at) == Some(cell) {
-                self.tell(simd, &level, &mut shown);
+                self.fill_columns(simd, &level, &mut shown);
                 self.spread.add(at, &shown, &dark, &contrast);
                 at += 1;
             }
@@ -371,7 +371,7 @@ impl<'a> Tally<'a> {
         let straight = self.straight();
         for (steps, sums) in self.steps.chunks_exact(row).zip(total.sums.chunks_exact_mut(columns)) {
             level.iter_mut().zip(steps).for_each(|(level, step)| *level += step);
-            self.tell(simd, &level, &mut shown);
+            self.fill_columns(simd, &level, &mut shown);
             for ((sum, shown), straight) in sums.iter_mut().zip(&shown).zip(&straight) {
                 *sum += f64::from(*shown) + straight;
             }

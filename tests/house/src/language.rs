@@ -43,7 +43,7 @@ const WORD_BUDGETS: [(&str, usize); 12] = [
     ("deploy", 0),
     ("docs", 0),
     ("examples", 0),
-    ("optics", 28),
+    ("optics", 25),
     ("proto", 6),
     ("python", 5),
     ("tests", 2),

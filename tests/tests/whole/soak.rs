@@ -34,8 +34,9 @@ const SLACK_KIB: u64 = 16 << 10;
 const SLACK_FILES: usize = 8;
 /// Dictionaries after which a coordinator is warm: each client has used all of its connections to the database.
 const WARM_AFTER: u64 = 2 * CLIENTS;
-/// Samples that show a trend, however long they take.
+/// Samples that show a trend, and how much longer a slow machine may take for them.
 const FEWEST_SAMPLES: usize = 12;
+const PATIENCE: Duration = Duration::from_mins(2);
 
 struct Sample {
     at: Duration,
@@ -100,6 +101,7 @@ fn maltreat(farm: &mut FaultyFarm, start: Instant, whole: Duration, tally: &Tall
     let pause = (whole / 40).min(Duration::from_secs(3));
     let (quarter, mut lives) = (whole / 4, false);
     while start.elapsed() < whole || samples.len() < FEWEST_SAMPLES {
+        assert!(start.elapsed() < whole + PATIENCE, "{} samples are too few", samples.len());
         std::thread::sleep(pause.mul_f64(0.5 + chance.uniform()));
         farm.assert_all_run();
         let fault = Fault::LIST[(chance.uniform() * Fault::LIST.len() as f64) as usize];

@@ -152,7 +152,8 @@ mod tests {
 
     use crate::DictionaryBuilder;
 
-    /// Traced records differ from their profiles in the basis by less than a fifth of their noise, and mostly far less.
+    /// Records by walks alone differ from their profiles in the basis by less than a fifth of their noise, and mostly far
+    /// less.
     #[test]
     fn basis_leaves_less_than_the_noise() {
         let scene = Scene::paper();

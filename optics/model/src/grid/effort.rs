@@ -5,17 +5,17 @@ use super::{BATCH_WALKS, Walks};
 use crate::invalid::{Invalid, Result};
 use crate::medium::TransportPoint;
 
-/// Level of the noise of records.
+/// Level of the noise of the walks of records, of which exact levels remove a part.
 ///
 /// The paper's own level is the noise of its path tracer with 250,000 samples per pixel. The variance of such a sample is
 /// known exactly, see `docs/design/estimator.md`: at an albedo α and reflectances ρ it is F(α², ρ²)/Δ − F(α, ρ)², F being
 /// the profile and Δ the ring's measure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoiseLevel {
-    /// A tenth of the work: errors three times as large.
+    /// A tenth of the walks: errors three times as large.
     Draft,
     Paper,
-    /// Ten times the work: errors a third as large.
+    /// Ten times the walks: errors a third as large.
     Fine,
 }
 
@@ -38,7 +38,8 @@ impl NoiseLevel {
     /// Walks that the noisiest record of a point needs, which is the brightest.
     ///
     /// Found by tracing: in units of the paper's variance, the variance of a walk depends practically on the optical
-    /// thickness alone, as (τ + 1.3)/(τ + 3).
+    /// thickness alone, as (τ + 1.3)/(τ + 3). Exact levels remove more in thick samples, but fewer walks there make shapes
+    /// too noisy for anisotropies.
     pub fn walks(self, point: &TransportPoint) -> Walks {
         // Part of the physics version: the walks of a level are not in a grid's digest.
         const OF_THICK: f64 = 53_000.0;

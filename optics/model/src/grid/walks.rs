@@ -20,7 +20,7 @@ const MAX_WALKS: u64 = 1_000_000_000_000;
 pub struct Walks(u64);
 
 impl Walks {
-    /// Some times the walks that any point of the paper needs for its noise, see [`super::NoiseLevel`].
+    /// Near the most that any point of the paper needs for its noise, see [`super::NoiseLevel`].
     pub const PAPER: Self = Self(50_000);
 
     pub fn new(walks: u64) -> Result<Self> {

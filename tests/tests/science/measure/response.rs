@@ -52,7 +52,8 @@ fn is(found: Option<(Cause, f64)>, cause: Cause, amount: f64, within: f64) -> bo
     found.is_some_and(|f| f.0 == cause && (f.1 - amount).abs() <= within)
 }
 
-/// 0.9 is a mild camera curve. sRGB is no power: near 0.45 for bright values, it is fitted by less where dark ones count.
+/// 0.9 is a mild camera curve. sRGB is no power: between 0.45 and 0.57 from bright to dark values, and found as less, near
+/// the end of the range of exponents (e⁻¹), since media absorb a part.
 #[test]
 fn camera_curve_is_named_with_its_exponent() {
     assert_eq!(suspected(|v| v, None), None);

@@ -241,8 +241,8 @@ impl Traced {
         })
     }
 
-    /// Errors of predictions at a thickness, by albedo, as shares of the noise of a record with the paper's number of
-    /// walks.
+    /// Errors of predictions at a thickness, by albedo, as shares of the noise of a record by walks alone, of the paper's
+    /// number.
     fn errors(&self, tau: f64, mm: f64, predict: impl Fn(Coordinates) -> PredictionAt) -> Vec<f64> {
         let walks = self.walks as f64 / Walks::PAPER.get() as f64;
         let error = |(albedo, truth): (&f64, TracedProfile)| {
