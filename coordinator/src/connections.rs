@@ -35,7 +35,7 @@ pub use lingering_close::LingeringClose;
 
 /// Pause after an error that others will follow, as when there are no file descriptors left, so that some can be freed.
 const PAUSE: Duration = Duration::from_millis(100);
-/// Refused connections and errors are logged at most this often.
+/// Connections that are refused or cut, and errors, are logged at most this often.
 const TELL: Duration = Duration::from_secs(10);
 
 /// The address of programs that connect to the Unix socket.
@@ -110,7 +110,29 @@ pub struct Incoming {
     pause: Option<Pin<Box<Sleep>>>,
     clock: Clock,
     refusals: Throttle,
+    cuts: Arc<Cuts>,
     errors: Throttle,
+}
+
+/// Logs connections that are cut, at intervals.
+#[derive(Debug)]
+struct Cuts {
+    clock: Clock,
+    throttle: Throttle,
+}
+
+impl Cuts {
+    fn new() -> Arc<Self> {
+        Arc::new(Self { clock: Clock::start(), throttle: Throttle::new(TELL) })
+    }
+
+    /// Logs a reason, and returns the error with which the connection ends.
+    fn error(&self, why: &'static str) -> io::Error {
+        if let Some(connections) = self.throttle.count(self.clock.now()) {
+            tracing::info!(connections, "connections have been cut: {why}");
+        }
+        io::Error::new(io::ErrorKind::TimedOut, why)
+    }
 }
 
 impl Incoming {
@@ -128,6 +150,7 @@ impl Incoming {
             pause: None,
             clock: Clock::start(),
             refusals: Throttle::new(TELL),
+            cuts: Cuts::new(),
             errors: Throttle::new(TELL),
         }
     }
@@ -148,17 +171,22 @@ impl Incoming {
             // It has most likely been closed already, which its first read will report.
             tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
         }
-        Some(Guarded::new(LingeringClose::new(Either::Left(stream), place), self.limits, admission))
+        Some(self.guarded(Either::Left(stream), place, admission))
     }
 
     /// As `admit`, for a program of the coordinator's own user.
     fn admit_own(&self, stream: UnixStream) -> Option<Guarded<LingeringClose>> {
         let place = self.place(OWN_USER)?;
-        Some(Guarded::new(
-            LingeringClose::new(Either::Right(stream), place),
-            self.limits,
-            Admission::own_user(),
-        ))
+        Some(self.guarded(Either::Right(stream), place, Admission::own_user()))
+    }
+
+    fn guarded(
+        &self,
+        stream: Either<TcpStream, UnixStream>,
+        place: OwnedSemaphorePermit,
+        admission: Admission,
+    ) -> Guarded<LingeringClose> {
+        Guarded::new(LingeringClose::new(stream, place), self.limits, admission, self.cuts.clone())
     }
 
     fn place(&self, peer: SocketAddr) -> Option<OwnedSemaphorePermit> {

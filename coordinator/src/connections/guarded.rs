@@ -2,6 +2,7 @@
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -9,7 +10,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 
-use super::{Admission, Limits, Peer};
+use super::{Admission, Cuts, Limits, Peer};
 
 /// Length of the greeting (preface) that begins every HTTP/2 connection; that of TLS is longer. A first byte alone
 /// would not suffice: it costs nothing to send.
@@ -36,12 +37,13 @@ struct Watch {
     token_deadline: Option<Instant>,
     /// Time of the last check of the admission.
     looked: Instant,
+    cuts: Arc<Cuts>,
     /// Wakes the reader. It may be early, since it is set again only after it has fired: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
 
 impl<IO> Guarded<IO> {
-    pub(super) fn new(io: IO, limits: Limits, admission: Admission) -> Self {
+    pub(super) fn new(io: IO, limits: Limits, admission: Admission, cuts: Arc<Cuts>) -> Self {
         let Limits { hello, silence, unauthenticated, .. } = limits;
         let alarm = Box::pin(tokio::time::sleep(hello.min(silence).min(LOOK)));
         let heard = Instant::now();
@@ -53,6 +55,7 @@ impl<IO> Guarded<IO> {
             silence,
             token_deadline,
             looked: heard,
+            cuts,
             alarm,
         };
         Self { io, watch, admission }
@@ -74,7 +77,7 @@ impl Watch {
             return None;
         }
         self.looked = now;
-        admission.is_over(now).map(|why| io::Error::new(io::ErrorKind::TimedOut, why))
+        admission.is_over(now).map(|why| self.cuts.error(why))
     }
 
     /// Ready when the other end has been silent for too long, or the admission has ended.
@@ -89,7 +92,7 @@ impl Watch {
         }
         loop {
             if Instant::now() >= deadline {
-                return Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, what));
+                return Poll::Ready(self.cuts.error(what));
             }
             if let Some(error) = self.look(admission) {
                 return Poll::Ready(error);
@@ -202,7 +205,7 @@ mod tests {
 
     fn with_admission(admission: Admission) -> (Guarded<DuplexStream>, DuplexStream) {
         let (here, there) = tokio::io::duplex(1024);
-        (Guarded::new(here, LIMITS, admission), there)
+        (Guarded::new(here, LIMITS, admission, Cuts::new()), there)
     }
 
     /// A connection that has sent its greeting, with a token or without.
