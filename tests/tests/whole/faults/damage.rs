@@ -7,7 +7,7 @@ use farm_tests::farm::Farm;
 use farm_tests::grids::{grid_of, traced, undisturbed};
 use farm_tests::process::{SOON, Signal, wait_for};
 
-use super::GRID;
+use super::{GRID, LONG_JOBS};
 
 const DAMAGED: u32 = 5;
 
@@ -83,9 +83,14 @@ fn doctor_repairs_a_flipped_bit_on_request() {
 }
 
 /// The records are in the database's log, which is truncated and later restored.
-#[test]
-fn unreadable_log_is_reported_and_kept() {
-    let farm = Farm::start(&["--verify-share", "0"]);
+#[tokio::test(flavor = "multi_thread")]
+async fn unreadable_log_is_reported_and_kept() {
+    let farm = Farm::start(&["--verify-share", "0", "--lease", "3600"]);
+    // The log is merged at a moment without leases: another dictionary has one all the time.
+    farm.submit("held", LONG_JOBS);
+    let mut holder = farm.test_worker("holder").await.unwrap();
+    assert_eq!(holder.acquire(1).await.unwrap().len(), 1);
+    assert_eq!(farm.farmctl(&["pause", "held"]).code, 0);
     farm.submit("grid", GRID);
     let worker = farm.worker("worker", &[]);
     let digest = farm.done("grid");
