@@ -36,7 +36,7 @@ pub use lingering_close::LingeringClose;
 /// Pause after an error that others will follow, as when there are no file descriptors left, so that some can be freed.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Connections that are refused or cut, and errors, are logged at most this often.
-const TELL: Duration = Duration::from_secs(10);
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The address of programs that connect to the Unix socket.
 pub(super) const OWN_USER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -123,15 +123,13 @@ struct Cuts {
 
 impl Cuts {
     fn new() -> Arc<Self> {
-        Arc::new(Self { clock: Clock::start(), throttle: Throttle::new(TELL) })
+        Arc::new(Self { clock: Clock::start(), throttle: Throttle::new(LOG_INTERVAL) })
     }
 
-    /// Logs a reason, and returns the error with which the connection ends.
-    fn error(&self, why: &'static str) -> io::Error {
+    fn log(&self, why: &str) {
         if let Some(connections) = self.throttle.count(self.clock.now()) {
-            tracing::info!(connections, "connections have been cut: {why}");
+            tracing::info!(connections, "connections have been cut, the last one because {why}");
         }
-        io::Error::new(io::ErrorKind::TimedOut, why)
     }
 }
 
@@ -149,9 +147,9 @@ impl Incoming {
             unauthenticated: UnauthenticatedPeers::default(),
             pause: None,
             clock: Clock::start(),
-            refusals: Throttle::new(TELL),
+            refusals: Throttle::new(LOG_INTERVAL),
             cuts: Cuts::new(),
-            errors: Throttle::new(TELL),
+            errors: Throttle::new(LOG_INTERVAL),
         }
     }
 

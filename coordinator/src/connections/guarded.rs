@@ -37,7 +37,8 @@ struct Watch {
     token_deadline: Option<Instant>,
     /// Time of the last check of the admission.
     looked: Instant,
-    cuts: Arc<Cuts>,
+    /// Where the end of the connection is logged, once.
+    cuts: Option<Arc<Cuts>>,
     /// Wakes the reader. It may be early, since it is set again only after it has fired: reads are many, deadlines few.
     alarm: Pin<Box<Sleep>>,
 }
@@ -55,7 +56,7 @@ impl<IO> Guarded<IO> {
             silence,
             token_deadline,
             looked: heard,
-            cuts,
+            cuts: Some(cuts),
             alarm,
         };
         Self { io, watch, admission }
@@ -70,6 +71,14 @@ impl Watch {
         }
     }
 
+    /// Logs a reason, and returns the error with which the connection ends.
+    fn cut(&mut self, why: &'static str) -> io::Error {
+        if let Some(cuts) = self.cuts.take() {
+            cuts.log(why);
+        }
+        io::Error::new(io::ErrorKind::TimedOut, why)
+    }
+
     /// The reason why the admission has ended, checked at intervals, since reads are many.
     fn look(&mut self, admission: &Admission) -> Option<io::Error> {
         let now = Instant::now();
@@ -77,7 +86,7 @@ impl Watch {
             return None;
         }
         self.looked = now;
-        admission.is_over(now).map(|why| self.cuts.error(why))
+        admission.is_over(now).map(|why| self.cut(why))
     }
 
     /// Ready when the other end has been silent for too long, or the admission has ended.
@@ -92,7 +101,7 @@ impl Watch {
         }
         loop {
             if Instant::now() >= deadline {
-                return Poll::Ready(self.cuts.error(what));
+                return Poll::Ready(self.cut(what));
             }
             if let Some(error) = self.look(admission) {
                 return Poll::Ready(error);

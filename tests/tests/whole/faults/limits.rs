@@ -144,6 +144,11 @@ async fn idle_connections_do_not_hinder_existing_ones() {
     while !gets_in(&farm).await {
         assert!(Instant::now() < deadline, "no new client is served");
     }
+    let log = farm.coordinator().log();
+    assert!(
+        log.contains("connections have been cut, the last one because the other end does not begin"),
+        "{log}"
+    );
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     drop((idle, worker));
 }
