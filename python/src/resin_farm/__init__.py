@@ -3,7 +3,7 @@
     import resin_farm
 
     with resin_farm.Farm() as farm:
-        farm.submit()                            # the paper's dictionary, a quarter of a minute on two cores
+        farm.submit()                            # the paper's dictionary, half a minute on two cores
         print(farm.measure("white.csv"))         # media with error bars
 
 Lengths are in mm, coefficients in 1/mm. Profiles are radiance factors: ratios to a perfect white Lambertian surface in
