@@ -68,6 +68,8 @@ pub fn common() -> Common {
         mu_interval: interval(0.88, 0.92),
         mu_chosen: true,
         g: Some(0.4),
+        g_spread: None,
+        g_equal_probability: None,
         g_change: None,
         g_interval: Some(interval(0.3, 0.5)),
         by_g: Vec::new(),

@@ -29,20 +29,32 @@ pub(crate) fn common_text(common: &Common) -> String {
         lines.push(line);
     }
     match (common.g, &common.g_interval) {
-        (Some(g), Some(i)) => {
-            let value = interval(i, |v| significant(v, 2));
+        (Some(g), Some(i)) if let Some(spread) = common.g_spread => {
+            let p = common.g_equal_probability.map_or(String::new(), |p| {
+                format!("; one g of all would differ as much with p = {}", significant(p, 2))
+            });
             lines.push(format!(
-                "anisotropy g = {}, chosen as common to all channels (95 %: {value})",
-                significant(g, 3)
+                "anisotropy g = {}, the mean of the materials (95 %: {}); ln(1−g) of each about it: ± {}{p}",
+                significant(g, 3),
+                interval(i, |v| significant(v, 2)),
+                significant(spread, 2)
             ));
         }
+        (Some(g), Some(i)) => lines.push(format!(
+            "anisotropy g = {}, chosen as common to all channels (95 %: {})",
+            significant(g, 3),
+            interval(i, |v| significant(v, 2))
+        )),
         (Some(g), None) if common.by_g.len() > 1 => lines.push(format!(
             "anisotropy g = {g}, of the dictionary's that with the least error of all channels together"
         )),
         (Some(g), None) => lines.push(format!("anisotropy g = {g}: given, or the dictionary's only one")),
         (None, _) if let Some(change) = common.g_change => lines.push(format!(
-            "anisotropy g: a curve over wavelength, common to all materials; prior of the change of ln(1−g) over 100 nm: \
-             ± {change}"
+            "anisotropy g: a curve over wavelength; prior of the change of ln(1−g) over 100 nm: ± {change}{}",
+            common.g_spread.map_or(String::new(), |s| format!(
+                "; ln(1−g) of a material about the mean: ± {}",
+                significant(s, 2)
+            ))
         )),
         (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
     }

@@ -108,7 +108,9 @@ impl Fits for Context {
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
         let search_mu = search_mu.map_err(|e| e.within("search_mu")).or_status()?;
         let g_change = request.g_change.unwrap_or(MeasurePlan::default().g_change);
-        let plan = MeasurePlan { search_mu, common_g: request.common_g, g_change }.checked().or_status()?;
+        let MeasureRequest { common_g, g_spread, .. } = request;
+        let plan = MeasurePlan { search_mu, common_g, g_spread, g_change };
+        let plan = plan.checked().or_status()?;
         let materials = self.materials(request.materials).or_status()?;
         let mixtures = farm_proto::mixtures(request.mixtures).or_status()?;
         let boards = boards(request.board).or_status()?;

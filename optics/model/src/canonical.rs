@@ -33,6 +33,7 @@ pub(crate) fn scene(scene: &Scene) -> Vec<u8> {
     message(&mut bytes, 4, &sensor);
     whole(&mut bytes, 5, u64::from(scene.multiple_scattering()));
     number(&mut bytes, 6, scene.sample_ior_offset());
+    number(&mut bytes, 8, scene.base_spread_mm());
     bytes
 }
 

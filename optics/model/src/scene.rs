@@ -235,6 +235,7 @@ pub struct Scene {
     multiple_scattering: bool,
     sample_ior_offset: f64,
     phase: PhaseShape,
+    base_spread_mm: f64,
     priors: Vec<Prior>,
 }
 
@@ -260,8 +261,17 @@ impl Scene {
             ));
         }
         check_channels(&channels)?;
-        let (sample_ior_offset, phase, priors) = (0.0, PhaseShape::default(), Vec::new());
-        Ok(Self { layers, channels, light, sensor, multiple_scattering, sample_ior_offset, phase, priors })
+        Ok(Self {
+            layers,
+            channels,
+            light,
+            sensor,
+            multiple_scattering,
+            sample_ior_offset: 0.0,
+            phase: PhaseShape::default(),
+            base_spread_mm: 0.0,
+            priors: Vec::new(),
+        })
     }
 
     /// Index of the channel that models an error of the white reference of this one.
@@ -306,6 +316,19 @@ impl Scene {
     #[must_use]
     pub fn with_phase(self, phase: PhaseShape) -> Self {
         Self { phase, ..self }
+    }
+
+    /// The scene with another spread of light within the base ([`Self::base_spread_mm`]), 0 to 10 mm.
+    pub fn with_base_spread(self, base_spread_mm: f64) -> Result<Self> {
+        let allowed = "allowed are 0 to 10 mm";
+        let base_spread_mm = check("base_spread_mm", base_spread_mm, |v| (0.0..=10.0).contains(&v), allowed)?;
+        Ok(Self { base_spread_mm, ..self })
+    }
+
+    /// The mean distance across the edge, to either side, between the places at which light enters the base and leaves it.
+    /// It has an exponential distribution, and light crosses the ink at both places: each has the factor √ρ.
+    pub fn base_spread_mm(&self) -> f64 {
+        self.base_spread_mm
     }
 
     /// The shape of the sample's phase function; its mean cosine is that of the transport point.

@@ -96,14 +96,15 @@ impl<'a> SeenBase<'a> {
         Self { scene, board: OnceCell::new() }
     }
 
-    /// The channels of a varied scene: the reflectances at which its base has the radiance factors of the scene's base.
+    /// The channels of a varied scene: the reflectances at which its base has the radiance factors that its own ρ would have
+    /// in the scene.
     /// Reflectances are clamped to the range of a channel.
     pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
         let scene = self.scene;
         if coat(scene)? == coat(varied)?
             && (scene.light(), scene.sensor().polar_deg()) == (varied.light(), varied.sensor().polar_deg())
         {
-            return Ok(scene.channels().to_vec());
+            return Ok(varied.channels().to_vec());
         }
         let other = BareBoard::of(varied)?;
         let known = self.board.get().copied().map_or_else(|| BareBoard::of(scene), Ok)?;
@@ -111,15 +112,15 @@ impl<'a> SeenBase<'a> {
         let rho = |rho: f64, least: f64| other.reflectance(known.apparent(rho)).clamp(least, 1.0);
         let channel =
             |c: &Channel| Channel::new(c.name(), rho(c.rho_light(), 0.0), rho(c.rho_dark(), LEAST_RHO_DARK));
-        scene.channels().iter().map(channel).collect()
+        varied.channels().iter().map(channel).collect()
     }
 
-    /// Standard errors of ρ (light, dark) of each channel due to the priors of the scene: the root of the sum of squares
+    /// Standard errors of ρ (light, dark) of each channel due to the priors of all but the base: the root of the sum of squares
     /// of the changes that one standard deviation of each prior makes.
     pub fn std_errors(&self) -> Result<Vec<[f64; 2]>, Invalid> {
         let channels = self.scene.channels();
         let mut squares = vec![[0.0; 2]; channels.len()];
-        for prior in self.scene.priors() {
+        for prior in self.scene.priors().iter().filter(|prior| !prior.kind().is_of_base()) {
             let varied = |sd: f64| self.scene.varied(prior, sd * prior.std_error(), channels.to_vec());
             let changed = self.through(&varied(1.0).or_else(|_| varied(-1.0))?)?;
             for (square, (changed, known)) in squares.iter_mut().zip(changed.iter().zip(channels)) {

@@ -6,6 +6,8 @@
 
 use std::f32::consts::{LN_2, LOG2_E, SQRT_2};
 
+use super::rng::uniform;
+
 /// Coefficients of [`ln`], highest power first: (ln(1 + f) − f + f²/2)/f³.
 pub const LN: [f32; 8] = [
     -0.076_344_93,
@@ -51,6 +53,12 @@ pub fn exp(x: f32) -> f32 {
     let p = p * r + 0.5;
     let y = (p * (r * r) + r) + 1.0;
     y * f32::from_bits(((n as i32 + 127) << 23) as u32)
+}
+
+/// A distance to either side with an exponential distribution of this mean, from two words.
+pub fn two_sided(mean: f32, [size, side]: [u32; 2]) -> f32 {
+    let distance = -mean * ln(uniform(size));
+    if side & 1 == 0 { distance } else { -distance }
 }
 
 /// Approximates 2^x for −100 ≤ x < 128, at most 6 % above it: the bits of a float are nearly its logarithm. Smaller x

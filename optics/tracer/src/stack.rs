@@ -36,6 +36,8 @@ pub struct Stack {
     /// Bounds of sin² of the polar angle in air between which the light is seen.
     pub ring_sin2: [f32; 2],
     pub multiple_scattering: bool,
+    /// [`Scene::base_spread_mm`].
+    pub base_spread_mm: f32,
 }
 
 impl Stack {
@@ -74,6 +76,7 @@ impl Stack {
             sensor_direction: Vec3::new(0.0, sin_polar as f32, -cos_polar as f32),
             ring_sin2: [inner, outer],
             multiple_scattering: scene.multiple_scattering(),
+            base_spread_mm: scene.base_spread_mm() as f32,
         }
     }
 }

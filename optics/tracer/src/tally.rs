@@ -4,6 +4,9 @@
 //! entry position X, a staircase with steps at X = −dᵢ. The tally holds the *steps*, split between two neighbouring cells so
 //! that the average over each pixel is exact, and integrates at the end.
 //!
+//! Where light spreads within the base, it crosses the ink twice: as it enters and as it leaves. These are two hits, of √ρ
+//! each.
+//!
 //! Over a uniform base the staircase is flat: its height by the number of hits gives the levels that a profile reaches far
 //! from the edge.
 //!
@@ -24,7 +27,7 @@ use fearless_simd::{ExtractToken, Simd, SimdBase, f32x8};
 use optics_model::controls::Controls;
 use optics_model::grid::BATCH_WALKS;
 use optics_model::job::JobSpec;
-use optics_model::scene::Sensor;
+use optics_model::scene::{Channel, Sensor};
 use optics_model::sums::{Sums, quantities};
 
 use super::exits::Offset;
@@ -87,21 +90,28 @@ impl Albedos {
 const LIGHT: usize = 0;
 const DARK: usize = 1;
 
-/// The base in one channel: powers of its reflectances for numbers of hits, and the difference of the reflectances.
+/// The base in one channel: factors of its sides for numbers of hits, and the difference of those of one hit.
 #[derive(Debug)]
 struct Base {
     light: Vec<f32>,
     dark: Vec<f32>,
     contrast: f32,
+    crossings: usize,
 }
 
 impl Base {
-    fn new(rho_light: f64, rho_dark: f64, most_hits: usize) -> Self {
+    /// For walks that cross the ink `crossings` times, 1 or 2, at each reflection.
+    fn new([rho_light, rho_dark]: [f64; 2], crossings: usize, most_hits: usize) -> Self {
+        // A dark side of less than black has no root: light that crosses it once only is lost.
+        let root = |rho: f64| if crossings == 1 { rho } else { rho.max(0.0).sqrt() };
         let powers = |rho: f64| {
             let next = move |power: &f64| Some(power * rho);
-            std::iter::successors(Some(1.0), next).take(most_hits + 1).map(single).collect()
+            let whole = std::iter::successors(Some(1.0), next);
+            let all = whole.flat_map(|power| [power, power * root(rho)].into_iter().take(crossings));
+            all.take(most_hits + 1).map(single).collect()
         };
-        Self { light: powers(rho_light), dark: powers(rho_dark), contrast: (rho_light - rho_dark) as f32 }
+        let contrast = (root(rho_light) - root(rho_dark)) as f32;
+        Self { light: powers(rho_light), dark: powers(rho_dark), contrast, crossings }
     }
 
     /// Twice the weight of hits over a base that is light or dark everywhere: that of a walk and of its mirror image.
@@ -116,7 +126,13 @@ impl Base {
 
     /// Change of the weight by a hit that turns light where a others are light and b dark: exactly 0 without contrast.
     fn step(&self, a: usize, b: usize) -> f32 {
-        flush(self.light[a] * self.dark[b] * self.contrast)
+        let Self { light, dark, contrast, .. } = self;
+        let is_whole = self.crossings == 1;
+        flush(if is_whole {
+            light[a] * dark[b] * contrast
+        } else {
+            light[a + 1] * dark[b] - light[a] * dark[b + 1]
+        })
     }
 }
 
@@ -142,6 +158,8 @@ impl<'a> Tally<'a> {
         let level_len = channels.len() * moments * nodes;
         let most_hits = vertices.most_hits as usize;
         let px_per_mm = 1.0 / sensor.pitch_mm();
+        let crossings = if job.scene().base_spread_mm() > 0.0 { 2 } else { 1 };
+        let base = |c: &Channel| Base::new([c.rho_light(), c.rho_dark()], crossings, most_hits);
         Self {
             job,
             light,
@@ -152,7 +170,7 @@ impl<'a> Tally<'a> {
             albedos,
             hits,
             nodes,
-            base: channels.iter().map(|c| Base::new(c.rho_light(), c.rho_dark(), most_hits)).collect(),
+            base: channels.iter().map(base).collect(),
             moments,
             steps: vec![0.0; (sensor.pixels() + 1) * channels.len() * moments * nodes],
             by_hits: vec![0.0; (most_hits.min(FEW_HITS) + 1) * moments * nodes],

@@ -11,7 +11,7 @@ use super::Stopped;
 use super::exits::{Chunk, Exits, Offset};
 use super::fresnel::{Facet, RelativeIndex};
 use super::light::Light;
-use super::math::{ln, unit_vector};
+use super::math::{ln, two_sided, unit_vector};
 use super::microfacet::{Scattered, scatter_once, scatter_until_out};
 use super::pick::{AT_BASE, PICK_BLOCK, Pick, STEP, cut, importance};
 use super::rng::{Stream, uniform};
@@ -30,7 +30,7 @@ pub enum WalkEvent {
     Scattered,
     /// A reflection or refraction at an interface.
     Crossed,
-    /// A diffuse reflection at the base, at the current x.
+    /// A diffuse reflection at the base: the walk has met its surface at [`Walk::entered`] and left it at the current x.
     Base,
     /// The walk has left through the top.
     Left,
@@ -51,6 +51,8 @@ pub struct Walk<'a> {
     direction: Vec3,
     /// Lateral distance from the entry point.
     pub offset: Offset,
+    /// The same where the walk entered the base the last time.
+    pub entered: Offset,
     /// Product of the microfacets' weights and of roulette's.
     pub weight: f32,
     /// Scattering events so far.
@@ -71,6 +73,7 @@ impl<'a> Walk<'a> {
             z: 0.0,
             direction,
             offset: Offset::default(),
+            entered: Offset::default(),
             weight: 1.0,
             scatterings: 0,
             length: 0.0,
@@ -149,7 +152,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The Lambertian base: cosine-distributed directions, whatever the side of the edge.
+    /// The Lambertian base: cosine-distributed directions, whatever the side of the edge, after a step within it.
     fn reflect_diffusely(&mut self) -> WalkEvent {
         let Some(words) = self.draw() else { return WalkEvent::Lost };
         let u = uniform(words[1]);
@@ -157,6 +160,10 @@ impl<'a> Walk<'a> {
         let sin = u.sqrt();
         self.direction = Vec3::new(sin * x, sin * y, (1.0 - u).sqrt());
         self.z = 0.0;
+        self.entered = self.offset;
+        if self.stack.base_spread_mm > 0.0 {
+            self.offset.mm += two_sided(self.stack.base_spread_mm, [words[0], words[3]]);
+        }
         WalkEvent::Base
     }
 
@@ -251,6 +258,9 @@ pub fn run_chunk(
             let (z, receives) = match event {
                 WalkEvent::Scattered => (walk.z, light.about(walk.z, u)),
                 WalkEvent::Base => {
+                    if stack.base_spread_mm > 0.0 {
+                        hits.push(walk.entered);
+                    }
                     hits.push(walk.offset);
                     (AT_BASE, light.base)
                 }

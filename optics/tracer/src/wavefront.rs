@@ -31,6 +31,7 @@ use fearless_simd::{Level, Simd, SimdBase, SimdInto, SimdMask, dispatch, u32x16}
 use super::Stopped;
 use super::exits::{Chunk, Exits, Offset};
 use super::light::Light;
+use super::math::two_sided;
 use super::rng::{FIRST_BLOCK, Stream, uniform};
 use super::stack::Stack;
 use super::walk::ROULETTE_BLOCKS;
@@ -290,13 +291,14 @@ impl<'a, S: Simd> Wavefront<'a, S> {
             GateKind::Rough { alpha } => gate.cross_rough(alpha, &self.random, &mut walks, lanes),
             GateKind::Conserving { alpha } => self.cross_conserving(gate, alpha, &mut walks, lanes),
             GateKind::Base => {
-                let walk = walks.walk.to_array();
-                let (x, clear_x) = (walks.x.to_array(), walks.clear_x.to_array());
-                for lane in bits(lanes) {
-                    self.at.hits.push(walk[lane], Offset { free_paths: x[lane], mm: clear_x[lane] });
+                self.push_hits(&walks, lanes);
+                let arrived = walks.dz;
+                let words = reflect_diffusely(&self.random, &mut walks);
+                if self.stack.base_spread_mm > 0.0 {
+                    self.spread(&mut walks, words);
+                    self.push_hits(&walks, lanes);
                 }
-                self.keep.hit(&mut walks, lanes, &self.at.hits);
-                reflect_diffusely(&self.random, &mut walks);
+                self.keep.hit(&mut walks, arrived, lanes, &self.at.hits);
                 let none = Mask::splat(self.simd, false);
                 Fates { reflected: lanes, transmitted: none, lost: none }
             }
@@ -304,6 +306,25 @@ impl<'a, S: Simd> Wavefront<'a, S> {
         self.end(&walks, fates.lost);
         self.go_on(&mut walks, fates.reflected, gate.reflected);
         self.go_on(&mut walks, fates.transmitted, gate.transmitted);
+    }
+
+    /// Adds the current places of walks to their hits on the base.
+    #[inline(always)]
+    fn push_hits(&mut self, walks: &WalkLanes<S>, lanes: Mask<S>) {
+        let walk = walks.walk.to_array();
+        let (x, clear_x) = (walks.x.to_array(), walks.clear_x.to_array());
+        for lane in bits(lanes) {
+            self.at.hits.push(walk[lane], Offset { free_paths: x[lane], mm: clear_x[lane] });
+        }
+    }
+
+    /// Moves walks within the base.
+    #[inline(always)]
+    fn spread(&self, walks: &mut WalkLanes<S>, words: [Words<S>; 2]) {
+        let ([size, side], mut x) = (words.map(SimdBase::to_array), walks.clear_x.to_array());
+        let mean = self.stack.base_spread_mm;
+        (0..WIDTH).for_each(|lane| x[lane] += two_sided(mean, [size[lane], side[lane]]));
+        walks.clear_x = x.simd_into(self.simd);
     }
 
     /// Nearly all rays leave after one event; the others are followed one after the other.

@@ -38,6 +38,7 @@ impl From<&Scene> for wire::Scene {
             }),
             multiple_scattering: scene.multiple_scattering(),
             sample_ior_offset: scene.sample_ior_offset(),
+            base_spread_mm: scene.base_spread_mm(),
             priors: scene.priors().iter().map(Into::into).collect(),
         }
     }
@@ -182,6 +183,7 @@ impl TryFrom<wire::Scene> for Scene {
             scene.multiple_scattering,
         )?;
         let exact = exact.with_sample_ior_offset(scene.sample_ior_offset).with_phase(phase);
+        let exact = exact.with_base_spread(scene.base_spread_mm)?;
         exact.with_priors(each("priors", scene.priors, Prior::try_from)?)
     }
 }
@@ -269,7 +271,11 @@ mirror_enum!(PriorKind {
     RingAngle,
     SensorAngle,
     SecondLobeWeight,
-    SecondLobeG
+    SecondLobeG,
+    BaseSpread,
+    LightSide,
+    DarkSide,
+    Haze
 });
 mirror_enum!(Scope { Session, Slab, Material, Channel });
 

@@ -46,6 +46,8 @@ mirror!(Common {
     mu_interval: required,
     mu_chosen,
     g,
+    g_spread,
+    g_equal_probability,
     g_change,
     g_interval: optional,
     by_g: list

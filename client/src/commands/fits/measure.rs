@@ -73,9 +73,13 @@ pub(crate) struct MeasureArgs {
     /// from how they darken other materials.
     #[arg(long, value_name = "FILE")]
     mixtures: Option<PathBuf>,
-    /// Let every channel have its own anisotropy; without this, and without --g, all share the best common one.
+    /// Let every channel have its own anisotropy; without this, and without --g, those of a material are one.
     #[arg(long, conflicts_with = "g")]
     free_g: bool,
+    /// Standard deviation of ln(1 − g) of a material about the mean of all; 0 for one g of all materials [default:
+    /// estimated from the data].
+    #[arg(long, value_name = "SPREAD", allow_negative_numbers = true, conflicts_with_all = ["g", "free_g"])]
+    g_spread: Option<f64>,
     /// Where channels are wavelengths: standard deviation of the change of ln(1 − g) over 100 nm; 0 for one g of all
     /// wavelengths [default: 0.1].
     #[arg(long, value_name = "CHANGE", allow_negative_numbers = true, conflicts_with_all = ["g", "free_g"])]
@@ -109,6 +113,7 @@ impl MeasureArgs {
             search: MuArgs::default(),
             mixtures: None,
             free_g: false,
+            g_spread: None,
             g_change: None,
             bound: false,
             keep: None,
@@ -130,6 +135,7 @@ pub(crate) struct Inputs {
     /// `None` if the scale factor is given.
     search_mu: Option<MuRange>,
     common_g: bool,
+    g_spread: Option<f64>,
     g_change: Option<f64>,
     dictionary: Option<String>,
     /// The dictionary of the session's set-up, unless another was named.
@@ -182,6 +188,7 @@ impl Inputs {
             options,
             search_mu: given.is_none().then_some(range),
             common_g: !args.free_g,
+            g_spread: args.g_spread,
             g_change: args.g_change,
             dictionary: args.options.dictionary,
             own,
@@ -208,6 +215,7 @@ fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -
         () if objective == Objective::Likelihood => return Ok(()),
         () if args.output.is_some() => "--output",
         () if args.bound => "--bound",
+        () if args.g_spread.is_some() => "--g-spread",
         () if args.g_change.is_some() => "--g-change",
         () if is_session => "the folder of a session, whose report has media",
         () => return Ok(()),
@@ -227,6 +235,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         options: Some((&inputs.options).into()),
         search_mu: inputs.search_mu.map(Into::into),
         common_g: inputs.common_g,
+        g_spread: inputs.g_spread,
         g_change: inputs.g_change,
         keep: inputs.keep,
         mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),

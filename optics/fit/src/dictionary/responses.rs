@@ -83,7 +83,12 @@ impl VariedRecords {
             let of_prior = priors.map(|(index, prior)| {
                 let steps = steps_of(responses, index, prior);
                 let curve = self.curve(prior, &steps, records);
-                (curve, self.linear(&steps, curve, records))
+                let linear = if prior.kind().is_traced() {
+                    self.linear(&steps, curve, records)
+                } else {
+                    LinearResponse::Even { value: prior.std_error(), pixels: self.pixels() }
+                };
+                (curve, linear)
             });
             for (curve, of_prior) in of_prior.collect::<Vec<_>>() {
                 curves.push(curve);

@@ -33,7 +33,7 @@ use crate::likelihood::system::State;
 use crate::likelihood::system::descent::COARSE;
 use crate::likelihood::system::unknowns::inverse_over_free;
 use crate::surrogate::{Surrogate, g};
-use minimum::{Joint, common_slots};
+use minimum::{Joint, SPREAD, common_slots};
 use response::Response;
 use shared::shared_errors;
 
@@ -138,11 +138,21 @@ impl<'a> Set<'a> {
         let common_g = plan.common_g && !self.scans[0].region.held[2];
         let scales = scales(plan.search_mu.as_ref(), self.base);
         let limits = (scales[0], scales[scales.len() - 1]);
-        let sharing = Sharing { g: common_g, g_change: plan.g_change, scale: plan.search_mu.map(|_| limits) };
+        let sharing = Sharing {
+            g: common_g,
+            g_spread: plan.g_spread.unwrap_or(SPREAD),
+            g_change: plan.g_change,
+            scale: plan.search_mu.map(|_| limits),
+        };
         let cells = self.mesh(&scales, common_g);
         let approached = self.beginnings(&cells).into_iter().map(|cell| self.approach(cell, sharing));
         let lowest = approached.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost));
-        let joint = Self::settle(lowest.expect("a mesh has a point"), sharing);
+        let mut joint = Self::settle(lowest.expect("a mesh has a point"), sharing);
+        if let Some(spread) = joint.g_spread().filter(|_| plan.g_spread.is_none()) {
+            let Joint { mut assembly, state, iors, .. } = joint;
+            assembly.set_g_spread(spread);
+            joint = Self::settle(Approached { assembly, state, iors }, sharing);
+        }
         (cells, joint)
     }
 
@@ -248,6 +258,8 @@ impl<'a> Set<'a> {
         let (g_slot, scale_slot) = (system.slots[0][LN_ONE_MINUS_G], system.slots[0][LN_SCALE]);
         let common_g = joint.is_common(g_slot);
         let g_interval = common_g.then(|| joint.g_interval(g_slot));
+        let is_curve = joint.assembly.is_g_curve;
+        let g_mean = joint.assembly.g_of_materials.as_ref().filter(|_| !is_curve).map(|(mean, _)| *mean);
         let grid = self.dictionary.grid();
         let response = Response::find(joint, plan.search_mu.is_some());
         let fits: Vec<ChannelFit> = (0..self.channels.len())
@@ -293,9 +305,11 @@ impl<'a> Set<'a> {
                 mu_std_error,
                 mu_interval: plan.mu_interval(mu, mu_std_error),
                 mu_chosen: plan.search_mu.is_some(),
-                g: found_g.or_else(|| self.only_g()),
-                g_change: (cells[0].g.is_some() && !common_g).then_some(plan.g_change),
-                g_interval,
+                g: found_g.or_else(|| g_mean.map(|slot| g(joint.state.x[slot]))).or_else(|| self.only_g()),
+                g_spread: joint.assembly.g_spread(),
+                g_equal_probability: joint.g_equal_probability(),
+                g_change: is_curve.then_some(plan.g_change),
+                g_interval: g_interval.or_else(|| g_mean.map(|slot| joint.g_interval(slot))),
                 by_g,
             },
             materials: materials.collect(),

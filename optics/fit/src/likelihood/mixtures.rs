@@ -86,6 +86,7 @@ pub(crate) fn unmix(
         g: plan.common_g
             && held(dictionary.grid(), options)[2].is_none()
             && (plan.g_change == 0.0 || curve_nm(&channels).is_none()),
+        g_spread: 0.0,
         g_change: 0.0,
         scale: plan.search_mu.as_ref().map(|range| {
             let scales = scales(Some(range), options.settings().mu);

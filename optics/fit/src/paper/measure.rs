@@ -39,6 +39,8 @@ pub(crate) fn measure(
         mu_interval: plan.mu_interval(mu, mu_std_error),
         mu_chosen: scale.is_some(),
         g: by_records.map(|curve| curve.best_g).or(only_g),
+        g_spread: None,
+        g_equal_probability: None,
         g_change: None,
         g_interval: None,
         by_g: by_records.map_or_else(Vec::new, |curve| curve.by_g.clone()),

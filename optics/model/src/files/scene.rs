@@ -20,6 +20,7 @@ pub struct SceneFile {
     pub multiple_scattering: bool,
     pub light: Option<LightTable>,
     pub sensor: Option<SensorTable>,
+    pub base: Option<BaseTable>,
     #[serde(rename = "channel", default)]
     pub channels: Vec<ChannelTable>,
     #[serde(rename = "layer")]
@@ -45,6 +46,26 @@ pub struct SensorTable {
     /// Standard error of `polar_deg`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub std_error_deg: Option<f64>,
+    /// Standard error of 0 haze, as a radiance factor.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub haze_std_error: Option<f64>,
+}
+
+/// The base of all channels.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BaseTable {
+    /// Mean distance across the edge between the places at which light enters the base and leaves it.
+    #[serde(default)]
+    pub spread_mm: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spread_std_error_mm: Option<f64>,
+    /// Standard error of `rho_light`, as a share.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rho_light_std_error: Option<f64>,
+    /// Standard error of `rho_dark`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rho_dark_std_error: Option<f64>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -92,9 +113,14 @@ impl TryFrom<SceneFile> for Scene {
 
     fn try_from(file: SceneFile) -> Result<Self> {
         let paper = Scene::paper();
-        let angles = [
+        let base = file.base.unwrap_or_default();
+        let others = [
             (PriorKind::RingAngle, file.light.as_ref().and_then(|t| t.std_error_deg)),
             (PriorKind::SensorAngle, file.sensor.as_ref().and_then(|t| t.std_error_deg)),
+            (PriorKind::BaseSpread, base.spread_std_error_mm),
+            (PriorKind::LightSide, base.rho_light_std_error),
+            (PriorKind::DarkSide, base.rho_dark_std_error),
+            (PriorKind::Haze, file.sensor.as_ref().and_then(|t| t.haze_std_error)),
         ];
         let light = match file.light {
             Some(t) => ring_light(t.ring_deg)?,
@@ -119,7 +145,8 @@ impl TryFrom<SceneFile> for Scene {
             e.renamed(field)
         })?;
         let scene = scene.with_phase(phases.into_iter().flatten().next().unwrap_or_default());
-        let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, &angles)?.into_iter().unzip();
+        let scene = scene.with_base_spread(base.spread_mm).map_err(|e| e.renamed("base.spread_mm"))?;
+        let (keys, priors): (Vec<String>, Vec<Prior>) = priors(&scene, &tables, &others)?.into_iter().unzip();
         scene.with_priors(priors).map_err(|e| {
             // A file has no list of priors: the error names the key of the standard error instead.
             let index = e.field().split(['[', ']']).nth(1).and_then(|i| i.parse::<usize>().ok());
@@ -138,7 +165,7 @@ impl LayerTable {
             PriorKind::Index => self.ior.as_ref(),
             PriorKind::SecondLobeWeight => self.second_lobe_weight.as_ref(),
             PriorKind::SecondLobeG => self.second_lobe_g.as_ref(),
-            PriorKind::RingAngle | PriorKind::SensorAngle => None,
+            _ => None,
         }
     }
 }
@@ -269,7 +296,15 @@ impl From<&Scene> for SceneFile {
                 pixels: sensor.pixels() as u32,
                 polar_deg: sensor.polar_deg(),
                 std_error_deg: error_of(PriorKind::SensorAngle),
+                haze_std_error: error_of(PriorKind::Haze),
             }),
+            base: Some(BaseTable {
+                spread_mm: scene.base_spread_mm(),
+                spread_std_error_mm: error_of(PriorKind::BaseSpread),
+                rho_light_std_error: error_of(PriorKind::LightSide),
+                rho_dark_std_error: error_of(PriorKind::DarkSide),
+            })
+            .filter(|base| *base != BaseTable::default()),
             channels: channels.collect(),
             layers: layers.collect(),
         }

@@ -376,9 +376,13 @@ pub struct Common {
     pub mu_interval: Interval,
     /// Whether μ was searched, not given.
     pub mu_chosen: bool,
-    /// None if every channel has its own, or each wavelength.
+    /// That of all channels, or the mean of the materials; none if every channel has its own, or each wavelength.
     pub g: Option<f64>,
-    /// Standard deviation of the prior of the change of ln(1 − g) over 100 nm, if all channels of a wavelength share g.
+    /// Standard deviation of ln(1 − g) of a material about the mean, given or estimated, if there are several materials.
+    pub g_spread: Option<f64>,
+    /// Probability that media of one g make the materials' estimates differ as much (a likelihood-ratio test).
+    pub g_equal_probability: Option<f64>,
+    /// Standard deviation of the prior of the change of ln(1 − g) over 100 nm, if the channels of a material share g.
     pub g_change: Option<f64>,
     /// None if g was given, if the dictionary has one only, or if records were compared.
     pub g_interval: Option<Interval>,

@@ -1,7 +1,7 @@
 //! The question and the answer of a measurement of several materials.
 
 use super::{Common, Interval, MaterialFit, MuRange, ScaleCurve, SharedErrors};
-use crate::invalid::{Invalid, Result};
+use crate::invalid::{Result, check};
 
 /// Two-sided 95 % quantile of the normal distribution.
 pub const Z: f64 = 1.959_964;
@@ -23,28 +23,30 @@ pub struct Measured {
 pub struct MeasurePlan {
     /// Scale factors to search; none to take that of the options.
     pub search_mu: Option<MuRange>,
-    /// Hold all materials at the anisotropy that explains them best together.
+    /// Relate the anisotropies of all channels: those of a material are one, about a mean of all materials.
     pub common_g: bool,
-    /// Where all channels are wavelengths, a common anisotropy is a curve over wavelength: this is the standard
+    /// Standard deviation of ln(1 − g) of a material about that mean, 0 for one value of all materials; none to estimate it
+    /// from the data.
+    pub g_spread: Option<f64>,
+    /// Where all channels are wavelengths, the anisotropy of a material is a curve over wavelength: this is the standard
     /// deviation of the change of ln(1 − g) over 100 nm. 0 for one value.
     pub g_change: f64,
 }
 
 impl Default for MeasurePlan {
-    /// A common anisotropy, at the options' scale factor.
+    /// Materials of similar anisotropies, at the options' scale factor.
     fn default() -> Self {
-        Self { search_mu: None, common_g: true, g_change: 0.1 }
+        Self { search_mu: None, common_g: true, g_spread: None, g_change: 0.1 }
     }
 }
 
 impl MeasurePlan {
-    /// Refuses changes of the anisotropy out of range.
+    /// Refuses differences of anisotropies out of range.
     pub fn checked(self) -> Result<Self> {
-        if (0.0..=10.0).contains(&self.g_change) {
-            Ok(self)
-        } else {
-            Err(Invalid::new("g_change", self.g_change, "allowed are 0 to 10"))
+        for (field, value) in [("g_spread", self.g_spread.unwrap_or(0.0)), ("g_change", self.g_change)] {
+            check(field, value, |v| (0.0..=10.0).contains(&v), "allowed are 0 to 10")?;
         }
+        Ok(self)
     }
 
     /// The interval of μ, open where the range of the search ends first.

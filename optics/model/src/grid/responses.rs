@@ -11,7 +11,7 @@ use std::sync::Arc;
 use super::Axes;
 use crate::invalid::{Invalid, Result};
 use crate::medium::check_ior;
-use crate::scene::{Channel, Scene};
+use crate::scene::{Channel, Prior, Scene};
 
 /// Widest ratio of two extinctions of the responses, unless the grid's are farther apart.
 const SIGMA_T_RATIO: f64 = 2.0;
@@ -72,7 +72,7 @@ impl Responses {
             let allowed = format!("allowed are 1 to {MOST_WALKS_FACTOR}");
             return Err(Invalid::new("response_walks_factor", walks_factor, allowed));
         }
-        check_steps(scene.priors().len(), &variants)?;
+        check_steps(scene.priors(), &variants)?;
         let names = |channels: &[Channel]| channels.iter().map(|c| c.name().to_owned()).collect::<Vec<_>>();
         let scene_of = |(i, variant): (usize, &Variant)| {
             let at = |e: Invalid| e.within(format_args!("responses[{i}]"));
@@ -90,7 +90,8 @@ impl Responses {
                 .map(|ior| check_ior("sample_ior", ior + variant.step))
                 .collect::<Result<Vec<_>>>()
                 .map_err(at)?;
-            scene.varied(prior, variant.step, variant.channels.clone()).map(Arc::new).map_err(at)
+            let varied = scene.varied(prior, variant.step, scene.channels().to_vec());
+            varied.and_then(|s| s.with_channels(variant.channels.clone())).map(Arc::new).map_err(at)
         };
         let scenes: Vec<Arc<Scene>> = variants.iter().enumerate().map(scene_of).collect::<Result<_>>()?;
         let g = spread_anisotropies(&axes.g, &scenes)?;
@@ -155,20 +156,25 @@ fn steps_of(variants: &[Variant], prior: usize) -> Vec<f64> {
     variants.iter().filter(|v| v.prior == prior).map(|v| v.step).collect()
 }
 
-fn check_steps(priors: usize, variants: &[Variant]) -> Result<()> {
+fn check_steps(priors: &[Prior], variants: &[Variant]) -> Result<()> {
     let is_allowed = |steps: Vec<f64>| {
         (1..=2).contains(&steps.len())
             && steps.iter().all(|step| step.is_finite())
             && steps.iter().any(|step| *step != 0.0)
             && steps.is_sorted_by(|a, b| a < b)
     };
-    let in_order = variants.is_sorted_by_key(|v| v.prior) && variants.iter().all(|v| v.prior < priors);
-    if in_order && (0..priors).all(|prior| is_allowed(steps_of(variants, prior))) {
+    let in_order = variants.is_sorted_by_key(|v| v.prior) && variants.iter().all(|v| v.prior < priors.len());
+    let is_right = |(index, prior): (usize, &Prior)| match steps_of(variants, index) {
+        steps if prior.kind().is_traced() => is_allowed(steps),
+        steps => steps.is_empty(),
+    };
+    if in_order && priors.iter().enumerate().all(is_right) {
         return Ok(());
     }
     let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
     let allowed = format!(
-        "each of the scene's {priors} priors needs (prior, step) with one step, not 0, or two that rise"
+        "each of the scene's {} priors that are traced needs (prior, step) with one step, not 0, or two that rise",
+        priors.len()
     );
     Err(Invalid::new("responses", format!("{given:?}"), allowed))
 }

@@ -33,7 +33,9 @@ impl Scene {
     /// The set-up of the paper in a real laboratory: surfaces lose no light, pigments scatter some light back in a second
     /// lobe, and numbers that are rarely measured are uncertain.
     pub fn lab() -> Self {
-        use PriorKind::{Index, RingAngle, Roughness, SecondLobeWeight, Thickness};
+        use PriorKind::{
+            BaseSpread, DarkSide, Haze, Index, LightSide, RingAngle, Roughness, SecondLobeWeight, Thickness,
+        };
         use Scope::{Material, Session, Slab};
         let [slip, gels, sample, faces, coat] = [vec![0], vec![1, 3], vec![2], vec![2, 3], vec![4]];
         let priors = [
@@ -46,6 +48,10 @@ impl Scene {
             (Index, coat, 0.03, Session),
             (SecondLobeWeight, sample, 0.05, Material),
             (RingAngle, Vec::new(), 1.0, Session),
+            (BaseSpread, Vec::new(), 0.1, Session),
+            (LightSide, Vec::new(), 0.015, Session),
+            (DarkSide, Vec::new(), 0.01, Session),
+            (Haze, Vec::new(), 0.01, Session),
         ];
         let prior = |(kind, layers, sd, scope)| Prior::new(kind, layers, sd, scope);
         let priors = priors.into_iter().map(prior).collect::<Result<_>>();

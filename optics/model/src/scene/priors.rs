@@ -30,10 +30,18 @@ pub enum PriorKind {
     SecondLobeWeight,
     /// Anisotropy g₂ of the second lobe.
     SecondLobeG,
+    /// Spread of light within the base in mm ([`Scene::base_spread_mm`]).
+    BaseSpread,
+    /// Factor on ρ of the light side in all channels.
+    LightSide,
+    /// Added to ρ of the dark side in all channels.
+    DarkSide,
+    /// Light that slip, gel and camera add to photographs of all slabs alike, as a radiance factor.
+    Haze,
 }
 
 impl PriorKind {
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 11] = [
         Self::Roughness,
         Self::Index,
         Self::Thickness,
@@ -41,9 +49,13 @@ impl PriorKind {
         Self::SensorAngle,
         Self::SecondLobeWeight,
         Self::SecondLobeG,
+        Self::BaseSpread,
+        Self::LightSide,
+        Self::DarkSide,
+        Self::Haze,
     ];
 
-    /// Numbers of layers, not of light or sensor, in the order of their priors in a scene file.
+    /// Numbers of layers, not of light, sensor or base, in the order of their priors in a scene file.
     pub(crate) const OF_LAYERS: [Self; 5] =
         [Self::Roughness, Self::Thickness, Self::Index, Self::SecondLobeWeight, Self::SecondLobeG];
 
@@ -57,6 +69,10 @@ impl PriorKind {
             Self::SensorAngle => ["sensor angle", "°", "sensor.std_error_deg"],
             Self::SecondLobeWeight => ["second lobe weight", "", "second_lobe_weight"],
             Self::SecondLobeG => ["second lobe g", "", "second_lobe_g"],
+            Self::BaseSpread => ["base spread", "mm", "base.spread_std_error_mm"],
+            Self::LightSide => ["light side, factor on ρ", "", "base.rho_light_std_error"],
+            Self::DarkSide => ["dark side, added to ρ", "", "base.rho_dark_std_error"],
+            Self::Haze => ["haze", "", "sensor.haze_std_error"],
         }
     }
 
@@ -79,6 +95,16 @@ impl PriorKind {
     /// change their light leave the course unchanged, and differences have little noise.
     pub fn redraws_walks(self) -> bool {
         matches!(self, Self::Roughness | Self::Index) || self.is_of_phase()
+    }
+
+    /// Whether its response is traced; haze adds itself to every pixel.
+    pub fn is_traced(self) -> bool {
+        self != Self::Haze
+    }
+
+    /// Whether it is a number of the base.
+    pub fn is_of_base(self) -> bool {
+        matches!(self, Self::BaseSpread | Self::LightSide | Self::DarkSide)
     }
 
     /// Whether it is a number of the sample's phase function.
@@ -125,7 +151,7 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// `layers` are the indices of the layers that the number belongs to; none for angles. [`Scene::with_priors`] checks
+    /// `layers` are the indices of the layers that the number belongs to; none for angles and the base. [`Scene::with_priors`] checks
     /// that they exist and agree.
     pub fn new(kind: PriorKind, layers: Vec<usize>, std_error: f64, scope: Scope) -> Result<Self> {
         if std_error.is_finite() && std_error > 0.0 {
@@ -191,6 +217,10 @@ impl Scene {
                 return Err(at(Invalid::new("kind", prior.kind.name(), "a quantity may have one prior")));
             }
         }
+        if !priors.is_empty() && priors.iter().all(|prior| !prior.kind.is_traced()) {
+            let allowed = "haze needs another quantity with a standard error";
+            return Err(Invalid::new("priors", "haze alone", allowed));
+        }
         Ok(Self { priors, ..self })
     }
 
@@ -217,12 +247,15 @@ impl Scene {
         self.number(prior.kind, prior.layers.first().copied())
     }
 
-    /// A number of light or sensor, or of a layer; None if it belongs to the grid.
+    /// A number of light, sensor or base, or of a layer; None if it belongs to the grid.
     pub(crate) fn number(&self, kind: PriorKind, layer: Option<usize>) -> Option<f64> {
         let layer = layer.and_then(|i| self.layers.get(i));
         match (kind, layer.map(Layer::medium)) {
             (PriorKind::RingAngle, _) => Some(0.5 * (self.light.inner_deg() + self.light.outer_deg())),
             (PriorKind::SensorAngle, _) => Some(self.sensor.polar_deg()),
+            (PriorKind::BaseSpread, _) => Some(self.base_spread_mm),
+            (PriorKind::LightSide, _) => Some(1.0),
+            (PriorKind::DarkSide | PriorKind::Haze, _) => Some(0.0),
             (PriorKind::SecondLobeWeight, Some(LayerMedium::Sample)) => {
                 self.phase.second_lobe().map(SecondLobe::weight)
             }
@@ -239,7 +272,11 @@ impl Scene {
     fn check_prior(&self, prior: &Prior) -> Result<()> {
         if PriorKind::OF_LAYERS.contains(&prior.kind) == prior.layers.is_empty() {
             let given = format!("{} layers for a {}", prior.layers.len(), prior.kind.name());
-            return Err(Invalid::new("layers", given, "angles have none, other quantities at least one"));
+            return Err(Invalid::new(
+                "layers",
+                given,
+                "angles and the base have none, other quantities at least one",
+            ));
         }
         if let Some(layer) = prior.layers.iter().find(|l| **l >= self.layers.len()) {
             return Err(Invalid::new("layers", layer, format!("the scene has {} layers", self.layers.len())));
@@ -290,11 +327,20 @@ impl Scene {
         Ok(())
     }
 
-    /// The scene with a quantity larger by `step` and with the base's `channels` that follow; it has no uncertain
-    /// quantities.
+    /// The scene with a quantity larger by `step` and with these `channels` of the base, to whose ρ a step of a side is
+    /// applied; it has no uncertain quantities.
     pub fn varied(&self, prior: &Prior, step: f64, channels: Vec<Channel>) -> Result<Self> {
         let mut scene = Self { priors: Vec::new(), ..self.clone() };
+        let mut channels = channels;
         match prior.kind {
+            PriorKind::Haze => {}
+            PriorKind::BaseSpread => scene = scene.with_base_spread(self.base_spread_mm + step)?,
+            PriorKind::LightSide | PriorKind::DarkSide => {
+                let [by, added] =
+                    if prior.kind == PriorKind::LightSide { [1.0 + step, 0.0] } else { [1.0, step] };
+                let channel = |c: &Channel| Channel::new(c.name(), by * c.rho_light(), c.rho_dark() + added);
+                channels = channels.iter().map(channel).collect::<Result<_>>()?;
+            }
             PriorKind::RingAngle => {
                 scene.light = RingLight::new(self.light.inner_deg() + step, self.light.outer_deg() + step)?;
             }

@@ -3,7 +3,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat};
 
-use super::lanes::{Floats, Mask, WalkLanes};
+use super::lanes::{Floats, Mask, WalkLanes, Words};
 use super::numbers::{Philox, choose, constant, level, minus_ln_at_most, root, uniform, unit_vector};
 use crate::exits::Chunk;
 use crate::fresnel::RelativeIndex;
@@ -228,16 +228,17 @@ impl WalkGate {
     }
 }
 
-/// The Lambertian base: cosine-distributed directions upwards.
+/// The Lambertian base: cosine-distributed directions upwards. Returns the words that are left for a step within the base.
 #[inline(always)]
-pub fn reflect_diffusely<S: Simd>(random: &Philox<S>, walks: &mut WalkLanes<S>) {
-    let [_, polar, azimuth, _] = random.words(walks.block, walks.walk);
+pub fn reflect_diffusely<S: Simd>(random: &Philox<S>, walks: &mut WalkLanes<S>) -> [Words<S>; 2] {
+    let [size, polar, azimuth, side] = random.words(walks.block, walks.walk);
     walks.block += 1;
     let u = uniform(polar);
     let (x, y) = unit_vector(azimuth);
     let sin = u.sqrt();
     (walks.dx, walks.dy) = (sin * x, sin * y);
     walks.dz = (constant(u, 1.0) - u).sqrt();
+    [size, side]
 }
 
 /// Cosine of the angle of refraction, and the lanes that are reflected.

@@ -73,11 +73,11 @@ impl<'a, S: Simd> Keep<'a, S> {
         self.add(walks, &Crossing { z: walks.z, u, worth }, lanes, hits);
     }
 
-    /// Processes a hit of the chosen walks on the base.
+    /// Processes a hit of the chosen walks, which arrived with the cosine `u`, on the base.
     #[inline(always)]
-    pub fn hit(&mut self, walks: &mut WalkLanes<S>, lanes: Mask<S>, hits: &Hits) {
+    pub fn hit(&mut self, walks: &mut WalkLanes<S>, u: Floats<S>, lanes: Mask<S>, hits: &Hits) {
         let worth = constant(walks.z, self.light.base) * Self::importance(walks.scatterings);
-        self.add(walks, &Crossing { z: constant(worth, AT_BASE), u: walks.dz, worth }, lanes, hits);
+        self.add(walks, &Crossing { z: constant(worth, AT_BASE), u, worth }, lanes, hits);
     }
 
     #[inline(always)]

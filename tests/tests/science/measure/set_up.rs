@@ -23,9 +23,15 @@ const LEAST: usize = 22;
 fn check(nodes: Nodes, names: &[&str]) {
     let mut held = Vec::new();
     let mut row = |name: &str| {
-        let session = SetUpSession::of_row(ChangedSetUp::named(name));
+        let g = if name.starts_with("g of") { [0.48, 0.36, 0.44, 0.28, 0.40, 0.32] } else { [0.4; 6] };
+        let session = SetUpSession::of_row_at(ChangedSetUp::named(name), g);
         let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
         let answers = session.answers(&found);
+        if std::env::var("SHOW").is_ok() {
+            eprintln!("{:?} {:?}", found.common.g_spread, found.common.g_equal_probability);
+            eprintln!("{}", farm_tests::coverage::media_table(&answers, &[0, 4]));
+            eprintln!("{}", scene_table(std::slice::from_ref(&answers)));
+        }
         let estimates = |q: usize| Coverage::of_media([&answers[..]], &[q]);
         let counts = [0, 1, 2, 3].map(|q| estimates(q).count());
         held.push(counts.iter().sum::<usize>());
@@ -35,12 +41,13 @@ fn check(nodes: Nodes, names: &[&str]) {
         cells.extend(counts.map(|count| count.to_string()));
         cells.extend([
             counts.iter().sum::<usize>().to_string(),
+            format!("{:.1} %", 100.0 * estimates(0).median_half_width()),
             format!("{:.1} %", 100.0 * estimates(0).error(1.0)),
         ]);
         cells.extend([format!("{:.0} %", 100.0 * estimates(1).error(1.0)), format!("≥ {least:.3}")]);
         cells
     };
-    let head = "set-up | μ | g | σ_t | α | σ_s(1−g) | σ_a | of 24 | σ_t off | 1 − α off | p";
+    let head = "set-up | μ | g | σ_t | α | σ_s(1−g) | σ_a | of 24 | σ_t ± | σ_t off | 1 − α off | p";
     println!("{}", table(head, names.iter().map(|name| row(name))));
     assert!(held.iter().all(|held| *held >= LEAST), "of 24 intervals hold {held:?}: {names:?}");
 }
@@ -49,6 +56,14 @@ fn check(nodes: Nodes, names: &[&str]) {
 #[test]
 fn thicker_gel_is_absorbed() {
     check(Nodes::Few, &["gel 0.05 mm"]);
+}
+
+/// Neither does a board in which light spreads, one darker than stated, haze, nor media of different g.
+#[test]
+fn boards_haze_and_other_g_are_absorbed() {
+    let names = std::env::var("ROWS").unwrap_or_default();
+    let names: Vec<&str> = names.split(',').collect();
+    check(if std::env::var("LAB").is_ok() { Nodes::Lab } else { Nodes::Few }, &names);
 }
 
 #[test]

@@ -10,6 +10,8 @@ pub(crate) enum LinearResponse {
     Rows { values: Vec<f32>, pixels: usize },
     /// `[row][profile]`: where noise is reduced, all L lie in the span of few profiles.
     Span { weights: Vec<f32>, profiles: Vec<Vec<f64>> },
+    /// The same value in all pixels of all rows.
+    Even { value: f64, pixels: usize },
 }
 
 impl LinearResponse {
@@ -19,6 +21,10 @@ impl LinearResponse {
             Self::Rows { values, pixels } => added(rows, *pixels, values),
             Self::Span { weights, profiles } => {
                 added(rows, profiles.len(), weights).map(|of_profiles| spanned(&of_profiles, profiles))
+            }
+            Self::Even { value, pixels } => {
+                let sum = |n: usize| rows.iter().map(|(_, weights)| weights[n]).sum::<f64>();
+                std::array::from_fn(|n| vec![value * sum(n); *pixels])
             }
         }
     }

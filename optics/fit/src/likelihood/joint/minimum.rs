@@ -1,6 +1,6 @@
 //! Keeps all channels of a set at their common minimum, and extracts each of them as a separate system.
 
-use nalgebra::{Cholesky, DMatrix};
+use nalgebra::{Cholesky, DMatrix, DVector};
 use optics_model::fit::Interval;
 
 use crate::likelihood::interval::chi2::exceedance;
@@ -16,6 +16,13 @@ use crate::surrogate::g;
 
 /// Probability of the channels' pulls below which they count as contradictory.
 const DISAGREE: f64 = 0.01;
+
+/// Standard deviation of the prior of the materials' spread of ln(1 − g), and the number of values of the spread that are
+/// tried.
+pub(super) const SPREAD: f64 = 0.1;
+const SPREADS: u32 = 80;
+/// Added to the information on ln(1 − g) of a material, which the data may not determine.
+const LEAST_INFORMATION: f64 = 1e-3;
 
 /// All channels at their common minimum.
 pub(super) struct Joint<'a> {
@@ -39,6 +46,60 @@ impl<'a> Joint<'a> {
     pub(super) fn deviation(&self, slot: usize) -> f64 {
         let variance = self.covariance.as_ref().map_or(f64::INFINITY, |c| c[(slot, slot)]);
         (variance * self.disagreement).max(0.0).sqrt()
+    }
+
+    /// ln(1 − g) of the materials by the data alone, without the prior of their differences, and the information on them:
+    /// from the quadratic about the minimum.
+    fn g_of_materials(&self) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let (mean, slots) = self.assembly.g_of_materials.as_ref()?;
+        let system = &self.assembly.system;
+        let (mut information, mut downhill) = (self.normal.information.clone(), self.normal.downhill.clone());
+        let n = downhill.len();
+        let (mut of_priors, mut pull) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        for slot in slots {
+            system.add_prior(*slot, &self.state.x, &mut of_priors, &mut pull);
+        }
+        information -= of_priors;
+        downhill -= pull;
+        let is_other = |i: &usize| i != mean && !slots.contains(i);
+        let others: Vec<usize> = system.free().into_iter().filter(is_other).collect();
+        let (mut information, downhill) = eliminate(&information, &downhill, slots, &others);
+        (0..slots.len()).for_each(|i| information[(i, i)] += LEAST_INFORMATION);
+        let at = DVector::from_iterator(slots.len(), slots.iter().map(|slot| self.state.x[*slot]));
+        let x = at + Cholesky::new(information.clone())?.solve(&downhill);
+        Some((x, information / self.disagreement))
+    }
+
+    /// Probability that media of one g make the estimates of the materials differ as much: χ² of their distances from the
+    /// best common value.
+    pub(super) fn g_equal_probability(&self) -> Option<f64> {
+        let (x, information) = self.g_of_materials()?;
+        let (chi2, _) = about_mean(&x, &information);
+        Some(exceedance(chi2, (x.len() - 1) as f64))
+    }
+
+    /// Standard deviation of ln(1 − g) of the materials about their mean: the root of the mean of its square over its
+    /// distribution given the data, from a normal prior of [`SPREAD`].
+    pub(super) fn g_spread(&self) -> Option<f64> {
+        let (x, information) = self.g_of_materials()?;
+        let covariance = Cholesky::new(information)?.inverse();
+        let weight = |spread: f64| -> Option<f64> {
+            let with = &covariance + DMatrix::identity(x.len(), x.len()) * (spread * spread);
+            let root = Cholesky::new(with)?;
+            let (chi2, total) = about_mean(&x, &root.inverse());
+            let ln_weight =
+                -0.5 * (root.ln_determinant() + libm::log(total) + chi2 + (spread / SPREAD).powi(2));
+            Some(ln_weight)
+        };
+        let spreads = (0..SPREADS).map(|i| (f64::from(i) + 0.5) * 4.0 * SPREAD / f64::from(SPREADS));
+        let found: Vec<(f64, f64)> = spreads.filter_map(|s| Some((s, weight(s)?))).collect();
+        let most = found.iter().map(|(_, w)| *w).fold(f64::NEG_INFINITY, f64::max);
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for (spread, ln_weight) in found {
+            let weight = libm::exp(ln_weight - most);
+            (sum, squares) = (sum + weight, squares + weight * spread * spread);
+        }
+        (sum > 0.0).then(|| (squares / sum).sqrt())
     }
 
     pub(super) fn g_interval(&self, slot: usize) -> Interval {
@@ -114,6 +175,13 @@ pub(super) fn common_slots(system: &System, sharing: Sharing) -> Vec<usize> {
         .map(|(i, _)| system.slots[0][i])
         .filter(|slot| !system.unknowns[*slot].held)
         .collect()
+}
+
+/// χ² of numbers about their best common value, and the information on that.
+fn about_mean(x: &DVector<f64>, information: &DMatrix<f64>) -> (f64, f64) {
+    let weights = information.column_sum();
+    let away = x.add_scalar(-weights.dot(x) / weights.sum());
+    (away.dot(&(information * &away)), weights.sum())
 }
 
 /// The minimum of a channel with the common unknowns held at their joint estimates.

@@ -80,9 +80,11 @@ fn rows(
     rows
 }
 
-/// Quantities that each slab has separately are not those of other prints, and the phase function is the medium's.
+/// Quantities that each slab has separately, of the board and of its photographs are not those of other prints, and the
+/// phase function is the medium's.
 fn is_of_print(unknown: &SceneUnknown, priors: &[Prior]) -> bool {
-    unknown.slab_mm.is_none() && !priors[unknown.prior].kind().is_of_phase()
+    let kind = priors[unknown.prior].kind();
+    unknown.slab_mm.is_none() && !kind.is_of_phase() && !kind.is_of_base() && kind.is_traced()
 }
 
 /// Regressions of unknowns on a root of the covariance of those that several channels have.

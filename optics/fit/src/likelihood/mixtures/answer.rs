@@ -234,6 +234,8 @@ impl<'a, 'b> Solution<'a, 'b> {
             mu_interval: self.request.plan.mu_interval(mu, mu_std_error),
             mu_chosen: self.request.plan.search_mu.is_some(),
             g: found.or(only),
+            g_spread: None,
+            g_equal_probability: None,
             g_change: None,
             g_interval: found.map(|_| self.g_interval(slot, x, widened(slot))),
             by_g: Vec::new(),

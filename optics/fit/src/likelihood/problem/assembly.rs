@@ -22,8 +22,10 @@ const NEAR: f64 = 0.1;
 /// The unknowns that several channels share in addition to the factor on μ.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sharing {
-    /// Whether all have the same anisotropy, or the same curve over wavelength.
+    /// Whether anisotropies are related, see [`Anisotropies`].
     pub g: bool,
+    /// Standard deviation of ln(1 − g) of a material about the mean of all; 0 for one value.
+    pub g_spread: f64,
     /// Standard deviation of the change of ln(1 − g) over 100 nm; 0 for one value.
     pub g_change: f64,
     /// Limits of the logarithm of the factor on μ, if it has no prior.
@@ -35,6 +37,24 @@ pub(crate) struct Sharing {
 pub(crate) struct Assembly<'a> {
     pub system: System<'a>,
     pub terms: Vec<std::ops::Range<usize>>,
+    /// The mean of the materials' ln(1 − g), and those of the materials; none if they are one.
+    pub g_of_materials: Option<(usize, Vec<usize>)>,
+    /// Whether ln(1 − g) is a curve over wavelength.
+    pub is_g_curve: bool,
+}
+
+impl Assembly<'_> {
+    /// Sets the standard deviation of ln(1 − g) of a material about the mean.
+    pub(crate) fn set_g_spread(&mut self, spread: f64) {
+        for slot in self.g_of_materials.iter().flat_map(|(_, slots)| slots) {
+            self.system.unknowns[*slot].prior = Some((0.0, spread));
+        }
+    }
+
+    pub(crate) fn g_spread(&self) -> Option<f64> {
+        let (_, slots) = self.g_of_materials.as_ref()?;
+        self.system.unknowns[slots[0]].prior.map(|(_, spread)| spread)
+    }
 }
 
 /// A quantity of the set-up: one unknown for all profiles in which it is the same.
@@ -152,7 +172,7 @@ pub(crate) fn assemble<'a>(
         Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
         None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
     };
-    let mut anisotropies = Anisotropies::new(channels, sharing.g, sharing.g_change);
+    let mut anisotropies = Anisotropies::new(channels, &sharing);
     let (mut profiles, mut terms) = (Vec::new(), Vec::new());
     let starts = channels.par_iter().zip(surrogates).zip(media);
     let at_start = starts.map(|((data, surrogate), medium)| {
@@ -165,7 +185,7 @@ pub(crate) fn assemble<'a>(
         let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
         let (s, a) = (of_medium(0), of_medium(1));
         let own_g = Unknown { prior: None, about: None, limits: limits[2], held: held[2].is_some() };
-        let g = anisotropies.slot(data.name, &mut builder.unknowns, own_g, medium[2]);
+        let g = anisotropies.slot((data.material, data.name), &mut builder.unknowns, own_g, medium[2]);
         let first = profiles.len();
         for (profile, mut term) in data.profiles.iter().zip(at_start) {
             let is_shared = others_have(channels, data, profile);
@@ -182,5 +202,6 @@ pub(crate) fn assemble<'a>(
         terms.push(first..profiles.len());
     }
     let (system, state) = System::new(profiles, builder.unknowns, builder.of_scene);
-    (Assembly { system, terms }, state)
+    let (is_g_curve, g_of_materials) = (anisotropies.is_curve(), anisotropies.of_materials());
+    (Assembly { system, terms, g_of_materials, is_g_curve }, state)
 }

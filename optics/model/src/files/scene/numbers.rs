@@ -106,7 +106,7 @@ pub(super) fn resolved(tables: Vec<LayerTable>) -> Result<Vec<LayerTable>> {
 pub(super) fn priors(
     scene: &Scene,
     tables: &[LayerTable],
-    angles: &[(PriorKind, Option<f64>)],
+    others: &[(PriorKind, Option<f64>)],
 ) -> Result<Vec<(String, Prior)>> {
     let mut found: Vec<(PriorKind, &UncertainNumber, Vec<usize>)> = Vec::new();
     for kind in PriorKind::OF_LAYERS {
@@ -143,7 +143,7 @@ pub(super) fn priors(
         })?;
         priors.push((format!("{place}.std_error"), prior));
     }
-    for &(kind, std_error) in angles {
+    for &(kind, std_error) in others {
         if let Some(std_error) = std_error {
             let prior = Prior::new(kind, Vec::new(), std_error, Scope::Session);
             priors.push((kind.key().to_owned(), prior.map_err(|e| e.renamed(kind.key()))?));

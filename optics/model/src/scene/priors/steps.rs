@@ -24,7 +24,9 @@ impl Prior {
         const INDEX: f64 = 0.05;
         let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
         match self.kind {
-            PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
+            PriorKind::Thickness | PriorKind::SecondLobeWeight | PriorKind::BaseSpread if value == 0.0 => {
+                vec![sd, 2.5 * sd]
+            }
             // A higher weight would leave too little of the first lobe where the mean cosine is large.
             PriorKind::SecondLobeWeight => {
                 let low = if value <= FAR * sd { value } else { 2.0 * sd };
@@ -33,7 +35,12 @@ impl Prior {
             PriorKind::Roughness if sd > WIDE * value => {
                 vec![-(2.0 * sd).min((1.0 - LEAST) * value), (2.0 * sd).min(1.0 - value)]
             }
-            PriorKind::Thickness => vec![-(4.0 * sd).min((1.0 - LEAST) * value), 4.0 * sd],
+            PriorKind::Thickness | PriorKind::BaseSpread => {
+                vec![-(4.0 * sd).min((1.0 - LEAST) * value), 4.0 * sd]
+            }
+            PriorKind::Haze => Vec::new(),
+            // A base reflects no more than all light.
+            PriorKind::LightSide => vec![-2.0 * sd],
             PriorKind::Index => {
                 let step = (4.0 * sd).min(INDEX).min(value - 1.0).max(2.5 * sd);
                 vec![-step, step]
@@ -70,7 +77,9 @@ impl Prior {
     /// Least and greatest difference for responses traced at other steps, as those of an earlier version.
     pub fn range_of(&self, scene: &Scene, steps: &[f64]) -> (f64, f64) {
         match (self.kind, steps) {
-            (PriorKind::Roughness | PriorKind::Thickness, &[low, high]) => (low.min(0.0), 1.1 * high),
+            (PriorKind::Roughness | PriorKind::Thickness | PriorKind::BaseSpread, &[low, high]) => {
+                (low.min(0.0), 1.1 * high)
+            }
             (PriorKind::SecondLobeWeight, _) => {
                 let value = scene.value_of(self).unwrap_or_default();
                 let far = FAR * self.std_error;

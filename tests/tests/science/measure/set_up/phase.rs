@@ -21,7 +21,7 @@ fn lobes(weight: f64, g: f64) -> PhaseShape {
 /// the answers and the number of intervals that hold, of 30.
 fn six_media(nodes: Nodes, name: &str, phase: &PhaseShape, g: f64) -> (Vec<Answer>, usize) {
     let set_up = ChangedSetUp::none(6).with_phases(vec![phase.clone(); 6]);
-    let session = SetUpSession::of_row_at(set_up, g);
+    let session = SetUpSession::of_row_at(set_up, [g; 6]);
     let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
     let answers = session.answers(&found);
     println!("{name}: μ {:.3}, g {:.3}", found.common.mu, 1.0 - answers[0].medium[4].found);

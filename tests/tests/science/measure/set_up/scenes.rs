@@ -17,6 +17,10 @@ const GEL_INDEX: usize = 4;
 pub(super) const SAMPLE_INDEX: usize = 5;
 pub(super) const LOBE_WEIGHT: usize = 7;
 const RING: usize = 8;
+const BASE_SPREAD: usize = 9;
+const LIGHT_SIDE: usize = 10;
+const DARK_SIDE: usize = 11;
+pub(super) const HAZE: usize = 12;
 
 /// The scene `lab` with the first channel alone.
 pub(super) fn lab() -> Scene {
@@ -38,18 +42,25 @@ pub(super) struct ChangedSetUp {
     channels: OnceLock<Vec<Channel>>,
 }
 
-/// Set-ups of one changed quantity: name, prior and difference.
-const ROWS: [(&str, usize, f64); 10] = [
-    ("nominal", ROUGHNESS, 0.0),
-    ("sample roughness 0.10", ROUGHNESS, 0.05),
-    ("sample roughness 0.02", ROUGHNESS, -0.03),
-    ("coat roughness 0.25", COAT_ROUGHNESS, 0.10),
-    ("gel 0.05 mm", GEL_THICKNESS, 0.03),
-    ("gel 0.10 mm", GEL_THICKNESS, 0.08),
-    ("sample index 1.56", SAMPLE_INDEX, 0.03),
-    ("gel index 1.38", GEL_INDEX, 0.05),
-    ("ring 2° off", RING, 2.0),
-    (WIDE_RING, RING, 0.0),
+/// Changed set-ups: name, and priors with their differences.
+const ROWS: [(&str, &[(usize, f64)]); 17] = [
+    ("nominal", &[]),
+    ("sample roughness 0.10", &[(ROUGHNESS, 0.05)]),
+    ("sample roughness 0.02", &[(ROUGHNESS, -0.03)]),
+    ("coat roughness 0.25", &[(COAT_ROUGHNESS, 0.10)]),
+    ("gel 0.05 mm", &[(GEL_THICKNESS, 0.03)]),
+    ("gel 0.10 mm", &[(GEL_THICKNESS, 0.08)]),
+    ("sample index 1.56", &[(SAMPLE_INDEX, 0.03)]),
+    ("gel index 1.38", &[(GEL_INDEX, 0.05)]),
+    ("ring 2° off", &[(RING, 2.0)]),
+    (WIDE_RING, &[]),
+    ("base spread 0.05 mm", &[(BASE_SPREAD, 0.05)]),
+    ("base spread 0.1 mm", &[(BASE_SPREAD, 0.1)]),
+    ("base spread 0.3 mm", &[(BASE_SPREAD, 0.3)]),
+    ("light side 2 % darker", &[(LIGHT_SIDE, -0.02)]),
+    ("board with 3 % of gloss", &[(LIGHT_SIDE, -0.03), (DARK_SIDE, -0.03)]),
+    ("haze 0.01", &[(HAZE, 0.01)]),
+    ("g of 0.28 to 0.48", &[]),
 ];
 const WIDE_RING: &str = "ring 32–58°";
 
@@ -58,16 +69,18 @@ impl ChangedSetUp {
         Self { differences, ring: None, phases: None, channels: OnceLock::new() }
     }
 
-    pub(super) fn names() -> [&'static str; 10] {
+    pub(super) fn names() -> [&'static str; 17] {
         ROWS.map(|row| row.0)
     }
 
     /// # Panics
     /// If there is no set-up of this name.
     pub(super) fn named(name: &str) -> Self {
-        let (_, prior, difference) = ROWS.iter().find(|row| row.0 == name).unwrap();
+        let (_, differences) = ROWS.iter().find(|row| row.0 == name).unwrap();
         let mut set_up = Self::none(6);
-        set_up.differences.as_flattened_mut().iter_mut().for_each(|slab| slab[*prior] = *difference);
+        for slab in set_up.differences.as_flattened_mut() {
+            differences.iter().for_each(|(prior, difference)| slab[*prior] = *difference);
+        }
         let ring = (name == WIDE_RING).then(|| RingLight::new(32.0, 58.0).unwrap());
         Self { ring, ..set_up }
     }
@@ -85,6 +98,8 @@ impl ChangedSetUp {
         let mut set_up = Self::none(materials);
         for (p, prior) in priors.iter().enumerate() {
             let (low, high) = prior.range(&scene);
+            // A base reflects no more than all light.
+            let high = if p == LIGHT_SIDE { 1.0 / scene.channels()[0].rho_light() - 1.0 } else { high };
             let mut draw = || loop {
                 let difference = prior.std_error() * random.normal();
                 if (low..=high).contains(&difference) {
@@ -128,7 +143,8 @@ impl ChangedSetUp {
         let mut scene = lab.clone().with_priors(Vec::new()).unwrap();
         for (prior, difference) in lab.priors().iter().zip(&self.differences[material][slab]) {
             if *difference != 0.0 {
-                scene = scene.varied(prior, *difference, lab.channels().to_vec()).unwrap();
+                let channels = scene.channels().to_vec();
+                scene = scene.varied(prior, *difference, channels).unwrap();
             }
         }
         if let Some(ring) = self.ring {

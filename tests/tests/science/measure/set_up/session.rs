@@ -14,7 +14,7 @@ use optics_model::{Grid, MeasuredProfile, Measurement, Medium, Walks};
 use optics_tracer::SeenBase;
 use rayon::prelude::*;
 
-use super::scenes::{ChangedSetUp, lab};
+use super::scenes::{ChangedSetUp, HAZE, lab};
 use crate::measure::{IOR, SLABS_MM, centres_mm, noisy, traced, unknown_factor, values};
 
 /// Noise of a pixel as a share of its value.
@@ -36,6 +36,16 @@ pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionar
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
         let mut priors = lab().priors().to_vec();
         priors.retain(|prior| uncertain || prior.kind().is_of_phase());
+        if let Ok(k) = std::env::var("KEEP") {
+            let k: Vec<usize> = k.split(',').map(|v| v.parse().unwrap()).collect();
+            let all = priors.clone();
+            priors = all
+                .into_iter()
+                .enumerate()
+                .filter(|(i, _)| *i < 9 || k.contains(i))
+                .map(|(_, p)| p)
+                .collect();
+        }
         dictionary_of(&lab().with_priors(priors).unwrap(), nodes)
     })
 }
@@ -89,11 +99,12 @@ impl SetUpSession {
         Self { set_up, channels: vec!["R".to_owned()], media, flawed: true, common: false, seed }
     }
 
-    /// The six media of the table with a mean cosine of their own, without errors of the set-up.
-    pub(super) fn of_row_at(set_up: ChangedSetUp, g: f64) -> Self {
+    /// The six media of the table with other mean cosines, without errors of the set-up.
+    pub(super) fn of_row_at(set_up: ChangedSetUp, g: [f64; 6]) -> Self {
         let of_row = Self::of_row(set_up);
-        let at = |m: &Vec<Medium>| vec![Medium::new(m[0].sigma_t_per_mm(), m[0].albedo(), g).unwrap()];
-        Self { media: of_row.media.iter().map(at).collect(), ..of_row }
+        let at =
+            |(m, g): (&Vec<Medium>, f64)| vec![Medium::new(m[0].sigma_t_per_mm(), m[0].albedo(), g).unwrap()];
+        Self { media: of_row.media.iter().zip(g).map(at).collect(), ..of_row }
     }
 
     /// Random media with these phase functions, in the scene itself otherwise.
@@ -162,6 +173,7 @@ impl SetUpSession {
         let flaws = if self.common { &mut of_slab } else { &mut random };
         let mut off = |std_error: f64| off(flaws, std_error);
         let (gain, zero) = (1.0 + off(prior.gain_std_error), off(prior.offset_std_error));
+        let zero = zero + self.set_up.difference(material, None, HAZE).unwrap_or(0.0);
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let (scene, medium) = (self.set_up.scene(material, slab), &self.media[material][channel]);
         let values = values(&traced(&scene, medium, thickness_mm, WALKS, 930_000 + of_channel), 0);
@@ -221,6 +233,15 @@ impl SetUpSession {
         let gain_std_error = if self.flawed { libm::hypot(known, LEVEL) } else { known };
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
-        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &unknown_factor()).unwrap()
+        {
+            let mut plan = unknown_factor();
+            if let Ok(s) = std::env::var("GSPREAD") {
+                plan.g_spread = Some(s.parse().unwrap());
+            }
+            if std::env::var("MU1").is_ok() {
+                plan.search_mu = None;
+            }
+            measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap()
+        }
     }
 }
