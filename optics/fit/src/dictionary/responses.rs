@@ -2,7 +2,8 @@
 //! records that were traced in varied scenes and in the scene itself with the same random walks.
 //!
 //! A quantity that is off by u standard deviations of its prior changes a profile by h(u) L. The profile L depends on the
-//! medium; the curve h does not: it is estimated from all records at once, so that its noise is negligible.
+//! medium; the curve h does not: it is estimated from all records at once, so that its noise is negligible. The effect of a
+//! spread within the base changes its width with the spread: it is Σ h_k(u) L_k, interpolated between those traced.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -30,19 +31,53 @@ pub(crate) fn bytes_of(grid: &Grid) -> usize {
     records.saturating_mul(grid.scene().sensor().pixels() * size_of::<f32>())
 }
 
-/// h(u) = w (1 + q w) with w = u (1 + b u).
+/// h(u): of a bent curve w (1 + q w) with w = u (1 + b u).
 ///
 /// For a roughness α, w is linear in α², as is the variance of a face's slopes; for all else b = 0. q follows from the
 /// differences traced at two values; it is 0 if one value is traced.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum ResponseCurve {
+    Bent(BentCurve),
+    /// 1 at one of the rising places u and 0 at the others and at 0: Lagrange's polynomial in u/(u + [`HALF_WAY`]).
+    Node {
+        nodes: Arc<[f64]>,
+        node: usize,
+    },
+}
+
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(crate) struct ResponseCurve {
+pub(crate) struct BentCurve {
     pub bend: f64,
     pub curvature: f64,
 }
 
+/// Standard deviations at which the coordinate of a spread is ½. With the traced spreads, e^(−x/b) of all spreads b is
+/// interpolated to 0.5 % of its height.
+const HALF_WAY: f64 = 1.0;
+
 impl ResponseCurve {
     /// h and its derivative.
-    pub(crate) fn at(self, u: f64) -> (f64, f64) {
+    pub(crate) fn at(&self, u: f64) -> (f64, f64) {
+        match self {
+            Self::Bent(curve) => curve.at(u),
+            Self::Node { nodes, node } => at_node(nodes, *node, u),
+        }
+    }
+}
+
+impl ResponseCurve {
+    /// Standard deviations of the prior by which fits leave the quantity uncertain. Six materials determine a spread of u
+    /// standard deviations to about 0.02 to 0.12 of one.
+    pub(crate) fn reach(&self, u: f64) -> f64 {
+        match self {
+            Self::Bent(_) => 1.0,
+            Self::Node { .. } => 0.03 * (1.0 + u),
+        }
+    }
+}
+
+impl BentCurve {
+    fn at(self, u: f64) -> (f64, f64) {
         let w = self.bent(u);
         let slope = (1.0 + 2.0 * self.curvature * w) * (1.0 + 2.0 * self.bend * u);
         (w * (1.0 + self.curvature * w), slope)
@@ -51,6 +86,19 @@ impl ResponseCurve {
     fn bent(self, u: f64) -> f64 {
         u * (1.0 + self.bend * u)
     }
+}
+
+fn at_node(nodes: &[f64], node: usize, u: f64) -> (f64, f64) {
+    let coordinate = |u: f64| u / (u + HALF_WAY);
+    let (at, own) = (coordinate(u), coordinate(nodes[node]));
+    let others = nodes.iter().enumerate().filter(|(k, _)| *k != node).map(|(_, u)| coordinate(*u));
+    let (mut value, mut slope) = (1.0, 0.0);
+    for other in others.chain([0.0]) {
+        let factor = (at - other) / (own - other);
+        slope = slope * factor + value / (own - other);
+        value *= factor;
+    }
+    (value, slope * HALF_WAY / (u + HALF_WAY).powi(2))
 }
 
 /// Collects the records of varied scenes and those of the baseline: `[record beyond those of the axes][pixel]`.
@@ -77,29 +125,35 @@ impl VariedRecords {
     /// Computes the responses, once all records are set.
     pub(crate) fn responses(self, records: &Records) -> ResponseRecords {
         let grid = self.grid.clone();
-        let (mut curves, mut linear) = (Vec::new(), Vec::new());
+        let mut parts = Vec::new();
         if let Some(responses) = grid.responses() {
             let priors = grid.scene().priors().par_iter().enumerate();
             let of_prior = priors.map(|(index, prior)| {
                 let steps = steps_of(responses, index, prior);
-                let curve = self.curve(prior, &steps, records);
-                let linear = if prior.kind().is_traced() {
-                    self.linear(&steps, curve, records)
-                } else {
-                    LinearResponse::Even { value: prior.std_error(), pixels: self.pixels() }
+                if !prior.kind().is_traced() {
+                    let even = LinearResponse::Even { value: prior.std_error(), pixels: self.pixels() };
+                    return vec![(ResponseCurve::Bent(BentCurve::default()), even)];
+                }
+                if steps.len() <= 2 {
+                    let curve = ResponseCurve::Bent(self.curve(prior, &steps, records));
+                    let linear = self.linear(&steps, &curve, records);
+                    return vec![(curve, linear)];
+                }
+                let nodes: Arc<[f64]> = steps.iter().map(|(_, u)| *u).collect();
+                let at_node = |(node, step): (usize, &(usize, f64))| {
+                    let curve = ResponseCurve::Node { nodes: nodes.clone(), node };
+                    let linear = self.linear(&[*step], &curve, records);
+                    (curve, linear)
                 };
-                (curve, linear)
+                steps.iter().enumerate().map(at_node).collect()
             });
-            for (curve, of_prior) in of_prior.collect::<Vec<_>>() {
-                curves.push(curve);
-                linear.push(of_prior);
-            }
+            parts = of_prior.collect();
         }
-        ResponseRecords { grid, curves, linear }
+        ResponseRecords { grid, parts }
     }
 
     /// L of a quantity at all nodes, by least squares of its differences, without most of their noise.
-    fn linear(&self, steps: &[(usize, f64)], curve: ResponseCurve, records: &Records) -> LinearResponse {
+    fn linear(&self, steps: &[(usize, f64)], curve: &ResponseCurve, records: &Records) -> LinearResponse {
         let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
         let square: f64 = heights.iter().map(|h| h * h).sum();
         let weights: Vec<f64> = heights.iter().map(|h| h / square).collect();
@@ -118,8 +172,8 @@ impl VariedRecords {
 
     /// The curve that relates the differences of all records at two steps best, relative to the profiles. Pixels of value
     /// 0 are skipped, since they have no relative difference.
-    fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> ResponseCurve {
-        let straight = ResponseCurve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
+    fn curve(&self, prior: &Prior, steps: &[(usize, f64)], records: &Records) -> BentCurve {
+        let straight = BentCurve { bend: prior.bend(self.grid.scene()), curvature: 0.0 };
         let &[(_, near), (_, far)] = steps else { return straight };
         let at = [near, far].map(|u| straight.bent(u));
         // Sums of squares and of products of both differences over w.
@@ -136,7 +190,7 @@ impl VariedRecords {
         let steps = steps.iter().map(|(_, u)| u * prior.std_error()).collect::<Vec<_>>();
         let (low, high) = prior.range_of(self.grid.scene(), &steps);
         let ends = [low, high].map(|end| straight.bent(end / prior.std_error()));
-        ResponseCurve { curvature: curvature(at, squares, product, ends), ..straight }
+        BentCurve { curvature: curvature(at, squares, product, ends), ..straight }
     }
 
     /// Calls a function with the differences at these variants and the scene's own values, for every record.
@@ -203,19 +257,14 @@ fn curvature(at: [f64; 2], squares: [f64; 2], product: f64, ends: [f64; 2]) -> f
 #[derive(Debug)]
 pub(crate) struct ResponseRecords {
     grid: Arc<Grid>,
-    /// By prior of the scene.
-    curves: Vec<ResponseCurve>,
-    /// By prior of the scene; rows are records of the nodes.
-    linear: Vec<LinearResponse>,
+    /// By prior of the scene; rows of L are records of the nodes.
+    parts: Vec<Vec<(ResponseCurve, LinearResponse)>>,
 }
 
 impl ResponseRecords {
-    pub(crate) fn curve(&self, prior: usize) -> ResponseCurve {
-        self.curves[prior]
-    }
-
-    pub(crate) fn linear(&self, prior: usize) -> &LinearResponse {
-        &self.linear[prior]
+    /// The curves of a quantity, each with its L.
+    pub(crate) fn parts(&self, prior: usize) -> &[(ResponseCurve, LinearResponse)] {
+        &self.parts[prior]
     }
 
     /// The row of a record of the axes; None where responses are not traced.
@@ -248,7 +297,7 @@ mod tests {
     fn curves_of_lab_rise_over_their_ranges() {
         let scene = optics_model::Scene::lab();
         for prior in scene.priors() {
-            let straight = ResponseCurve { bend: prior.bend(&scene), curvature: 0.0 };
+            let straight = BentCurve { bend: prior.bend(&scene), curvature: 0.0 };
             let in_errors = |difference: f64| difference / prior.std_error();
             let steps: Vec<f64> = prior.steps(&scene).into_iter().map(in_errors).collect();
             let &[near, far] = &steps[..] else { continue };
@@ -259,7 +308,7 @@ mod tests {
                 let at = [near, far].map(|u| straight.bent(u));
                 let curvature = curvature(at, squares, 10.0, ends.map(|u| straight.bent(u)));
                 assert_ne!(curvature, 0.0);
-                let curve = ResponseCurve { curvature, ..straight };
+                let curve = BentCurve { curvature, ..straight };
                 for i in 0..=100 {
                     let u = ends[0] + f64::from(i) / 100.0 * (ends[1] - ends[0]);
                     assert!(curve.at(u).1 > 0.0, "{}: {u}", scene.name_of(prior));
@@ -268,13 +317,20 @@ mod tests {
         }
     }
 
-    /// The slope of a curve is its derivative.
+    /// The slope of a curve is its derivative. Curves of nodes are 1 at their own and 0 at the others.
     #[test]
     fn curve_has_the_slope_of_its_heights() {
-        let curve = ResponseCurve { bend: 0.3, curvature: -0.1 };
-        for u in [-1.2, 0.0, 0.4, 2.0] {
-            let [low, high] = [u - 1e-6, u + 1e-6].map(|u| curve.at(u).0);
-            assert!((curve.at(u).1 - (high - low) / 2e-6).abs() < 1e-8);
+        let nodes: Arc<[f64]> = vec![0.2, 0.6, 1.5, 4.0].into();
+        let at_node = |node| ResponseCurve::Node { nodes: nodes.clone(), node };
+        for (node, u) in (0..4).flat_map(|node| [0.0, 0.2, 0.6, 1.5, 4.0].map(|u| (node, u))) {
+            let expected = f64::from(u8::from(nodes[node] == u));
+            assert!((at_node(node).at(u).0 - expected).abs() < 1e-12, "{node} {u}");
+        }
+        for curve in [ResponseCurve::Bent(BentCurve { bend: 0.3, curvature: -0.1 }), at_node(2)] {
+            for u in [0.0, 0.4, 2.0] {
+                let [low, high] = [u - 1e-6, u + 1e-6].map(|u| curve.at(u).0);
+                assert!((curve.at(u).1 - (high - low) / 2e-6).abs() < 1e-8);
+            }
         }
     }
 }

@@ -15,14 +15,13 @@ use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 
 pub(crate) mod noise;
 
-/// The response of a quantity about one medium: h(u) L.
+/// The response of a quantity about one medium: Σ h(u) L.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalResponse {
-    curve: ResponseCurve,
     /// The channel's difference from the scene's value, in standard deviations: n(λ) − n_D of an index.
     in_channel: f64,
-    /// L, then its derivatives by the medium's coordinates.
-    linear: [Vec<f64>; 4],
+    /// h; L, then its derivatives by the medium's coordinates.
+    parts: Vec<(ResponseCurve, [Vec<f64>; 4])>,
 }
 
 /// All responses about one medium.
@@ -50,30 +49,34 @@ impl LocalResponses {
         self.each.len()
     }
 
+    fn pixels(&self) -> usize {
+        self.each.first().map_or(0, |r| r.parts[0].1[0].len())
+    }
+
     /// The change of a profile of a medium and a thickness near by, with the quantities at these differences from the
     /// scene. Its derivative by the logarithm of the thickness is that by ln σ_t.
     pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> ProfileChange {
-        let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
+        let pixels = self.pixels();
         x[SIGMA_T] += libm::log(thickness_mm);
         let off: [f64; 3] = std::array::from_fn(|i| x[i] - self.at[i]);
         let zero = || vec![0.0; pixels];
         let mut change =
             ProfileChange { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
         for (response, u) in self.each.iter().zip(quantities) {
-            let (height, slope) = response.curve.at(response.in_channel + u);
-            let [linear, by_s, by_a, by_g] = &response.linear;
-            let mut there = linear.clone();
-            for (off, by) in off.iter().zip([by_s, by_a, by_g]) {
-                add_scaled(&mut there, *off, by);
+            let mut by_quantity = zero();
+            for (curve, [linear, by_s, by_a, by_g]) in &response.parts {
+                let (height, slope) = curve.at(response.in_channel + u);
+                let mut there = linear.clone();
+                for (off, by) in off.iter().zip([by_s, by_a, by_g]) {
+                    add_scaled(&mut there, *off, by);
+                }
+                add_scaled(&mut change.values, height, &there);
+                for (slopes, by) in change.slopes.iter_mut().zip([by_s, by_a, by_g]) {
+                    add_scaled(slopes, height, by);
+                }
+                add_scaled(&mut by_quantity, slope, &there);
             }
-            add_scaled(&mut change.values, height, &there);
-            for (slopes, by) in change.slopes.iter_mut().zip([by_s, by_a, by_g]) {
-                add_scaled(slopes, height, by);
-            }
-            for v in &mut there {
-                *v *= slope;
-            }
-            change.by_quantity.push(there);
+            change.by_quantity.push(by_quantity);
         }
         change
     }
@@ -89,11 +92,14 @@ impl LocalResponses {
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance of the model's error, with the quantities at these differences
     /// from the scene: ε² s(x) s(x′) c(x − x′), with s² = Σ_q (h_q L_q)² and c a Gaussian.
     pub(crate) fn model_errors(&self, quantities: &[f64], width_mm: f64) -> Vec<Vec<f64>> {
-        let pixels = self.each.first().map_or(0, |r| r.linear[0].len());
+        let pixels = self.pixels();
         let mut squares = vec![0.0; pixels];
         for (response, u) in self.each.iter().zip(quantities) {
-            let (height, _) = response.curve.at(response.in_channel + u);
-            squares.iter_mut().zip(&response.linear[0]).for_each(|(s, l)| *s += (height * l).powi(2));
+            let mut change = vec![0.0; pixels];
+            for (curve, linear) in &response.parts {
+                add_scaled(&mut change, curve.at(response.in_channel + u).0, &linear[0]);
+            }
+            squares.iter_mut().zip(&change).for_each(|(s, v)| *s += v * v);
         }
         // The spectrum of c, by cosines over the width.
         let frequency = |k: usize| PI * k as f64 * ALIKE_MM / width_mm;
@@ -121,9 +127,8 @@ impl Surrogate<'_> {
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
         let response = |prior: usize| LocalResponse {
-            curve: records.curve(prior),
             in_channel: self.in_channel(prior),
-            linear: self.linear_response(records, prior, &stencil),
+            parts: self.linear_responses(records, prior, &stencil),
         };
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
@@ -146,8 +151,13 @@ impl Surrogate<'_> {
         (index, x)
     }
 
-    /// L of a quantity, and its derivatives by the medium's coordinates.
-    fn linear_response(&self, records: &ResponseRecords, prior: usize, stencil: &Stencil) -> [Vec<f64>; 4] {
+    /// The curves of a quantity, each with its L and the derivatives of that by the medium's coordinates.
+    fn linear_responses(
+        &self,
+        records: &ResponseRecords,
+        prior: usize,
+        stencil: &Stencil,
+    ) -> Vec<(ResponseCurve, [Vec<f64>; 4])> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         let Stencil { thickness, sigma_t: s, albedo: a, .. } = stencil;
@@ -163,7 +173,7 @@ impl Surrogate<'_> {
                 }
             }
         }
-        records.linear(prior).sums(&rows)
+        records.parts(prior).iter().map(|(curve, linear)| (curve.clone(), linear.sums(&rows))).collect()
     }
 }
 

