@@ -119,7 +119,7 @@ fn question_for_a_fit_is_understood() {
                 (measurement, request.options.unwrap())
             },
             |(measurement, options)| {
-                let (measurement, options) = (Some(measurement.into()), Some(*options));
+                let (measurement, options) = (Some(measurement.into()), Some(options.clone()));
                 wire::FitRequest { dictionary: "tiny".to_owned(), measurement, options }
             },
         );

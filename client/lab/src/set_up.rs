@@ -50,6 +50,7 @@ impl SetUp {
         for ((_, value), (_, given)) in settings.set_up_mut().zip(self.values.values()) {
             *value = given.and_then(ByChannel::common).unwrap_or(*value);
         }
+        settings.measured = self.values.measured;
         settings
     }
 

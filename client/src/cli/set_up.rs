@@ -34,7 +34,7 @@ macro_rules! arguments {
             /// These values, and those of the session file for quantities without a value here: of the file given by
             /// --session, or else of `session`.
             pub(crate) fn read(&self, session: Option<&Path>) -> anyhow::Result<SetUp> {
-                let given = Session { mu_std_error: None, $($name: self.$name.map(ByChannel::All)),+ };
+                let given = Session { $($name: self.$name.map(ByChannel::All),)+ ..Session::default() };
                 SetUp::new(self.session.as_deref().or(session), given)
             }
         }

@@ -223,7 +223,7 @@ fn dictionary_name(name: String) -> Result<DictionaryName, Invalid> {
 }
 
 fn options(options: Option<&wire::FitOptions>) -> Result<FitOptions, Invalid> {
-    FitOptions::try_from(options.copied().unwrap_or_default()).map_err(|e| e.within("options"))
+    FitOptions::try_from(options.cloned().unwrap_or_default()).map_err(|e| e.within("options"))
 }
 
 fn boards(board: Vec<wire::Channel>) -> Result<Vec<Channel>, Invalid> {

@@ -2,10 +2,11 @@
 //!
 //! Convention of all profiles: a value is the average over its bin of the scene convolved with a Gaussian of standard
 //! deviation σ. That Gaussian holds the lens and the pixel's own aperture, whose variance is p²/12. On an edge
-//! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ).
+//! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ). Light that spreads within the board adds
+//! exponentials to both sides.
 
 use crate::estimate::Estimate;
-use crate::least_squares::NormalEquations;
+use crate::least_squares::{FittedParameters, NormalEquations};
 
 /// An edge in bins: their width w, the distance within which it is fitted, and place, value and error of each bin. The
 /// results are in the same unit of length.
@@ -21,55 +22,126 @@ pub(crate) struct EdgeBins {
 pub(crate) struct EdgeFit {
     pub origin: Estimate,
     pub blur: Estimate,
+    /// Spread of light within the board; 0 with its error where it does not show.
+    pub spread: Estimate,
     pub dark: f64,
     pub light: f64,
 }
 
-/// None if the data show no edge.
+/// Dark, light, origin, σ, slopes of both sides, spread.
+type Parameters = [f64; 7];
+const ORIGIN: usize = 2;
+const BLUR: usize = 3;
+const SPREAD: usize = 6;
+/// Standard errors from which on a spread shows.
+const SHOWS: f64 = 4.0;
+
+/// The edge of a board in which light may spread; None if the data show no edge.
+///
+/// Light enters at one place and leaves at another, and crosses the ink at both. So the sides approach the geometric mean
+/// of their radiance factors at the edge, as an exponential with the spread as its length.
+pub(crate) fn fit_spread(edge: &EdgeBins) -> Option<EdgeFit> {
+    let clean = fit(edge)?;
+    let start = start(edge)?;
+    // A small spread has the effect of another place of the edge: it is held at values, and followed from the best.
+    let held = |spread: f64| {
+        let mut start = start;
+        start[SPREAD] = spread;
+        descend(edge, start, SPREAD)
+    };
+    let values = (0..).map(|i| 0.2 * edge.width * f64::from(i) * libm::pow(1.3, f64::from(i)));
+    let tried = values.take_while(|b| *b < 0.5 * edge.reach);
+    let tried: Vec<(f64, Minimum)> = tried.filter_map(|b| Some((b, held(b)?))).collect();
+    let best = tried.iter().min_by(|(_, a), (_, b)| a.squares.total_cmp(&b.squares))?;
+    let noise: f64 = edge.inside().iter().map(|p| p[2] * p[2]).sum();
+    // χ² above that of the best, with the noise that the best leaves where it is above that of the bins.
+    let rise =
+        |m: &Minimum| (m.squares - best.1.squares) / noise.max(best.1.squares) * edge.inside().len() as f64;
+    if rise(&tried[0].1) < SHOWS * SHOWS {
+        let first = tried.iter().find(|(b, m)| *b > best.0 && rise(m) > 1.0);
+        let std_error = first.map_or(edge.reach, |(b, _)| *b);
+        return Some(EdgeFit { spread: Estimate::new(0.0, std_error), ..clean });
+    }
+    descend(edge, best.1.p, SPREAD + 1).map(|found| found.edge())
+}
+
+/// The edge of a board in which light does not spread; None if the data show no edge.
 pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
-    let EdgeBins { width, reach, .. } = *edge;
-    let inside = |p: &&[f64; 3]| p[0].abs() < reach && p[1].is_finite() && p[2] > 0.0;
-    let points: Vec<[f64; 3]> = edge.points.iter().filter(inside).copied().collect();
+    let fitted = descend(edge, start(edge)?, SPREAD)?.edge();
+    (fitted.origin.value.abs() < edge.reach && fitted.blur.value.is_finite()).then_some(fitted)
+}
+
+impl EdgeBins {
+    fn inside(&self) -> Vec<[f64; 3]> {
+        let inside = |p: &&[f64; 3]| p[0].abs() < self.reach && p[1].is_finite() && p[2] > 0.0;
+        self.points.iter().filter(inside).copied().collect()
+    }
+}
+
+fn start(edge: &EdgeBins) -> Option<Parameters> {
+    let points = edge.inside();
     let outer = |sign: f64| {
-        let values = points.iter().filter(|p| sign * p[0] > 0.5 * reach).map(|p| p[1]);
+        let values = points.iter().filter(|p| sign * p[0] > 0.5 * edge.reach).map(|p| p[1]);
         let (sum, n) = values.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
         sum / n
     };
-    // Dark, light, origin, σ, and slopes of both sides.
-    let mut p = [
-        outer(-1.0),
-        outer(1.0),
-        0.0,
-        rise(&points, outer(-1.0), outer(1.0))?.clamp(0.5 * width, 0.3 * reach),
-        0.0,
-        0.0,
-    ];
-    let mut found = None;
-    let mut misfit = 0.0;
+    let (dark, light) = (outer(-1.0), outer(1.0));
+    let blur = rise(&points, dark, light)?.clamp(0.5 * edge.width, 0.3 * edge.reach);
+    Some([dark, light, 0.0, blur, 0.0, 0.0, 0.0])
+}
+
+/// A minimum.
+struct Minimum {
+    p: Parameters,
+    parameters: FittedParameters,
+    /// Of the residuals.
+    squares: f64,
+}
+
+impl Minimum {
+    fn estimate(&self, i: usize) -> Estimate {
+        Estimate::new(self.p[i], self.parameters.std_error(i))
+    }
+
+    fn edge(&self) -> EdgeFit {
+        let is_free = self.parameters.x.len() > SPREAD;
+        let spread = if is_free { self.estimate(SPREAD) } else { Estimate::new(0.0, f64::INFINITY) };
+        let [dark, light, ..] = self.p;
+        EdgeFit { origin: self.estimate(ORIGIN), blur: self.estimate(BLUR), spread, dark, light }
+    }
+}
+
+/// The minimum below a start, with the first `free` parameters free.
+fn descend(edge: &EdgeBins, mut p: Parameters, free: usize) -> Option<Minimum> {
+    let points = edge.inside();
+    let (mut found, mut misfit, mut squares) = (None, 0.0, f64::INFINITY);
     for _ in 0..25 {
         // Dust was rejected in the bins, so all bins count here. Model error is assumed equal in all bins; otherwise
         // the dark side, with its low noise, would dominate.
-        let mut normal = NormalEquations::new(p.len());
+        let mut normal = NormalEquations::new(free);
         let (mut found_squares, mut noise_squares) = (0.0, 0.0);
         for [x, v, e] in &points {
-            let r = v - model(&p, *x, width);
+            let r = v - model(&p, *x, edge.width);
             found_squares += r * r;
             noise_squares += e * e;
-            normal.add(&gradient(&p, *x, width), r, 1.0 / (e * e + misfit));
+            normal.add(&gradient(&p, *x, edge.width)[..free], r, 1.0 / (e * e + misfit));
         }
-        let share = points.len() as f64 / (points.len() as f64 - p.len() as f64).max(1.0);
+        let share = points.len() as f64 / (points.len() as f64 - free as f64).max(1.0);
         misfit = ((found_squares * share - noise_squares) / points.len() as f64).max(0.0);
-        let solution = normal.solve()?;
-        for (p, d) in p.iter_mut().zip(solution.x.iter()) {
+        squares = found_squares;
+        let parameters = normal.solve()?;
+        for (p, d) in p.iter_mut().zip(parameters.x.iter()) {
             *p += d;
         }
-        p[3] = p[3].clamp(0.1 * width, reach);
-        found = Some(solution);
+        p[BLUR] = p[BLUR].clamp(0.1 * edge.width, edge.reach);
+        p[SPREAD] = p[SPREAD].clamp(0.0, edge.reach);
+        let is_done = (0..free).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
+        found = Some(parameters);
+        if is_done {
+            break;
+        }
     }
-    let solution = found?;
-    let estimate = |i: usize| Estimate::new(p[i], solution.std_error(i));
-    let fitted = EdgeFit { origin: estimate(2), blur: estimate(3), dark: p[0], light: p[1] };
-    (fitted.origin.value.abs() < reach && fitted.blur.value.is_finite()).then_some(fitted)
+    Some(Minimum { p, parameters: found?, squares })
 }
 
 /// σ from the distance between a quarter and three quarters of the rise: of several crossings that nearest to 0 counts,
@@ -95,20 +167,45 @@ fn cumulative(u: f64) -> f64 {
     0.5 * libm::erfc(-u / std::f64::consts::SQRT_2)
 }
 
-fn model(p: &[f64; 6], x: f64, width: f64) -> f64 {
-    let z = x - p[2];
-    let share = (primitive(z + 0.5 * width, p[3]) - primitive(z - 0.5 * width, p[3])) / width;
-    let (dark, light) = (p[0] + p[4] * z, p[1] + p[5] * z);
-    dark + (light - dark) * share
+/// ∫ of e^(−t/b) for t > 0, blurred.
+fn decayed(z: f64, sigma: f64, spread: f64) -> f64 {
+    let (u, ratio) = (z / sigma, sigma / spread);
+    let beyond = ratio - u;
+    let tail = if beyond > 10.0 {
+        // The factors overflow: the asymptotic series of Φ.
+        let phi = libm::exp(-0.5 * u * u) / (2.0 * std::f64::consts::PI).sqrt();
+        phi / beyond * (1.0 - beyond.powi(-2) + 3.0 * beyond.powi(-4))
+    } else {
+        libm::exp(ratio * (0.5 * ratio - u)) * cumulative(-beyond)
+    };
+    spread * (cumulative(u) - tail)
 }
 
-fn gradient(p: &[f64; 6], x: f64, width: f64) -> [f64; 6] {
+fn model(p: &Parameters, x: f64, width: f64) -> f64 {
+    let [dark, light, origin, sigma, of_dark, of_light, spread] = *p;
+    let z = x - origin;
+    let mean =
+        |integral: &dyn Fn(f64) -> f64| (integral(z + 0.5 * width) - integral(z - 0.5 * width)) / width;
+    let share = mean(&|z| primitive(z, sigma));
+    let (dark_here, light_here) = (dark + of_dark * z, light + of_light * z);
+    let sharp = dark_here + (light_here - dark_here) * share;
+    if spread == 0.0 {
+        return sharp;
+    }
+    let between = (light.max(0.0) * dark.max(0.0)).sqrt();
+    let on_light = mean(&|z| decayed(z, sigma, spread));
+    let on_dark = mean(&|z| -decayed(-z, sigma, spread));
+    sharp + 0.5 * ((between - light) * on_light + (between - dark) * on_dark)
+}
+
+fn gradient(p: &Parameters, x: f64, width: f64) -> Parameters {
     std::array::from_fn(|i| {
-        let step = 1e-6;
+        let step = if i == SPREAD { 1e-5 } else { 1e-6 };
         let (mut up, mut down) = (*p, *p);
         up[i] += step;
-        down[i] -= step;
-        (model(&up, x, width) - model(&down, x, width)) / (2.0 * step)
+        // A spread is not negative.
+        down[i] -= if i == SPREAD && p[i] < step { 0.0 } else { step };
+        (model(&up, x, width) - model(&down, x, width)) / (up[i] - down[i])
     })
 }
 
@@ -118,7 +215,7 @@ mod tests {
 
     /// An exact edge in bins of 0.03 mm, its origin off by 0.011 mm.
     fn edge(error: f64) -> EdgeBins {
-        let p = [0.02, 0.8, 0.011, 0.029, 0.0, -0.004];
+        let p = [0.02, 0.8, 0.011, 0.029, 0.0, -0.004, 0.0];
         let point = |k: i32| f64::from(k) * 0.03;
         let points = (-40..=40).map(|k| [point(k), model(&p, point(k), 0.03), error]).collect();
         EdgeBins { width: 0.03, reach: 0.6, points }
@@ -148,6 +245,39 @@ mod tests {
                 assert!((estimate.value - truth).abs() < estimate.std_error, "{at}: {found:?}");
                 assert!(estimate.std_error < 0.2 * 0.029, "{at}: {found:?}");
             }
+        }
+    }
+
+    /// Blur and spread of an exact edge are told apart; without a spread it is 0, and the blur that of the plain fit.
+    #[test]
+    fn spread_is_told_from_blur() {
+        for spread in [0.02, 0.05, 0.1, 0.3] {
+            let p = [0.02, 0.8, 0.011, 0.029, 0.0, 0.0, spread];
+            let points = (-120..=120).map(|k| f64::from(k) * 0.01);
+            let points = points.map(|x| [x, model(&p, x, 0.01), 1e-3]).collect();
+            let found = fit_spread(&EdgeBins { width: 0.01, reach: 1.2, points }).unwrap();
+            for (estimate, truth) in [(found.spread, spread), (found.blur, 0.029), (found.origin, 0.011)] {
+                assert!((estimate.value - truth).abs() < 1e-4, "{spread}: {found:?}");
+            }
+        }
+        let (clean, found) = (fit(&edge(1e-3)).unwrap(), fit_spread(&edge(1e-3)).unwrap());
+        assert_eq!((found.spread.value, found.blur), (0.0, clean.blur));
+        assert!((0.005..0.03).contains(&found.spread.std_error), "{found:?}");
+    }
+
+    /// The mean of bins of light that spreads has the value of the formula without blur far from the edge.
+    #[test]
+    fn blurred_exponential_is_exact_far_from_the_edge() {
+        let [dark, light, spread] = [0.09_f64, 0.81, 0.2];
+        let p = [dark, light, 0.0, 0.01, 0.0, 0.0, spread];
+        for (x, plateau) in [(0.3, light), (-0.25, dark)] {
+            let expected = plateau + 0.5 * libm::exp(-f64::abs(x) / spread) * (0.27 - plateau);
+            // A blur of σ multiplies the exponential by e^(σ²/2b²).
+            assert!(
+                (model(&p, x, 1e-4) - expected).abs() < 2e-3 * expected,
+                "{x}: {} {expected}",
+                model(&p, x, 1e-4)
+            );
         }
     }
 

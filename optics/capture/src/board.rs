@@ -45,6 +45,8 @@ pub struct Board {
     pub profiles: [EdgeProfile; 3],
     /// Standard deviation of the Gaussian of lens and pixel, without the width of the bins.
     pub blur_mm: [Estimate; 3],
+    /// Spread of light within the board in mm, from the three colours together: of a clean board 0 with its error.
+    pub spread_mm: Estimate,
     /// Response of lens and pixel to sinusoids; None where bins near the edge are empty.
     pub sfr: [Option<EdgeSfr>; 3],
     /// Place of the edge in each channel, in x of `profiles`. It is subtracted in profiles of samples.
@@ -142,12 +144,13 @@ impl<'a> BareShots<'a> {
         let fits = [red?, green?, blue?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
-                of_fine(c).into_iter().filter_map(|p| fit_edge(p, label).ok()).map(|e| f(&e)).collect();
+                of_fine(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
             spread_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
         let blur_mm = std::array::from_fn(|c| with(fits[c].blur, spread(|e| e.blur.value, c)));
         let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
+        let spread_mm = whole_spread(fits.map(|fit| fit.spread));
         let edge_frame = found.edge_frame;
         let scale = edge_frame.mm_per_px();
         let of_square = self.target.square_std_error_mm / self.target.square_mm;
@@ -160,6 +163,7 @@ impl<'a> BareShots<'a> {
                 EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale)
             }),
             blur_mm,
+            spread_mm,
             origin_mm,
             light: std::array::from_fn(|c| level(&profiles[c], 1.0)),
             dark: std::array::from_fn(|c| level(&profiles[c], -1.0)),
@@ -203,19 +207,39 @@ pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Satura
     }
 }
 
-/// Distance from the edge within which its blur is fitted, in mm.
-const REACH_MM: f64 = 0.6;
+/// Distance from the edge within which blur and spread are fitted, in mm.
+const REACH_MM: f64 = 1.2;
+/// Standard error of a spread whose distribution is not exponential, as a share, and the least one in mm.
+const OTHER_FORM: f64 = 0.1;
+const LEAST_STD_ERROR_MM: f64 = 0.002;
 
-fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal> {
+/// The spread of a board: the mean over the colours, by their errors, with their scatter.
+fn whole_spread(of_colours: [Estimate; 3]) -> Estimate {
+    let weights = of_colours.map(|e| e.std_error.powi(-2));
+    let whole: f64 = weights.iter().sum();
+    let value = weights.iter().zip(of_colours).map(|(w, e)| w * e.value).sum::<f64>() / whole;
+    if !value.is_finite() {
+        return Estimate::new(0.0, REACH_MM);
+    }
+    let scatter =
+        weights.iter().zip(of_colours).map(|(w, e)| w * (e.value - value).powi(2)).sum::<f64>() / whole;
+    let errors = [whole.sqrt().recip(), scatter.sqrt(), OTHER_FORM * value, LEAST_STD_ERROR_MM];
+    Estimate::new(value, errors.iter().map(|e| e * e).sum::<f64>().sqrt())
+}
+
+fn edge_bins(profile: &EdgeProfile) -> EdgeBins {
     let points = (profile.x_mm.iter().zip(&profile.values).zip(&profile.std_errors))
         .map(|((x, v), e)| [*x, *v, *e])
         .collect();
+    EdgeBins { width: profile.x_mm[1] - profile.x_mm[0], reach: REACH_MM, points }
+}
+
+fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal> {
     let no_edge = || Refusal::NoBoard {
         label: label.to_owned(),
         seen: format!("the {} profile is not that of an edge between two even sides", profile.colour),
     };
-    let width = profile.x_mm[1] - profile.x_mm[0];
-    blur::fit(&EdgeBins { width, reach: REACH_MM, points }).ok_or_else(no_edge)
+    blur::fit_spread(&edge_bins(profile)).ok_or_else(no_edge)
 }
 
 fn spread_of_mean(values: &[f64]) -> f64 {

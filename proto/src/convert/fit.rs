@@ -9,6 +9,7 @@ use optics_model::fit::{
     Objective, Outside, PhaseModel, Refined, Suspicion, ThicknessError, Wavelet,
 };
 use optics_model::invalid::{Invalid, Result};
+use optics_model::scene::PriorKind;
 use optics_model::with_quantities;
 
 fn bounds(field: &str, bounds: Option<wire::Bounds>) -> Result<Bounds> {
@@ -52,6 +53,25 @@ impl From<Bounds> for wire::Bounds {
     }
 }
 
+fn measured(given: &[wire::MeasuredQuantity]) -> Result<[Option<[f64; 2]>; PriorKind::OF_SESSION.len()]> {
+    let mut measured = [None; PriorKind::OF_SESSION.len()];
+    for quantity in given {
+        let newer = || Invalid::new("measured.kind", quantity.kind, "this version measures no such quantity");
+        let is_kind = |kind: &PriorKind| kind.number() == quantity.kind;
+        let place = PriorKind::OF_SESSION.iter().position(is_kind).ok_or_else(newer)?;
+        measured[place] = Some([quantity.value, quantity.std_error]);
+    }
+    Ok(measured)
+}
+
+fn wire_measured(settings: &FitSettings) -> Vec<wire::MeasuredQuantity> {
+    let quantity = |(kind, measured): (PriorKind, Option<[f64; 2]>)| {
+        let [value, std_error] = measured?;
+        Some(wire::MeasuredQuantity { kind: kind.number(), value, std_error })
+    };
+    PriorKind::OF_SESSION.into_iter().zip(settings.measured).filter_map(quantity).collect()
+}
+
 macro_rules! options {
     ($($name:ident $row:tt)+) => {
         impl TryFrom<wire::FitOptions> for FitOptions {
@@ -59,7 +79,9 @@ macro_rules! options {
 
             fn try_from(options: wire::FitOptions) -> Result<Self> {
                 let default = FitSettings::default();
+                let measured = measured(&options.measured)?;
                 Self::new(FitSettings {
+                    measured,
                     lambda: options.lambda.unwrap_or(default.lambda),
                     mu: options.mu.unwrap_or(default.mu),
                     mu_std_error: options.mu_std_error.unwrap_or(default.mu_std_error),
@@ -95,6 +117,7 @@ macro_rules! options {
                     refine: s.refine,
                     curves: s.curves,
                     objective: optional_number::to_wire(s.objective),
+                    measured: wire_measured(s),
                     $($name: Some(s.$name),)+
                 }
             }
@@ -202,6 +225,7 @@ mod tests {
                 curves: true,
                 ..FitSettings::default()
             };
+            settings.measured[0] = Some([0.02, 0.003]);
             for (i, (_, value)) in settings.set_up_mut().enumerate() {
                 *value = 0.01 * (i as f64 + 1.5);
             }

@@ -220,6 +220,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         errors: SessionErrors,
         blur_mm: Value,
         blur_std_error_mm: Value,
+        base_spread_mm: Value,
         #[serde(flatten)]
         parts: Map<String, Value>,
         record: SessionRecord,
@@ -235,11 +236,19 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         errors: SessionErrors::of(captured),
         blur_mm: by_channel(&channels, |c| json!(c.blur_mm().value)),
         blur_std_error_mm: by_channel(&channels, |c| json!(c.blur_mm().std_error)),
+        base_spread_mm: base_spread_mm(captured),
         parts: parts(captured),
         record: captured.session.record.clone(),
         inputs: inputs.collect(),
         digest: digest.to_hex().to_string(),
     }
+}
+
+/// The board's spread: of several bands that with the least error.
+fn base_spread_mm(captured: &Captured) -> Value {
+    let spreads = captured.parts.iter().map(|part| part.board.spread_mm);
+    let best = spreads.min_by(|a, b| a.std_error.total_cmp(&b.std_error));
+    best.map_or(Value::Null, |e| json!({"value": e.value, "std_error": e.std_error}))
 }
 
 /// `board`, `camera` and `samples` of red, green and blue, or a list of these as `bands`.

@@ -5,6 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use optics_model::measurement::colour;
 use optics_model::quantities::{Form, Quantity};
+use optics_model::scene::PriorKind;
 use optics_model::{Invalid, with_quantities};
 use serde_json::{Map, Value};
 
@@ -49,6 +50,8 @@ macro_rules! session {
         pub struct Session {
             /// Standard error of the gain that all profiles share: that of the white reference.
             pub mu_std_error: Option<f64>,
+            /// Measured values with their standard errors, in the order of [`PriorKind::OF_SESSION`].
+            pub measured: [Option<[f64; 2]>; PriorKind::OF_SESSION.len()],
             $(pub $name: Option<ByChannel>,)+
         }
 
@@ -67,6 +70,7 @@ macro_rules! session {
             pub fn or(self, other: Self) -> Self {
                 Self {
                     mu_std_error: self.mu_std_error.or(other.mu_std_error),
+                    measured: std::array::from_fn(|i| self.measured[i].or(other.measured[i])),
                     $($name: self.$name.or(other.$name),)+
                 }
             }
@@ -102,6 +106,10 @@ impl Session {
             mu_std_error: mu_std_error.map(|v| number("mu_std_error", v, (0.0, 1.0))).transpose()?,
             ..Self::default()
         };
+        for (kind, measured) in PriorKind::OF_SESSION.into_iter().zip(&mut session.measured) {
+            let (key, range) = kind.session_key();
+            *measured = present(fields, key).map(|given| read_measured(key, given, range)).transpose()?;
+        }
         for (quantity, value) in session.values_mut() {
             *value = present(fields, quantity.name).map(|given| read_value(quantity, given)).transpose()?;
         }
@@ -122,6 +130,18 @@ fn number(field: &str, value: &Value, (lowest, highest): (f64, f64)) -> Result<f
             Err(Invalid::new(field, kind(value), format!("allowed are numbers from {lowest} to {highest}")))
         }
     }
+}
+
+/// A value with its standard error.
+fn read_measured(field: &str, given: &Value, [low, high]: [f64; 2]) -> Result<[f64; 2], Invalid> {
+    let Value::Object(fields) = given else {
+        let allowed = "an object with value and std_error is needed";
+        return Err(Invalid::new(field, kind(given), allowed));
+    };
+    let part = |name: &str, range: (f64, f64)| {
+        number(&format!("{field}.{name}"), fields.get(name).unwrap_or(&Value::Null), range)
+    };
+    Ok([part("value", (low, high))?, part("std_error", (1e-6, 1.0))?])
 }
 
 fn read_value(quantity: &Quantity, value: &Value) -> Result<ByChannel, Invalid> {

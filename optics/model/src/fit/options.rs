@@ -8,6 +8,7 @@ use crate::measurement::ProfileSetup;
 use crate::medium::{check_albedo, check_sigma_t};
 use crate::phase::check_g;
 use crate::quantities::Quantity;
+use crate::scene::PriorKind;
 use crate::with_quantities;
 
 /// Wavelet whose smoothing function is differentiated for the gradients.
@@ -127,6 +128,9 @@ macro_rules! settings {
             pub refine: bool,
             /// Return the profiles and gradients that were compared.
             pub curves: bool,
+            /// Values that the session has measured, with their standard errors, in the order of
+            /// [`PriorKind::OF_SESSION`]: in place of the scene's priors.
+            pub measured: [Option<[f64; 2]>; PriorKind::OF_SESSION.len()],
             $(#[doc = $help] pub $name: f64,)+
         }
 
@@ -149,6 +153,7 @@ macro_rules! settings {
                     top: 5,
                     refine: false,
                     curves: false,
+                    measured: [None; PriorKind::OF_SESSION.len()],
                     $($name: $default,)+
                 }
             }
@@ -177,6 +182,11 @@ impl FitSettings {
     /// Standard error of ln μ.
     pub fn ln_mu_std_error(&self) -> f64 {
         self.mu_std_error / self.mu
+    }
+
+    /// The value that the session has measured for a quantity, with its standard error.
+    pub fn measured(&self, kind: PriorKind) -> Option<[f64; 2]> {
+        self.measured[PriorKind::OF_SESSION.iter().position(|k| *k == kind)?]
     }
 
     /// These settings with the profile's own values where it has any.
@@ -209,6 +219,15 @@ impl FitOptions {
         check("mu_std_error", s.mu_std_error, |v| (0.0..=1.0).contains(&v), "allowed are 0 to 1")?;
         for (quantity, value) in s.set_up() {
             quantity.check(value)?;
+        }
+        for (kind, measured) in PriorKind::OF_SESSION.into_iter().zip(s.measured) {
+            let Some([value, std_error]) = measured else { continue };
+            let (key, [low, high]) = kind.session_key();
+            let allowed = format!("allowed are {low} to {high}");
+            check(key, value, |v| (low..=high).contains(&v), &allowed)?;
+            let allowed = "allowed are numbers above 0, at most 1";
+            let is_error = |v: f64| v > 0.0 && v <= 1.0;
+            check("std_error", std_error, is_error, allowed).map_err(|e| e.within(key))?;
         }
         s.sigma_t_per_mm.check(check_sigma_t)?;
         s.albedo.check(check_albedo)?;

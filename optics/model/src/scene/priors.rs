@@ -55,6 +55,9 @@ impl PriorKind {
         Self::Haze,
     ];
 
+    /// Quantities that a session may measure ([`Self::session_key`]).
+    pub const OF_SESSION: [Self; 4] = [Self::BaseSpread, Self::LightSide, Self::DarkSide, Self::Haze];
+
     /// Numbers of layers, not of light, sensor or base, in the order of their priors in a scene file.
     pub(crate) const OF_LAYERS: [Self; 5] =
         [Self::Roughness, Self::Thickness, Self::Index, Self::SecondLobeWeight, Self::SecondLobeG];
@@ -95,6 +98,16 @@ impl PriorKind {
     /// change their light leave the course unchanged, and differences have little noise.
     pub fn redraws_walks(self) -> bool {
         matches!(self, Self::Roughness | Self::Index) || self.is_of_phase()
+    }
+
+    /// Key of the measured value of one of [`Self::OF_SESSION`] in a session file, and the allowed range.
+    pub fn session_key(self) -> (&'static str, [f64; 2]) {
+        match self {
+            Self::BaseSpread => ("base_spread_mm", [0.0, 10.0]),
+            Self::LightSide => ("light_side", [0.5, 1.5]),
+            Self::DarkSide => ("dark_side", [-0.1, 0.1]),
+            _ => ("haze", [-0.1, 0.5]),
+        }
     }
 
     /// Whether its response is traced; haze adds itself to every pixel.

@@ -99,6 +99,31 @@ fn random(materials: usize) {
         SetUpSession::random(number, materials, changed).measured(dictionary(Nodes::Lab, changed))
     };
     let found: Sessions = (0..sets).map(|number| fitted(number, true)).collect();
+    if std::env::var("SHOW").is_ok() {
+        for (n, s) in found.iter().enumerate() {
+            let q: Vec<String> = s[0]
+                .scene
+                .iter()
+                .filter(|q| {
+                    ["base spread", "haze", "light side, factor on ρ", "coat roughness"]
+                        .contains(&q.name.as_str())
+                })
+                .map(|q| {
+                    format!(
+                        "{} {:.4} {:.4} z {:+.1}",
+                        &q.name[..4],
+                        q.estimate.truth,
+                        q.estimate.found,
+                        q.z()
+                    )
+                })
+                .collect();
+            let h = s.iter().filter(|a| a.medium[0].holds()).count();
+            let p = s.iter().map(Answer::probability).fold(1.0, f64::min);
+            println!("{n} σ_t {h} p {p:.3} {}", q.join("; "));
+        }
+        return;
+    }
     // Widths hardly differ between sessions.
     let known: Sessions = (0..sets.div_ceil(4)).map(|number| fitted(number, false)).collect();
     print_compared("with a known set-up", &found, &known);

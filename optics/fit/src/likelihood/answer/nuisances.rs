@@ -21,9 +21,14 @@ impl Found<'_, '_> {
         let estimate = |unknown: &SceneUnknown| {
             let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
             let (u, limits) = (self.state.x[slot], self.system.unknowns[slot].limits);
-            // A weight of 0 is an end of the quantity, not of the responses.
-            let is_low = u <= limits.0 && prior.kind() != PriorKind::SecondLobeWeight;
+            // No weight and no spread are ends of the quantities, not of the responses.
+            let ends_at_0 = matches!(prior.kind(), PriorKind::SecondLobeWeight | PriorKind::BaseSpread);
+            let is_low = u <= limits.0 && !ends_at_0;
             let (mean, sd) = (scene.value_of(prior).unwrap_or(self.sample_ior), prior.std_error());
+            let (of_prior, of_prior_sd) = match self.system.unknowns[slot].prior {
+                Some((of_prior, of_prior_sd)) if unknown.is_measured => (of_prior, of_prior_sd),
+                _ => (0.0, 1.0),
+            };
             SceneEstimate {
                 quantity: scene.name_of(prior),
                 unit: prior.kind().unit().to_owned(),
@@ -31,8 +36,8 @@ impl Found<'_, '_> {
                 slab_mm: unknown.slab_mm,
                 value: mean + sd * u,
                 std_error: sd * covariance[(slot, slot)].max(0.0).sqrt(),
-                prior: mean,
-                prior_std_error: sd,
+                prior: mean + sd * of_prior,
+                prior_std_error: sd * of_prior_sd,
                 at_end: is_low || u >= limits.1 || self.is_beyond(prior.kind(), mean + sd * u),
             }
         };

@@ -97,10 +97,14 @@ impl<'a> Joint<'a> {
         let spreads = (0..SPREADS).map(|i| (f64::from(i) + 0.5) * 4.0 * SPREAD / f64::from(SPREADS));
         let found: Vec<(f64, f64)> = spreads.filter_map(|s| Some((s, weight(s)?))).collect();
         let most = found.iter().map(|(_, w)| *w).fold(f64::NEG_INFINITY, f64::max);
-        let (mut sum, mut squares) = (0.0, 0.0);
+        let (mut sum, mut squares, mut first) = (0.0, 0.0, 0.0);
         for (spread, ln_weight) in found {
             let weight = libm::exp(ln_weight - most);
             (sum, squares) = (sum + weight, squares + weight * spread * spread);
+            first += weight * spread;
+        }
+        if std::env::var("MEAN").is_ok() {
+            return (sum > 0.0).then(|| first / sum);
         }
         (sum > 0.0).then(|| (squares / sum).sqrt())
     }

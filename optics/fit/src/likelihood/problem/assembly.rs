@@ -135,16 +135,27 @@ fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> 
         // Without weight the second lobe's anisotropy has no effect.
         let without_lobe = phase == PhaseModel::HenyeyGreenstein && prior.kind().is_of_phase();
         let at = if without_lobe && prior.kind() == PriorKind::SecondLobeWeight { limits.0 } else { 0.0 };
+        // A measured value and its error, in standard deviations of the scene's prior.
+        let measured = data.options.settings().measured(prior.kind()).map(|[value, std_error]| {
+            let from = grid.scene().value_of(prior).unwrap_or_default();
+            ((value - from) / prior.std_error(), std_error / prior.std_error())
+        });
         let unknowns = &mut builder.unknowns;
-        let slot = match slab_mm {
-            Some(_) => {
-                let mean =
-                    *builder.of_slabs.entry(index).or_insert_with(|| unknowns.known((0.0, OF_MEAN), limits));
-                unknowns.about(mean, OF_MEAN, limits)
-            }
-            None => unknowns.add(Some((0.0, 1.0)), limits, without_lobe, at),
+        let slot = if slab_mm.is_some() {
+            let mean =
+                *builder.of_slabs.entry(index).or_insert_with(|| unknowns.known((0.0, OF_MEAN), limits));
+            unknowns.about(mean, OF_MEAN, limits)
+        } else {
+            let of_prior = measured.unwrap_or((0.0, 1.0));
+            unknowns.add(
+                Some(of_prior),
+                limits,
+                without_lobe,
+                if measured.is_some() { of_prior.0 } else { at },
+            )
         };
-        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, channel, slot });
+        let is_measured = measured.is_some();
+        builder.of_scene.push(SceneUnknown { prior: index, material, slab_mm, channel, slot, is_measured });
         slot
     };
     grid.scene().priors().iter().enumerate().map(slot).collect()

@@ -29,10 +29,11 @@ impl System<'_> {
         Some(((x[slot] - mean - about) / sd, sd))
     }
 
-    /// Weight of a prior at `off` standard deviations. Priors of the scene's quantities are rough guesses: beyond
+    /// Weight of a prior at `off` standard deviations. Priors of the scene's quantities are rough guesses, if the session has
+    /// not measured them: beyond
     /// [`FIRM`] they pull no harder, so that data that contradict them are followed.
     fn prior_weight(&self, slot: usize, off: f64) -> f64 {
-        if self.of_scene(slot).is_some() { rough_weight(off) } else { 1.0 }
+        if self.of_scene(slot).is_some_and(|u| !u.is_measured) { rough_weight(off) } else { 1.0 }
     }
 
     /// The quantity of the scene that an unknown is, or is the mean of over slabs.
@@ -88,6 +89,7 @@ mod tests {
             material: Some(0),
             slab_mm: Some(slab_mm),
             channel: None,
+            is_measured: false,
             slot: unknowns.about(mean, OF_MEAN, anywhere),
         });
         System::new(Vec::new(), unknowns, of_scene.to_vec()).0

@@ -72,6 +72,8 @@ pub(crate) struct SceneUnknown {
     /// The scene's channel that it belongs to.
     pub channel: Option<usize>,
     pub slot: usize,
+    /// Whether its prior is a measurement of the session.
+    pub is_measured: bool,
 }
 
 /// Indices of the unknowns that can move.

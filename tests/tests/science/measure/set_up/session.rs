@@ -126,6 +126,13 @@ impl SetUpSession {
         };
         let media: Vec<Medium> = (0..6).map(|_| medium()).take(materials).collect();
         let drawn = ChangedSetUp::random(&mut random, materials);
+        // The spread of ln(1 − g) over the materials has the fit's prior.
+        let spread = if changed { 0.1 * random.normal() } else { 0.0 };
+        let with_own_g = |m: &Medium| {
+            let g = 1.0 - (1.0 - g) * libm::exp(spread * random.normal());
+            Medium::new(m.sigma_t_per_mm(), m.albedo(), g.clamp(0.0, 0.79)).unwrap()
+        };
+        let media = media.iter().map(with_own_g).collect();
         let set_up = if changed { drawn } else { ChangedSetUp::none(materials) };
         Self::of_one_channel(set_up, media, 1 + number)
     }
