@@ -43,6 +43,7 @@ pub fn misfit_short(refined: &Refined) -> Option<String> {
         Cause::Blur => format!("blur {}?", amount("mm")),
         Cause::GammaCoded => "sRGB, not linear?".to_owned(),
         Cause::Exponent => format!("power {} of linear values?", significant(s.amount, 2)),
+        Cause::Thickness => format!("thickness {}?", amount("mm")),
         Cause::ThicknessesSwapped => "thicknesses exchanged?".to_owned(),
     };
     Some(format!("{goodness}: {short}"))

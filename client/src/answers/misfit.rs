@@ -60,6 +60,10 @@ fn reason(s: &Suspicion) -> String {
              screen (sRGB: 0.45); develop the photographs linearly",
             size(2)
         ),
+        Cause::Thickness => format!(
+            "most likely cause: a slab of {} mm in {of}; measure its thickness again",
+            significant(s.amount, 3)
+        ),
         Cause::ThicknessesSwapped => {
             "most likely cause: exchanged thicknesses; check thickness_mm".to_owned()
         }

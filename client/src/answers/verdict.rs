@@ -22,10 +22,13 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     let at_g = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved_at_g);
     let whole = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved);
     let (open, unknown) = (named(&|c| at_g(c) && !whole(c)), named(&|c| !at_g(c)));
-    let all = channels().count();
-    let determined = match all - open.len() - unknown.len() {
+    let doubtful = named(&is_doubtful);
+    let is_sound = |c: &ChannelFit| !is_doubtful(c);
+    let (all, sound) = (channels().count(), named(&|c| whole(c) && is_sound(c)).len());
+    let determined = match sound {
         1 if all == 1 => "The medium is determined.".to_owned(),
         n if n == all => format!("All {all} media are determined."),
+        0 if doubtful.len() == all => "No medium is determined: the set-up is in doubt.".to_owned(),
         0 => "No medium is determined whole.".to_owned(),
         n => format!("{n} of {all} media are determined."),
     };
@@ -33,6 +36,8 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
         format!("σ_s(1 − g) and σ_a are determined, σ_t and α only if g is given: {}.", open.join(", "))
     });
     let nothing = (!unknown.is_empty()).then(|| format!("Undetermined: {}.", unknown.join(", ")));
+    let in_doubt = (!doubtful.is_empty())
+        .then(|| format!("Doubtful, for reasons given as warnings: {}.", doubtful.join(", ")));
     let is_valley = channels().any(|(_, c)| c.refined.as_ref().is_some_and(|r| r.valley));
     let trade_off = is_valley.then(|| {
         "σ_t and g trade off: σ_s(1 − g) and σ_a are the numbers to compare, and a renderer needs σ_t, α and g of one row \
@@ -41,11 +46,24 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     });
     let warnings = all_remarks(fits).into_iter().filter(|remark| remark.warning);
     MeasureVerdict {
-        sentences: std::iter::once(determined).chain(if_given).chain(nothing).chain(trade_off).collect(),
+        sentences: std::iter::once(determined)
+            .chain(in_doubt)
+            .chain(if_given)
+            .chain(nothing)
+            .chain(trade_off)
+            .collect(),
         precision: fits.iter().filter_map(precision).collect(),
         warnings: warnings.map(|w| format!("{}: {}", w.about.join(", "), w.text)).collect(),
         improve_first: error_budget(fits).map(|budget| budget.first),
     }
+}
+
+/// Whether the data contradict the set-up: a cause is suspected, or a quantity contradicts its prior or lies at the end of
+/// its range.
+fn is_doubtful(channel: &ChannelFit) -> bool {
+    let is =
+        |r: &Refined| r.suspicion.is_some() || r.likelihood.scene.iter().any(|e| e.at_end || e.is_conflict());
+    channel.refined.as_ref().is_some_and(is)
 }
 
 /// The verdict as lines of text.

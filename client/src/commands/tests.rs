@@ -240,6 +240,7 @@ fn materials() -> Vec<MaterialFit> {
         Cause::GammaCoded,
         Cause::Exponent,
         Cause::ThicknessesSwapped,
+        Cause::Thickness,
     ];
     let suspected = causes.map(|cause| channel(&format!("{cause:?}"), Some((cause, None))));
     let empty = ChannelFit { candidates: Vec::new(), ..outside(Outside::Darker) };

@@ -274,6 +274,9 @@ pub enum Cause {
     Exponent,
     /// The profiles of the thicknesses are exchanged.
     ThicknessesSwapped,
+    /// A slab has another thickness than stated, in mm: the mean, if there are several.
+    #[serde(rename = "thickness_mm")]
+    Thickness,
 }
 
 /// Whether a profile lies beyond all records of the dictionary.

@@ -238,9 +238,9 @@ mod tests {
         let sigma_t: Vec<f64> = responses.sigma_t().iter().map(|i| grid.sigma_t_per_mm()[*i]).collect();
         assert_eq!(sigma_t, [1.0, 2.0, 4.0, 7.5, 15.0, 30.0]);
         assert_eq!(responses.g().iter().map(|i| grid.g()[*i]).collect::<Vec<_>>(), [0.0, 0.55, 0.8]);
-        assert_eq!(responses.variants().len(), 18);
+        assert_eq!(responses.variants().len(), 24);
         // The variants and the baseline.
-        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 19 * 6 * 3 * 2));
+        assert_eq!((grid.nominal_jobs(), grid.job_count()), (836, 836 + 25 * 6 * 3 * 2));
         assert_eq!(spread(&[1.0], 3), [0]);
         assert_eq!(spread(&[1.0, 1.1], 3), [0, 1]);
     }
@@ -265,8 +265,8 @@ mod tests {
             assert!(seen.insert((place.variant, place.nominal_job)), "each once");
         }
         // Roughnesses, indices and the second lobe, and the baseline.
-        let more = (0..18).filter(|v| responses.is_by_baseline(*v)).count();
-        assert_eq!((more, seen.len()), (12, 19 * 36));
+        let more = (0..24).filter(|v| responses.is_by_baseline(*v)).count();
+        assert_eq!((more, seen.len()), (12, 25 * 36));
         assert_eq!(grid.response_of(5), None);
         assert_eq!(
             grid.response_job(Some(0), grid.job_at(&grid.point(3)).unwrap()),
@@ -284,7 +284,7 @@ mod tests {
         };
         let plain = Grid { responses: None, ..grid.clone() };
         let single = plain.with_responses(with_factor(1).unwrap()).unwrap();
-        assert_eq!(single.job_count(), 836 + 18 * 36);
+        assert_eq!(single.job_count(), 836 + 24 * 36);
         assert!((836..single.job_count()).all(|job| single.walks_of(job).get() == 1000));
         assert_eq!(single.response_job(None, 0), None);
         for bad in [0, 101] {
@@ -311,16 +311,22 @@ mod tests {
         assert!(error.starts_with("g[1] = 0.95 is not valid: with a second lobe of weight 0.05"), "{error}");
     }
 
-    /// Every prior has one or two steps, which need not be those that a plan has today.
+    /// Every prior that is traced has its steps, which need not be those that a plan has today.
     #[test]
     fn every_prior_has_its_steps() {
         let grid = lab();
-        let variants = grid.responses().unwrap().variants().to_vec();
+        // The last is the ring, with two steps, but for haze without any.
+        let is_kept = |prior: &&Prior| !prior.kind().is_of_base();
+        let priors: Vec<Prior> = grid.scene().priors().iter().filter(is_kept).cloned().collect();
+        let ring = priors.len() - 2;
+        let scene = grid.scene().clone().with_priors(priors).unwrap();
+        let all = grid.responses().unwrap().variants();
+        let variants: Vec<Variant> = all.iter().filter(|v| v.prior <= ring).cloned().collect();
         let last = variants.len() - 1;
         let with = |change: fn(&mut Vec<Variant>, usize)| {
             let mut changed = variants.clone();
             change(&mut changed, last);
-            Responses::new(grid.scene(), grid.axes(), changed, 3)
+            Responses::new(&scene, grid.axes(), changed, 3)
         };
         let refused = |change| assert_eq!(with(change).unwrap_err().field(), "responses");
         assert!(with(|v, last| v[last].step = 2.0).is_ok());
@@ -335,6 +341,6 @@ mod tests {
             v[last - 1].step = 0.0;
         });
         refused(|v, last| v[last].step = f64::NAN);
-        refused(|v, last| v.push(Variant { step: 5.0, ..v[last].clone() }));
+        refused(|v, last| v.push(Variant { prior: v[last].prior + 1, ..v[last].clone() }));
     }
 }

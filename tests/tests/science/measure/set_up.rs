@@ -27,11 +27,6 @@ fn check(nodes: Nodes, names: &[&str]) {
         let session = SetUpSession::of_row_at(ChangedSetUp::named(name), g);
         let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
         let answers = session.answers(&found);
-        if std::env::var("SHOW").is_ok() {
-            eprintln!("{:?} {:?}", found.common.g_spread, found.common.g_equal_probability);
-            eprintln!("{}", farm_tests::coverage::media_table(&answers, &[0, 4]));
-            eprintln!("{}", scene_table(std::slice::from_ref(&answers)));
-        }
         let estimates = |q: usize| Coverage::of_media([&answers[..]], &[q]);
         let counts = [0, 1, 2, 3].map(|q| estimates(q).count());
         held.push(counts.iter().sum::<usize>());
@@ -61,9 +56,7 @@ fn thicker_gel_is_absorbed() {
 /// Neither does a board in which light spreads, one darker than stated, haze, nor media of different g.
 #[test]
 fn boards_haze_and_other_g_are_absorbed() {
-    let names = std::env::var("ROWS").unwrap_or_default();
-    let names: Vec<&str> = names.split(',').collect();
-    check(if std::env::var("LAB").is_ok() { Nodes::Lab } else { Nodes::Few }, &names);
+    check(Nodes::Lab, &ChangedSetUp::names()[10..]);
 }
 
 #[test]
@@ -99,31 +92,6 @@ fn random(materials: usize) {
         SetUpSession::random(number, materials, changed).measured(dictionary(Nodes::Lab, changed))
     };
     let found: Sessions = (0..sets).map(|number| fitted(number, true)).collect();
-    if std::env::var("SHOW").is_ok() {
-        for (n, s) in found.iter().enumerate() {
-            let q: Vec<String> = s[0]
-                .scene
-                .iter()
-                .filter(|q| {
-                    ["base spread", "haze", "light side, factor on ρ", "coat roughness"]
-                        .contains(&q.name.as_str())
-                })
-                .map(|q| {
-                    format!(
-                        "{} {:.4} {:.4} z {:+.1}",
-                        &q.name[..4],
-                        q.estimate.truth,
-                        q.estimate.found,
-                        q.z()
-                    )
-                })
-                .collect();
-            let h = s.iter().filter(|a| a.medium[0].holds()).count();
-            let p = s.iter().map(Answer::probability).fold(1.0, f64::min);
-            println!("{n} σ_t {h} p {p:.3} {}", q.join("; "));
-        }
-        return;
-    }
     // Widths hardly differ between sessions.
     let known: Sessions = (0..sets.div_ceil(4)).map(|number| fitted(number, false)).collect();
     print_compared("with a known set-up", &found, &known);

@@ -17,7 +17,7 @@ const CONVINCING: f64 = 0.6;
 /// nothing.
 const LEFT: (f64, f64) = (1.5 * MISFIT, 1.0 / 8.0);
 /// Standard deviations of its prior from which on an estimate is suspicious, however well the data are explained.
-const PULLED: f64 = 5.0;
+const PULLED: f64 = 4.0;
 
 impl Found<'_, '_> {
     /// The most likely cause; none if the residuals are noise.
@@ -88,6 +88,7 @@ impl Found<'_, '_> {
             (Cause::Zero, Nuisance::Zero),
             (Cause::Slope, Nuisance::Slope),
             (Cause::Blur, Nuisance::BlurVariance),
+            (Cause::Thickness, Nuisance::Thickness),
         ];
         let found = causes.into_iter().filter_map(suspicion);
         found.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, suspicion)| suspicion)

@@ -87,24 +87,17 @@ impl<'a> Joint<'a> {
             let with = &covariance + DMatrix::identity(x.len(), x.len()) * (spread * spread);
             let root = Cholesky::new(with)?;
             let (chi2, total) = about_mean(&x, &root.inverse());
-            let ln_weight = -0.5
-                * (root.ln_determinant()
-                    + libm::log(total)
-                    + chi2
-                    + (spread / std::env::var("SC").map_or(SPREAD, |v| v.parse().unwrap_or(SPREAD))).powi(2));
+            let ln_weight =
+                -0.5 * (root.ln_determinant() + libm::log(total) + chi2 + (spread / SPREAD).powi(2));
             Some(ln_weight)
         };
         let spreads = (0..SPREADS).map(|i| (f64::from(i) + 0.5) * 4.0 * SPREAD / f64::from(SPREADS));
         let found: Vec<(f64, f64)> = spreads.filter_map(|s| Some((s, weight(s)?))).collect();
         let most = found.iter().map(|(_, w)| *w).fold(f64::NEG_INFINITY, f64::max);
-        let (mut sum, mut squares, mut first) = (0.0, 0.0, 0.0);
+        let (mut sum, mut squares) = (0.0, 0.0);
         for (spread, ln_weight) in found {
             let weight = libm::exp(ln_weight - most);
             (sum, squares) = (sum + weight, squares + weight * spread * spread);
-            first += weight * spread;
-        }
-        if std::env::var("MEAN").is_ok() {
-            return (sum > 0.0).then(|| first / sum);
         }
         (sum > 0.0).then(|| (squares / sum).sqrt())
     }

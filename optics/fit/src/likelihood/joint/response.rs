@@ -1,5 +1,5 @@
 //! Detects values that are a power of radiance factors, or too large by a common factor, where residuals alone do not
-//! show it.
+//! show it. A power absorbs much, so that it is named only if no other part of the set-up explains the data as well.
 //!
 //! A set of materials can absorb either error in its media: χ² stays small and the media are wrong. Values v are therefore
 //! replaced by vᵖ, and their standard errors σ by p vᵖ⁻¹ σ, and all unknowns follow. The density of v gains the factor
@@ -8,10 +8,10 @@
 use optics_model::fit::{Cause, Suspicion};
 
 use super::minimum::Joint;
-use crate::likelihood::point::LN_SCALE;
+use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS, SHARED};
 use crate::likelihood::system::descent::{COARSE, FINE};
 use crate::likelihood::system::{State, System};
-use crate::likelihood::term::Term;
+use crate::likelihood::term::{Own, Term};
 
 /// Fall of −2 ln L from which on a cause is reported: four standard deviations.
 const CONVINCING: f64 = 16.0;
@@ -22,6 +22,10 @@ const FURTHEST: f64 = 1.0;
 const NEAR_ONE: f64 = 0.02;
 /// Values below this share of the largest are too dark for their noise to follow the power.
 const DARK: f64 = 0.01;
+/// A cause is as good as another whose fall of −2 ln L is at most this much larger.
+const AS_GOOD: f64 = 6.0;
+/// Factor on the standard deviations of priors that are tried.
+const WIDER: f64 = 10.0;
 /// Limits of the logarithm of a factor on the given μ.
 const SCALES: (f64, f64) = (-0.7, 0.7);
 
@@ -41,12 +45,78 @@ impl Response {
         let system = with_terms(joint, Term::clone);
         let given = system.descend(joint.state.clone(), None, FINE);
         let factor = if scale_is_free { None } else { factor(joint, system, &given) };
-        [exponent(joint, &given), factor].into_iter().flatten().max_by(|a, b| a.fall.total_cmp(&b.fall))
+        let likelier = [exponent(joint, &given), factor].into_iter().flatten();
+        let found = likelier.max_by(|a, b| a.fall.total_cmp(&b.fall))?;
+        if found.cause != Cause::Exponent {
+            return Some(found);
+        }
+        let others = Freed::ALL.map(|freed| (freed, freed.fall(joint, &given)));
+        let (freed, fall) = others.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
+        if fall < found.fall - AS_GOOD {
+            return Some(found);
+        }
+        // Those of single profiles are named with the profile, and quantities of the scene in its table.
+        (freed == Freed::OfScene).then_some(Self { cause: Cause::Unknown, ..found })
     }
 
     pub(super) fn suspicion(&self, channel: usize) -> Suspicion {
         let misfit_left = self.misfits_left[channel];
         Suspicion { cause: self.cause, thickness_mm: None, amount: self.amount, misfit_left }
+    }
+}
+
+/// A part of the set-up with wide priors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Freed {
+    Thickness,
+    Blur,
+    /// Edge, gain, zero or slope of each profile.
+    Own(Own),
+    OfScene,
+}
+
+impl Freed {
+    const ALL: [Self; 6] = [
+        Self::Thickness,
+        Self::Blur,
+        Self::Own(Own::Origin),
+        Self::Own(Own::Zero),
+        Self::Own(Own::Slope),
+        Self::OfScene,
+    ];
+
+    /// The fall of −2 ln L with these priors, from the minimum with those given.
+    fn fall(self, joint: &Joint, given: &State) -> f64 {
+        let mut system = with_terms(joint, Term::clone);
+        let mut from = given.clone();
+        match self {
+            Self::Thickness => widen(&mut system, |slots| vec![slots[LN_THICKNESS]]),
+            Self::Blur => widen(&mut system, |slots| vec![slots[BLUR]]),
+            Self::OfScene => widen(&mut system, |slots| slots[SHARED..].to_vec()),
+            Self::Own(own) => {
+                for (term, of_term) in system.terms.iter_mut().zip(&mut from.own) {
+                    for (prior, value) in term.priors.iter_mut().zip(of_term) {
+                        if prior.own == own {
+                            prior.std_error *= WIDER;
+                            *value /= WIDER;
+                        }
+                    }
+                }
+            }
+        }
+        given.cost - system.descend(from, None, FINE).cost
+    }
+}
+
+/// Widens the priors of some unknowns of each profile.
+fn widen(system: &mut System, chosen: impl Fn(&[usize]) -> Vec<usize>) {
+    let mut slots: Vec<usize> = system.slots.iter().flat_map(|slots| chosen(slots)).collect();
+    slots.sort_unstable();
+    slots.dedup();
+    for slot in slots {
+        if let Some((_, std_error)) = &mut system.unknowns[slot].prior {
+            *std_error *= WIDER;
+        }
     }
 }
 

@@ -80,6 +80,8 @@ impl Prior {
             (PriorKind::Roughness | PriorKind::Thickness | PriorKind::BaseSpread, &[low, .., high]) => {
                 (low.min(0.0), 1.1 * high)
             }
+            // Less than no haze is an error of the zero.
+            (PriorKind::Haze, _) => (-2.0 * self.std_error, FAR * self.std_error),
             (PriorKind::SecondLobeWeight, _) => {
                 let value = scene.value_of(self).unwrap_or_default();
                 let far = FAR * self.std_error;

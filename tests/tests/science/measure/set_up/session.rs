@@ -36,16 +36,6 @@ pub(super) fn dictionary(nodes: Nodes, uncertain: bool) -> &'static FitDictionar
     ALL[2 * nodes as usize + usize::from(uncertain)].get_or_init(|| {
         let mut priors = lab().priors().to_vec();
         priors.retain(|prior| uncertain || prior.kind().is_of_phase());
-        if let Ok(k) = std::env::var("KEEP") {
-            let k: Vec<usize> = k.split(',').map(|v| v.parse().unwrap()).collect();
-            let all = priors.clone();
-            priors = all
-                .into_iter()
-                .enumerate()
-                .filter(|(i, _)| *i < 9 || k.contains(i))
-                .map(|(_, p)| p)
-                .collect();
-        }
         dictionary_of(&lab().with_priors(priors).unwrap(), nodes)
     })
 }
@@ -240,15 +230,6 @@ impl SetUpSession {
         let gain_std_error = if self.flawed { libm::hypot(known, LEVEL) } else { known };
         let settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
-        {
-            let mut plan = unknown_factor();
-            if let Ok(s) = std::env::var("GSPREAD") {
-                plan.g_spread = Some(s.parse().unwrap());
-            }
-            if std::env::var("MU1").is_ok() {
-                plan.search_mu = None;
-            }
-            measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &plan).unwrap()
-        }
+        measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &unknown_factor()).unwrap()
     }
 }
