@@ -24,7 +24,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     let (open, unknown) = (named(&|c| at_g(c) && !whole(c)), named(&|c| !at_g(c)));
     let doubtful = named(&is_doubtful);
     let is_sound = |c: &ChannelFit| !is_doubtful(c);
-    let (all, sound) = (channels().count(), named(&|c| whole(c) && is_sound(c)).len());
+    let (all, sound) = (channels().count(), named(&|c| at_g(c) && whole(c) && is_sound(c)).len());
     let determined = match sound {
         1 if all == 1 => "The medium is determined.".to_owned(),
         n if n == all => format!("All {all} media are determined."),

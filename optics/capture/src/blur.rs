@@ -94,7 +94,7 @@ fn start(edge: &EdgeBins) -> Option<Parameters> {
 struct Minimum {
     p: Parameters,
     parameters: FittedParameters,
-    /// Of the residuals.
+    /// Sum of squares of the residuals.
     squares: f64,
 }
 
@@ -248,9 +248,9 @@ mod tests {
         }
     }
 
-    /// Blur and spread of an exact edge are told apart; without a spread it is 0, and the blur that of the plain fit.
+    /// Blur and spread of an exact edge are separated; without a spread it is 0, and the blur that of the plain fit.
     #[test]
-    fn spread_is_told_from_blur() {
+    fn spread_is_separated_from_blur() {
         for spread in [0.02, 0.05, 0.1, 0.3] {
             let p = [0.02, 0.8, 0.011, 0.029, 0.0, 0.0, spread];
             let points = (-120..=120).map(|k| f64::from(k) * 0.01);
@@ -267,7 +267,7 @@ mod tests {
 
     /// The mean of bins of light that spreads has the value of the formula without blur far from the edge.
     #[test]
-    fn blurred_exponential_is_exact_far_from_the_edge() {
+    fn blurred_exponential_is_exact_afar() {
         let [dark, light, spread] = [0.09_f64, 0.81, 0.2];
         let p = [dark, light, 0.0, 0.01, 0.0, 0.0, spread];
         for (x, plateau) in [(0.3, light), (-0.25, dark)] {

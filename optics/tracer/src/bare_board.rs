@@ -115,8 +115,8 @@ impl<'a> SeenBase<'a> {
         varied.channels().iter().map(channel).collect()
     }
 
-    /// Standard errors of ρ (light, dark) of each channel due to the priors of all but the base: the root of the sum of squares
-    /// of the changes that one standard deviation of each prior makes.
+    /// Standard errors of ρ (light, dark) of each channel due to the priors of all but the base: the root of the sum of
+    /// squares of the changes that one standard deviation of each prior makes.
     pub fn std_errors(&self) -> Result<Vec<[f64; 2]>, Invalid> {
         let channels = self.scene.channels();
         let mut squares = vec![[0.0; 2]; channels.len()];

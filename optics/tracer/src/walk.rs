@@ -51,7 +51,7 @@ pub struct Walk<'a> {
     direction: Vec3,
     /// Lateral distance from the entry point.
     pub offset: Offset,
-    /// The same where the walk entered the base the last time.
+    /// Lateral distance at which the walk entered the base the last time.
     pub entered: Offset,
     /// Product of the microfacets' weights and of roulette's.
     pub weight: f32,

@@ -170,11 +170,12 @@ class Farm(FarmAccess):
         dictionary: str | None = None,
         *,
         free_g: bool = False,
+        g_spread: float | None = None,
         g_change: float | None = None,
         output: Path | None = None,
         **given: Unpack[options.FitOptions],
     ) -> results.Measured:
-        """All steps for materials of one set-up: scale factor, common anisotropy, media with error bars.
+        """All steps for materials of one set-up: scale factor, anisotropies, media with error bars.
 
         Args:
             materials: measurements, a frame, a measurement file, or the answer of `capture`. For the last, the
@@ -182,6 +183,8 @@ class Farm(FarmAccess):
                 and its report is completed.
             dictionary: its name; the only one, else "lab", else "paper" if None.
             free_g: let every channel have its own anisotropy.
+            g_spread: standard deviation of ln(1 − g) of a material about the mean of all; estimated from the data if None,
+                and 0 for one anisotropy.
             g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
                 None, and 0 for one anisotropy.
             output: a folder to write: the table, `media.json` for `predict`, a statement of uncertainty, and media for
@@ -197,6 +200,7 @@ class Farm(FarmAccess):
             TypeError: if there is no such option, or if options are given for a session, whose folder has them.
         """
         common = ["--free-g"] if free_g else []
+        common += [] if g_spread is None else [f"--g-spread={g_spread}"]
         common += [] if g_change is None else [f"--g-change={g_change}"]
         common += [] if output is None else [f"--output={os.fspath(output)}"]
         folder = materials.folder if isinstance(materials, Capture) else _inputs.folder(materials)
@@ -218,6 +222,7 @@ class Farm(FarmAccess):
             options=options.wire(given, refine=True),
             search_mu=None if "mu" in given else fits_pb2.MuRange(),
             common_g=not free_g,
+            g_spread=g_spread,
             g_change=g_change,
         )
         answer = self._call("Fits/Measure", request, fits_pb2.MeasureResponse)

@@ -180,10 +180,10 @@ class Measured:
     mu_chosen: bool
     """Whether it was estimated, not given."""
     g: float | None
-    """The common anisotropy, the mean cosine of the phase function; None if every channel has its own, or each
-    wavelength."""
+    """The anisotropy, the mean cosine of the phase function, as a mean over the materials; None if every channel has its
+    own, or each wavelength."""
     g_interval: Interval | None
-    """The interval of the common anisotropy; None if there is none."""
+    """Its interval; None if there is none."""
     dictionary: str
     """The name of the dictionary."""
     scale: ScaleCurve | None = field(default=None, repr=False)

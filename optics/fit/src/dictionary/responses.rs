@@ -71,7 +71,7 @@ impl ResponseCurve {
     pub(crate) fn reach(&self, u: f64) -> f64 {
         match self {
             Self::Bent(_) => 1.0,
-            Self::Node { .. } => std::env::var("RC").map_or(0.03, |v| v.parse().unwrap_or(0.03)) * (1.0 + u),
+            Self::Node { .. } => 0.03 * (1.0 + u),
         }
     }
 }

@@ -379,7 +379,7 @@ pub struct Common {
     pub mu_interval: Interval,
     /// Whether μ was searched, not given.
     pub mu_chosen: bool,
-    /// That of all channels, or the mean of the materials; none if every channel has its own, or each wavelength.
+    /// Anisotropy of all channels, or the mean of the materials; none if every channel has its own, or each wavelength.
     pub g: Option<f64>,
     /// Standard deviation of ln(1 − g) of a material about the mean, given or estimated, if there are several materials.
     pub g_spread: Option<f64>,

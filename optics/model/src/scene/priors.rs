@@ -164,8 +164,8 @@ pub struct Prior {
 }
 
 impl Prior {
-    /// `layers` are the indices of the layers that the number belongs to; none for angles and the base. [`Scene::with_priors`] checks
-    /// that they exist and agree.
+    /// `layers` are the indices of the layers that the number belongs to; none for angles and the base.
+    /// [`Scene::with_priors`] checks that they exist and agree.
     pub fn new(kind: PriorKind, layers: Vec<usize>, std_error: f64, scope: Scope) -> Result<Self> {
         if std_error.is_finite() && std_error > 0.0 {
             Ok(Self { kind, layers, std_error, scope, dispersion: None })

@@ -10,7 +10,7 @@ pub(crate) enum LinearResponse {
     Rows { values: Vec<f32>, pixels: usize },
     /// `[row][profile]`: where noise is reduced, all L lie in the span of few profiles.
     Span { weights: Vec<f32>, profiles: Vec<Vec<f64>> },
-    /// The same value in all pixels of all rows.
+    /// One value in all pixels of all rows.
     Even { value: f64, pixels: usize },
 }
 

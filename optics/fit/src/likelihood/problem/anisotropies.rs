@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 use optics_model::measurement::wavelength_nm;
 
 use crate::likelihood::problem::ChannelData;
-use crate::likelihood::problem::assembly::Sharing;
 use crate::likelihood::system::unknowns::{Unknown, Unknowns};
 
 /// Distance of wavelengths in nm over which the change has its stated standard deviation.
@@ -31,13 +30,16 @@ pub(crate) struct Anisotropies {
 }
 
 impl Anisotropies {
-    pub(crate) fn new(channels: &[ChannelData], sharing: &Sharing) -> Self {
-        let nm = curve_nm(channels).filter(|_| sharing.g_change > 0.0).unwrap_or_default();
+    /// `related` are the standard deviations of a material about the mean, and of the change over 100 nm; none if each
+    /// channel has its own.
+    pub(crate) fn new(channels: &[ChannelData], related: Option<[f64; 2]>) -> Self {
+        let [spread, change] = related.unwrap_or_default();
+        let nm = curve_nm(channels).filter(|_| change > 0.0).unwrap_or_default();
         let several = channels.iter().any(|data| data.material != channels[0].material);
         Self {
-            own: !sharing.g,
-            spread: if several { sharing.g_spread } else { 0.0 },
-            change: sharing.g_change,
+            own: related.is_none(),
+            spread: if several { spread } else { 0.0 },
+            change,
             nm,
             mean: None,
             of_materials: BTreeMap::new(),

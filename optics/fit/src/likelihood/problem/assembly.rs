@@ -183,7 +183,8 @@ pub(crate) fn assemble<'a>(
         Some(limits) => builder.unknowns.add(None, limits, limits.0 == limits.1, scale),
         None => builder.unknowns.add(Some((0.0, deviation)), (-0.5, 0.5), deviation == 0.0, scale),
     };
-    let mut anisotropies = Anisotropies::new(channels, &sharing);
+    let mut anisotropies =
+        Anisotropies::new(channels, sharing.g.then_some([sharing.g_spread, sharing.g_change]));
     let (mut profiles, mut terms) = (Vec::new(), Vec::new());
     let starts = channels.par_iter().zip(surrogates).zip(media);
     let at_start = starts.map(|((data, surrogate), medium)| {

@@ -29,9 +29,9 @@ impl System<'_> {
         Some(((x[slot] - mean - about) / sd, sd))
     }
 
-    /// Weight of a prior at `off` standard deviations. Priors of the scene's quantities are rough guesses, if the session has
-    /// not measured them: beyond
-    /// [`FIRM`] they pull no harder, so that data that contradict them are followed.
+    /// Weight of a prior at `off` standard deviations. Priors of the scene's quantities are rough guesses, if the
+    /// session has not measured them: beyond [`FIRM`] they pull no harder, so that data that contradict them are
+    /// followed.
     fn prior_weight(&self, slot: usize, off: f64) -> f64 {
         if self.of_scene(slot).is_some_and(|u| !u.is_measured) { rough_weight(off) } else { 1.0 }
     }

@@ -35,9 +35,9 @@ struct PriorNoise {
 }
 
 impl ResponseNoise {
-    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the noise of a quantity's response gives to a prediction,
-    /// with the quantity at u ± 1 standard deviation of its prior, or less where the data determine it better. A fit's own standard error of u is not used, since the
-    /// noise itself makes it too small.
+    /// Profiles f_k such that Σ f_k f_kᵀ is the covariance that the noise of a quantity's response gives to a
+    /// prediction, with the quantity at u ± 1 standard deviation of its prior, or less where the data determine it
+    /// better. A fit's own standard error of u is not used, since the noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
         let PriorNoise { in_channel, parts } = &self.each[prior];
         let of_part = |(curve, factors): &(ResponseCurve, Vec<Vec<f64>>)| {

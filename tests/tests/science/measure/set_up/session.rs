@@ -14,7 +14,7 @@ use optics_model::{Grid, MeasuredProfile, Measurement, Medium, Walks};
 use optics_tracer::SeenBase;
 use rayon::prelude::*;
 
-use super::scenes::{ChangedSetUp, HAZE, lab};
+use super::scenes::{BASE_SPREAD, ChangedSetUp, HAZE, lab};
 use crate::measure::{IOR, SLABS_MM, centres_mm, noisy, traced, unknown_factor, values};
 
 /// Noise of a pixel as a share of its value.
@@ -228,8 +228,14 @@ impl SetUpSession {
         let blur_std_error_mm = if self.flawed { 0.0 } else { FitSettings::default().blur_std_error_mm };
         let known = FitSettings::default().gain_std_error;
         let gain_std_error = if self.flawed { libm::hypot(known, LEVEL) } else { known };
-        let settings =
+        let mut settings =
             FitSettings { refine: true, phase, blur_std_error_mm, gain_std_error, ..FitSettings::default() };
+        if let Some(spread_mm) = self.set_up.difference(0, None, BASE_SPREAD).filter(|_| self.flawed) {
+            // As from the bare shots of a session.
+            let std_error = libm::hypot(0.1 * spread_mm, 0.002);
+            let found = spread_mm + std_error * Normal::new(960_000 + self.seed).normal();
+            settings.measured[0] = Some([found.max(0.0), std_error]);
+        }
         measure(dictionary, &materials, &FitOptions::new(settings).unwrap(), &unknown_factor()).unwrap()
     }
 }
