@@ -151,6 +151,10 @@ impl<'a> BareShots<'a> {
         let blur_mm = std::array::from_fn(|c| with(fits[c].blur, spread(|e| e.blur.value, c)));
         let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
         let spread_mm = whole_spread(fits.map(|fit| fit.spread));
+        if spread_mm.value > 2.0 * spread_mm.std_error {
+            let Estimate { value: mm, std_error: std_error_mm } = spread_mm;
+            self.warnings.push(Warning::SpreadingBoard { mm, std_error_mm });
+        }
         let edge_frame = found.edge_frame;
         let scale = edge_frame.mm_per_px();
         let of_square = self.target.square_std_error_mm / self.target.square_mm;

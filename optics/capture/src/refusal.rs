@@ -131,6 +131,11 @@ pub enum Warning {
         "{what}: {count} shots are too few to estimate the error between mountings; mount the slab at least three times"
     )]
     FewShots { what: String, count: usize },
+    #[error(
+        "light spreads within the board by {mm:.3} ± {std_error_mm:.3} mm, as in paper and film; the fit allows for it, but a \
+         board that does not (chrome on glass, anodised metal) gives narrower intervals"
+    )]
+    SpreadingBoard { mm: f64, std_error_mm: f64 },
     #[error("no dark shots: the black level is taken from the files, without an error")]
     NoDark,
     #[error(

@@ -151,9 +151,46 @@ struct TargetTable {
 #[serde(deny_unknown_fields)]
 struct SampleTable {
     material: String,
-    thickness_mm: f64,
+    thickness_mm: Thickness,
     thickness_std_error_mm: Option<f64>,
     shots: Vec<String>,
+}
+
+/// The thickness of a slab: a number, or readings at several places.
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "a number is needed, or a list of readings")]
+enum Thickness {
+    One(f64),
+    Readings(Vec<f64>),
+}
+
+impl Thickness {
+    fn readings(&self) -> &[f64] {
+        match self {
+            Self::One(mm) => std::slice::from_ref(mm),
+            Self::Readings(readings) => readings,
+        }
+    }
+
+    /// The mean, to 0.1 µm.
+    fn mean_mm(&self) -> f64 {
+        let readings = self.readings();
+        (1e4 * readings.iter().sum::<f64>() / readings.len() as f64).round() / 1e4
+    }
+
+    /// Standard error of the mean by the scatter of the readings.
+    fn scatter_mm(&self) -> f64 {
+        let (readings, mean) = (self.readings(), self.mean_mm());
+        let n = readings.len() as f64;
+        let squares: f64 = readings.iter().map(|t| (t - mean).powi(2)).sum();
+        if readings.len() < 2 { 0.0 } else { (squares / (n * (n - 1.0))).sqrt() }
+    }
+
+    /// Difference of the largest from the least, as a share of the mean.
+    fn range(&self) -> f64 {
+        let ends = self.readings().iter().fold((f64::INFINITY, 0.0_f64), |(l, h), t| (l.min(*t), h.max(*t)));
+        (ends.1 - ends.0) / self.mean_mm()
+    }
 }
 
 /// The squares and patches of the paper: defaults of fields that a session omits.
@@ -245,7 +282,6 @@ fn files_of_band(
 
 fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sample, Invalid> {
     let SampleTable { material, thickness_mm, thickness_std_error_mm, shots } = table;
-    let thickness_mm = *thickness_mm;
     let within = |field: &str, value: f64, from: f64, to: f64| {
         let allowed = format!("allowed are {from} to {to}");
         if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
@@ -255,15 +291,20 @@ fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sam
         let allowed = "a name must not be empty, begin or end with a space, or contain a line break";
         return Err(Invalid::new("material", format_args!("{material:?}"), allowed));
     }
+    if thickness_mm.readings().is_empty() {
+        return Err(Invalid::new("thickness_mm", "[]", "at least one reading is needed"));
+    }
+    for reading in thickness_mm.readings() {
+        within("thickness_mm", *reading, 0.01, 100.0)?;
+    }
+    let of_instrument = thickness_std_error_mm.unwrap_or(THICKNESS_STD_ERROR_MM);
     Ok(Sample {
         material: normal(material).into_owned(),
-        thickness_mm: within("thickness_mm", thickness_mm, 0.01, 100.0)?,
-        thickness_std_error_mm: within(
-            "thickness_std_error_mm",
-            thickness_std_error_mm.unwrap_or(THICKNESS_STD_ERROR_MM),
-            0.0,
-            1.0,
-        )?,
+        thickness_mm: thickness_mm.mean_mm(),
+        thickness_std_error_mm: libm::hypot(
+            within("thickness_std_error_mm", of_instrument, 0.0, 1.0)?,
+            thickness_mm.scatter_mm(),
+        ),
         shots: needed("shots", files_of_band(folder, "shots", shots, band)?)?,
     })
 }

@@ -24,7 +24,7 @@ async fn first_use_computes_measures_and_saves() {
     // The default scene is that of a laboratory, unless the paper's scene is chosen.
     go_to(&browser, "Farm").await;
     browser.shows("There is none yet").await;
-    browser.shows("44,080 records in 1,520 jobs").await;
+    browser.shows("50,344 records in 1,736 jobs").await;
     browser.shows("farmctl submit lab").await;
     browser.pick("form select[name=scene]", "paper").await;
     browser.shows("34,276 records in 836 jobs").await;

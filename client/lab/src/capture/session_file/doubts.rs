@@ -58,9 +58,18 @@ pub(super) fn stray(band: &Band, light: Option<&Spectrum>) -> Result<Option<Stri
     }))
 }
 
+/// Largest difference of the readings of an even slab, as a share.
+const EVEN: f64 = 0.01;
+
 fn slab(sample: &SampleTable) -> Vec<String> {
-    let thickness = sample.thickness_mm;
+    let thickness = sample.thickness_mm.mean_mm();
     let mut doubts = Vec::new();
+    if sample.thickness_mm.range() > EVEN {
+        doubts.push(format!(
+            "thickness_mm: the readings differ by {:.1} %: turn the slab by 180° between mountings, so that a wedge averages out",
+            100.0 * sample.thickness_mm.range()
+        ));
+    }
     if !THICKNESS_MM.contains(&thickness) {
         doubts.push(format!(
             "thickness_mm = {thickness}: slabs have about 0.5 to 2 mm; is it in another unit?"
@@ -80,7 +89,7 @@ fn slab(sample: &SampleTable) -> Vec<String> {
 /// A doubt about two samples that are probably one.
 fn alike(before: &SampleTable, sample: &SampleTable) -> Option<String> {
     let names = [&before.material, &sample.material].map(|name| normal(name).into_owned());
-    let (one, other) = (before.thickness_mm, sample.thickness_mm);
+    let (one, other) = (before.thickness_mm.mean_mm(), sample.thickness_mm.mean_mm());
     if names[0] != names[1] && names[0].to_lowercase() == names[1].to_lowercase() {
         return Some(format!("material = {:?} differs from {:?} only in case", names[1], names[0]));
     }

@@ -101,6 +101,29 @@ fn implausible_numbers_are_named() {
     }
 }
 
+/// Readings give their mean, and its error by their scatter and the instrument's; those that differ by more than 1 % are
+/// doubted.
+#[test]
+fn readings_of_a_thickness_are_averaged() {
+    let with = |readings: &str| read(("thickness_mm = 0.512", &format!("thickness_mm = {readings}")));
+    let session = with("[0.510, 0.512, 0.514]").unwrap();
+    let sample = &session.parts[0].samples[0];
+    assert_eq!((sample.thickness_mm, session.doubts.len()), (0.512, 0));
+    let stated = read(("", "")).unwrap().parts[0].samples[0].thickness_std_error_mm;
+    let expected = libm::hypot(stated, 0.002 / 3.0_f64.sqrt());
+    assert!((sample.thickness_std_error_mm - expected).abs() < 1e-9, "{}", sample.thickness_std_error_mm);
+    let doubts = with("[0.505, 0.512, 0.519]").unwrap().doubts;
+    assert!(doubts[0].starts_with("sample[0].thickness_mm: the readings differ by 2.7 %"), "{doubts:?}");
+    for (readings, message) in [
+        ("[]", "at least one reading"),
+        ("[0.5, -1]", "thickness_mm = -1"),
+        ("\"thin\"", "a number is needed, or a list"),
+    ] {
+        let error = format!("{:#}", with(readings).unwrap_err());
+        assert!(error.contains(message), "{error}");
+    }
+}
+
 /// Byte-order marks, which editors of Windows write, are read.
 #[test]
 fn byte_order_marks_are_read() {

@@ -113,12 +113,12 @@ impl Laboratory {
 /// Time of the last photograph.
 const LAST_S: f64 = 2400.0;
 
-/// The scene of each slab: uncertain quantities are off by their standard errors at random, within the range of the
-/// responses.
+/// The scene of each slab: uncertain quantities but those of the base, which photographs show as it is, are off by their
+/// standard errors at random, within the range of the responses.
 fn set_ups(scene: &Scene, random: &mut Random) -> [Scene; 2] {
     let exact = scene.clone().with_priors(Vec::new()).unwrap();
     let mut set_ups = [exact.clone(), exact];
-    for prior in scene.priors() {
+    for prior in scene.priors().iter().filter(|prior| !prior.kind().is_of_base()) {
         let (low, high) = prior.range(scene);
         let mut draw = || loop {
             let difference = prior.std_error() * random.normal();
