@@ -183,8 +183,8 @@ class Farm(FarmAccess):
                 and its report is completed.
             dictionary: its name; the only one, else "lab", else "paper" if None.
             free_g: let every channel have its own anisotropy.
-            g_spread: standard deviation of ln(1 − g) of a material about the mean of all; estimated from the data if None,
-                and 0 for one anisotropy.
+            g_spread: standard deviation of ln(1 − g) of a material about the mean of all; estimated from the data if
+                None, and 0 for one anisotropy.
             g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
                 None, and 0 for one anisotropy.
             output: a folder to write: the table, `media.json` for `predict`, a statement of uncertainty, and media for

@@ -180,8 +180,8 @@ class Measured:
     mu_chosen: bool
     """Whether it was estimated, not given."""
     g: float | None
-    """The anisotropy, the mean cosine of the phase function, as a mean over the materials; None if every channel has its
-    own, or each wavelength."""
+    """The anisotropy, the mean cosine of the phase function, as a mean over the materials; None if every channel has
+    its own, or each wavelength."""
     g_interval: Interval | None
     """Its interval; None if there is none."""
     dictionary: str
