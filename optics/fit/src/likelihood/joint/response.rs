@@ -50,13 +50,9 @@ impl Response {
         if found.cause != Cause::Exponent {
             return Some(found);
         }
-        let others = Freed::ALL.map(|freed| (freed, freed.fall(joint, &given)));
-        let (freed, fall) = others.into_iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if fall < found.fall - AS_GOOD {
-            return Some(found);
-        }
-        // Those of single profiles are named with the profile, and quantities of the scene in its table.
-        (freed == Freed::OfScene).then_some(Self { cause: Cause::Unknown, ..found })
+        // Causes in single profiles are named with the profile, and quantities of the scene in its table.
+        let as_good = |freed: Freed| freed.fall(joint, &given) >= found.fall - AS_GOOD;
+        (!Freed::ALL.into_iter().any(as_good)).then_some(found)
     }
 
     pub(super) fn suspicion(&self, channel: usize) -> Suspicion {
