@@ -115,7 +115,7 @@ impl Minimum {
 fn descend(edge: &EdgeBins, mut p: Parameters, free: usize) -> Option<Minimum> {
     let points = edge.inside();
     let (mut found, mut misfit, mut squares) = (None, 0.0, f64::INFINITY);
-    for _ in 0..25 {
+    for iteration in 0..25 {
         // Dust was rejected in the bins, so all bins count here. Model error is assumed equal in all bins; otherwise
         // the dark side, with its low noise, would dominate.
         let mut normal = NormalEquations::new(free);
@@ -135,7 +135,9 @@ fn descend(edge: &EdgeBins, mut p: Parameters, free: usize) -> Option<Minimum> {
         }
         p[BLUR] = p[BLUR].clamp(0.1 * edge.width, edge.reach);
         p[SPREAD] = p[SPREAD].clamp(0.0, edge.reach);
-        let is_done = (0..free).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
+        // The first weights know nothing of the misfit.
+        let is_done =
+            iteration > 1 && (0..free).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
         found = Some(parameters);
         if is_done {
             break;

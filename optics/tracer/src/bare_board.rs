@@ -97,8 +97,7 @@ impl<'a> SeenBase<'a> {
     }
 
     /// The channels of a varied scene: the reflectances at which its base has the radiance factors that its own ρ would have
-    /// in the scene.
-    /// Reflectances are clamped to the range of a channel.
+    /// in the scene. Reflectances are clamped to the range of a channel.
     pub fn through(&self, varied: &Scene) -> Result<Vec<Channel>, Invalid> {
         let scene = self.scene;
         if coat(scene)? == coat(varied)?

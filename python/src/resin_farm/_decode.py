@@ -77,10 +77,20 @@ def _curves(wire: fits_pb2.FitCurves) -> Curves:
     return Curves(wire.thickness_mm, np.array(wire.x_mm), measured, best, refined, residuals, left_out)
 
 
+# Names in JSON that differ from those of the messages.
+_CAUSES = {
+    "unspecified": "unknown",
+    "edge_offset": "edge_offset_mm",
+    "blur": "blur_mm",
+    "thickness": "thickness_mm",
+}
+
+
 def _refined(wire: fits_pb2.Refined) -> Refined:
     suspicion = None
     if wire.HasField("suspicion"):
-        suspicion = fits_pb2.Cause.Name(wire.suspicion.cause).removeprefix("CAUSE_").lower()
+        cause = fits_pb2.Cause.Name(wire.suspicion.cause).removeprefix("CAUSE_").lower()
+        suspicion = _CAUSES.get(cause, cause)
     return Refined(
         medium=Medium._of_wire(wire.best.medium),
         sigma_t_per_mm=Interval._of_wire(wire.sigma_t_per_mm),

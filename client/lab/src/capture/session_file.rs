@@ -2,6 +2,7 @@
 
 mod doubts;
 mod neutral;
+mod thickness;
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -18,6 +19,7 @@ use crate::grid_file::{from_toml, in_file, read_scene_in, read_text};
 use crate::measurement_file::normal;
 use crate::record::SessionRecord;
 use neutral::NeutralTable;
+use thickness::Thickness;
 
 const WHAT: &str = "session file";
 /// The field of dark shots.
@@ -154,43 +156,6 @@ struct SampleTable {
     thickness_mm: Thickness,
     thickness_std_error_mm: Option<f64>,
     shots: Vec<String>,
-}
-
-/// The thickness of a slab: a number, or readings at several places.
-#[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "a number is needed, or a list of readings")]
-enum Thickness {
-    One(f64),
-    Readings(Vec<f64>),
-}
-
-impl Thickness {
-    fn readings(&self) -> &[f64] {
-        match self {
-            Self::One(mm) => std::slice::from_ref(mm),
-            Self::Readings(readings) => readings,
-        }
-    }
-
-    /// The mean, to 0.1 µm.
-    fn mean_mm(&self) -> f64 {
-        let readings = self.readings();
-        (1e4 * readings.iter().sum::<f64>() / readings.len() as f64).round() / 1e4
-    }
-
-    /// Standard error of the mean by the scatter of the readings.
-    fn scatter_mm(&self) -> f64 {
-        let (readings, mean) = (self.readings(), self.mean_mm());
-        let n = readings.len() as f64;
-        let squares: f64 = readings.iter().map(|t| (t - mean).powi(2)).sum();
-        if readings.len() < 2 { 0.0 } else { (squares / (n * (n - 1.0))).sqrt() }
-    }
-
-    /// Difference of the largest from the least, as a share of the mean.
-    fn range(&self) -> f64 {
-        let ends = self.readings().iter().fold((f64::INFINITY, 0.0_f64), |(l, h), t| (l.min(*t), h.max(*t)));
-        (ends.1 - ends.0) / self.mean_mm()
-    }
 }
 
 /// The squares and patches of the paper: defaults of fields that a session omits.

@@ -1,7 +1,10 @@
-//! Notes on the dictionary of a measurement: that it has another scene than the session, or too few walks for intervals.
+//! Notes on the dictionary of a measurement: that it has another scene than the session, lacks a quantity that the session
+//! has measured, or has too few walks for intervals.
 
 use farm_lab::measurement_file::Note;
+use optics_model::fit::FitSettings;
 use optics_model::grid::NoiseLevel;
+use optics_model::scene::{Prior, PriorKind, Scope};
 use optics_model::{Grid, Scene};
 
 /// Least share of the walks of the paper's quality with which intervals of estimated set-ups hold.
@@ -37,9 +40,43 @@ pub(super) fn other_scene(dictionary: &str, session: &Scene, other: &Scene) -> O
     })
 }
 
+/// A note if a session has measured quantities that the scene of a dictionary has with another value, two standard errors
+/// off, and does not estimate.
+pub(super) fn unused_quantities(dictionary: &str, scene: &Scene, settings: &FitSettings) -> Option<Note> {
+    let unused = |kind: PriorKind| {
+        let [value, std_error] = settings.measured(kind)?;
+        let taken = scene.value_of(&Prior::new(kind, Vec::new(), std_error, Scope::Session).ok()?)?;
+        let is_off = (value - taken).abs() > 2.0 * std_error;
+        let is_estimated = scene.priors().iter().any(|prior| prior.kind() == kind);
+        (is_off && !is_estimated).then(|| format!("{} {value} instead of {taken}", kind.name()))
+    };
+    let list: Vec<String> = PriorKind::OF_SESSION.into_iter().filter_map(unused).collect();
+    (!list.is_empty()).then(|| Note {
+        code: "UNUSED_QUANTITIES",
+        text: format!(
+            "the session has measured {}, which dictionary {dictionary} does not know: media may be far off; use one whose \
+             scene has it, such as lab",
+            list.join("; ")
+        ),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A spread that was measured is of no use to the scene of the paper; `lab` estimates it, and none is none.
+    #[test]
+    fn unused_measured_quantities_are_noted() {
+        let note = |scene: &Scene, spread| {
+            let mut settings = FitSettings::default();
+            settings.measured[0] = Some([spread, 0.003]);
+            unused_quantities("mine", scene, &settings)
+        };
+        let text = note(&Scene::paper(), 0.05).unwrap().text;
+        assert!(text.starts_with("the session has measured base spread 0.05 instead of 0, which"), "{text}");
+        assert_eq!((note(&Scene::paper(), 0.004), note(&Scene::lab(), 0.05)), (None, None));
+    }
 
     /// Drafts of a scene that is estimated are noted; those of an exact scene and of the paper's quality are not.
     #[test]

@@ -63,9 +63,7 @@ impl ResponseCurve {
             Self::Node { nodes, node } => at_node(nodes, *node, u),
         }
     }
-}
 
-impl ResponseCurve {
     /// Standard deviations of the prior by which fits leave the quantity uncertain. Six materials determine a spread of u
     /// standard deviations to about 0.02 to 0.12 of one.
     pub(crate) fn reach(&self, u: f64) -> f64 {

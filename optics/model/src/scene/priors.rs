@@ -73,8 +73,8 @@ impl PriorKind {
             Self::SecondLobeWeight => ["second lobe weight", "", "second_lobe_weight"],
             Self::SecondLobeG => ["second lobe g", "", "second_lobe_g"],
             Self::BaseSpread => ["base spread", "mm", "base.spread_std_error_mm"],
-            Self::LightSide => ["light side (factor on ρ)", "", "base.rho_light_std_error"],
-            Self::DarkSide => ["dark side (added to ρ)", "", "base.rho_dark_std_error"],
+            Self::LightSide => ["light ρ factor", "", "base.rho_light_std_error"],
+            Self::DarkSide => ["dark ρ offset", "", "base.rho_dark_std_error"],
             Self::Haze => ["haze", "", "sensor.haze_std_error"],
         }
     }

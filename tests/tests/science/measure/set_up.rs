@@ -23,8 +23,7 @@ const LEAST: usize = 22;
 fn check(nodes: Nodes, names: &[&str]) {
     let mut held = Vec::new();
     let mut row = |name: &str| {
-        let g = if name.starts_with("g of") { [0.48, 0.36, 0.44, 0.28, 0.40, 0.32] } else { [0.4; 6] };
-        let session = SetUpSession::of_row_at(ChangedSetUp::named(name), g);
+        let session = SetUpSession::of_row_at(ChangedSetUp::named(name), ChangedSetUp::anisotropies(name));
         let found = session.fitted(dictionary(nodes, true), PhaseModel::TwoLobes);
         let answers = session.answers(&found);
         let estimates = |q: usize| Coverage::of_media([&answers[..]], &[q]);

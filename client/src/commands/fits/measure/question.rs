@@ -5,6 +5,7 @@ use farm_lab::measurement_file::Note;
 use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::{GetRequest, MeasureRequest};
+use optics_model::fit::FitOptions;
 use optics_model::scene::Channel;
 use optics_model::{Grid, Scene};
 
@@ -106,7 +107,10 @@ async fn ask_once(
         let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
         let named = question.session.filter(|_| question.given.is_some());
         let other = named.and_then(|s| dictionary_notes::other_scene(&dictionary, s, grid.scene()));
-        let notes = other.into_iter().chain(dictionary_notes::few_walks(&dictionary, &grid)).collect();
+        let options = FitOptions::try_from(question.request.options.clone().unwrap_or_default())?;
+        let unused = dictionary_notes::unused_quantities(&dictionary, grid.scene(), options.settings());
+        let few = dictionary_notes::few_walks(&dictionary, &grid);
+        let notes = other.into_iter().chain(unused).chain(few).collect();
         let mut fits = connection.fits_of("materials", &request.materials)?;
         let found = tokio::select! {
             biased;

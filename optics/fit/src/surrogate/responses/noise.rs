@@ -134,13 +134,7 @@ impl Surrogate<'_> {
             }
         }
         let of_part = |(curve, linear): &(ResponseCurve, LinearResponse)| {
-            let factors = sums
-                .iter()
-                .map(|rows| {
-                    let [factor] = linear.sums(rows);
-                    factor
-                })
-                .collect();
+            let factors = sums.iter().flat_map(|rows| linear.sums(rows)).collect();
             (curve.clone(), factors)
         };
         records.parts(prior).iter().map(of_part).collect()
@@ -202,13 +196,15 @@ mod tests {
     /// The noise of a response counts by the height of its curve, and by its slope.
     #[test]
     fn noise_follows_height_and_slope() {
-        let of = |curve, in_channel, factors| {
+        let prior_noise = |curve, in_channel, factors| {
             let parts = vec![(ResponseCurve::Bent(curve), factors)];
             PriorNoise { in_channel, parts }
         };
         let bent = BentCurve { bend: 0.25, curvature: 0.1 };
-        let each =
-            vec![of(BentCurve::default(), 0.0, vec![vec![2.0]]), of(bent, 0.5, vec![vec![5.0], vec![1.0]])];
+        let each = vec![
+            prior_noise(BentCurve::default(), 0.0, vec![vec![2.0]]),
+            prior_noise(bent, 0.5, vec![vec![5.0], vec![1.0]]),
+        ];
         let noise = ResponseNoise { each, place: NoisePlace::default() };
         assert_eq!(noise.factors(0, 0.0), [[2.0]]);
         // w = 3 with the slope 2.

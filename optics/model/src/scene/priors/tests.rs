@@ -114,20 +114,26 @@ fn impossible_priors_are_refused() {
 #[test]
 fn base_and_haze_have_their_steps() {
     let scene = Scene::paper();
-    let of = |kind, sd| prior(kind, &[], sd);
-    assert_eq!(of(PriorKind::BaseSpread, 0.1).steps(&scene), [0.025, 0.06, 0.13, 0.300_000_000_000_000_04]);
-    assert_eq!(of(PriorKind::LightSide, 0.015).steps(&scene), [-0.03]);
-    let haze = of(PriorKind::Haze, 0.01);
+    let quantity = |kind, sd| prior(kind, &[], sd);
+    assert_eq!(
+        quantity(PriorKind::BaseSpread, 0.1).steps(&scene),
+        [0.025, 0.06, 0.13, 0.300_000_000_000_000_04]
+    );
+    assert_eq!(quantity(PriorKind::LightSide, 0.015).steps(&scene), [-0.03]);
+    let haze = quantity(PriorKind::Haze, 0.01);
     assert_eq!((haze.steps(&scene), haze.range(&scene)), (Vec::new(), (-0.02, 0.05)));
-    let darker = scene.varied(&of(PriorKind::LightSide, 0.015), -0.1, scene.channels().to_vec()).unwrap();
-    let blacker = darker.varied(&of(PriorKind::DarkSide, 0.01), 0.01, darker.channels().to_vec()).unwrap();
+    let darker =
+        scene.varied(&quantity(PriorKind::LightSide, 0.015), -0.1, scene.channels().to_vec()).unwrap();
+    let blacker =
+        darker.varied(&quantity(PriorKind::DarkSide, 0.01), 0.01, darker.channels().to_vec()).unwrap();
     for (channel, own) in blacker.channels().iter().zip(scene.channels()) {
         assert_eq!(channel.rho_light(), 0.9 * own.rho_light());
         assert_eq!(channel.rho_dark(), own.rho_dark() + 0.01);
     }
     let error = Scene::paper().with_priors(vec![haze]).unwrap_err().to_string();
     assert!(error.contains("haze needs another quantity"), "{error}");
-    let spread = scene.varied(&of(PriorKind::BaseSpread, 0.1), 0.05, scene.channels().to_vec()).unwrap();
+    let spread =
+        scene.varied(&quantity(PriorKind::BaseSpread, 0.1), 0.05, scene.channels().to_vec()).unwrap();
     assert_eq!(spread.base_spread_mm(), 0.05);
     assert!(Scene::paper().with_base_spread(-0.1).is_err());
 }

@@ -60,9 +60,10 @@ const ROWS: [(&str, &[(usize, f64)]); 17] = [
     ("light side 2 % darker", &[(LIGHT_SIDE, -0.02)]),
     ("board with 3 % of gloss", &[(LIGHT_SIDE, -0.03), (DARK_SIDE, -0.03)]),
     ("haze 0.01", &[(HAZE, 0.01)]),
-    ("g of 0.28 to 0.48", &[]),
+    (UNLIKE_G, &[]),
 ];
 const WIDE_RING: &str = "ring 32–58°";
+const UNLIKE_G: &str = "g of 0.28 to 0.48";
 
 impl ChangedSetUp {
     fn new(differences: Vec<[Vec<f64>; 2]>) -> Self {
@@ -71,6 +72,11 @@ impl ChangedSetUp {
 
     pub(super) fn names() -> [&'static str; 17] {
         ROWS.map(|row| row.0)
+    }
+
+    /// Anisotropies of the six media in the set-up of a name.
+    pub(super) fn anisotropies(name: &str) -> [f64; 6] {
+        if name == UNLIKE_G { [0.48, 0.36, 0.44, 0.28, 0.40, 0.32] } else { [0.4; 6] }
     }
 
     /// # Panics
