@@ -21,6 +21,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             dark: [0.0213, 0.0209, 0.0222],
             sign: 1.0,
             bow_per_mm: 0.0,
+            spread_mm: 0.0,
         },
         edge: Edge::new(move |_, x| white(x, reach_mm)),
         rim_mm: [-25.0, 25.0, -20.0, 20.0],

@@ -29,6 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         dark: seen([0.024, 0.023, 0.026]),
         sign: 1.0,
         bow_per_mm: 0.0,
+        spread_mm: 0.0,
     };
     let slabs = [("white_05", THIN_MM, 3), ("white_10", THICK_MM, 4)];
     for (name, thickness_mm, seed) in slabs {

@@ -145,8 +145,14 @@ impl BandSession {
     fn shoot_band(&self, folder: &Path, band: usize, nm: f64) -> std::io::Result<()> {
         let lit = self.lit(nm);
         let seen = |side: usize| lit.iter().map(|part| part.share * part.seen[side]).sum();
-        let board =
-            Board { square_mm: 20.0, light: [seen(0); 3], dark: [seen(1); 3], sign: 1.0, bow_per_mm: 0.0 };
+        let board = Board {
+            square_mm: 20.0,
+            light: [seen(0); 3],
+            dark: [seen(1); 3],
+            sign: 1.0,
+            bow_per_mm: 0.0,
+            spread_mm: 0.0,
+        };
         let (lens_mm, magnification) = Self::lens(nm);
         let camera = Camera {
             lens_mm: [lens_mm; 3],

@@ -56,6 +56,28 @@ pub struct Board {
     pub sign: f64,
     /// The edge's bow: x of the edge is bow y².
     pub bow_per_mm: f64,
+    /// Mean distance that light spreads sideways within the board.
+    pub spread_mm: f64,
+}
+
+impl Board {
+    /// What light that spreads adds to the sharp edge: it has crossed the ink of both sides.
+    fn spread(self) -> Edge {
+        Edge::new(move |c, x_mm| {
+            let own = if x_mm > 0.0 { self.light[c] } else { self.dark[c] };
+            0.5 * ((self.light[c] * self.dark[c]).sqrt() - own) * libm::exp(-x_mm.abs() / self.spread_mm)
+        })
+    }
+}
+
+impl Subject {
+    fn board(&self) -> Option<&Board> {
+        match self {
+            Self::Board(board) => Some(board),
+            Self::Slab(slab) => Some(&slab.board),
+            _ => None,
+        }
+    }
 }
 
 /// A slab that covers part of a board.
@@ -77,6 +99,8 @@ pub(super) struct Image {
     shaken: f64,
     /// Blurred edges on a fine grid.
     tables: Vec<Vec<f64>>,
+    /// The same of what light that spreads in the board adds.
+    spreads: Vec<Vec<f64>>,
 }
 
 /// Standard deviations beyond which an edge is no longer blurred, to 10⁻¹⁰.
@@ -93,7 +117,14 @@ impl Image {
             _ => Vec::new(),
         };
         let tables = (0..3).map(table).collect();
-        Self { subject: subject.clone(), sigma_mm, shaken, tables }
+        let spread = |c: usize| match subject.board() {
+            Some(board) if channels.contains(&c) && board.spread_mm > 0.0 => {
+                blurred(&board.clone().spread(), c, sigma_mm[c])
+            }
+            _ => Vec::new(),
+        };
+        let spreads = (0..3).map(spread).collect();
+        Self { subject: subject.clone(), sigma_mm, shaken, tables, spreads }
     }
 
     /// Radiance factor at a place of the board's plane that lies at these pixels.
@@ -127,7 +158,15 @@ impl Image {
         let sideways = wave(x / board.square_mm, sigma / board.square_mm);
         let down = wave(mm[1] / board.square_mm + 0.5, self.shaken * sigma / board.square_mm);
         let (middle, half) = (0.5 * (board.light[c] + board.dark[c]), 0.5 * (board.light[c] - board.dark[c]));
-        middle + half * board.sign * sideways * down
+        let light = middle + half * board.sign * sideways * down;
+        if board.spread_mm == 0.0 {
+            return light;
+        }
+        // Light of the other side of the nearest line, which has crossed the ink of both.
+        let line = (x / board.square_mm).round();
+        let rises = if (line as i64).rem_euclid(2) == 0 { 1.0 } else { -1.0 };
+        let z = (x - line * board.square_mm) * rises * board.sign * down.signum();
+        light + down.abs() * lookup(&self.spreads[c], z)
     }
 
     fn slab(&self, slab: &Slab, c: usize, mm: [f64; 2]) -> f64 {

@@ -1,9 +1,12 @@
 //! Bias, errors and geometry, compared with the exact truth.
 
-use farm_tests::photograph::{Camera, Look, Random, Session};
+use farm_tests::photograph::{Board, Camera, Look, Random, Session, Slab};
 use farm_tests::statistics::effort_or;
+use optics_capture::Warning;
 
-use super::stage::{PLAIN, calibrate, find, measure, mounted, session, slab, true_blur_mm, truth, white};
+use super::stage::{
+    PLAIN, board as plain_board, calibrate, find, measure, mounted, session, slab, true_blur_mm, truth, white,
+};
 
 /// A session without noise gives the exact profile.
 #[test]
@@ -62,6 +65,27 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
         let (light, dark) = (board.light[c].value / session.board.light[c], board.dark[c].value);
         assert!((light - 1.0).abs() < 0.005, "light side {c}: {light}");
         assert!((dark / session.board.dark[c] - 1.0).abs() < 0.05, "dark side {c}: {dark}");
+    }
+}
+
+/// A board in which light spreads, as paper does, is no blurred camera; one that is clean has no spread.
+#[test]
+fn spread_of_a_board_is_separated_from_blur() {
+    for spread_mm in [0.0, 0.03, 0.1, 0.3] {
+        let spreading = Slab { board: Board { spread_mm, ..plain_board() }, ..slab() };
+        let session = Session::new(Camera::default(), spreading);
+        let calibration = calibrate(&session, &PLAIN).unwrap();
+        let board = find(&session, &calibration, &PLAIN).unwrap();
+        let (found, error) = (board.spread_mm.value, board.spread_mm.std_error);
+        let blur = board.blur_mm[1].value / true_blur_mm(&session, 1) - 1.0;
+        println!("{spread_mm}: {found:.4} ± {error:.4}; blur {blur:+.3}");
+        assert!(
+            (found - spread_mm).abs() < 2.0 * error && blur.abs() < 0.05,
+            "{spread_mm}: {found} ± {error}, {blur}"
+        );
+        assert!(error < 0.01 + 0.12 * spread_mm, "{spread_mm}: ± {error}");
+        let is_warned = board.warnings.iter().any(|w| matches!(w, Warning::SpreadingBoard { .. }));
+        assert_eq!(is_warned, spread_mm > 0.0, "{spread_mm}: {found} ± {error}");
     }
 }
 

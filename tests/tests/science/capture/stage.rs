@@ -33,6 +33,7 @@ pub fn board() -> Board {
         dark: [0.0213, 0.0209, 0.0222],
         sign: 1.0,
         bow_per_mm: 0.0,
+        spread_mm: 0.0,
     }
 }
 

@@ -145,7 +145,7 @@ fn board(scene: &Scene, square_mm: f64) -> Board {
     let bare = BareBoard::of(scene).unwrap();
     let seen = |rho: &dyn Fn(&Channel) -> f64| [0, 1, 2].map(|c| bare.apparent(rho(&scene.channels()[c])));
     let (light, dark) = (seen(&|c| c.rho_light()), seen(&|c| c.rho_dark()));
-    Board { square_mm, light, dark, sign: 1.0, bow_per_mm: 0.0 }
+    Board { square_mm, light, dark, sign: 1.0, bow_per_mm: 0.0, spread_mm: 0.0 }
 }
 
 fn camera(random: &mut Random) -> Camera {
