@@ -223,6 +223,7 @@ flat = ["flat_*.pgm"]
 shots = ["chart_*.pgm"]
 rho = {list(session.PATCHES)}
 std_error = 0.002
+geometry = "own"
 areas_px = {areas(parts)}
 
 [target]

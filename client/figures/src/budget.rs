@@ -110,6 +110,7 @@ pub fn source_name(share: &SourceShare) -> &str {
         ErrorSource::Gain => "gain of each profile",
         ErrorSource::Zero => "zero",
         ErrorSource::Slope => "slope of the light",
+        ErrorSource::Wedge => "wedge of each slab",
         ErrorSource::Scale => "white reference (μ)",
         ErrorSource::OtherChannels => "other channels",
         ErrorSource::G => "g",
@@ -128,6 +129,7 @@ fn remedy(source: ErrorSource) -> &'static str {
         ErrorSource::Gain => "steadier lamps, or more of the board free next to the slab",
         ErrorSource::Zero => "less stray light; dark shots with the same exposure",
         ErrorSource::Slope => "flat-field shots with the same lamps",
+        ErrorSource::Wedge => "turn each slab by 180° for half of its shots",
         ErrorSource::Scale => "a white reference of known reflectance",
         ErrorSource::OtherChannels => {
             "better data of the other channels, or channels measured each on its own"

@@ -40,6 +40,7 @@ pub fn misfit_short(refined: &Refined) -> Option<String> {
         Cause::Gain => format!("values {percent} off?"),
         Cause::Zero => format!("zero {} off?", significant(s.amount, 2)),
         Cause::Slope => format!("slope {percent}?"),
+        Cause::Wedge => format!("wedge {percent}?"),
         Cause::Blur => format!("blur {}?", amount("mm")),
         Cause::GammaCoded => "sRGB, not linear?".to_owned(),
         Cause::Exponent => format!("power {} of linear values?", significant(s.amount, 2)),

@@ -117,6 +117,7 @@ fn name(improvement: &Improvement) -> &str {
         Limitation::Gain => "gain",
         Limitation::Zero => "zero",
         Limitation::Slope => "slope",
+        Limitation::Wedge => "wedge",
         Limitation::Scale => "μ",
     }
 }
@@ -209,7 +210,7 @@ fn with_unit(improvement: &Improvement, std_error: f64) -> String {
             .to_owned(),
         Limitation::Thickness | Limitation::Origin | Limitation::Blur => format!("{} µm", number(1e3)),
         Limitation::Noise | Limitation::Gain => format!("{} %", number(100.0)),
-        Limitation::Slope => format!("{} % per 10 mm", number(100.0)),
+        Limitation::Slope | Limitation::Wedge => format!("{} % per 10 mm", number(100.0)),
         Limitation::Zero | Limitation::Scale => number(1.0),
     }
 }

@@ -54,6 +54,7 @@ fn nuisance(n: &NuisanceEstimate) -> String {
         Nuisance::Gain => format!("gain {} %", percent()),
         Nuisance::Zero => format!("zero {}", plain()),
         Nuisance::Slope => format!("slope {} % per 10 mm", percent()),
+        Nuisance::Wedge => format!("wedge {} % per 10 mm", percent()),
     };
     text + &of
 }

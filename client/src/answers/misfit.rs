@@ -28,6 +28,7 @@ fn reason(s: &Suspicion) -> String {
     let size = |digits| significant(s.amount.abs(), digits);
     let percent = significant(100.0 * s.amount.abs(), 2);
     let (large, rises) = if s.amount > 0.0 { ("large", "brighter") } else { ("small", "darker") };
+    let thicker = if s.amount > 0.0 { "thicker" } else { "thinner" };
     match s.cause {
         Cause::Unknown => {
             "no single cause explains it: check edge, light, thicknesses, channels, the scene's \
@@ -47,6 +48,10 @@ fn reason(s: &Suspicion) -> String {
         ),
         Cause::Slope => format!(
             "most likely cause: light that gets {percent} % {rises} from dark to light side in {of}; divide by a flat field"
+        ),
+        Cause::Wedge => format!(
+            "most likely cause: a wedge, a slab that gets {percent} % {thicker} from dark to light side in {of}; turn it by \
+             180° for half of its shots, or measure its thickness at both ends"
         ),
         Cause::Blur => format!(
             "most likely cause: a camera that blurs by {} mm (standard deviation) in {of}; focus, or use a smaller aperture",

@@ -10,7 +10,7 @@ use super::set_up::SetUpArgs;
 /// The options of all fits to a dictionary.
 #[derive(Debug, Args)]
 pub(crate) struct OptionArgs {
-    /// Dictionary to search [default: the only one, else lab, else paper].
+    /// Dictionary to search [default: lab, else the only one but paper].
     #[arg(long, value_name = "NAME")]
     pub(crate) dictionary: Option<String>,
     /// Only this anisotropy, or a range such as 0.2..0.6 [default: any].

@@ -10,6 +10,7 @@ pub(crate) mod measure;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;
+mod tilt;
 
 use std::process::ExitCode;
 

@@ -21,6 +21,58 @@ pub(crate) struct Joined {
     pub profile: EdgeProfile,
     /// Standard deviations between shots of gain, zero, slope per 10 mm and place in mm.
     pub between: [f64; 4],
+    /// Slope per 10 mm of each shot against the mean.
+    pub slopes: Vec<Estimate>,
+}
+
+/// Shots of a slab that is a wedge: some are turned by 180° against the others.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Turned {
+    /// Whether a shot is among those with the greater slope.
+    pub rises: Vec<bool>,
+    /// Half of the difference of the slopes per 10 mm.
+    pub slope: f64,
+}
+
+/// Least distance of the slopes of turned shots, over their range within either group or their standard errors, and per
+/// 10 mm.
+const APART: f64 = 4.0;
+const LEAST_WEDGE: f64 = 0.008;
+
+impl Turned {
+    /// The two groups of shots with these slopes; none if fewer than three shots form them clearly.
+    pub(crate) fn find(slopes: &[Estimate]) -> Option<Self> {
+        let mut sorted: Vec<f64> = slopes.iter().map(|slope| slope.value).collect();
+        sorted.sort_by(f64::total_cmp);
+        let gap = |i: &usize| sorted[*i] - sorted[*i - 1];
+        let first = (1..sorted.len()).max_by(|a, b| gap(a).total_cmp(&gap(b)))?;
+        let (low, high) = sorted.split_at(first);
+        let range = |group: &[f64]| group[group.len() - 1] - group[0];
+        let error = slopes.iter().map(|slope| slope.std_error).fold(0.0, f64::max);
+        let apart = APART * range(low).max(range(high)).max(error);
+        let is_clear = sorted.len() > 2 && gap(&first) > apart.max(LEAST_WEDGE);
+        let mean = |group: &[f64]| group.iter().sum::<f64>() / group.len() as f64;
+        is_clear.then(|| Self {
+            rises: slopes.iter().map(|slope| slope.value >= high[0]).collect(),
+            slope: 0.5 * (mean(high) - mean(low)),
+        })
+    }
+
+    /// The mean of both groups, so that the wedge averages out, with the differences between the shots of each.
+    pub(crate) fn join(&self, profiles: &[&EdgeProfile]) -> Joined {
+        let [one, other] = [true, false].map(|rises| {
+            let group = profiles.iter().zip(&self.rises).filter(|(_, own)| **own == rises);
+            join(&group.map(|(profile, _)| *profile).collect::<Vec<_>>())
+        });
+        let mut profile = mean(&[&one.profile, &other.profile]);
+        for k in 0..profile.values.len() {
+            let [a, b] = [&one.profile, &other.profile];
+            profile.values[k] = 0.5 * (a.values[k] + b.values[k]);
+            profile.std_errors[k] = 0.5 * libm::hypot(a.std_errors[k], b.std_errors[k]);
+        }
+        let between = std::array::from_fn(|i| one.between[i].max(other.between[i]));
+        Joined { profile, between, slopes: [one.slopes, other.slopes].concat() }
+    }
 }
 
 /// Weighted mean of each bin.
@@ -57,14 +109,15 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     let mut profile = mean(profiles);
     let shots = profiles.len();
     if shots < 2 {
-        return Joined { profile, between: [0.0; 4] };
+        return Joined { profile, between: [0.0; 4], slopes: vec![Estimate::default(); shots] };
     }
     let basis = basis(&profile);
     let freedom = shots as f64 - 1.0;
     let mut between = [0.0; 4];
-    let mut left = Vec::new();
+    let (mut left, mut slopes) = (Vec::new(), Vec::new());
     for shot in profiles {
         let departure = Departure::of(shot, &profile, &basis);
+        slopes.push(departure.coefficients[2]);
         for (sum, c) in between.iter_mut().zip(departure.coefficients) {
             // The part of a coefficient that noise explains is no difference between shots.
             *sum += c.value * c.value - c.std_error * c.std_error * freedom / shots as f64;
@@ -87,7 +140,7 @@ pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
             *error *= mean.sqrt();
         }
     }
-    Joined { profile, between }
+    Joined { profile, between, slopes }
 }
 
 /// F, 1, x F per 10 mm, F′ per mm, each orthogonal to those before it.
@@ -198,6 +251,31 @@ mod tests {
         let joined = join(&shots.each_ref());
         // Each is 1e-3 off the mean: two shots have a standard deviation of √2·1e-3, their mean one of 1e-3.
         assert!(joined.profile.std_errors[20..340].iter().all(|e| (e / 1e-3 - 1.0).abs() < 0.01));
+    }
+
+    /// Shots of a wedge that was turned by 180° form two groups, whose mean has no slope, however many shots each has.
+    #[test]
+    fn turned_wedges_average_out() {
+        let wedge = |slope: f64, sign: f64| {
+            let mut shot = shot(1.0, 1e-3, alternating(sign));
+            let x_mm = shot.x_mm.clone();
+            shot.values.iter_mut().zip(&x_mm).for_each(|(v, x)| *v *= 1.0 + slope * x / 10.0);
+            shot
+        };
+        let flat = shot(1.0, 1e-3, |_| 0.0);
+        let shots = [wedge(0.021, 1.0), wedge(0.02, -1.0), wedge(-0.0205, 1.0)];
+        let turned = Turned::find(&join(&shots.each_ref()).slopes).unwrap();
+        assert_eq!(turned.rises, [true, true, false]);
+        assert!((turned.slope - 0.0205).abs() < 1e-3, "{turned:?}");
+        let joined = turned.join(&shots.each_ref());
+        let off = joined.profile.values.iter().zip(&flat.values).map(|(v, f)| (v - f).abs());
+        assert!(off.fold(0.0, f64::max) < 1.5e-3 && joined.between[2] < 1.5e-3, "{:?}", joined.between);
+        for slopes in [[0.02, 0.0, -0.02], [0.001, 0.0, 0.0012], [0.02, 0.012, 0.0]] {
+            let shots = slopes.map(|slope| wedge(slope, 1.0));
+            assert_eq!(Turned::find(&join(&shots.each_ref()).slopes), None, "{slopes:?}");
+        }
+        let two = [wedge(0.02, 1.0), wedge(-0.02, 1.0)];
+        assert_eq!(Turned::find(&join(&two.each_ref()).slopes), None);
     }
 
     #[test]

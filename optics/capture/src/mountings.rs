@@ -7,7 +7,7 @@ use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::{Colour, Photo};
-use crate::join::{Joined, join};
+use crate::join::{Joined, Turned, join};
 use crate::lattice::{CropCells, FreeParts, PatchRadiance, light, movement};
 use crate::refusal::{Refusal, Warning};
 use crate::report::ShotReport;
@@ -180,13 +180,31 @@ impl<'a> Mountings<'a> {
             let count = self.shots.len();
             self.warnings.push(Warning::FewShots { what: self.what.clone(), count });
         }
-        let joined = Colour::ALL.map(|c| {
-            let each: Vec<&EdgeProfile> = self.shots.iter().map(|s| &s.profiles[c.index()]).collect();
-            join(&each)
-        });
+        let joined = self.joined();
         let budget = self.budget(&joined);
         let profiles = joined.map(|j| j.profile);
         Ok(SampleProfile { profiles, shots: self.shots, budget, warnings: self.warnings })
+    }
+
+    /// The mean of all shots, or of those of a wedge on one side and turned by 180°.
+    fn joined(&mut self) -> [Joined; 3] {
+        let each = Colour::ALL
+            .map(|c| self.shots.iter().map(|s| &s.profiles[c.index()]).collect::<Vec<&EdgeProfile>>());
+        let joined = each.each_ref().map(|profiles| join(profiles));
+        // A slab has one wedge: the mean of the channels.
+        let slope = |shot: usize| {
+            let of_channels = joined.each_ref().map(|j| j.slopes[shot]);
+            let mean = |f: fn(&Estimate) -> f64| of_channels.iter().map(f).sum::<f64>() / 3.0;
+            Estimate::new(mean(|s| s.value), mean(|s| s.std_error))
+        };
+        let Some(turned) = Turned::find(&(0..self.shots.len()).map(slope).collect::<Vec<_>>()) else {
+            return joined;
+        };
+        let joined = each.each_ref().map(|profiles| turned.join(profiles));
+        let rising = self.shots.iter().zip(&turned.rises).filter(|(_, rises)| **rises);
+        let labels = rising.map(|(shot, _)| shot.label.clone()).collect::<Vec<_>>().join(", ");
+        self.warnings.push(Warning::Turned { labels, percent: 100.0 * turned.slope });
+        joined
     }
 
     fn budget(&self, joined: &[Joined; 3]) -> Vec<Contribution> {

@@ -99,6 +99,11 @@ impl Neutral {
         Ok(Self { rho, std_error, areas })
     }
 
+    /// The greatest reflectance of all patches.
+    pub fn brightest(&self) -> f64 {
+        self.rho.as_flattened().iter().copied().fold(0.0, f64::max)
+    }
+
     /// Index of the brightest patch: the white reference.
     pub(crate) fn white(&self) -> usize {
         let green = |i: &usize| self.rho[*i][1];

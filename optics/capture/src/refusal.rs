@@ -132,10 +132,20 @@ pub enum Warning {
     )]
     FewShots { what: String, count: usize },
     #[error(
+        "brightness rises by {percent:.1} % per 10 mm more in {labels} than on the mean, and falls in the other shots, as for a \
+         wedge that was turned by 180°: both sides are averaged with the same weight"
+    )]
+    Turned { labels: String, percent: f64 },
+    #[error(
         "light spreads within the board by {mm:.3} ± {std_error_mm:.3} mm, as in paper and film; the fit allows for it, but a \
          board that does not (chrome on glass, anodised metal) gives narrower intervals"
     )]
     SpreadingBoard { mm: f64, std_error_mm: f64 },
+    #[error(
+        "under gel the light side of the board reflects {factor:.3} ± {std_error:.3} of what it does dry, as with gloss; the fit \
+         takes the value under gel"
+    )]
+    Gloss { factor: f64, std_error: f64 },
     #[error("no dark shots: the black level is taken from the files, without an error")]
     NoDark,
     #[error(

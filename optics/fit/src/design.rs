@@ -26,7 +26,7 @@ mod tests;
 const MOST_SETS: usize = 25;
 
 /// Limitations that may be reduced, apart from those of the scene.
-const LIMITATIONS: [Limitation; 8] = [
+const LIMITATIONS: [Limitation; 9] = [
     Limitation::Noise,
     Limitation::Thickness,
     Limitation::Origin,
@@ -34,6 +34,7 @@ const LIMITATIONS: [Limitation; 8] = [
     Limitation::Gain,
     Limitation::Zero,
     Limitation::Slope,
+    Limitation::Wedge,
     Limitation::Scale,
 ];
 
@@ -229,6 +230,7 @@ fn std_error(set_up: &mut FitSettings, limitation: Limitation) -> Option<&mut f6
         Limitation::Gain => &mut set_up.gain_std_error,
         Limitation::Zero => &mut set_up.offset_std_error,
         Limitation::Slope => &mut set_up.slope_std_error,
+        Limitation::Wedge => &mut set_up.wedge_std_error,
         Limitation::Scale => &mut set_up.mu_std_error,
         Limitation::Noise | Limitation::Scene => return None,
     })

@@ -2,6 +2,7 @@
 //! needs.
 
 pub(crate) mod axes;
+pub(crate) mod base_spread;
 mod channel;
 pub(crate) mod coefficients;
 pub(crate) mod gradient;
@@ -156,7 +157,7 @@ impl DictionaryBuilder {
         assert!(self.present.iter().all(|present| *present), "every record has come");
         let described = |(index, records, varied): (usize, Records, Option<VariedRecords>)| {
             let seen = varied.is_some();
-            let responses = varied.map(|varied| varied.responses(&records));
+            let responses = varied.map(|varied| varied.responses(&records, index));
             let channel = ChannelRecords::new(records, responses);
             if seen {
                 channel.whole_view();

@@ -229,6 +229,7 @@ pub(super) fn exact_set_up() -> FitSettings {
         gain_std_error: 0.0,
         offset_std_error: 0.0,
         slope_std_error: 0.0,
+        wedge_std_error: 0.0,
         ..FitSettings::default()
     }
 }

@@ -49,6 +49,10 @@ macro_rules! with_quantities {
                     SharePer10Mm, 0.002, [0.0, 1.0], Once, "slope",
                     "Standard error of the slope of the light across each profile, as a share per 10 mm"
                 }
+                wedge_std_error {
+                    SharePer10Mm, 0.04, [0.0, 1.0], Once, "wedge",
+                    "Standard error of the slope of each slab's thickness across its profile, as a share per 10 mm"
+                }
             }
         }
     };

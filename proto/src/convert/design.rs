@@ -74,7 +74,7 @@ mirror!(Improvement {
     estimated,
     estimated_g_free,
 });
-mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, Scene });
+mirror_enum!(Limitation { Noise, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, Scene, Wedge });
 
 #[cfg(test)]
 mod tests {

@@ -189,7 +189,7 @@ mod from_any_version {
 
 mirror!(Suspicion { cause: number, thickness_mm, amount, misfit_left });
 mirror_enum!(Cause {
-    EdgeOffset, Gain, Zero, Slope, Blur, GammaCoded, Exponent, ThicknessesSwapped, Thickness,
+    EdgeOffset, Gain, Zero, Slope, Blur, GammaCoded, Exponent, ThicknessesSwapped, Thickness, Wedge,
 } or Unknown);
 mirror!(Curve { values, gradient });
 mirror!(FitCurves {

@@ -29,7 +29,7 @@ mirror!(SceneEstimate {
     at_end,
 });
 mirror!(NuisanceEstimate { nuisance: number, profile_mm, value, std_error, prior, prior_std_error });
-mirror_enum!(Nuisance { Scale, BlurVariance, Thickness, Origin, Gain, Zero, Slope });
+mirror_enum!(Nuisance { Scale, BlurVariance, Thickness, Origin, Gain, Zero, Slope, Wedge });
 mirror!(OutlierPixel { profile_mm, x_mm, deviation });
 mirror!(Stretch { profile_mm, from_mm, to_mm, deviation });
 mirror!(Bound {
@@ -43,7 +43,7 @@ mirror!(Ends { low, high });
 // A source of a newer version is kept without its name: the shares still add up to 1.
 mirror!(SourceShare { source: number, quantity, sigma_t, albedo, reduced_scattering, absorption });
 mirror_enum!(ErrorSource {
-    Noise, Dictionary, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, OtherChannels, G, Scene,
+    Noise, Dictionary, Thickness, Origin, Blur, Gain, Zero, Slope, Scale, OtherChannels, G, Scene, Wedge,
 } or Unknown);
 
 #[cfg(test)]

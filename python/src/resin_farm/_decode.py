@@ -119,6 +119,7 @@ _NUISANCES = {
     fits_pb2.NUISANCE_GAIN: "gain",
     fits_pb2.NUISANCE_ZERO: "zero",
     fits_pb2.NUISANCE_SLOPE: "slope",
+    fits_pb2.NUISANCE_WEDGE: "wedge",
 }
 
 

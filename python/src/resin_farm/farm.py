@@ -21,7 +21,8 @@ from resin_farm.measurement import Measurement, warn, write
 from resin_farm.medium import Medium
 
 # Defaults among several dictionaries, in order of preference; the same as in farmctl.
-_USUAL = ("lab", "paper")
+# The default of questions, and the dictionary that must be named.
+_USUAL, _NAMED_ONLY = "lab", "paper"
 
 
 class Farm(FarmAccess):
@@ -109,7 +110,7 @@ class Farm(FarmAccess):
         """A dictionary by its name.
 
         Args:
-            name: its name; the only one, else "lab", else "paper" if None.
+            name: its name; "lab", else the only one but "paper" if None.
 
         Raises:
             NotFound: if there is none of this name.
@@ -143,7 +144,7 @@ class Farm(FarmAccess):
 
         Args:
             measurement: of one material: a `Measurement`, a frame or a file with the columns of a measurement file.
-            dictionary: its name; the only one, else "lab", else "paper" if None.
+            dictionary: its name; "lab", else the only one but "paper" if None.
             refine: continue from the best record to a continuous optimum.
             given: the options of `FitOptions` that are known, such as `g=0.4` or `sigma_t_per_mm=(4, 8)`.
 
@@ -181,7 +182,7 @@ class Farm(FarmAccess):
             materials: measurements, a frame, a measurement file, or the answer of `capture`. For the last, the
                 session's own dictionary is computed unless it exists, the scale factor comes from its white reference,
                 and its report is completed.
-            dictionary: its name; the only one, else "lab", else "paper" if None.
+            dictionary: its name; "lab", else the only one but "paper" if None.
             free_g: let every channel have its own anisotropy.
             g_spread: standard deviation of ln(1 − g) of a material about the mean of all; estimated from the data if
                 None, and 0 for one anisotropy.
@@ -243,7 +244,7 @@ class Farm(FarmAccess):
 
         Args:
             measurement: of one material, as for `fit`.
-            dictionary: its name; the only one, else "lab", else "paper" if None.
+            dictionary: its name; "lab", else the only one but "paper" if None.
             given: the options of `FitOptions` that are known.
 
         Returns:
@@ -278,7 +279,7 @@ class Farm(FarmAccess):
 
         Args:
             medium: a guess: the information in the pixels depends on the medium.
-            dictionary: its name; the only one, else "lab", else "paper" if None.
+            dictionary: its name; "lab", else the only one but "paper" if None.
             slabs_mm: sets of thicknesses in mm; sets of one to three of the dictionary's if there are none.
             shots: photographs of each slab; 1 and 2 if there are none.
             channel: the dictionary's first if None.
@@ -396,20 +397,23 @@ class Farm(FarmAccess):
         return _display.html_table(("dictionary", "state", "records", "of"), rows, repr(self))
 
     def _name(self, given: str | None) -> str:
-        """The given name; without one the only dictionary, else the first of the usual ones, as in farmctl."""
+        """The given name; without one the usual dictionary, else the only one besides the paper's, as in farmctl."""
         if given is not None:
             return given
         # Those for all boards are asked with the board of a session, by farmctl.
         names = [dictionary.name for dictionary in self.dictionaries() if dictionary.channels[0] != "board 1"]
-        if len(names) == 1:
-            return names[0]
-        for usual in _USUAL:
-            if usual in names:
-                return usual
+        others = [name for name in names if name != _NAMED_ONLY]
+        if _USUAL in names or len(others) == 1:
+            return _USUAL if _USUAL in names else others[0]
         if not names:
             raise FarmError(
                 'there is no dictionary yet: submit("lab") computes one for a laboratory\'s own measurements, submit() '
                 "the paper's"
+            )
+        if not others:
+            raise FarmError(
+                "there is only the paper's dictionary, whose rough surfaces lose light: submit(\"lab\") computes one for "
+                'a laboratory\'s own measurements, dictionary="paper" asks the paper\'s'
             )
         raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
 

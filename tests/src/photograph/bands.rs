@@ -212,7 +212,7 @@ impl BandSession {
     fn file(&self) -> String {
         let mut text =
             "scene = \"scene.toml\"\n\n[camera]\ndark = [\"{band}_dark_*.dng\"]\nflat = [\"{band}_flat_*.dng\"]\n\n[neutral]\n\
-            shots = [\"{band}_chart_*.dng\"]\nrho = \"patches.csv\"\nstd_error = 0.005\n\n[target]\n\
+            shots = [\"{band}_chart_*.dng\"]\nrho = \"patches.csv\"\nstd_error = 0.005\ngeometry = \"own\"\n\n[target]\n\
             bare = [\"{band}_board_*.dng\"]\ndark_side = \"left\"\n"
                 .to_owned();
         for nm in &self.wavelengths_nm {

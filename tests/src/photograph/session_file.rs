@@ -23,7 +23,7 @@ pub struct SessionValues<'a> {
 pub fn session_file(session: &Session, values: &SessionValues<'_>) -> String {
     let mut text = format!(
         "[camera]\ndark = [\"dark_*\"]\nflat = [\"flat_*\"]\n\n\
-         [neutral]\nshots = [\"chart_*\"]\nrho = {:?}\nstd_error = {}\nareas_px = {:?}\n\n\
+         [neutral]\nshots = [\"chart_*\"]\nrho = {:?}\nstd_error = {}\ngeometry = \"own\"\nareas_px = {:?}\n\n\
          [target]\nbare = [\"board_*\"]\nsquare_mm = {}\nsquare_std_error_mm = {}\ndark_side = \"left\"\n",
         session.rho,
         values.white_std_error,

@@ -61,7 +61,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// What light that spreads adds to the sharp edge: it has crossed the ink of both sides.
+    /// The difference to a sharp edge: light that spreads has crossed the ink of both sides.
     fn spread(self) -> Edge {
         Edge::new(move |c, x_mm| {
             let own = if x_mm > 0.0 { self.light[c] } else { self.dark[c] };
@@ -99,7 +99,7 @@ pub(super) struct Image {
     shaken: f64,
     /// Blurred edges on a fine grid.
     tables: Vec<Vec<f64>>,
-    /// The same of what light that spreads in the board adds.
+    /// Likewise the differences to a sharp edge by light that spreads in the board.
     spreads: Vec<Vec<f64>>,
 }
 

@@ -36,21 +36,22 @@ export function gridOver(grid: Grid | undefined, board: Channel[]): Grid | undef
   return { ...grid, scene: { ...grid.scene, channels: board }, responses: grid.responses.map((r) => ({ ...r, channels: board })) };
 }
 
-// The dictionary that `farmctl` uses without --dictionary: the only one, or the first of the usual ones.
+// The documentation's example was rendered in the scene `paper`. Otherwise its dictionary is used only where it is named,
+// since its surfaces lose light.
+const EXAMPLE = 'paper';
+
+// The dictionary that `farmctl` uses without --dictionary: `lab`, or the only one besides the paper's.
 export function usual(all: Dictionary[]): Dictionary | undefined {
-  const own = all.filter((d) => !isForAllBoards(d));
-  const named = ['lab', 'paper'].map((name) => own.find((d) => d.name === name)).find((d) => d !== undefined);
-  return own.length === 1 ? own[0] : named;
+  const others = all.filter((d) => !isForAllBoards(d) && d.name !== EXAMPLE);
+  return others.find((d) => d.name === 'lab') ?? (others.length === 1 ? others[0] : undefined);
 }
 
-// The documentation's example was rendered in the scene `paper`.
-const EXAMPLE = 'paper';
 export const NEW_FOR_EXAMPLE = `#/farm?scene=${EXAMPLE}`;
 
 // The page's default: for the example a dictionary of its scene, if there is one.
 export function preset(ready: Dictionary[], example: boolean): Dictionary | undefined {
   const rendered = example ? (ready.find((d) => d.name === EXAMPLE) ?? ready.find(losesLight)) : undefined;
-  return rendered ?? usual(ready) ?? ready[0];
+  return rendered ?? usual(ready) ?? ready.find((d) => d.name !== EXAMPLE);
 }
 
 // Whether rough surfaces lose the light that they scatter more than once.

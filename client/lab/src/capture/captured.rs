@@ -5,6 +5,7 @@ use std::path::Path;
 use optics_capture::{Board, BoardRho, Calibration, SampleProfile};
 
 use super::bands::Band;
+use super::in_gel::InGel;
 use super::session_file::{CaptureSession, Sample};
 use super::shots::Input;
 use super::strip::Strip;
@@ -31,6 +32,8 @@ pub struct CapturedPart {
     pub calibration: Calibration,
     pub board: Board,
     pub rho: [BoardRho; 3],
+    /// None without shots of the board under slip and gel.
+    pub in_gel: Option<InGel>,
     pub samples: Vec<CapturedSample>,
 }
 

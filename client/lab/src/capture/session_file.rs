@@ -51,6 +51,8 @@ pub struct SessionPart {
     pub neutral_shots: Vec<PathBuf>,
     pub neutral: Neutral,
     pub bare: Vec<PathBuf>,
+    /// Shots of the board under slip and gel.
+    pub in_gel: Vec<PathBuf>,
     pub samples: Vec<Sample>,
 }
 
@@ -100,7 +102,10 @@ impl CaptureSession {
 impl SessionPart {
     fn shots(&self) -> impl Iterator<Item = &PathBuf> {
         let samples = self.samples.iter().flat_map(|sample| &sample.shots);
-        [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
+        [&self.dark, &self.flat, &self.neutral_shots, &self.bare, &self.in_gel]
+            .into_iter()
+            .flatten()
+            .chain(samples)
     }
 }
 
@@ -144,6 +149,8 @@ struct CameraTable {
 #[serde(deny_unknown_fields)]
 struct TargetTable {
     bare: Vec<String>,
+    #[serde(default)]
+    in_gel: Vec<String>,
     square_mm: Option<f64>,
     square_std_error_mm: Option<f64>,
     dark_side: Option<String>,
@@ -155,6 +162,8 @@ struct SampleTable {
     material: String,
     thickness_mm: Thickness,
     thickness_std_error_mm: Option<f64>,
+    /// Width and height of the slab.
+    slab_mm: Option<[f64; 2]>,
     shots: Vec<String>,
 }
 
@@ -182,12 +191,13 @@ impl SessionFile {
         for band in &bands {
             doubts.extend(doubts::stray(band, light.as_ref())?);
         }
-        let part = |band| self.part(folder, band, light.as_ref());
+        let part = |band| self.part(folder, band, light.as_ref(), &scene);
         let parts = if bands.is_empty() {
             vec![part(None)?]
         } else {
             bands.into_iter().map(|band| part(Some(band))).collect::<Result<_, _>>()?
         };
+        doubts.extend(self.neutral.doubt(&parts[0].neutral));
         check_once(&parts)?;
         check_slabs(&parts[0].samples)?;
         let record = self.record.checked()?;
@@ -210,6 +220,7 @@ impl SessionFile {
         folder: &Path,
         band: Option<Band>,
         light: Option<&Spectrum>,
+        scene: &optics_model::Scene,
     ) -> Result<SessionPart, Invalid> {
         let files = |field: &str, globs: &[String]| files_of_band(folder, field, globs, band.as_ref());
         let sample = |(i, table): (usize, &SampleTable)| {
@@ -219,7 +230,8 @@ impl SessionFile {
             dark: files(DARK, &self.camera.dark)?,
             flat: files("camera.flat", &self.camera.flat)?,
             neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
-            neutral: self.neutral.read(folder, band.as_ref(), light)?,
+            neutral: self.neutral.read(folder, band.as_ref(), light, scene)?,
+            in_gel: files("target.in_gel", &self.target.in_gel)?,
             bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
             samples: self.samples.iter().enumerate().map(sample).collect::<Result<_, _>>()?,
             band,
@@ -246,7 +258,7 @@ fn files_of_band(
 }
 
 fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sample, Invalid> {
-    let SampleTable { material, thickness_mm, thickness_std_error_mm, shots } = table;
+    let SampleTable { material, thickness_mm, thickness_std_error_mm, slab_mm, shots } = table;
     let within = |field: &str, value: f64, from: f64, to: f64| {
         let allowed = format!("allowed are {from} to {to}");
         if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
@@ -261,6 +273,9 @@ fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sam
     }
     for reading in thickness_mm.readings() {
         within("thickness_mm", *reading, 0.01, 100.0)?;
+    }
+    for side in slab_mm.iter().flatten() {
+        within("slab_mm", *side, 1.0, 1000.0)?;
     }
     let of_instrument = thickness_std_error_mm.unwrap_or(THICKNESS_STD_ERROR_MM);
     Ok(Sample {
@@ -291,6 +306,7 @@ fn check_once(parts: &[SessionPart]) -> Result<(), Invalid> {
             ("camera.flat".to_owned(), &part.flat),
             ("neutral.shots".to_owned(), &part.neutral_shots),
             ("target.bare".to_owned(), &part.bare),
+            ("target.in_gel".to_owned(), &part.in_gel),
         ];
         let samples = part.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
         let mut own: HashSet<PathBuf> = HashSet::new();

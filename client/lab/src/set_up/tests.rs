@@ -63,6 +63,7 @@ fn defaulted_quantities_are_listed_as_assumed() {
         gain_std_error: gain,
         offset_std_error: offset,
         slope_std_error: slope,
+        wedge_std_error: blur.clone(),
         blur_std_error_mm: blur,
         ..Session::default()
     };
@@ -72,13 +73,15 @@ fn defaulted_quantities_are_listed_as_assumed() {
             nothing,
             Some(
                 "assumed: thickness ± 0.005 mm, origin ± 0.05 mm, blur unknown up to 0.03 mm, gain ± 0.3 %, zero ± 0.001, \
-                 slope ± 0.2 % per 10 mm",
+                 slope ± 0.2 % per 10 mm, wedge ± 4 % per 10 mm",
             ),
         ),
         (
             Session::default(),
             some,
-            Some("assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm"),
+            Some(
+                "assumed: blur ± 0.03 mm, gain ± 0.3 %, zero ± 0.001, slope ± 0.2 % per 10 mm, wedge ± 4 % per 10 mm",
+            ),
         ),
         (exact_light.clone(), some, None),
         (exact_light, nothing, Some("assumed: thickness ± 0.005 mm, origin ± 0.05 mm")),

@@ -130,6 +130,7 @@ fn name_of(nuisance: Nuisance) -> (&'static str, &'static str) {
         Nuisance::Gain => ("gain of a profile", ""),
         Nuisance::Zero => ("zero of a profile", ""),
         Nuisance::Slope => ("slope of the light over 10 mm", ""),
+        Nuisance::Wedge => ("slope of a slab's thickness over 10 mm", ""),
     }
 }
 

@@ -10,9 +10,10 @@ use crate::cli::Global;
 use crate::commands::dictionaries::list;
 use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
 
-/// Defaults among several dictionaries, in order of preference, as the help of `--dictionary` states. `measure` computes
-/// the first if there is none, since real surfaces lose no light.
-const USUAL: [&str; 2] = ["lab", "paper"];
+/// The dictionary of a laboratory's own measurements, which `measure` computes if there is none.
+const USUAL: &str = "lab";
+/// The dictionary that is used only where it is named: its rough surfaces lose light, which real ones do not.
+const NAMED_ONLY: &str = "paper";
 
 /// Checks a given name before any connection.
 pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
@@ -21,7 +22,7 @@ pub(crate) fn check(given: Option<&String>) -> optics_model::Result<()> {
     })
 }
 
-/// Queries a dictionary of an existing farm: the named one; without a name the default, or the only one. Returns its
+/// Queries a dictionary of an existing farm: the named one; without a name the default. Returns its
 /// name with the answer.
 pub(crate) async fn ask<T>(
     global: &Global,
@@ -73,10 +74,10 @@ pub(crate) enum Chosen {
 /// The built-in dictionary with the given name, or the default, for a command that computes on this machine, if its
 /// folder holds no farm yet.
 pub(crate) fn of_an_empty_folder(global: &Global, given: Option<&String>) -> Option<WantedDictionary> {
-    if lacks_farm(global) { built_in(given.map_or(USUAL[0], String::as_str)) } else { None }
+    if lacks_farm(global) { built_in(given.map_or(USUAL, String::as_str)) } else { None }
 }
 
-/// The named dictionary; without a name the default, or the only one. On this machine it may be incomplete, and a
+/// The named dictionary; without a name the default. On this machine it may be incomplete, and a
 /// built-in one may be missing.
 pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) -> Result<Chosen> {
     if connection.is_server() {
@@ -86,7 +87,7 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
     let usable = names(&dictionaries);
     let name = match given {
         Some(name) => name.clone(),
-        None if usable.is_empty() => USUAL[0].to_owned(),
+        None if usable.iter().all(|name| name == NAMED_ONLY) => USUAL.to_owned(),
         None => pick(&usable)?,
     };
     if !dictionaries.iter().any(|d| d.name.as_str() == name) {
@@ -107,19 +108,23 @@ fn built_in(name: &str) -> Option<WantedDictionary> {
     Some(WantedDictionary::new(DictionaryName::new(name).ok()?, named_grid(name)?))
 }
 
+/// The default among the dictionaries of a farm: `lab`, else the only one besides the paper's.
 fn pick(names: &[String]) -> Result<String> {
-    match names {
-        [] => bail!(
+    if names.iter().any(|name| name == USUAL) {
+        return Ok(USUAL.to_owned());
+    }
+    let others: Vec<&String> = names.iter().filter(|name| *name != NAMED_ONLY).collect();
+    match others[..] {
+        [only] => Ok(only.clone()),
+        [] if names.is_empty() => bail!(
             "there is no dictionary yet: `farmctl submit lab` computes one for a laboratory's own measurements, `farmctl \
              submit` the paper's"
         ),
-        [only] => Ok(only.clone()),
-        several => match USUAL.into_iter().find(|usual| several.iter().any(|n| n == usual)) {
-            Some(usual) => Ok(usual.to_owned()),
-            None => {
-                bail!("there are several dictionaries: name one with --dictionary, of {}", several.join(", "))
-            }
-        },
+        [] => bail!(
+            "there is only the paper's dictionary, whose rough surfaces lose light: `farmctl submit lab` computes one for \
+             a laboratory's own measurements, `--dictionary {NAMED_ONLY}` asks the paper's"
+        ),
+        _ => bail!("there are several dictionaries: name one with --dictionary, of {}", names.join(", ")),
     }
 }
 
@@ -141,7 +146,7 @@ mod tests {
     /// All verbs with `--dictionary` have the default but `events`, where it is a filter.
     #[test]
     fn help_states_the_usual_dictionaries() {
-        let stated = format!("[default: the only one, else {}]", USUAL.join(", else "));
+        let stated = format!("[default: {USUAL}, else the only one but {NAMED_ONLY}]");
         let (with, without): (Vec<_>, Vec<_>) =
             helps(&Cli::command()).into_iter().partition(|(_, help)| help.contains(&stated));
         let names = |verbs: Vec<(String, String)>| {
@@ -153,11 +158,17 @@ mod tests {
         assert_eq!(names(without), ["events"]);
     }
 
+    /// The paper's dictionary is never a default.
     #[test]
-    fn only_dictionary_needs_no_name() {
+    fn default_is_lab_or_the_only_other() {
         let names = |names: &[&str]| names.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         assert_eq!(pick(&names(&["fine"])).unwrap(), "fine");
-        assert_eq!(pick(&names(&["fine", "paper"])).unwrap(), "paper");
+        assert_eq!(pick(&names(&["fine", "paper"])).unwrap(), "fine");
+        let message = pick(&names(&["paper"])).unwrap_err().to_string();
+        assert!(
+            message.contains("`farmctl submit lab`") && message.contains("--dictionary paper"),
+            "{message}"
+        );
         let message = pick(&names(&["a", "b"])).unwrap_err().to_string();
         assert!(message.ends_with("name one with --dictionary, of a, b"), "{message}");
         assert_eq!(pick(&names(&["fine", "paper", "lab"])).unwrap(), "lab");

@@ -30,7 +30,7 @@ Examples:
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --slabs 0.5,1 --slabs 0.5,0.5,1,1 --plot sets.svg
   farmctl design --sigma-t 6 --albedo 0.9991 --g 0.4 --shots 1,4,16 --thickness-std-error-mm 0.002")]
 pub(crate) struct DesignArgs {
-    /// Dictionary to predict the profiles from [default: the only one, else lab, else paper].
+    /// Dictionary to predict the profiles from [default: lab, else the only one but paper].
     #[arg(long, value_name = "NAME")]
     dictionary: Option<String>,
     /// Extinction coefficient, per mm.

@@ -1,5 +1,5 @@
-//! Notes that an absorption changes much within the band of a filter, where one medium cannot describe the profiles, and
-//! that a filter probably passes light of other wavelengths.
+//! Notes that an absorption changes much within the band of a filter or of a camera's colour, where one medium cannot
+//! describe the profiles, that a filter probably passes light of other wavelengths, and what a session cannot show of either.
 //!
 //! The profile of a band is the mean over its wavelengths. A fit takes it for that of one medium, whose σ_a is off by
 //! about s² (½ (ln σ_a)″ − 0.3 (ln σ_a)′²), where s is the standard deviation of the filter: simulated for magenta at the
@@ -9,7 +9,7 @@
 use farm_figures::numbers::significant;
 use farm_lab::measurement_file::Note;
 use optics_model::fit::{ChannelFit, MaterialFit};
-use optics_model::measurement::wavelength_nm;
+use optics_model::measurement::{colour, wavelength_nm};
 
 /// Smallest bias that is noted.
 const LEAST: f64 = 0.01;
@@ -17,6 +17,77 @@ const LEAST: f64 = 0.01;
 const LEAST_OF_INTERVAL: f64 = 0.5;
 /// Most bands that a note names.
 const MOST_NAMED: usize = 4;
+
+/// Wavelength and standard deviation in nm of the colours of cameras, to some 10 nm those of 28 published sensitivities
+/// (Jiang, Liu, Gu and Süsstrunk, What is the space of spectral sensitivity functions for digital color cameras?, 2013).
+const COLOURS: [(&str, f64, f64); 3] = [("R", 600.0, 30.0), ("G", 535.0, 35.0), ("B", 465.0, 30.0)];
+/// σ_a over σ_s(1 − g) from which on a medium absorbs so much that the width of its band matters.
+const ABSORBING: f64 = 0.03;
+/// Longest wavelength in nm that excites fluorescence in resins.
+const BLUE_NM: f64 = 470.0;
+
+/// Notes on what the bands of the channels make uncertain; `widths` are wavelength and standard deviation of each filter in
+/// nm.
+pub(super) fn notes(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Vec<Note> {
+    [wide(fits, widths), leaks(fits), unknown_band(fits), fluorescence(fits)].into_iter().flatten().collect()
+}
+
+/// The wavelength of a channel, at least about.
+fn place_nm(channel: &str) -> Option<f64> {
+    let of_colour = || COLOURS.into_iter().find(|(name, ..)| colour(channel) == Some(*name));
+    wavelength_nm(channel).or_else(|| of_colour().map(|(_, nm, _)| nm))
+}
+
+fn is_absorbing(channel: &ChannelFit) -> bool {
+    let medium = channel.refined.as_ref().map(|r| r.best.medium);
+    medium.is_some_and(|m| m.absorption_per_mm() > ABSORBING * m.reduced_scattering_per_mm())
+}
+
+/// Materials and channels with a property, for a note; none if there are none.
+fn named(fits: &[MaterialFit], has: impl Fn(&MaterialFit, &ChannelFit) -> bool) -> Option<String> {
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |channel| (fit, channel)));
+    let all: Vec<String> = channels
+        .filter(|(fit, channel)| has(fit, channel))
+        .map(|(fit, channel)| format!("{} {}", fit.material, channel.channel))
+        .collect();
+    let more = all.len().saturating_sub(MOST_NAMED);
+    let text = all[..all.len() - more].join(", ");
+    let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    (!all.is_empty()).then_some(text + &and_more)
+}
+
+/// Notes media that absorb in a channel whose band is not known, with too few others to tell how absorption changes.
+fn unknown_band(fits: &[MaterialFit]) -> Option<Note> {
+    let is_alone = |fit: &MaterialFit, channel: &ChannelFit| {
+        let is_unknown = wavelength_nm(&channel.channel).is_none();
+        is_unknown && is_absorbing(channel) && fit.channels.len() < COLOURS.len()
+    };
+    named(fits, is_alone).map(|named| Note {
+        code: "UNKNOWN_BAND",
+        text: format!(
+            "the band of the channel is not known, and other channels do not show how absorption changes: {named}; σ_a is \
+             some 20 % too small where it changes by a factor of 3 within the band, or where a resin fluoresces; name a \
+             channel of narrow light by its wavelength, as in 550"
+        ),
+    })
+}
+
+/// Notes materials that absorb blue more than other colours: some of that light may come back as fluorescence.
+fn fluorescence(fits: &[MaterialFit]) -> Option<Note> {
+    let sigma_a = |c: &ChannelFit| c.refined.as_ref().map(|r| r.best.medium.absorption_per_mm());
+    let absorbs_blue = |fit: &MaterialFit, channel: &ChannelFit| {
+        let least = fit.channels.iter().filter_map(sigma_a).fold(f64::INFINITY, f64::min);
+        let is_blue = place_nm(&channel.channel).is_some_and(|nm| nm <= BLUE_NM);
+        is_blue && is_absorbing(channel) && sigma_a(channel).is_some_and(|own| own > DARK * least)
+    };
+    named(fits, absorbs_blue).map(|named| Note {
+        code: "FLUORESCENCE_UNKNOWN",
+        text: format!(
+            "absorbs blue: {named}; if the resin fluoresces, σ_a of its other channels is too small, by some 20 % where 5 % \
+             of that light comes back; compare a shot of it through a filter before the lamps that blocks blue"
+        ),
+    })
+}
 
 /// A band whose σ_a may be off.
 #[derive(Debug)]
@@ -33,7 +104,7 @@ const UNEXPLAINED: f64 = 1e-3;
 
 /// Notes materials that are unexplained in bands in which they absorb, and only there: with 1 % of light of another
 /// wavelength in all bands p was 1e-55 at the top of magenta's line, 1e-9 on its slopes, and above 0.1 elsewhere.
-pub(super) fn leaks(fits: &[MaterialFit]) -> Option<Note> {
+fn leaks(fits: &[MaterialFit]) -> Option<Note> {
     let named = fits.iter().flat_map(unexplained_where_dark).collect::<Vec<_>>().join(", ");
     (!named.is_empty()).then(|| Note {
         code: "LEAKING_FILTER",
@@ -61,7 +132,7 @@ fn unexplained_where_dark(fit: &MaterialFit) -> Vec<String> {
 }
 
 /// `widths` are wavelength and standard deviation of each filter in nm. None if the bands are narrow enough.
-pub(super) fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
+fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
     let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| of_material(fit, widths)).collect();
     wide.sort_by(|a, b| b.bias.total_cmp(&a.bias));
     let count = wide.len();
@@ -72,38 +143,42 @@ pub(super) fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> 
     (count > 0).then(|| Note {
         code: "WIDE_BANDS",
         text: format!(
-            "the absorption changes so much within the band that σ_a may be off: {named}{more}; take narrower filters there"
+            "the absorption changes so much within the band that σ_a may be off: {named}{more}; take narrower filters there, or a narrow light"
         ),
     })
 }
 
 fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
-    let known = |channel: &ChannelFit| {
-        let (nm, refined) = (wavelength_nm(&channel.channel)?, channel.refined.as_ref()?);
+    let known = fit.channels.iter().filter_map(|channel| {
+        let (nm, refined) = (place_nm(&channel.channel)?, channel.refined.as_ref()?);
         let sigma_a = refined.best.medium.absorption_per_mm();
         let interval = refined.absorption_per_mm;
-        (sigma_a > 0.0).then(|| (nm, libm::log(sigma_a), 0.5 * (interval.high - interval.low) / sigma_a))
-    };
-    let mut bands: Vec<(f64, f64, f64)> = fit.channels.iter().filter_map(known).collect();
+        let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
+        (sigma_a > 0.0).then(|| (nm, libm::log(sigma_a), half_width, channel))
+    });
+    let mut bands: Vec<(f64, f64, f64, &ChannelFit)> = known.collect();
     bands.sort_by(|a, b| a.0.total_cmp(&b.0));
     if bands.len() < 3 {
         return Vec::new();
     }
     let wide = |i: usize| {
         let first = i.saturating_sub(1).min(bands.len() - 3);
-        let (nm, _, half_width) = bands[i];
-        let (_, std_dev_nm) = widths.iter().find(|(of, _)| *of == nm)?;
+        let (nm, _, half_width, channel) = bands[i];
+        let of_filter = || widths.iter().find(|(of, _)| *of == nm).map(|(_, width)| *width);
+        let of_colour = COLOURS.into_iter().find(|(name, ..)| colour(&channel.channel) == Some(*name));
+        let std_dev_nm = of_colour.map(|(.., width)| width).or_else(of_filter)?;
         let (slope, curvature) = derivatives(&bands[first..first + 3], nm);
         let bias = std_dev_nm.powi(2) * (0.5 * curvature - 0.3 * slope * slope).abs();
         let is_large = bias > LEAST && bias > LEAST_OF_INTERVAL * half_width;
-        is_large.then(|| WideBand { name: format!("{} {nm} nm", fit.material), bias })
+        let unit = if of_colour.is_some() { "" } else { " nm" };
+        is_large.then(|| WideBand { name: format!("{} {}{unit}", fit.material, channel.channel), bias })
     };
     (0..bands.len()).filter_map(wide).collect()
 }
 
 /// First and second derivative at `nm` of the parabola through three points.
-fn derivatives(points: &[(f64, f64, f64)], nm: f64) -> (f64, f64) {
-    let [(x0, y0, _), (x1, y1, _), (x2, y2, _)] = *points else { return (0.0, 0.0) };
+fn derivatives(points: &[(f64, f64, f64, &ChannelFit)], nm: f64) -> (f64, f64) {
+    let [(x0, y0, ..), (x1, y1, ..), (x2, y2, ..)] = *points else { return (0.0, 0.0) };
     let (first, second) = ((y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1));
     let half = (second - first) / (x2 - x0);
     (first + half * (2.0 * nm - x0 - x1), 2.0 * half)
@@ -144,6 +219,35 @@ mod tests {
         };
         assert!(of(&["550"]).unwrap().contains("only there: magenta 550 nm; a filter"), "{:?}", of(&["550"]));
         assert_eq!([of(&[]), of(&["430", "550"]), of(&["430"])], [None, None, None]);
+    }
+
+    /// Inks with these absorptions per mm in channels with these names.
+    fn ink(channels: &[(&str, f64)]) -> Vec<MaterialFit> {
+        let channel = |(name, sigma_a): &(&str, f64)| {
+            let mut channel = testing::channel(name, 5.0 + sigma_a, 1.0);
+            let refined = channel.refined.as_mut().unwrap();
+            refined.best.medium = Medium::new(5.0 + sigma_a, 5.0 / (5.0 + sigma_a), 0.4).unwrap();
+            (refined.absorption_per_mm.low, refined.absorption_per_mm.high) =
+                (0.98 * sigma_a, 1.02 * sigma_a);
+            channel
+        };
+        vec![MaterialFit { material: "ink".into(), channels: channels.iter().map(channel).collect() }]
+    }
+
+    /// A white has no note; yellow is uncertain in blue, where it may fluoresce, and a single channel shows nothing.
+    #[test]
+    fn coloured_media_of_cameras_are_noted() {
+        let codes = |channels: &[(&str, f64)]| -> Vec<&str> {
+            notes(&ink(channels), &[]).iter().map(|note| note.code).collect()
+        };
+        assert_eq!(codes(&[("R", 0.002), ("G", 0.003), ("B", 0.008)]), [""; 0]);
+        assert_eq!(codes(&[("R", 0.05), ("G", 0.2), ("B", 1.5)]), ["WIDE_BANDS", "FLUORESCENCE_UNKNOWN"]);
+        assert_eq!(codes(&[("R", 1.5), ("G", 0.3), ("B", 0.1)]), ["WIDE_BANDS"]);
+        assert_eq!(codes(&[("mono", 1.5)]), ["UNKNOWN_BAND"]);
+        assert_eq!(codes(&[("450", 1.5), ("550", 0.1)]), ["FLUORESCENCE_UNKNOWN"]);
+        assert_eq!((codes(&[("mono", 0.01)]), codes(&[("450", 1.5)])), (vec![], vec![]));
+        let text = notes(&ink(&[("red", 1.5), ("green", 0.3), ("blue", 0.1)]), &[]).remove(0).text;
+        assert!(text.contains("ink red (by 25 %)"), "{text}");
     }
 
     /// Biases of simulated filters of 40 nm were 9 % at the top and 17 % on the slope, of 10 nm 0.5 and 1.4 %.

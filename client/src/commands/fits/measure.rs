@@ -21,7 +21,7 @@ use optics_model::fit::{
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, WantedDictionary};
-use super::filters;
+use super::{filters, tilt};
 use crate::answers::{FitsReport, MeasureAnswer, UsedOptions, budget_text, verdict, verdict_text};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
@@ -262,12 +262,11 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
             .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), &record))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
-    if let Some(folder) = &inputs.folder {
-        let wide = filters::wide(&found.materials, &folder.band_widths_nm()?);
-        let of_filters: Vec<_> = wide.into_iter().chain(filters::leaks(&found.materials)).collect();
-        output.notes(&of_filters, &inputs.measurements);
-        notes.extend(of_filters);
-    }
+    let widths = inputs.folder.as_ref().map(SessionFolder::band_widths_nm).transpose()?.unwrap_or_default();
+    let mut of_set_up = filters::notes(&found.materials, &widths);
+    of_set_up.extend(tilt::tilt(&found.materials));
+    output.notes(&of_set_up, &inputs.measurements);
+    notes.extend(of_set_up);
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
     let answer = |scene: bool| {
         let assumed = assumed.text(options.settings());

@@ -22,7 +22,7 @@ Examples:
   farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.5
   farmctl profile --sigma-t 6.2 --albedo 0.993 --g 0.35 --thickness 0.7 --channel R,G,B --plot profile.svg")]
 pub(crate) struct ProfileArgs {
-    /// Dictionary to ask [default: the only one, else lab, else paper].
+    /// Dictionary to ask [default: lab, else the only one but paper].
     #[arg(long, value_name = "NAME")]
     dictionary: Option<String>,
     /// Extinction coefficient, per mm.

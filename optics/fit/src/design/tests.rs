@@ -170,7 +170,7 @@ fn as_planned(medium: &Medium) -> Measurement {
 fn fit_has_the_bound_of_its_design() {
     let [narrow, wide] = [0, 1].map(|uncertain| {
         let dictionary = &uncertain_dictionary(uncertain);
-        let set_up = FitSettings { mu_std_error: 0.01, ..wide_set_up() };
+        let set_up = FitSettings { mu_std_error: 0.01, wedge_std_error: 0.0, ..wide_set_up() };
         let options = FitOptions::new(set_up).unwrap();
         let found = fit(dictionary, &as_planned(&guess()), &options).unwrap().channels.remove(0);
         let refined = found.refined.unwrap();
@@ -220,7 +220,7 @@ fn improvements_match_a_better_set_up() {
     let mut all = listed(&set);
     assert_eq!(
         all.iter().map(|l| format!("{l:?}")).collect::<Vec<_>>().join(" "),
-        "Noise Thickness Origin Blur Gain Zero Slope Scale"
+        "Noise Thickness Origin Blur Gain Zero Slope Wedge Scale"
     );
     all.retain(|limitation| *limitation != Limitation::Slope);
     assert_eq!(listed(&plan(FitSettings { slope_std_error: 0.0, ..as_is }, 1)), all);
@@ -235,6 +235,7 @@ fn improvements_match_a_better_set_up() {
                 Limitation::Gain => set_up.gain_std_error *= factor,
                 Limitation::Zero => set_up.offset_std_error *= factor,
                 Limitation::Slope => set_up.slope_std_error *= factor,
+                Limitation::Wedge => set_up.wedge_std_error *= factor,
                 Limitation::Scale => set_up.mu_std_error *= factor,
                 Limitation::Scene => unreachable!("the scene is exact"),
             }

@@ -3,7 +3,8 @@
 //!
 //! A quantity that is off by u standard deviations of its prior changes a profile by h(u) L. The profile L depends on the
 //! medium; the curve h does not: it is estimated from all records at once, so that its noise is negligible. The effect of a
-//! spread within the base changes its width with the spread: it is Σ h_k(u) L_k, interpolated between those traced.
+//! spread within the base changes its width with the spread: it is that of [`BaseSpread`] and Σ h_k(u) L_k, interpolated
+//! between those traced.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use optics_model::grid::Responses;
 use optics_model::scene::Prior;
 use rayon::prelude::*;
 
+use crate::dictionary::base_spread::BaseSpread;
 use crate::dictionary::records::Records;
 use linear::LinearResponse;
 use signal::{LinearRows, NodeOrder};
@@ -62,6 +64,11 @@ impl ResponseCurve {
             Self::Bent(curve) => curve.at(u),
             Self::Node { nodes, node } => at_node(nodes, *node, u),
         }
+    }
+
+    /// Whether it is that of a spread within the base.
+    pub(crate) fn is_of_spread(&self) -> bool {
+        matches!(self, Self::Node { .. })
     }
 
     /// Standard deviations of the prior by which fits leave the quantity uncertain. Six materials determine a spread of u
@@ -121,8 +128,9 @@ impl VariedRecords {
     }
 
     /// Computes the responses, once all records are set.
-    pub(crate) fn responses(self, records: &Records) -> ResponseRecords {
+    pub(crate) fn responses(self, records: &Records, channel: usize) -> ResponseRecords {
         let grid = self.grid.clone();
+        let spread = BaseSpread::of(&grid, channel);
         let mut parts = Vec::new();
         if let Some(responses) = grid.responses() {
             let priors = grid.scene().priors().par_iter().enumerate();
@@ -134,13 +142,13 @@ impl VariedRecords {
                 }
                 if steps.len() <= 2 {
                     let curve = ResponseCurve::Bent(self.curve(prior, &steps, records));
-                    let linear = self.linear(&steps, &curve, records);
+                    let linear = self.linear(&steps, &curve, records, None);
                     return vec![(curve, linear)];
                 }
                 let nodes: Arc<[f64]> = steps.iter().map(|(_, u)| *u).collect();
                 let at_node = |(node, step): (usize, &(usize, f64))| {
                     let curve = ResponseCurve::Node { nodes: nodes.clone(), node };
-                    let linear = self.linear(&[*step], &curve, records);
+                    let linear = self.linear(&[*step], &curve, records, spread.as_ref());
                     (curve, linear)
                 };
                 steps.iter().enumerate().map(at_node).collect()
@@ -150,15 +158,29 @@ impl VariedRecords {
         ResponseRecords { grid, parts }
     }
 
-    /// L of a quantity at all nodes, by least squares of its differences, without most of their noise.
-    fn linear(&self, steps: &[(usize, f64)], curve: &ResponseCurve, records: &Records) -> LinearResponse {
+    /// L of a quantity at all nodes, by least squares of its differences, without most of their noise; of a spread of what
+    /// they are beyond its first-order effect.
+    fn linear(
+        &self,
+        steps: &[(usize, f64)],
+        curve: &ResponseCurve,
+        records: &Records,
+        spread: Option<&BaseSpread>,
+    ) -> LinearResponse {
         let heights: Vec<f64> = steps.iter().map(|(_, u)| curve.at(*u).0).collect();
         let square: f64 = heights.iter().map(|h| h * h).sum();
         let weights: Vec<f64> = heights.iter().map(|h| h / square).collect();
         let room = || Vec::with_capacity(self.values.len() / self.variants());
         let (mut linear, mut of_scene) = (room(), room());
         let mut add = |differences: &[Vec<f64>], row: &[f32]| {
-            let of_pixel = |p: usize| weights.iter().zip(differences).map(|(w, d)| w * d[p]).sum::<f64>();
+            let first_order = spread.map(|spread| {
+                let plain: Vec<f64> = row.iter().map(|v| f64::from(*v)).collect();
+                spread.effect_at(&plain, steps[0].1)
+            });
+            let of_pixel = |p: usize| {
+                let sum = weights.iter().zip(differences).map(|(w, d)| w * d[p]).sum::<f64>();
+                sum - first_order.as_ref().map_or(0.0, |effect| effect[p])
+            };
             linear.extend((0..row.len()).map(|p| of_pixel(p) as f32));
             of_scene.extend_from_slice(row);
         };

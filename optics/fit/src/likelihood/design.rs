@@ -6,7 +6,7 @@ use optics_model::fit::{FitSettings, HalfWidths, PixelRow};
 use optics_model::scene::{Prior, Scope};
 
 use crate::likelihood::interval::bound::{bound, ideal_covariance};
-use crate::likelihood::point::{Line, SHARED};
+use crate::likelihood::point::{Line, SHARED, SLAB_FLAWS};
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::{ANYWHERE, OF_MEAN, Unknowns, thickness_prior};
 use crate::likelihood::system::{State, System};
@@ -125,7 +125,8 @@ impl DesignPlan<'_> {
                 _ => *slot,
             };
             let scene = shared.iter().zip(priors).zip(&known.scene).map(own).collect();
-            let slots = [vec![s, a, g, scale, flaws, flaws, flaws, blur, thickness], scene].concat();
+            let slots =
+                [vec![s, a, g, scale], vec![flaws; SLAB_FLAWS.len()], vec![blur, thickness], scene].concat();
             (self.term(*slab, set_up), self.surrogate, slots)
         };
         let profiles = slabs_mm.iter().map(profile).collect();

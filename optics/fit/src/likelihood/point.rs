@@ -9,15 +9,15 @@ pub(crate) const ROOT_CO_ALBEDO: usize = 1;
 pub(crate) const LN_ONE_MINUS_G: usize = 2;
 /// Logarithm of a factor on μ.
 pub(crate) const LN_SCALE: usize = 3;
-/// The parts of a profile's gain, zero and slope that all channels of its slab have, in units of their prior's standard
+/// The parts of a profile's gain, zero, slope and wedge that all channels of its slab have, in units of their prior's standard
 /// deviation.
-pub(crate) const SLAB_FLAWS: [usize; 3] = [4, 5, 6];
+pub(crate) const SLAB_FLAWS: [usize; 4] = [4, 5, 6, 7];
 /// The camera's blur (`blur`).
-pub(crate) const BLUR: usize = 7;
-pub(crate) const LN_THICKNESS: usize = 8;
+pub(crate) const BLUR: usize = 8;
+pub(crate) const LN_THICKNESS: usize = 9;
 /// The uncertain quantities of the scene follow, in its order, each by its difference from the scene's value in units of
 /// its prior's standard deviation.
-pub(crate) const SHARED: usize = 9;
+pub(crate) const SHARED: usize = 10;
 
 /// Values of the shared unknowns of one profile.
 #[derive(Debug, Clone)]
@@ -36,8 +36,8 @@ impl Point {
         libm::exp(-self.0[LN_SCALE])
     }
 
-    /// Gain, zero and slope of the slab.
-    pub(crate) fn slab_flaws(&self) -> [f64; 3] {
+    /// Gain, zero, slope and wedge of the slab.
+    pub(crate) fn slab_flaws(&self) -> [f64; 4] {
         SLAB_FLAWS.map(|i| self.0[i])
     }
 

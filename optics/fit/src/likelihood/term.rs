@@ -43,10 +43,12 @@ pub(crate) enum Own {
     Gain,
     Zero,
     Slope,
+    /// Slope of the thickness.
+    Wedge,
 }
 
 /// The kinds of which all channels of a slab share a part, in the order of [`SLAB_FLAWS`].
-pub(crate) const OF_SLABS: [Own; 3] = [Own::Gain, Own::Zero, Own::Slope];
+pub(crate) const OF_SLABS: [Own; 4] = [Own::Gain, Own::Zero, Own::Slope, Own::Wedge];
 
 impl Own {
     /// Index of the slab's part among the shared unknowns.
@@ -132,6 +134,7 @@ fn own_priors(set_up: &FitSettings) -> Vec<OwnPrior> {
         (Own::Gain, set_up.gain_std_error),
         (Own::Zero, set_up.offset_std_error * set_up.mu),
         (Own::Slope, set_up.slope_std_error),
+        (Own::Wedge, set_up.wedge_std_error),
     ];
     let priors = priors.map(|(own, std_error)| OwnPrior { own, std_error, slab_std_error: 0.0 });
     priors.into_iter().filter(|p| p.std_error > 0.0).collect()
@@ -173,11 +176,12 @@ impl Term {
 
     /// Divides the variances of gain, zero and slope between the profile and its slab: lamps, mounting and stray light
     /// change photographs of different colours together, but not wholly. `part` is the standard deviation of either over
-    /// that of both.
+    /// that of both. A wedge is the slab's.
     pub(crate) fn share_flaws(&mut self, part: f64) {
         for prior in self.priors.iter_mut().filter(|prior| prior.own.of_slab().is_some()) {
-            prior.std_error *= part;
-            prior.slab_std_error = prior.std_error;
+            let (own, slab) = if prior.own == Own::Wedge { (0.0, 1.0) } else { (part, part) };
+            prior.slab_std_error = prior.std_error * slab;
+            prior.std_error *= own;
         }
     }
 
@@ -213,8 +217,8 @@ impl Term {
         self.origin_mm + self.prior(Own::Origin).map_or(0.0, |(i, prior)| own[i] * prior.std_error)
     }
 
-    /// Gain, zero and slope: the profile's own and the slab's.
-    fn flaws(&self, shared: &Point, own: &[f64]) -> [f64; 3] {
+    /// Gain, zero, slope and wedge: the profile's own and the slab's.
+    fn flaws(&self, shared: &Point, own: &[f64]) -> [f64; 4] {
         let slab = shared.slab_flaws();
         std::array::from_fn(|k| {
             let value =
@@ -239,7 +243,10 @@ impl Term {
             Some(near) => surrogate.predict_near(near, thickness_mm, medium),
             None => surrogate.predict_at(thickness_mm, medium),
         };
-        let change = self.responses.as_ref().map(|r| r.change(thickness_mm, medium, shared.scene()));
+        let change = self
+            .responses
+            .as_ref()
+            .map(|r| r.change(&predicted.values, &predicted.slopes, thickness_mm, medium, shared.scene()));
         if let Some(change) = &change {
             add_scaled(&mut predicted.values, 1.0, &change.values);
             let slopes = predicted.slopes.iter_mut().zip(&change.slopes);
@@ -258,11 +265,17 @@ impl Term {
         let mut seen = self.camera.expose(&predicted.values, &slopes, self.origin_mm(own), blur_mm2);
         let by_white = self.white.as_ref().and_then(|_| seen.slopes.pop());
         let scale = shared.scale();
-        let [gain, zero, slope] = self.flaws(shared, own);
+        let [gain, zero, slope, wedge] = self.flaws(shared, own);
         let factor = |x: f64| scale + gain + slope * x / 10.0;
         let n = self.values.len();
         let factors: Line = self.x_mm.iter().map(|x| factor(*x)).collect();
-        let mut model: Line = (0..n).map(|i| seen.values[i] * factors[i] + zero).collect();
+        let [by_sigma_t, by_albedo, by_g, by_thickness, by_scene @ ..] = &seen.slopes[..] else {
+            unreachable!("four slopes at least")
+        };
+        // Light that spreads sideways hardly leaves its thickness: a wedge has the local one at each place.
+        let by_wedge: Line = by_thickness.iter().zip(&self.x_mm).map(|(by, x)| by * x / 10.0).collect();
+        let values_of = |i: usize| seen.values[i] + wedge * by_wedge[i];
+        let mut model: Line = (0..n).map(|i| values_of(i) * factors[i] + zero).collect();
         let mode_values = &own[self.priors.len()..];
         for (mode, c) in self.modes.iter().zip(mode_values) {
             model.iter_mut().zip(mode).for_each(|(m, v)| *m += c * v);
@@ -271,9 +284,6 @@ impl Term {
         let over_factors: Line = factors.iter().zip(&inverse).map(|(f, i)| f * i).collect();
         let times = |by: &[f64], with: &[f64]| -> Line { by.iter().zip(with).map(|(a, b)| a * b).collect() };
         let mut columns = Vec::with_capacity(self.shared_count() + self.own_count());
-        let [by_sigma_t, by_albedo, by_g, by_thickness, by_scene @ ..] = &seen.slopes[..] else {
-            unreachable!("four slopes at least")
-        };
         for by in [by_sigma_t, by_albedo, by_g] {
             columns.push(times(by, &over_factors));
         }
@@ -289,6 +299,7 @@ impl Term {
                 Own::Gain => values.iter().map(|v| sd * v).collect(),
                 Own::Zero => inverse.iter().map(|v| sd * v).collect(),
                 Own::Slope => values.iter().zip(&self.x_mm).map(|(v, x)| sd * v * x / 10.0).collect(),
+                Own::Wedge => times(&by_wedge, &over_factors).iter().map(|v| sd * v).collect(),
             }
         };
         columns

@@ -11,6 +11,7 @@ use std::f64::consts::PI;
 use noise::Stencil;
 
 use super::{ALBEDO, Coordinates, G, SIGMA_T, Surrogate, add_scaled};
+use crate::dictionary::base_spread::BaseSpread;
 use crate::dictionary::responses::{ResponseCurve, ResponseRecords};
 
 pub(crate) mod noise;
@@ -31,6 +32,8 @@ pub(crate) struct LocalResponses {
     at: Coordinates,
     /// By prior of the scene.
     each: Vec<LocalResponse>,
+    /// The first-order effect of a spread within the base; its response is what differs from it.
+    spread: Option<BaseSpread>,
 }
 
 /// The change of a profile by the quantities.
@@ -53,15 +56,25 @@ impl LocalResponses {
         self.each.first().map_or(0, |r| r.parts[0].1[0].len())
     }
 
-    /// The change of a profile of a medium and a thickness near by, with the quantities at these differences from the
-    /// scene. Its derivative by the logarithm of the thickness is that by ln σ_t.
-    pub(crate) fn change(&self, thickness_mm: f64, mut x: Coordinates, quantities: &[f64]) -> ProfileChange {
+    /// The change of a profile of a medium and a thickness near by, with the quantities at these differences from the scene;
+    /// `slopes` are the profile's derivatives by the medium's coordinates. Its derivative by the logarithm of the thickness
+    /// is that by ln σ_t.
+    pub(crate) fn change(
+        &self,
+        profile: &[f64],
+        slopes: &[Vec<f64>],
+        thickness_mm: f64,
+        mut x: Coordinates,
+        quantities: &[f64],
+    ) -> ProfileChange {
         let pixels = self.pixels();
         x[SIGMA_T] += libm::log(thickness_mm);
         let off: [f64; 3] = std::array::from_fn(|i| x[i] - self.at[i]);
         let zero = || vec![0.0; pixels];
         let mut change =
             ProfileChange { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
+        // What a spread within the base acts on.
+        let mut seen = profile.to_vec();
         for (response, u) in self.each.iter().zip(quantities) {
             let mut by_quantity = zero();
             for (curve, [linear, by_s, by_a, by_g]) in &response.parts {
@@ -71,6 +84,9 @@ impl LocalResponses {
                     add_scaled(&mut there, *off, by);
                 }
                 add_scaled(&mut change.values, height, &there);
+                if !curve.is_of_spread() {
+                    add_scaled(&mut seen, height, &there);
+                }
                 for (slopes, by) in change.slopes.iter_mut().zip([by_s, by_a, by_g]) {
                     add_scaled(slopes, height, by);
                 }
@@ -78,7 +94,26 @@ impl LocalResponses {
             }
             change.by_quantity.push(by_quantity);
         }
+        self.add_spread(&seen, slopes, quantities, &mut change);
         change
+    }
+
+    /// Adds the first-order effect of a spread on a profile to the change by all quantities.
+    fn add_spread(&self, seen: &[f64], slopes: &[Vec<f64>], quantities: &[f64], change: &mut ProfileChange) {
+        let Some(spread) = &self.spread else { return };
+        for ((i, by), response) in change.by_quantity.iter_mut().enumerate().zip(&self.each) {
+            if !response.parts[0].0.is_of_spread() {
+                let effect = spread.effect(by, quantities);
+                add_scaled(by, 1.0, &effect);
+            }
+            spread.slope(seen, quantities, i).iter().for_each(|slope| add_scaled(by, 1.0, slope));
+        }
+        for (slope, of_profile) in change.slopes.iter_mut().zip(slopes) {
+            let mut of_seen = of_profile.clone();
+            add_scaled(&mut of_seen, 1.0, slope);
+            add_scaled(slope, 1.0, &spread.effect(&of_seen, quantities));
+        }
+        add_scaled(&mut change.values, 1.0, &spread.effect(seen, quantities));
     }
 }
 
@@ -133,7 +168,8 @@ impl Surrogate<'_> {
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
         optical[SIGMA_T] += libm::log(thickness_mm);
-        Some(LocalResponses { at: optical, each })
+        let spread = BaseSpread::of(grid, self.channel);
+        Some(LocalResponses { at: optical, each, spread })
     }
 
     /// The channel's difference of a quantity from the scene's value, in standard deviations.

@@ -183,6 +183,8 @@ pub enum Nuisance {
     Zero,
     /// The light rises across the profile by this share per 10 mm.
     Slope,
+    /// The thickness of the slab rises across the profile by this share per 10 mm.
+    Wedge,
 }
 
 /// Prior and estimate of a nuisance.
@@ -277,6 +279,8 @@ pub enum Cause {
     /// A slab has another thickness than stated, in mm: the mean, if there are several.
     #[serde(rename = "thickness_mm")]
     Thickness,
+    /// The thickness of a slab rises by this share from x = −5 mm to 5 mm.
+    Wedge,
 }
 
 /// Whether a profile lies beyond all records of the dictionary.

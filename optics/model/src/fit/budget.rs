@@ -22,6 +22,8 @@ pub enum ErrorSource {
     Zero,
     /// Rise of the light across each profile.
     Slope,
+    /// Slope of the thickness across each slab.
+    Wedge,
     /// Factor common to all profiles, μ.
     Scale,
     /// Errors of other channels and materials, through the parameters that they share with this one.

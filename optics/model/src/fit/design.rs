@@ -218,6 +218,8 @@ pub enum Limitation {
     Zero,
     /// Rise of the light across each profile, as a share per 10 mm.
     Slope,
+    /// Slope of the thickness across each slab, as a share per 10 mm.
+    Wedge,
     /// Factor common to all profiles, μ.
     Scale,
     /// An uncertain quantity of the scene.

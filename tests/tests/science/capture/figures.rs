@@ -70,7 +70,7 @@ fn check_geometry(session: &Session, board: &optics_capture::Board) {
 
 /// A board in which light spreads, as paper does, is no blurred camera; one that is clean has no spread.
 #[test]
-fn spread_of_a_board_is_separated_from_blur() {
+fn board_spread_is_separated_from_blur() {
     for spread_mm in [0.0, 0.03, 0.1, 0.3] {
         let spreading = Slab { board: Board { spread_mm, ..plain_board() }, ..slab() };
         let session = Session::new(Camera::default(), spreading);

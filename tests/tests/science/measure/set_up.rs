@@ -11,7 +11,7 @@ mod session;
 
 use farm_tests::coverage::{Answer, Coverage, QUANTITIES, of_scene, scene_table, table};
 use farm_tests::statistics::effort;
-use optics_model::fit::PhaseModel;
+use optics_model::fit::{Cause, PhaseModel};
 
 use scenes::ChangedSetUp;
 use session::{Nodes, SetUpSession, dictionary};
@@ -38,10 +38,13 @@ fn check(nodes: Nodes, names: &[&str]) {
             format!("{:.1} %", 100.0 * estimates(0).median_half_width()),
             format!("{:.1} %", 100.0 * estimates(0).error(1.0)),
         ]);
-        cells.extend([format!("{:.0} %", 100.0 * estimates(1).error(1.0)), format!("≥ {least:.3}")]);
+        let fits = found.materials.iter().filter_map(|m| m.channels[0].refined.as_ref());
+        let causes: Vec<Cause> = fits.filter_map(|r| r.suspicion).map(|s| s.cause).collect();
+        let doubt = causes.first().map_or(String::new(), |cause| format!("{} × {cause:?}", causes.len()));
+        cells.extend([format!("{:.0} %", 100.0 * estimates(1).error(1.0)), format!("≥ {least:.3}"), doubt]);
         cells
     };
-    let head = "set-up | μ | g | σ_t | α | σ_s(1−g) | σ_a | of 24 | σ_t ± | σ_t off | 1 − α off | p";
+    let head = "set-up | μ | g | σ_t | α | σ_s(1−g) | σ_a | of 24 | σ_t ± | σ_t off | 1 − α off | p | doubt";
     println!("{}", table(head, names.iter().map(|name| row(name))));
     assert!(held.iter().all(|held| *held >= LEAST), "of 24 intervals hold {held:?}: {names:?}");
 }

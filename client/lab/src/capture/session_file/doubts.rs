@@ -13,6 +13,8 @@ const NEUTRAL_STD_ERROR: f64 = 0.1;
 const SQUARE_MM: std::ops::RangeInclusive<f64> = 5.0..=100.0;
 /// Plausible thicknesses of slabs.
 const THICKNESS_MM: std::ops::RangeInclusive<f64> = 0.05..=20.0;
+/// Least side of a slab whose sides are so far from the edge that they take no light.
+const SLAB_MM: f64 = 40.0;
 /// Largest plausible relative error of a measured thickness.
 const THICKNESS_STD_ERROR: f64 = 0.1;
 /// Thicknesses closer than this are probably those of one slab.
@@ -68,6 +70,12 @@ fn slab(sample: &SampleTable) -> Vec<String> {
         doubts.push(format!(
             "thickness_mm: the readings differ by {:.1} %: turn the slab by 180° between mountings, so that a wedge averages out",
             100.0 * sample.thickness_mm.range()
+        ));
+    }
+    if let Some([width, height]) = sample.slab_mm.filter(|sides| sides.iter().any(|side| *side < SLAB_MM)) {
+        doubts.push(format!(
+            "slab_mm = [{width}, {height}]: light leaves a slab of less than {SLAB_MM} mm at its sides, and σ_a of clear media \
+             is too large, by 20 % at 20 mm with black sides; cast larger slabs"
         ));
     }
     if !THICKNESS_MM.contains(&thickness) {

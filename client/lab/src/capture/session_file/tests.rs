@@ -187,3 +187,44 @@ fn wrong_bands_are_refused() {
         assert!(refused.contains(message), "{refused}");
     }
 }
+
+/// A narrow slab is doubted, one of 40 mm is not.
+#[test]
+fn narrow_slabs_are_doubted() {
+    let doubts = |slab_mm: &str| {
+        let given = format!("slab_mm = {slab_mm}\nthickness_mm = 0.512");
+        read(("thickness_mm = 0.512", &given)).map(|session| session.doubts)
+    };
+    let narrow = doubts("[20, 60]").unwrap();
+    assert!(narrow.iter().any(|d| d.starts_with("sample[0].slab_mm = [20, 60]: light leaves")), "{narrow:?}");
+    assert_eq!(doubts("[40, 60]").unwrap(), [""; 0]);
+    let message = doubts("[0, 60]").unwrap_err().to_string();
+    assert!(message.contains("sample[0].slab_mm = 0 is not valid: allowed are 1 to 1000"), "{message}");
+}
+
+/// A certificate becomes what the ring of 40 to 50° shows; without a geometry a white is less certain, with a warning.
+#[test]
+fn certificates_are_converted_to_the_ring() {
+    let given = |geometry: &str| read(("rho = [0.9,", &format!("{geometry}rho = [0.989,")));
+    let found = |geometry: &str| {
+        let session = given(geometry).unwrap();
+        let doubts = session.doubts.iter().filter(|d| d.contains("geometry")).count();
+        let neutral = format!("{:.6?}", session.parts[0].neutral);
+        let error = neutral.split("std_error: ").nth(1).unwrap();
+        (session.parts[0].neutral.brightest(), error[..8].parse::<f64>().unwrap(), doubts)
+    };
+    for (geometry, factor, error, warnings) in [
+        ("geometry = \"own\"\n", 1.0, 0.0, 0),
+        ("", 1.0, 0.012, 1),
+        // A ring of ± 1° by its prior.
+        ("geometry = \"45:0\"\n", 1.0, 0.0035, 0),
+        ("geometry = \"8:h\"\n", 1.0233, libm::hypot(0.003, 0.0035), 0),
+    ] {
+        let (white, std_error, doubts) = found(geometry);
+        assert!((white - 0.989 * factor).abs() < 1e-9, "{geometry}: {white}");
+        assert!((std_error - libm::hypot(0.01, error)).abs() < 1e-5, "{geometry}: {std_error}");
+        assert_eq!(doubts, warnings, "{geometry}");
+    }
+    let message = given("geometry = \"0:45\"\n").unwrap_err().to_string();
+    assert!(message.contains("0:45") && message.contains("`8:h`"), "{message}");
+}

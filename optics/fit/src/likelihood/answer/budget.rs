@@ -17,7 +17,7 @@ use crate::likelihood::system::unknowns::inverse_over;
 use crate::likelihood::term::{Linear, Own};
 
 /// Sources in the order in which shares are listed; those of the quantities of the scene follow.
-const SOURCES: [ErrorSource; 11] = [
+const SOURCES: [ErrorSource; 12] = [
     ErrorSource::Noise,
     ErrorSource::Dictionary,
     ErrorSource::Thickness,
@@ -26,6 +26,7 @@ const SOURCES: [ErrorSource; 11] = [
     ErrorSource::Gain,
     ErrorSource::Zero,
     ErrorSource::Slope,
+    ErrorSource::Wedge,
     ErrorSource::Scale,
     ErrorSource::OtherChannels,
     ErrorSource::G,
@@ -99,6 +100,7 @@ impl Found<'_, '_> {
                     Some(Own::Gain) => ErrorSource::Gain,
                     Some(Own::Zero) => ErrorSource::Zero,
                     Some(Own::Slope) => ErrorSource::Slope,
+                    Some(Own::Wedge) => ErrorSource::Wedge,
                     None => ErrorSource::Dictionary,
                 };
                 add(&mut parts, source, response * response);
@@ -118,7 +120,7 @@ impl Found<'_, '_> {
         if is(LN_SCALE) {
             ErrorSource::Scale
         } else if let Some(flaw) = SLAB_FLAWS.into_iter().position(is) {
-            [ErrorSource::Gain, ErrorSource::Zero, ErrorSource::Slope][flaw]
+            [ErrorSource::Gain, ErrorSource::Zero, ErrorSource::Slope, ErrorSource::Wedge][flaw]
         } else if is(BLUR) {
             ErrorSource::Blur
         } else if is(LN_THICKNESS) {

@@ -141,6 +141,7 @@ impl Found<'_, '_> {
                 Own::Gain => (Nuisance::Gain, 0.0),
                 Own::Zero => (Nuisance::Zero, 0.0),
                 Own::Slope => (Nuisance::Slope, 0.0),
+                Own::Wedge => (Nuisance::Wedge, 0.0),
             };
             let [slab, slab_variance, with_own] =
                 of.own.of_slab().map_or([0.0; 3], |slab| slab_part(k, slab));

@@ -87,6 +87,7 @@ impl Found<'_, '_> {
             (Cause::Gain, Nuisance::Gain),
             (Cause::Zero, Nuisance::Zero),
             (Cause::Slope, Nuisance::Slope),
+            (Cause::Wedge, Nuisance::Wedge),
             (Cause::Blur, Nuisance::BlurVariance),
             (Cause::Thickness, Nuisance::Thickness),
         ];

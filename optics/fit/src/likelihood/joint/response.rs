@@ -66,18 +66,19 @@ impl Response {
 enum Freed {
     Thickness,
     Blur,
-    /// Edge, gain, zero or slope of each profile.
+    /// Edge, gain, zero, slope or wedge of each profile.
     Own(Own),
     OfScene,
 }
 
 impl Freed {
-    const ALL: [Self; 6] = [
+    const ALL: [Self; 7] = [
         Self::Thickness,
         Self::Blur,
         Self::Own(Own::Origin),
         Self::Own(Own::Zero),
         Self::Own(Own::Slope),
+        Self::Own(Own::Wedge),
         Self::OfScene,
     ];
 

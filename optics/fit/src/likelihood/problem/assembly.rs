@@ -108,6 +108,9 @@ impl<'a> Builder<'a> {
     }
 }
 
+/// Standard deviations of its prior at which a spread within the base begins.
+const SPREAD_START: f64 = 0.5;
+
 /// The scope of a quantity in a fit.
 fn scope(prior: &Prior, phase: PhaseModel) -> Scope {
     let is_per_channel = phase == PhaseModel::PerChannel && prior.kind().is_of_phase();
@@ -134,7 +137,12 @@ fn scene_slots(builder: &mut Builder, data: &ChannelData, thickness_mm: f64) -> 
         let limits = (low / prior.std_error(), high / prior.std_error());
         // Without weight the second lobe's anisotropy has no effect.
         let without_lobe = phase == PhaseModel::HenyeyGreenstein && prior.kind().is_of_phase();
-        let at = if without_lobe && prior.kind() == PriorKind::SecondLobeWeight { limits.0 } else { 0.0 };
+        let at = match prior.kind() {
+            PriorKind::SecondLobeWeight if without_lobe => limits.0,
+            // At 0, an end of its range, a spread would leave its effects to others first.
+            PriorKind::BaseSpread => SPREAD_START,
+            _ => 0.0,
+        };
         // A measured value and its error, in standard deviations of the scene's prior.
         let measured = data.options.settings().measured(prior.kind()).map(|[value, std_error]| {
             let from = grid.scene().value_of(prior).unwrap_or_default();

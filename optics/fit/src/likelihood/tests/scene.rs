@@ -29,7 +29,7 @@ fn responses_are_interpolated_between_nodes() {
     let near = Medium::new(1.01 * MEDIUM.0, MEDIUM.1 - 0.005, MEDIUM.2 + 0.01).unwrap();
     let local = surrogate.responses(0.5, coordinates(&medium)).unwrap();
     for quantities in [[1.0, 0.0], [0.0, 1.0], [-0.5, 0.0], [2.3, -1.7]] {
-        let found = local.change(0.5, coordinates(&near), &quantities);
+        let found = local.change(&[], &[], 0.5, coordinates(&near), &quantities);
         for (i, value) in found.values.iter().enumerate() {
             let x = dictionary.grid().scene().sensor().centre_mm(i);
             let expected = change(x, near.albedo(), near.g(), quantities);
@@ -40,7 +40,7 @@ fn responses_are_interpolated_between_nodes() {
             let moved = |by: f64| {
                 let mut there = quantities;
                 there[k] += by;
-                local.change(0.5, coordinates(&near), &there).values
+                local.change(&[], &[], 0.5, coordinates(&near), &there).values
             };
             let (up, down) = (moved(1e-4), moved(-1e-4));
             for (i, slope) in found.by_quantity[k].iter().enumerate() {

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use optics_layers::records;
 use optics_model::grid::{Axes, Responses};
 use optics_model::job::JobSpec;
-use optics_model::scene::{Prior, Scene};
+use optics_model::scene::{Prior, PriorKind, Scene};
 use optics_model::{Grid, Medium, PackedRecords, Walks};
 use optics_tracer::SeenBase;
 
@@ -23,14 +23,17 @@ fn lab() -> Scene {
 }
 
 fn dictionary() -> FitDictionary {
-    let axes = Axes {
+    traced(lab(), dictionary_axes(), Walks::PAPER, 1)
+}
+
+fn dictionary_axes() -> Axes {
+    Axes {
         sigma_t_per_mm: (0..12).map(|i| libm::pow(10_f64, f64::from(i) / 11.0)).collect(),
         albedo: (0..20).map(|i| 1.0 - (0.9 - f64::from(i) * 0.88 / 19.0).powi(2)).collect(),
         g: vec![0.0, 0.2, 0.4, 0.6, 0.8],
         thickness_mm: SLABS_MM.to_vec(),
         sample_ior: vec![IOR],
-    };
-    traced(lab(), axes, Walks::PAPER, 1)
+    }
 }
 
 /// The traced dictionary of a scene, with its responses.
@@ -67,7 +70,7 @@ fn model_errors_are_shares_of_the_change() {
     let surrogate = Surrogate::new(&dictionary, 0, 0);
     let x = coordinates(&Medium::new(4.0, 0.9, 0.4).unwrap());
     let responses = surrogate.responses(1.0, x).unwrap();
-    let change = responses.change(1.0, x, &[1.5]).values;
+    let change = responses.change(&[], &[], 1.0, x, &[1.5]).values;
     let errors = responses.model_errors(&[1.5], 10.0);
     let covariance = |i: usize, k: usize| -> f64 { errors.iter().map(|f| f[i] * f[k]).sum() };
     let n = change.len();
@@ -80,6 +83,45 @@ fn model_errors_are_shares_of_the_change() {
     assert!(none.iter().flatten().all(|v| *v == 0.0));
 }
 
+/// The effect of a spread within the base is smaller where thicker gel blurs the edge: more than half of the joint effect that is
+/// traced follows to first order.
+#[test]
+fn spread_follows_other_quantities() {
+    let chosen = [PriorKind::Thickness, PriorKind::BaseSpread];
+    let gel_or_spread = |prior: &&Prior| chosen.contains(&prior.kind()) && prior.layers() != [0];
+    let priors: Vec<Prior> = lab().priors().iter().filter(gel_or_spread).cloned().collect();
+    let axes = Axes {
+        sigma_t_per_mm: vec![1.5, 3.0, 5.0, 8.0, 12.0],
+        albedo: vec![0.7, 0.85, 0.94, 0.98, 0.995],
+        g: vec![0.2, 0.4, 0.6],
+        thickness_mm: vec![0.5],
+        sample_ior: vec![IOR],
+    };
+    let scene = lab().with_priors(priors.clone()).unwrap();
+    let dictionary = traced(scene.clone(), axes, Walks::new(50_000).unwrap(), 1);
+    let medium = Medium::new(4.0, 0.97, 0.4).unwrap();
+    let profile = |[gel, spread]: [f64; 2]| {
+        let mut varied = scene.clone();
+        for (prior, u) in priors.iter().zip([gel, spread]).filter(|(_, u)| *u > 0.0) {
+            let channels = varied.channels().to_vec();
+            varied = varied.varied(prior, u * prior.std_error(), channels).unwrap();
+        }
+        traced_profile(varied, &medium, 0.5, Walks::new(2_000_000).unwrap(), 3)
+    };
+    let plain = profile([0.0, 0.0]);
+    let x = coordinates(&medium);
+    let responses = Surrogate::new(&dictionary, 0, 0).responses(0.5, x).unwrap();
+    let change = |quantities: [f64; 2]| responses.change(&plain, &[], 0.5, x, &quantities).values;
+    // A gel of 0.05 mm, and 0.3 mm of spread.
+    let [of_gel, of_spread, of_both] = [[1.5, 0.0], [0.0, 3.0], [1.5, 3.0]].map(|q| (profile(q), change(q)));
+    let near_edge = plain.len() / 2..plain.len() / 2 + 12;
+    let traced = |i: usize| of_both.0[i] - of_gel.0[i] - of_spread.0[i] + plain[i];
+    let predicted = |i: usize| of_both.1[i] - of_gel.1[i] - of_spread.1[i];
+    let joint = root_mean_square(near_edge.clone().map(|i| traced(i) / plain[i]));
+    let error = root_mean_square(near_edge.map(|i| (predicted(i) - traced(i)) / plain[i]));
+    assert!(joint > 0.003 && error < 0.5 * joint, "{joint} {error}");
+}
+
 /// The stated noise is the scatter of values and slopes between dictionaries of different seeds.
 #[test]
 fn noise_is_the_scatter_between_seeds() {
@@ -89,7 +131,7 @@ fn noise_is_the_scatter_between_seeds() {
     let surrogates = dictionaries.iter().map(|dictionary| Surrogate::new(dictionary, 0, 0));
     let (mut found, mut stated) = ([Vec::new(), Vec::new()], 0.0);
     for surrogate in surrogates {
-        let mut change = surrogate.responses(mm, x).unwrap().change(mm, x, &[1.5]);
+        let mut change = surrogate.responses(mm, x).unwrap().change(&[], &[], mm, x, &[1.5]);
         let [values, slopes] = &mut found;
         values.push(change.values);
         slopes.push(change.by_quantity.remove(0));
@@ -204,7 +246,8 @@ fn check_responses(chosen: impl Fn(&Prior) -> bool) {
             let mut compared = ResponseErrors::default();
             for (m, medium) in media.iter().enumerate() {
                 let (mm, x) = (slab_mm(m), coordinates(medium));
-                let found = surrogate.responses(mm, x).unwrap().change(mm, x, &quantities).values;
+                let found =
+                    surrogate.responses(mm, x).unwrap().change(&plain[m], &[], mm, x, &quantities).values;
                 let noise = surrogate.noise_factors_at(mm, x).factors;
                 compared.add(&plain[m], &changed[m], &found, &noise);
             }

@@ -38,12 +38,16 @@ pub(super) struct ChangedSetUp {
     ring: Option<RingLight>,
     /// Phase functions by material, if they are not those of the scene and its prior.
     phases: Option<Vec<PhaseShape>>,
+    /// Rise of each slab's thickness over 10 mm, as a share.
+    pub wedge: f64,
+    /// Shift of the edge over the thickness of slab, slip and gel.
+    pub shift: f64,
     /// Channels of the base: coat and lamps are the session's, so they are the same for all slabs.
     channels: OnceLock<Vec<Channel>>,
 }
 
 /// Changed set-ups: name, and priors with their differences.
-const ROWS: [(&str, &[(usize, f64)]); 17] = [
+const ROWS: [(&str, &[(usize, f64)]); 20] = [
     ("nominal", &[]),
     ("sample roughness 0.10", &[(ROUGHNESS, 0.05)]),
     ("sample roughness 0.02", &[(ROUGHNESS, -0.03)]),
@@ -61,16 +65,24 @@ const ROWS: [(&str, &[(usize, f64)]); 17] = [
     ("board with 3 % of gloss", &[(LIGHT_SIDE, -0.03), (DARK_SIDE, -0.03)]),
     ("haze 0.01", &[(HAZE, 0.01)]),
     (UNLIKE_G, &[]),
+    (WEDGES[0].0, &[]),
+    (WEDGES[1].0, &[]),
+    (TILTED, &[]),
 ];
+/// Slabs whose thickness rises by this share over 10 mm.
+const WEDGES: [(&str, f64); 2] = [("wedge of ± 2 %", 0.04), ("wedge of ± 5 %", 0.1)];
+/// A camera that looks 5° off across the edge: edges shift by this share of the path to the base.
+const TILTED: &str = "camera 5° off";
+const SHIFT: f64 = 0.057;
 const WIDE_RING: &str = "ring 32–58°";
 const UNLIKE_G: &str = "g of 0.28 to 0.48";
 
 impl ChangedSetUp {
     fn new(differences: Vec<[Vec<f64>; 2]>) -> Self {
-        Self { differences, ring: None, phases: None, channels: OnceLock::new() }
+        Self { differences, ring: None, phases: None, wedge: 0.0, shift: 0.0, channels: OnceLock::new() }
     }
 
-    pub(super) fn names() -> [&'static str; 17] {
+    pub(super) fn names() -> [&'static str; 20] {
         ROWS.map(|row| row.0)
     }
 
@@ -88,7 +100,9 @@ impl ChangedSetUp {
             differences.iter().for_each(|(prior, difference)| slab[*prior] = *difference);
         }
         let ring = (name == WIDE_RING).then(|| RingLight::new(32.0, 58.0).unwrap());
-        Self { ring, ..set_up }
+        let wedge = WEDGES.into_iter().find(|row| row.0 == name).map_or(0.0, |row| row.1);
+        let shift = if name == TILTED { SHIFT } else { 0.0 };
+        Self { ring, wedge, shift, ..set_up }
     }
 
     /// A set-up without differences.

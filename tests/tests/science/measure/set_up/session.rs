@@ -23,6 +23,8 @@ pub(super) const NOISE: f64 = 0.004;
 pub(super) const WALKS: u64 = 2_000_000;
 /// Error of a level that these walks leave: with flaws it counts as one of the gain.
 const LEVEL: f64 = 0.0008;
+/// Path through slip and gels above and below a slab.
+const SLIP_AND_GEL_MM: f64 = 0.21;
 /// Nodes of a dictionary's axes.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Nodes {
@@ -173,8 +175,18 @@ impl SetUpSession {
         let zero = zero + self.set_up.difference(material, None, HAZE).unwrap_or(0.0);
         let (slope, origin_mm) = (off(prior.slope_std_error), off(prior.origin_std_error_mm));
         let (scene, medium) = (self.set_up.scene(material, slab), &self.media[material][channel]);
-        let values = values(&traced(&scene, medium, thickness_mm, WALKS, 930_000 + of_channel), 0);
+        let at = |mm: f64| values(&traced(&scene, medium, mm, WALKS, 930_000 + of_channel), 0);
         let x = centres_mm(&scene);
+        let mut values = at(thickness_mm);
+        if self.set_up.wedge > 0.0 {
+            // The profile at the thickness of each place: a parabola through those of the middle and at 5 mm.
+            let [thin, thick] = [-0.5, 0.5].map(|share| at(thickness_mm * (1.0 + share * self.set_up.wedge)));
+            for (i, v) in values.iter_mut().enumerate() {
+                let u = x[i] / 5.0;
+                *v += 0.5 * u * (thick[i] - thin[i]) + 0.5 * u * u * (thick[i] + thin[i] - 2.0 * *v);
+            }
+        }
+        let origin_mm = origin_mm + self.set_up.shift * (thickness_mm + SLIP_AND_GEL_MM);
         let exact: Vec<f64> =
             values.iter().zip(&x).map(|(v, x)| (gain + slope * x / 10.0) * v + zero).collect();
         let (slab, x) = ((&self.channels[channel][..], SLABS_MM[slab]), x.iter().map(|x| x + origin_mm));
@@ -195,7 +207,9 @@ impl SetUpSession {
                 let prior = scene.priors().iter().position(|p| scene.name_of(p) == name).unwrap();
                 let is_counted = m == 0 || scene.priors()[prior].scope() != Scope::Session;
                 let difference = self.set_up.difference(m, slab_mm, prior).filter(|_| is_counted);
-                difference.map(|difference| prior_mean + difference)
+                // The session's measurement of a spread is no truth; the scene has none.
+                let from = if prior == BASE_SPREAD { 0.0 } else { prior_mean };
+                difference.map(|difference| from + difference)
             };
             let refined = fit.channels[0].refined.as_ref().unwrap();
             Answer::of_fit(&fit.material, &self.media[m][0], refined).with_scene(truth)
