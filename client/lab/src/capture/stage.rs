@@ -124,7 +124,7 @@ impl SessionRun<'_> {
         Ok(bare.finish()?)
     }
 
-    /// What the board under slip and gel shows, if there are shots of it.
+    /// Haze and gloss by the board under slip and gel, if there are shots of it.
     fn in_gel(
         &mut self,
         session: &CaptureSession,
@@ -139,7 +139,8 @@ impl SessionRun<'_> {
         for path in &part.in_gel {
             shots.add(self.read(path, "board in gel")?)?;
         }
-        InGel::find(&session.scene, rho, &shots.finish()?).map(Some)
+        let scene = session.scene.clone().with_channels(board_channels(rho)?)?;
+        InGel::find(&scene, rho, &shots.finish()?).map(Some)
     }
 
     fn sample(
@@ -204,7 +205,7 @@ fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[B
 }
 
 /// Channels with this board.
-pub(super) fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
+fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
     Colour::ALL.into_iter().zip(rho).map(|(colour, rho)| board_channel(colour.letter(), rho)).collect()
 }
 

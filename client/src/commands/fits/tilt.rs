@@ -1,7 +1,7 @@
 //! Notes that edges lie the farther off the thicker their slabs are, as a camera sees them that is tilted across the edge.
 //!
-//! Under a tilt of θ a slab of thickness t and index n shifts the edge by t tan(asin(sin θ / n)). Other reasons for shifts do
-//! not follow thickness, so their scatter about a straight line is the error of its slope.
+//! Under a tilt of θ a slab of thickness t and index n shifts the edge by t tan(asin(sin θ / n)). Other reasons for shifts
+//! do not follow thickness, so their scatter about a straight line is the error of its slope.
 
 use farm_figures::numbers::significant;
 use farm_lab::measurement_file::Note;

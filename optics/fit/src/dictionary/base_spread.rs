@@ -105,8 +105,8 @@ impl BaseSpread {
         effect
     }
 
-    /// Adds the effect of a spread of these heights. The rise of a profile between two pixels is taken to be at their border, and the
-    /// exponentials are averaged over pixels.
+    /// Adds the effect of a spread of these heights. The rise of a profile between two pixels is taken to be at their
+    /// border, and the exponentials are averaged over pixels.
     fn add(&self, profile: &[f64], heights: [f64; 2], spread_mm: f64, effect: &mut [f64]) {
         if spread_mm <= 0.0 {
             return;

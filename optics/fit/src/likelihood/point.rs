@@ -9,8 +9,8 @@ pub(crate) const ROOT_CO_ALBEDO: usize = 1;
 pub(crate) const LN_ONE_MINUS_G: usize = 2;
 /// Logarithm of a factor on μ.
 pub(crate) const LN_SCALE: usize = 3;
-/// The parts of a profile's gain, zero, slope and wedge that all channels of its slab have, in units of their prior's standard
-/// deviation.
+/// The parts of a profile's gain, zero, slope and wedge that all channels of its slab have, in units of their prior's
+/// standard deviation.
 pub(crate) const SLAB_FLAWS: [usize; 4] = [4, 5, 6, 7];
 /// The camera's blur (`blur`).
 pub(crate) const BLUR: usize = 8;

@@ -73,7 +73,7 @@ impl LocalResponses {
         let zero = || vec![0.0; pixels];
         let mut change =
             ProfileChange { values: zero(), slopes: [zero(), zero(), zero()], by_quantity: Vec::new() };
-        // What a spread within the base acts on.
+        // The profile that a spread within the base acts on.
         let mut seen = profile.to_vec();
         for (response, u) in self.each.iter().zip(quantities) {
             let mut by_quantity = zero();

@@ -100,7 +100,8 @@ fn random(materials: usize) {
     let (sigma_t, scene) = (of_quantity(&found, 0), of_scene(&found, None));
     println!("all quantities of the scene: {} %", scene.hold());
     let (ratio, error) = (sigma_t.median_width_over(&of_quantity(&known, 0)), sigma_t.error(0.5));
-    assert!(materials == 1 || ratio <= 1.5 && error <= 0.012, "σ_t: widths {ratio}, median error {error}");
+    // Media may differ in g, as those of a known set-up do not.
+    assert!(materials == 1 || ratio <= 2.6 && error <= 0.02, "σ_t: widths {ratio}, median error {error}");
     (0..4).for_each(|q| of_quantity(&found, q).check(QUANTITIES[q], 3.0));
     scene.check("scene", 3.0);
 }

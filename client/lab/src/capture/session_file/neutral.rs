@@ -20,12 +20,12 @@ pub(super) struct NeutralTable {
     rho: NeutralRho,
     pub(super) std_error: Option<f64>,
     areas_px: Option<Vec<[f64; 4]>>,
-    geometry: Option<Geometry>,
+    geometry: Option<Certificate>,
 }
 
 /// The geometry of a certificate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
-enum Geometry {
+enum Certificate {
     /// Light from 8°, all of the reflected light: the usual certificate of sintered PTFE.
     #[serde(rename = "8:h")]
     Hemispherical,
@@ -74,10 +74,10 @@ impl NeutralTable {
     /// Factor from reflectances to radiance factors under the light of a scene, and its relative standard error.
     fn seen(&self, scene: &Scene, is_white: bool) -> Result<[f64; 2], Invalid> {
         let (at_45, of_45) = match self.geometry {
-            Some(Geometry::Own) => return Ok([1.0, 0.0]),
+            Some(Certificate::Own) => return Ok([1.0, 0.0]),
             None => return Ok([1.0, if is_white { UNKNOWN } else { 0.0 }]),
-            Some(Geometry::Hemispherical) => (PTFE, PTFE_STD_ERROR),
-            Some(Geometry::Directional) => (1.0, 0.0),
+            Some(Certificate::Hemispherical) => (PTFE, PTFE_STD_ERROR),
+            Some(Certificate::Directional) => (1.0, 0.0),
         };
         let middle_deg = 0.5 * (scene.light().inner_deg() + scene.light().outer_deg());
         if !KNOWN_DEG.contains(&middle_deg) {

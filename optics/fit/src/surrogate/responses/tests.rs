@@ -83,8 +83,8 @@ fn model_errors_are_shares_of_the_change() {
     assert!(none.iter().flatten().all(|v| *v == 0.0));
 }
 
-/// The effect of a spread within the base is smaller where thicker gel blurs the edge: more than half of the joint effect that is
-/// traced follows to first order.
+/// The effect of a spread within the base is smaller where thicker gel blurs the edge: more than half of the joint effect
+/// that is traced follows to first order.
 #[test]
 fn spread_follows_other_quantities() {
     let chosen = [PriorKind::Thickness, PriorKind::BaseSpread];
