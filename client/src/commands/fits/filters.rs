@@ -16,6 +16,8 @@ use optics_model::measurement::{colour, wavelength_nm};
 const LEAST: f64 = 0.01;
 /// Smallest share of the half-width of σ_a's interval that is noted.
 const LEAST_OF_INTERVAL: f64 = 0.5;
+/// Half-width of σ_a's interval, as a share, up to which its change with wavelength is known.
+const KNOWN: f64 = 0.5;
 /// Most bands that a note names.
 const MOST_NAMED: usize = 4;
 
@@ -155,7 +157,9 @@ fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
         let sigma_a = refined.best.medium.absorption_per_mm();
         let interval = refined.absorption_per_mm;
         let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
-        (sigma_a > 0.0).then(|| (nm, libm::log(sigma_a), half_width, channel))
+        // What is hardly known shows no change.
+        let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
+        is_known.then(|| (nm, libm::log(sigma_a), half_width, channel))
     });
     let mut bands: Vec<(f64, f64, f64, &ChannelFit)> = known.collect();
     bands.sort_by(|a, b| a.0.total_cmp(&b.0));
