@@ -67,15 +67,15 @@ mod tests {
         let estimate = |nuisance| wire::NuisanceEstimate { nuisance, ..Default::default() };
         let share = |source| wire::SourceShare { source, sigma_t: 0.1, ..Default::default() };
         let message = wire::Likelihood {
-            nuisances: (0..=8).map(estimate).collect(),
-            budget: (0..=13).map(share).collect(),
+            nuisances: (0..=9).map(estimate).collect(),
+            budget: (0..=14).map(share).collect(),
             bound: Some(bound),
             ..Default::default()
         };
         let likelihood = Likelihood::try_from(message.clone()).unwrap();
-        assert!(likelihood.nuisances.iter().map(|n| n.nuisance.number()).eq(1..=7));
+        assert!(likelihood.nuisances.iter().map(|n| n.nuisance.number()).eq(1..=8));
         let sources = likelihood.budget.iter().map(|share| share.source.number());
-        assert!(sources.eq((0..=12).chain([0])));
+        assert!(sources.eq((0..=13).chain([0])));
         for (bound, field) in [(Some(wire::Bound { g: None, ..bound }), "g"), (None, "bound")] {
             let lacking = wire::Likelihood { bound, ..message.clone() };
             assert_eq!(Likelihood::try_from(lacking).unwrap_err().field(), field);

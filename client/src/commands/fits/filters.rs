@@ -157,7 +157,7 @@ fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
         let sigma_a = refined.best.medium.absorption_per_mm();
         let interval = refined.absorption_per_mm;
         let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
-        // What is hardly known shows no change.
+        // An absorption that is hardly known shows no change.
         let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
         is_known.then(|| (nm, libm::log(sigma_a), half_width, channel))
     });
