@@ -412,8 +412,8 @@ class Farm(FarmAccess):
             )
         if not others:
             raise FarmError(
-                "there is only the paper's dictionary, whose rough surfaces lose light: submit(\"lab\") computes one "
-                'for a laboratory\'s own measurements, dictionary="paper" asks the paper\'s'
+                'there is only the paper\'s dictionary, whose rough surfaces lose light: submit("lab") computes one '
+                "for a laboratory's own measurements, dictionary=\"paper\" asks the paper's"
             )
         raise FarmError(f"there are several dictionaries: name one, of {', '.join(names)}")
 
