@@ -26,7 +26,11 @@ fn all_fits_take_the_session_set_up() {
         let numbers = ["gain_std_error", "slope_std_error", "blur_std_error_mm", "origin_std_error_mm"];
         assert_eq!(numbers.map(|n| data[n].as_f64().unwrap()), [0.01, 0.0, 0.001, 0.05], "{verb}");
         assert_eq!(data["objective"], "paper", "{verb}");
-        assert_eq!(data["assumed"], value!(["origin_std_error_mm", "offset_std_error"]), "{verb}");
+        assert_eq!(
+            data["assumed"],
+            value!(["origin_std_error_mm", "offset_std_error", "wedge_std_error"]),
+            "{verb}"
+        );
     }
 }
 
