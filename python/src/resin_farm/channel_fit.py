@@ -30,7 +30,7 @@ class NuisanceEstimate:
     """An estimate of a nuisance of the set-up, with its prior."""
 
     name: str
-    """`scale`, `blur_variance_mm2`, `thickness_mm`, `origin_mm`, `gain`, `zero` or `slope`."""
+    """`scale`, `blur_variance_mm2`, `thickness_mm`, `origin_mm`, `gain`, `zero`, `slope` or `wedge`."""
     slab_mm: float | None
     """The slab that it belongs to, by its nominal thickness; None if all do."""
     value: float
@@ -55,8 +55,8 @@ class SourceShare:
     """Share of a source of error in the variances of ln σ_t, √(1 - α), ln σ_s(1 - g) and √σ_a; they sum to 1."""
 
     source: str
-    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `scale`, `other_channels`, `g`,
-    `scene`."""
+    """`noise`, `dictionary`, `thickness`, `origin`, `blur`, `gain`, `zero`, `slope`, `wedge`, `scale`,
+    `other_channels`, `g`, `scene`."""
     sigma_t: float
     """Share of the variance of ln σ_t, 0 to 1."""
     albedo: float
