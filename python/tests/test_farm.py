@@ -117,7 +117,7 @@ def test_without_a_dictionary_the_error_says_what_to_do(tmp_path: pathlib.Path, 
 
 def test_without_a_name_the_dictionary_is_that_of_farmctl(tmp_path: pathlib.Path) -> None:
     with resin_farm.Farm(tmp_path) as farm:
-        for submitted, usual in [("fine", "fine"), ("paper", "paper"), ("lab", "lab")]:
+        for submitted, usual in [("fine", "fine"), ("paper", "fine"), ("lab", "lab")]:
             farm.submit(GRID, submitted, progress=False)
             assert farm.dictionary().name == usual
             arguments = ["--server", farm.address, "profile", "--sigma-t", "6", "--albedo", "0.999", "--g", "0.4"]
@@ -133,7 +133,7 @@ def test_without_a_name_the_dictionary_is_that_of_farmctl(tmp_path: pathlib.Path
 
 def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, white: resin_farm.Measurement) -> None:
     with resin_farm.Farm(tmp_path / "data") as farm:
-        farm.submit(GRID, "paper", progress=False)
+        farm.submit(GRID, "grid", progress=False)
         expected = farm.fit(white, g=0.4)
     access = tmp_path / "access"
     _programs.farmctl(["access", "create", str(access), "--host", "localhost"])
@@ -155,7 +155,7 @@ def test_a_coordinator_is_reached_by_its_access_file(tmp_path: pathlib.Path, whi
         file.write_text("\n".join(lines), encoding="utf-8")
         farm = resin_farm.Farm.connect(file)
         assert farm.fit(white, g=0.4)["R"].medium == expected["R"].medium
-        assert farm.dictionary("paper").explain()
+        assert farm.dictionary("grid").explain()
         farm.close()
         wrong = access / "wrong.toml"
         text = [
