@@ -193,8 +193,8 @@ impl<'a> Mountings<'a> {
         let joined = each.each_ref().map(|profiles| join(profiles));
         // A slab has one wedge: the mean of the channels.
         let slope = |shot: usize| {
-            let of_channels = joined.each_ref().map(|j| j.slopes[shot]);
-            let mean = |f: fn(&Estimate) -> f64| of_channels.iter().map(f).sum::<f64>() / 3.0;
+            let slopes = joined.each_ref().map(|j| j.slopes[shot]);
+            let mean = |f: fn(&Estimate) -> f64| slopes.iter().map(f).sum::<f64>() / 3.0;
             Estimate::new(mean(|s| s.value), mean(|s| s.std_error))
         };
         let Some(turned) = Turned::find(&(0..self.shots.len()).map(slope).collect::<Vec<_>>()) else {

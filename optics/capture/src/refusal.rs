@@ -141,11 +141,6 @@ pub enum Warning {
          board that does not (chrome on glass, anodised metal) gives narrower intervals"
     )]
     SpreadingBoard { mm: f64, std_error_mm: f64 },
-    #[error(
-        "under gel the light side of the board reflects {factor:.3} ± {std_error:.3} of what it does dry, as with gloss; the fit \
-         takes the value under gel"
-    )]
-    Gloss { factor: f64, std_error: f64 },
     #[error("no dark shots: the black level is taken from the files, without an error")]
     NoDark,
     #[error(

@@ -8,11 +8,12 @@ mod mixtures;
 mod options;
 mod profile;
 mod shared_errors;
+mod suspicion;
 
 pub use answer::{
-    Bound, Candidate, Cause, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval,
-    Likelihood, MISFIT, MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined,
-    ScaleCurve, ScalePoint, SceneEstimate, Stretch, Suspicion, ThicknessError,
+    Bound, Candidate, ChannelFit, Common, Curve, DistanceMap, Ends, FitCurves, GError, Interval, Likelihood,
+    MapLayer, MaterialFit, Nuisance, NuisanceEstimate, OutlierPixel, Outside, Refined, ScaleCurve,
+    ScalePoint, SceneEstimate, Stretch, ThicknessError,
 };
 pub use budget::{ErrorSource, SourceShare};
 pub use design::{
@@ -23,3 +24,4 @@ pub use mixtures::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePa
 pub use options::{Bounds, FitOptions, FitSettings, MuRange, Objective, PhaseModel, Wavelet};
 pub use profile::{PredictedChannel, PredictedProfiles, ProfileQuestion};
 pub use shared_errors::{SetUpDifference, SharedErrors};
+pub use suspicion::{Cause, MISFIT, Suspicion};

@@ -5,7 +5,6 @@ use std::path::Path;
 use optics_capture::{Board, BoardRho, Calibration, SampleProfile};
 
 use super::bands::Band;
-use super::in_gel::InGel;
 use super::session_file::{CaptureSession, Sample};
 use super::shots::Input;
 use super::strip::Strip;
@@ -32,8 +31,6 @@ pub struct CapturedPart {
     pub calibration: Calibration,
     pub board: Board,
     pub rho: [BoardRho; 3],
-    /// None without shots of the board under slip and gel.
-    pub in_gel: Option<InGel>,
     pub samples: Vec<CapturedSample>,
 }
 

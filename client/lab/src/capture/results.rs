@@ -221,10 +221,6 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         blur_mm: Value,
         blur_std_error_mm: Value,
         base_spread_mm: Value,
-        #[serde(skip_serializing_if = "Value::is_null")]
-        haze: Value,
-        #[serde(skip_serializing_if = "Value::is_null")]
-        light_side: Value,
         #[serde(flatten)]
         parts: Map<String, Value>,
         record: SessionRecord,
@@ -240,9 +236,7 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         errors: SessionErrors::of(captured),
         blur_mm: by_channel(&channels, |c| json!(c.blur_mm().value)),
         blur_std_error_mm: by_channel(&channels, |c| json!(c.blur_mm().std_error)),
-        base_spread_mm: best(captured, |part| Some(part.board.spread_mm)),
-        haze: best(captured, |part| Some(part.in_gel?.haze)),
-        light_side: best(captured, |part| Some(part.in_gel?.light_side)),
+        base_spread_mm: base_spread_mm(captured),
         parts: parts(captured),
         record: captured.session.record.clone(),
         inputs: inputs.collect(),
@@ -250,10 +244,10 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
     }
 }
 
-/// A number of the session: of several bands that with the least error; null without one.
-fn best(captured: &Captured, found: impl Fn(&CapturedPart) -> Option<Estimate>) -> Value {
-    let all = captured.parts.iter().filter_map(found);
-    all.min_by(|a, b| a.std_error.total_cmp(&b.std_error)).map_or(Value::Null, estimate)
+/// The board's spread: of several bands that with the least error.
+fn base_spread_mm(captured: &Captured) -> Value {
+    let spreads = captured.parts.iter().map(|part| part.board.spread_mm);
+    spreads.min_by(|a, b| a.std_error.total_cmp(&b.std_error)).map_or(Value::Null, estimate)
 }
 
 /// `board`, `camera` and `samples` of red, green and blue, or a list of these as `bands`.

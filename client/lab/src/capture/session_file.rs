@@ -51,8 +51,6 @@ pub struct SessionPart {
     pub neutral_shots: Vec<PathBuf>,
     pub neutral: Neutral,
     pub bare: Vec<PathBuf>,
-    /// Shots of the board under slip and gel.
-    pub in_gel: Vec<PathBuf>,
     pub samples: Vec<Sample>,
 }
 
@@ -102,10 +100,7 @@ impl CaptureSession {
 impl SessionPart {
     fn shots(&self) -> impl Iterator<Item = &PathBuf> {
         let samples = self.samples.iter().flat_map(|sample| &sample.shots);
-        [&self.dark, &self.flat, &self.neutral_shots, &self.bare, &self.in_gel]
-            .into_iter()
-            .flatten()
-            .chain(samples)
+        [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
     }
 }
 
@@ -149,8 +144,6 @@ struct CameraTable {
 #[serde(deny_unknown_fields)]
 struct TargetTable {
     bare: Vec<String>,
-    #[serde(default)]
-    in_gel: Vec<String>,
     square_mm: Option<f64>,
     square_std_error_mm: Option<f64>,
     dark_side: Option<String>,
@@ -231,7 +224,6 @@ impl SessionFile {
             flat: files("camera.flat", &self.camera.flat)?,
             neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
             neutral: self.neutral.read(folder, band.as_ref(), light, scene)?,
-            in_gel: files("target.in_gel", &self.target.in_gel)?,
             bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
             samples: self.samples.iter().enumerate().map(sample).collect::<Result<_, _>>()?,
             band,
@@ -306,7 +298,6 @@ fn check_once(parts: &[SessionPart]) -> Result<(), Invalid> {
             ("camera.flat".to_owned(), &part.flat),
             ("neutral.shots".to_owned(), &part.neutral_shots),
             ("target.bare".to_owned(), &part.bare),
-            ("target.in_gel".to_owned(), &part.in_gel),
         ];
         let samples = part.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
         let mut own: HashSet<PathBuf> = HashSet::new();

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use optics_capture::{
-    Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Estimate, Flats, Mountings, Patches,
-    Photo, Warning,
+    Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Flats, Mountings, Patches, Photo,
+    Warning,
 };
 use optics_model::scene::{Channel, LEAST_RHO_DARK};
 use optics_model::{Invalid, Scene};
@@ -14,7 +14,6 @@ use optics_tracer::{BareBoard, SeenBase};
 use super::band_optics::BandOptics;
 use super::bands::BandPixels;
 use super::captured::{Captured, CapturedPart, CapturedSample};
-use super::in_gel::InGel;
 use super::session_file::{CaptureSession, Sample, SessionPart};
 use super::shots::{Shots, turned};
 use super::strip::Strip;
@@ -68,18 +67,11 @@ impl SessionRun<'_> {
         }
         let mut board = self.board(session, &part, &calibration)?;
         let rho = board_rho(&session.scene, &mut board, calibration.reference_std_error)?;
-        let in_gel = self.in_gel(session, &part, &calibration, &rho)?;
-        if let Some(InGel { light_side, .. }) = in_gel
-            && (light_side.value - 1.0).abs() > 3.0 * light_side.std_error
-        {
-            let Estimate { value, std_error } = light_side;
-            board.warnings.push(Warning::Gloss { factor: value, std_error });
-        }
         let slabs = std::mem::take(&mut part.samples).into_iter();
         let samples = slabs.map(|slab| self.sample(slab, &part, &calibration, &board));
         let samples = samples.collect::<Result<_>>()?;
         let about = self.shots.about(first);
-        Ok(CapturedPart { band: part.band, about, calibration, board, rho, in_gel, samples })
+        Ok(CapturedPart { band: part.band, about, calibration, board, rho, samples })
     }
 
     fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
@@ -122,25 +114,6 @@ impl SessionRun<'_> {
             bare.add(self.read(path, "bare board")?)?;
         }
         Ok(bare.finish()?)
-    }
-
-    /// Haze and gloss by the board under slip and gel, if there are shots of it.
-    fn in_gel(
-        &mut self,
-        session: &CaptureSession,
-        part: &SessionPart,
-        calibration: &Calibration,
-        rho: &[BoardRho; 3],
-    ) -> Result<Option<InGel>> {
-        if part.in_gel.is_empty() {
-            return Ok(None);
-        }
-        let mut shots = BareShots::new(calibration, session.target)?;
-        for path in &part.in_gel {
-            shots.add(self.read(path, "board in gel")?)?;
-        }
-        let scene = session.scene.clone().with_channels(board_channels(rho)?)?;
-        InGel::find(&scene, rho, &shots.finish()?).map(Some)
     }
 
     fn sample(

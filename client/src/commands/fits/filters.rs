@@ -35,10 +35,45 @@ pub(super) fn notes(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Vec<Note> {
     [wide(fits, widths), leaks(fits), unknown_band(fits), fluorescence(fits)].into_iter().flatten().collect()
 }
 
+/// Wavelength and standard deviation of a channel that is a camera's colour.
+fn colour_band(channel: &str) -> Option<(f64, f64)> {
+    let found = COLOURS.into_iter().find(|(name, ..)| colour(channel) == Some(*name));
+    found.map(|(_, nm, width)| (nm, width))
+}
+
 /// The wavelength of a channel, at least about.
 fn place_nm(channel: &str) -> Option<f64> {
-    let of_colour = || COLOURS.into_iter().find(|(name, ..)| colour(channel) == Some(*name));
-    wavelength_nm(channel).or_else(|| of_colour().map(|(_, nm, _)| nm))
+    wavelength_nm(channel).or_else(|| colour_band(channel).map(|(nm, _)| nm))
+}
+
+/// A channel whose σ_a is known well enough to show how it changes with wavelength.
+#[derive(Debug, Clone, Copy)]
+struct KnownBand<'a> {
+    channel: &'a str,
+    nm: f64,
+    ln_sigma_a: f64,
+    /// Half-width of σ_a's interval, as a share.
+    half_width: f64,
+}
+
+/// The known bands of a material, by wavelength.
+fn known_bands(fit: &MaterialFit) -> Vec<KnownBand<'_>> {
+    let known = fit.channels.iter().filter_map(|channel| {
+        let (nm, refined) = (place_nm(&channel.channel)?, channel.refined.as_ref()?);
+        let sigma_a = refined.best.medium.absorption_per_mm();
+        let interval = refined.absorption_per_mm;
+        let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
+        let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
+        is_known.then(|| KnownBand {
+            channel: &channel.channel,
+            nm,
+            ln_sigma_a: libm::log(sigma_a),
+            half_width,
+        })
+    });
+    let mut bands: Vec<KnownBand> = known.collect();
+    bands.sort_by(|a, b| a.nm.total_cmp(&b.nm));
+    bands
 }
 
 fn is_absorbing(channel: &ChannelFit) -> bool {
@@ -49,21 +84,25 @@ fn is_absorbing(channel: &ChannelFit) -> bool {
 /// Materials and channels with a property, for a note; none if there are none.
 fn named(fits: &[MaterialFit], has: impl Fn(&MaterialFit, &ChannelFit) -> bool) -> Option<String> {
     let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |channel| (fit, channel)));
-    let all: Vec<String> = channels
-        .filter(|(fit, channel)| has(fit, channel))
-        .map(|(fit, channel)| format!("{} {}", fit.material, channel.channel))
-        .collect();
+    let named = channels.filter(|(fit, channel)| has(fit, channel));
+    first_few(
+        &named.map(|(fit, channel)| format!("{} {}", fit.material, channel.channel)).collect::<Vec<_>>(),
+    )
+}
+
+/// The first of a list for a note; none if it is empty.
+fn first_few(all: &[String]) -> Option<String> {
     let more = all.len().saturating_sub(MOST_NAMED);
     let text = all[..all.len() - more].join(", ");
     let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
     (!all.is_empty()).then_some(text + &and_more)
 }
 
-/// Notes media that absorb in a channel whose band is not known, and too few others to show how absorption changes.
+/// Notes media that absorb in a channel whose band is not known, where too few others show how absorption changes.
 fn unknown_band(fits: &[MaterialFit]) -> Option<Note> {
     let is_alone = |fit: &MaterialFit, channel: &ChannelFit| {
         let is_unknown = wavelength_nm(&channel.channel).is_none();
-        is_unknown && is_absorbing(channel) && fit.channels.len() < COLOURS.len()
+        is_unknown && is_absorbing(channel) && known_bands(fit).len() < COLOURS.len()
     };
     named(fits, is_alone).map(|named| Note {
         code: "UNKNOWN_BAND",
@@ -138,52 +177,39 @@ fn unexplained_where_dark(fit: &MaterialFit) -> Vec<String> {
 fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
     let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| of_material(fit, widths)).collect();
     wide.sort_by(|a, b| b.bias.total_cmp(&a.bias));
-    let count = wide.len();
-    let named = wide.iter().take(MOST_NAMED);
-    let named = named.map(|band| format!("{} (by {} %)", band.name, significant(100.0 * band.bias, 1)));
-    let named = named.collect::<Vec<_>>().join(", ");
-    let more = if count > MOST_NAMED { format!(" and {} more", count - MOST_NAMED) } else { String::new() };
-    (count > 0).then(|| Note {
+    let named = wide.iter().map(|band| format!("{} (by {} %)", band.name, significant(100.0 * band.bias, 1)));
+    first_few(&named.collect::<Vec<_>>()).map(|named| Note {
         code: "WIDE_BANDS",
         text: format!(
-            "the absorption changes so much within the band that σ_a may be off: {named}{more}; take narrower filters there, or a narrow light"
+            "the absorption changes so much within the band that σ_a may be off: {named}; take narrower filters there, or a \
+             narrow light"
         ),
     })
 }
 
 fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
-    let known = fit.channels.iter().filter_map(|channel| {
-        let (nm, refined) = (place_nm(&channel.channel)?, channel.refined.as_ref()?);
-        let sigma_a = refined.best.medium.absorption_per_mm();
-        let interval = refined.absorption_per_mm;
-        let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
-        // An absorption that is hardly known shows no change.
-        let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
-        is_known.then(|| (nm, libm::log(sigma_a), half_width, channel))
-    });
-    let mut bands: Vec<(f64, f64, f64, &ChannelFit)> = known.collect();
-    bands.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let bands = known_bands(fit);
     if bands.len() < 3 {
         return Vec::new();
     }
     let wide = |i: usize| {
         let first = i.saturating_sub(1).min(bands.len() - 3);
-        let (nm, _, half_width, channel) = bands[i];
-        let of_filter = || widths.iter().find(|(of, _)| *of == nm).map(|(_, width)| *width);
-        let of_colour = COLOURS.into_iter().find(|(name, ..)| colour(&channel.channel) == Some(*name));
-        let std_dev_nm = of_colour.map(|(.., width)| width).or_else(of_filter)?;
+        let KnownBand { channel, nm, half_width, .. } = bands[i];
+        let of_colour = colour_band(channel);
+        let of_filter = || widths.iter().find(|(of, _)| *of == nm).copied();
+        let (_, std_dev_nm) = of_colour.or_else(of_filter)?;
         let (slope, curvature) = derivatives(&bands[first..first + 3], nm);
         let bias = std_dev_nm.powi(2) * (0.5 * curvature - 0.3 * slope * slope).abs();
         let is_large = bias > LEAST && bias > LEAST_OF_INTERVAL * half_width;
         let unit = if of_colour.is_some() { "" } else { " nm" };
-        is_large.then(|| WideBand { name: format!("{} {}{unit}", fit.material, channel.channel), bias })
+        is_large.then(|| WideBand { name: format!("{} {channel}{unit}", fit.material), bias })
     };
     (0..bands.len()).filter_map(wide).collect()
 }
 
 /// First and second derivative at `nm` of the parabola through three points.
-fn derivatives(points: &[(f64, f64, f64, &ChannelFit)], nm: f64) -> (f64, f64) {
-    let [(x0, y0, ..), (x1, y1, ..), (x2, y2, ..)] = *points else { return (0.0, 0.0) };
+fn derivatives(bands: &[KnownBand], nm: f64) -> (f64, f64) {
+    let [(x0, y0), (x1, y1), (x2, y2)] = [0, 1, 2].map(|i| (bands[i].nm, bands[i].ln_sigma_a));
     let (first, second) = ((y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1));
     let half = (second - first) / (x2 - x0);
     (first + half * (2.0 * nm - x0 - x1), 2.0 * half)
@@ -250,6 +276,10 @@ mod tests {
         assert_eq!(codes(&[("R", 0.002), ("G", 0.003), ("B", 0.008)]), [""; 0]);
         assert_eq!(codes(&[("R", 0.05), ("G", 0.2), ("B", 1.5)]), ["WIDE_BANDS", "FLUORESCENCE_UNKNOWN"]);
         assert_eq!(codes(&[("R", 1.5), ("G", 0.3), ("B", 0.1)]), ["WIDE_BANDS"]);
+        // Where the others absorb too little to be known, nothing shows how absorption changes.
+        let mut cyan = ink(&[("R", 1.5), ("G", 0.01), ("B", 0.01)]);
+        cyan[0].channels[1].refined.as_mut().unwrap().absorption_per_mm.open_low = true;
+        assert_eq!(notes(&cyan, &[]).iter().map(|note| note.code).collect::<Vec<_>>(), ["UNKNOWN_BAND"]);
         assert_eq!(codes(&[("mono", 1.5)]), ["UNKNOWN_BAND"]);
         assert_eq!(codes(&[("450", 1.5), ("550", 0.1)]), ["FLUORESCENCE_UNKNOWN"]);
         assert_eq!((codes(&[("mono", 0.01)]), codes(&[("450", 1.5)])), (vec![], vec![]));

@@ -11,6 +11,8 @@
 use optics_model::scene::{Prior, PriorKind};
 use optics_model::{Grid, Scene};
 
+/// Least ρ of a light side.
+const LEAST_LIGHT: f64 = 0.01;
 /// Step of a spread in mm, and of other quantities in standard deviations, for derivatives.
 const STEP_MM: f64 = 1e-6;
 const STEP: f64 = 1e-4;
@@ -31,7 +33,7 @@ pub(crate) struct BaseSpread {
 
 impl BaseSpread {
     /// None if the spread of a grid's scene is not uncertain.
-    pub(crate) fn of(grid: &Grid, channel: usize) -> Option<Self> {
+    pub(crate) fn uncertain(grid: &Grid, channel: usize) -> Option<Self> {
         let (scene, responses) = (grid.scene(), grid.responses()?);
         let prior = scene.priors().iter().position(|prior| prior.kind() == PriorKind::BaseSpread)?;
         let sides = |scene: &Scene| {
@@ -86,15 +88,14 @@ impl BaseSpread {
         (change != [0.0; 2]).then(|| scaled(self.between(profile, [self.own_mm, here], change), 1.0 / STEP))
     }
 
-    /// s at the edge on the dark and the light side, over ρ_l − ρ_d.
+    /// s at the edge on the dark and the light side, over ρ_l − ρ_d: ½ √ρ_d/(√ρ_l + √ρ_d) and −½ √ρ_l/(√ρ_l + √ρ_d).
     fn heights(&self, quantities: &[f64]) -> [f64; 2] {
         let [dark, light] = [0, 1].map(|side| {
             let changes = self.by_quantity.iter().zip(quantities).map(|(by, u)| by[side] * u);
             self.rho[side] + changes.sum::<f64>()
         });
-        let (dark, light) = (dark.clamp(0.0, 1.0), light.clamp(0.01, 1.0));
-        let between = (light * dark).sqrt();
-        [dark, light].map(|own| 0.5 * (between - own) / (light - dark))
+        let [dark, light] = [dark.max(0.0), light.max(LEAST_LIGHT)].map(f64::sqrt);
+        [0.5 * dark / (light + dark), -0.5 * light / (light + dark)]
     }
 
     /// The effect of the second spread less that of the first.
@@ -135,18 +136,18 @@ mod tests {
 
     use super::*;
 
-    fn of_lab() -> (Scene, BaseSpread) {
+    fn lab_spread() -> (Scene, BaseSpread) {
         let (scene, axes) = (Scene::lab(), Axes::lab());
         let base = SeenBase::of(&scene);
         let responses = Responses::of(&scene, &axes, |varied| base.through(varied)).unwrap().unwrap();
         let grid = Grid::new(scene.clone(), axes, Walks::PAPER, 1, false).unwrap();
-        (scene, BaseSpread::of(&grid.with_responses(responses).unwrap(), 0).unwrap())
+        (scene, BaseSpread::uncertain(&grid.with_responses(responses).unwrap(), 0).unwrap())
     }
 
     /// On a bare edge the effect is s itself, averaged over pixels.
     #[test]
     fn bare_edge_shows_the_spread_itself() {
-        let (scene, spread) = of_lab();
+        let (scene, spread) = lab_spread();
         let channel = &scene.channels()[0];
         let (light, dark) = (channel.rho_light(), channel.rho_dark());
         let edge: Vec<f64> = (0..360).map(|i| if i < 180 { dark } else { light }).collect();
@@ -171,7 +172,7 @@ mod tests {
     /// A darker dark side sends less light under the ink: its derivative is that of differences.
     #[test]
     fn spread_follows_both_sides() {
-        let (scene, spread) = of_lab();
+        let (scene, spread) = lab_spread();
         let edge: Vec<f64> = (0..360).map(|i| if i < 180 { 0.1 } else { 0.8 }).collect();
         let dark = scene.priors().iter().position(|prior| prior.kind() == PriorKind::DarkSide).unwrap();
         let at = |u: f64| {

@@ -130,7 +130,7 @@ impl VariedRecords {
     /// Computes the responses, once all records are set.
     pub(crate) fn responses(self, records: &Records, channel: usize) -> ResponseRecords {
         let grid = self.grid.clone();
-        let spread = BaseSpread::of(&grid, channel);
+        let spread = BaseSpread::uncertain(&grid, channel);
         let mut parts = Vec::new();
         if let Some(responses) = grid.responses() {
             let priors = grid.scene().priors().par_iter().enumerate();

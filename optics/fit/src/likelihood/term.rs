@@ -174,14 +174,13 @@ impl Term {
         }
     }
 
-    /// Divides the variances of gain, zero and slope between the profile and its slab: lamps, mounting and stray light
-    /// change photographs of different colours together, but not wholly. `part` is the standard deviation of either over
-    /// that of both. A wedge is the slab's.
+    /// Divides the variances of gain, zero, slope and wedge between the profile and its slab: lamps, mounting and stray
+    /// light change photographs of different colours together, but not wholly. `part` is the standard deviation of either
+    /// over that of both.
     pub(crate) fn share_flaws(&mut self, part: f64) {
         for prior in self.priors.iter_mut().filter(|prior| prior.own.of_slab().is_some()) {
-            let (own, slab) = if prior.own == Own::Wedge { (0.0, 1.0) } else { (part, part) };
-            prior.slab_std_error = prior.std_error * slab;
-            prior.std_error *= own;
+            prior.std_error *= part;
+            prior.slab_std_error = prior.std_error;
         }
     }
 

@@ -168,7 +168,7 @@ impl Surrogate<'_> {
         let each = (0..grid.scene().priors().len()).map(response).collect();
         let mut optical = x;
         optical[SIGMA_T] += libm::log(thickness_mm);
-        let spread = BaseSpread::of(grid, self.channel);
+        let spread = BaseSpread::uncertain(grid, self.channel);
         Some(LocalResponses { at: optical, each, spread })
     }
 
