@@ -86,7 +86,7 @@ fn likelihood_corrects_shifts_and_dust() {
     }
     for profile_mm in [0.5, 1.0] {
         let (origin, std_error) = estimate(&shifted, Nuisance::Origin, profile_mm);
-        // Beside a wedge of unknown size an edge is known to 6 µm.
+        // With a wedge of unknown size an edge is known to 6 µm.
         assert!((origin - 0.1).abs() < 4.0 * std_error && std_error < 0.006, "{origin} ± {std_error}");
     }
     assert!(clean.likelihood.outliers.is_empty());
