@@ -49,7 +49,7 @@ fn place_nm(channel: &str) -> Option<f64> {
 /// A channel whose σ_a is known well enough to show how it changes with wavelength.
 #[derive(Debug, Clone, Copy)]
 struct KnownBand<'a> {
-    channel: &'a str,
+    channel: &'a ChannelFit,
     nm: f64,
     ln_sigma_a: f64,
     /// Half-width of σ_a's interval, as a share.
@@ -64,12 +64,7 @@ fn known_bands(fit: &MaterialFit) -> Vec<KnownBand<'_>> {
         let interval = refined.absorption_per_mm;
         let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
         let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
-        is_known.then(|| KnownBand {
-            channel: &channel.channel,
-            nm,
-            ln_sigma_a: libm::log(sigma_a),
-            half_width,
-        })
+        is_known.then(|| KnownBand { channel, nm, ln_sigma_a: libm::log(sigma_a), half_width })
     });
     let mut bands: Vec<KnownBand> = known.collect();
     bands.sort_by(|a, b| a.nm.total_cmp(&b.nm));
@@ -175,7 +170,7 @@ fn unexplained_where_dark(fit: &MaterialFit) -> Vec<String> {
 
 /// `widths` are wavelength and standard deviation of each filter in nm. None if the bands are narrow enough.
 fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
-    let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| of_material(fit, widths)).collect();
+    let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| wide_bands(fit, widths)).collect();
     wide.sort_by(|a, b| b.bias.total_cmp(&a.bias));
     let named = wide.iter().map(|band| format!("{} (by {} %)", band.name, significant(100.0 * band.bias, 1)));
     first_few(&named.collect::<Vec<_>>()).map(|named| Note {
@@ -187,7 +182,7 @@ fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
     })
 }
 
-fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
+fn wide_bands(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
     let bands = known_bands(fit);
     if bands.len() < 3 {
         return Vec::new();
@@ -195,14 +190,18 @@ fn of_material(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
     let wide = |i: usize| {
         let first = i.saturating_sub(1).min(bands.len() - 3);
         let KnownBand { channel, nm, half_width, .. } = bands[i];
-        let of_colour = colour_band(channel);
+        let of_colour = colour_band(&channel.channel);
         let of_filter = || widths.iter().find(|(of, _)| *of == nm).copied();
         let (_, std_dev_nm) = of_colour.or_else(of_filter)?;
+        // Bands of cameras are known by their usual widths only: clear media are not doubted by them.
+        if of_colour.is_some() && !is_absorbing(channel) {
+            return None;
+        }
         let (slope, curvature) = derivatives(&bands[first..first + 3], nm);
         let bias = std_dev_nm.powi(2) * (0.5 * curvature - 0.3 * slope * slope).abs();
         let is_large = bias > LEAST && bias > LEAST_OF_INTERVAL * half_width;
         let unit = if of_colour.is_some() { "" } else { " nm" };
-        is_large.then(|| WideBand { name: format!("{} {channel}{unit}", fit.material), bias })
+        is_large.then(|| WideBand { name: format!("{} {}{unit}", fit.material, channel.channel), bias })
     };
     (0..bands.len()).filter_map(wide).collect()
 }
@@ -274,6 +273,7 @@ mod tests {
             notes(&ink(channels), &[]).iter().map(|note| note.code).collect()
         };
         assert_eq!(codes(&[("R", 0.002), ("G", 0.003), ("B", 0.008)]), [""; 0]);
+        assert_eq!(codes(&[("R", 0.002), ("G", 0.002), ("B", 0.023)]), [""; 0]);
         assert_eq!(codes(&[("R", 0.05), ("G", 0.2), ("B", 1.5)]), ["WIDE_BANDS", "FLUORESCENCE_UNKNOWN"]);
         assert_eq!(codes(&[("R", 1.5), ("G", 0.3), ("B", 0.1)]), ["WIDE_BANDS"]);
         // Where the others absorb too little to be known, nothing shows how absorption changes.
@@ -293,13 +293,13 @@ mod tests {
         let wavelengths = [500.0, 550.0, 600.0];
         let widths = |fwhm: f64| wavelengths.map(|nm| (nm, fwhm / 2.3548));
         let biases: Vec<f64> =
-            of_material(&line(&wavelengths), &widths(40.0)).iter().map(|band| band.bias).collect();
+            wide_bands(&line(&wavelengths), &widths(40.0)).iter().map(|band| band.bias).collect();
         for (found, simulated) in biases.iter().zip([0.17, 0.09, 0.17]) {
             assert!((found / simulated - 1.0).abs() < 0.2, "{biases:?}");
         }
         let text = wide(&[line(&wavelengths)], &widths(40.0)).unwrap().text;
         assert!(text.contains("magenta 500 nm (by 17 %)"), "{text}");
-        assert_eq!(of_material(&line(&wavelengths), &widths(10.0)).len(), 2, "the slopes");
+        assert_eq!(wide_bands(&line(&wavelengths), &widths(10.0)).len(), 2, "the slopes");
         assert_eq!(wide(&[line(&wavelengths)], &widths(3.0)), None);
         assert_eq!(wide(&[line(&[500.0, 550.0])], &widths(40.0)), None, "two bands have no curvature");
     }

@@ -133,8 +133,8 @@ impl System<'_> {
         (self.cost(&state.x, &linear), self.normal(&state.x, &state.own, &linear))
     }
 
-    /// Computes the predictions near the thicknesses, and the responses to the white reference and the scene, again at
-    /// the current media.
+    /// Computes the predictions near the thicknesses, and the responses to the white reference, wedges and the scene,
+    /// again at the current media.
     pub(crate) fn move_near(&mut self, x: &DVector<f64>) {
         let points: Vec<Point> = (0..self.terms.len()).map(|i| self.point(i, x)).collect();
         let each = self.terms.par_iter_mut().zip(&self.surrogates).zip(&points);
@@ -143,6 +143,7 @@ impl System<'_> {
             if term.responses.is_some() {
                 term.responses = surrogate.responses(point.thickness_mm(), point.medium());
             }
+            term.move_wedge(surrogate, point.thickness_mm(), point.medium());
             let white = term.white.as_ref();
             term.white = white.and_then(|w| w.moved(surrogate, point.thickness_mm(), point.medium()));
         });

@@ -2,12 +2,12 @@
 //!
 //! The model of a pixel's value, times the question's μ, is
 //!
-//! y = F(x − x₀) · (e^(−m) + γ + s x/10 mm) + z + Σ_k c_k φ_k,
+//! y = F(x − x₀) · (e^(−m) + γ + (s + w L) x/10 mm) + z + Σ_k c_k φ_k,
 //!
 //! F is the simulated profile at this slab's thickness, blurred by the camera; m is the logarithm of a factor on μ, x₀
-//! the position of the edge; γ, z and s are gain, zero and slope of the profile, and φ_k modes of the noise of the
-//! dictionary's records. Where the base's ρ was measured with the same white reference, whose error is μ, F includes
-//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, c_k and parts of γ, z and s belong to
+//! the position of the edge; γ, z and s are gain, zero and slope of the profile, w the slope of its slab's thickness, L
+//! the derivative of ln F by the logarithm of the thickness, and φ_k modes of the noise of the dictionary's records. Where the base's ρ was measured with the same white reference, whose error is μ, F includes
+//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, c_k and parts of γ, z, s and w belong to
 //! this profile, the other parts to all channels of its slab. Those of the profile have normal priors and are counted here
 //! in units of the priors' standard deviations, so that each adds its square to −2 ln L. Eliminating them (a Schur
 //! complement) leaves a gradient and an information matrix of the unknowns that the profile shares with others.
@@ -35,6 +35,9 @@ use camera::Camera;
 use reduced::{Quadratic, Reduced};
 use robust::{rho, weight};
 use white::White;
+
+/// Least value of which the change with thickness is a share.
+const DARKEST: f64 = 1e-3;
 
 /// A kind of a profile's own unknowns, apart from modes of the dictionary's noise.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -96,6 +99,8 @@ pub(crate) struct Term {
     /// For predictions near one of the dictionary's thicknesses, if the thickness is near one.
     pub near: Option<NearThickness>,
     pub white: Option<White>,
+    /// L x/10 mm, by which a wedge of 1 per 10 mm multiplies the profile; 0 if the thickness has no slope.
+    pub by_wedge: Line,
     /// The responses to the uncertain quantities of the scene; none if it is exact.
     pub responses: Option<LocalResponses>,
 }
@@ -151,13 +156,14 @@ impl Term {
         ln_mu: f64,
     ) -> Self {
         let Exposed { thickness_mm, pitch_mm, x_mm, values, std_errors, origin_mm } = profile;
+        let n = x_mm.len();
         let sensor = surrogate.grid().scene().sensor();
         let camera = Camera::new(&x_mm, pitch_mm, sensor.width_mm(), sensor.pixels());
-        Self {
+        let mut term = Self {
             blend: None,
             thickness_mm,
             camera,
-            left_out: vec![false; x_mm.len()],
+            left_out: vec![false; n],
             x_mm,
             values,
             std_errors,
@@ -170,7 +176,22 @@ impl Term {
             softness: 1.0,
             near: None,
             white: White::of(surrogate, thickness_mm, medium, ln_mu),
+            by_wedge: vec![0.0; n],
             responses: surrogate.responses(thickness_mm, medium),
+        };
+        term.move_wedge(surrogate, thickness_mm, medium);
+        term
+    }
+
+    /// Computes the effect of a wedge at a medium. Light that spreads sideways hardly leaves its thickness: each place has
+    /// the local one.
+    pub(crate) fn move_wedge(&mut self, surrogate: &Surrogate, thickness_mm: f64, medium: Coordinates) {
+        if self.prior(Own::Wedge).is_some() {
+            let predicted = surrogate.predict_at(thickness_mm, medium);
+            let pairs = predicted.by_ln_thickness.iter().zip(&predicted.values);
+            let shares = pairs.map(|(by, value)| by / value.max(DARKEST)).collect();
+            let seen = self.camera.sharp(&[shares], self.origin_mm).remove(0);
+            self.by_wedge = seen.iter().zip(&self.x_mm).map(|(share, x)| share * x / 10.0).collect();
         }
     }
 
@@ -265,16 +286,13 @@ impl Term {
         let by_white = self.white.as_ref().and_then(|_| seen.slopes.pop());
         let scale = shared.scale();
         let [gain, zero, slope, wedge] = self.flaws(shared, own);
-        let factor = |x: f64| scale + gain + slope * x / 10.0;
         let n = self.values.len();
-        let factors: Line = self.x_mm.iter().map(|x| factor(*x)).collect();
+        let mut factors: Line = self.x_mm.iter().map(|x| scale + gain + slope * x / 10.0).collect();
+        add_scaled(&mut factors, wedge, &self.by_wedge);
         let [by_sigma_t, by_albedo, by_g, by_thickness, by_scene @ ..] = &seen.slopes[..] else {
             unreachable!("four slopes at least")
         };
-        // Light that spreads sideways hardly leaves its thickness: a wedge has the local one at each place.
-        let by_wedge: Line = by_thickness.iter().zip(&self.x_mm).map(|(by, x)| by * x / 10.0).collect();
-        let values_of = |i: usize| seen.values[i] + wedge * by_wedge[i];
-        let mut model: Line = (0..n).map(|i| values_of(i) * factors[i] + zero).collect();
+        let mut model: Line = (0..n).map(|i| seen.values[i] * factors[i] + zero).collect();
         let mode_values = &own[self.priors.len()..];
         for (mode, c) in self.modes.iter().zip(mode_values) {
             model.iter_mut().zip(mode).for_each(|(m, v)| *m += c * v);
@@ -298,7 +316,7 @@ impl Term {
                 Own::Gain => values.iter().map(|v| sd * v).collect(),
                 Own::Zero => inverse.iter().map(|v| sd * v).collect(),
                 Own::Slope => values.iter().zip(&self.x_mm).map(|(v, x)| sd * v * x / 10.0).collect(),
-                Own::Wedge => times(&by_wedge, &over_factors).iter().map(|v| sd * v).collect(),
+                Own::Wedge => times(&values, &self.by_wedge).iter().map(|v| sd * v).collect(),
             }
         };
         columns

@@ -166,13 +166,17 @@ fn factor(joint: &Joint, mut system: System, given: &State) -> Option<Response> 
     let slot = system.slots[0][LN_SCALE];
     let unknown = &mut system.unknowns[slot];
     (unknown.prior, unknown.held, unknown.limits) = (None, false, SCALES);
-    let free = system.descend(given.clone(), None, FINE);
+    let mut free = system.descend(given.clone(), None, FINE);
+    let fall = given.cost - free.cost;
+    if fall <= CONVINCING {
+        return None;
+    }
+    // The media are others with this factor.
+    system.add_modes(&mut free);
+    let free = system.descend(free, None, FINE);
     // Values are too large where the factor on μ is below 1.
     let amount = libm::exp(given.x[slot] - free.x[slot]) - 1.0;
-    let fall = given.cost - free.cost;
-    let response =
-        || Response { cause: Cause::Gain, amount, fall, misfits_left: misfits(joint, &system, &free) };
-    (fall > CONVINCING).then(response)
+    Some(Response { cause: Cause::Gain, amount, fall, misfits_left: misfits(joint, &system, &free) })
 }
 
 /// The system with other terms.

@@ -113,7 +113,7 @@ impl<'a> System<'a> {
     }
 
     /// Updates the parts of every profile that depend on the state: the records' noise, and those of `move_near`.
-    fn add_modes(&mut self, state: &mut State) {
+    pub(crate) fn add_modes(&mut self, state: &mut State) {
         self.move_near(&state.x);
         let places: Vec<NoisePlace> = self.places_of(Surrogate::noise_at, state);
         let alike = |i: usize| places.iter().map(|other| places[i].in_common(other)).sum();

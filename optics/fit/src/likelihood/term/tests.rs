@@ -51,6 +51,7 @@ fn term() -> Term {
         softness: 1.0,
         near: None,
         white: None,
+        by_wedge: vec![0.0; 2],
         responses: None,
     }
 }
