@@ -7,6 +7,7 @@ mod budget;
 mod captured;
 mod channels;
 mod globs;
+mod in_gel;
 mod picture;
 mod report;
 mod results;

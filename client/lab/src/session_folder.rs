@@ -1,5 +1,6 @@
 //! Reads the files of a session's folder as inputs of a measurement, and adds the results to it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -7,12 +8,46 @@ use farm_figures::estimates::estimate_rows;
 use farm_figures::{error_budget, fit_figure, spectra_figure};
 use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
 use optics_model::{Digest, Grid, Scene};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
 use crate::grid_file::read_grid_without_responses;
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
+
+/// The part of a session file about wavelengths.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(default)]
+pub struct SessionBands {
+    /// Filters; none for red, green and blue.
+    pub bands: Vec<BandWidth>,
+    /// Red, green and blue by the camera's sensitivities.
+    pub colours: BTreeMap<String, BandWidth>,
+    pub samples: Vec<SlabLight>,
+}
+
+/// Wavelength of a band and its standard deviation.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub struct BandWidth {
+    pub wavelength_nm: f64,
+    pub std_dev_nm: f64,
+}
+
+/// The light that blue excites in a slab.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SlabLight {
+    pub material: String,
+    /// Share of the light of each colour; none if no shot shows it.
+    #[serde(default)]
+    pub fluorescence: Option<BTreeMap<String, Excited>>,
+}
+
+/// A share of light with its standard error.
+#[derive(Debug, Clone, Copy, Deserialize)]
+pub struct Excited {
+    pub value: f64,
+    pub std_error: f64,
+}
 
 /// A folder that `capture` wrote.
 #[derive(Debug)]
@@ -63,15 +98,12 @@ impl SessionFolder {
         path.exists().then(scene).transpose()
     }
 
-    /// Wavelength and standard deviation of the filter of each band in nm; none for red, green and blue.
-    pub fn band_widths_nm(&self) -> Result<Vec<(f64, f64)>> {
-        let Some(path) = self.session() else { return Ok(Vec::new()) };
+    /// Wavelengths of the session's channels.
+    pub fn bands(&self) -> Result<SessionBands> {
+        let Some(path) = self.session() else { return Ok(SessionBands::default()) };
         let place = || format!("session file {}", path.display());
         let text = std::fs::read_to_string(&path).with_context(place)?;
-        let session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
-        let number = |band: &serde_json::Value, field: &str| band[field].as_f64();
-        let width = |band| Some((number(band, "wavelength_nm")?, number(band, "std_dev_nm")?));
-        Ok(session["bands"].as_array().into_iter().flatten().filter_map(width).collect())
+        serde_json::from_str(&text).with_context(place)
     }
 
     /// Names of people, instruments and certificates.

@@ -110,6 +110,11 @@ impl Black {
         &self.levels
     }
 
+    /// The largest standard error of a site's level, in numbers.
+    pub(crate) fn std_error(&self) -> f64 {
+        self.levels.iter().map(|level| level.std_error).fold(0.0, f64::max)
+    }
+
     /// Standard deviation of the fixed pattern of each site, in numbers; 0 if none was found.
     pub fn fixed_pattern(&self) -> &[f64] {
         &self.fixed_pattern

@@ -33,21 +33,43 @@ type Parameters = [f64; 7];
 const ORIGIN: usize = 2;
 const BLUR: usize = 3;
 const SPREAD: usize = 6;
+
+/// Parameters but some that are held.
+fn all_but(held: &[usize]) -> Vec<usize> {
+    (0..=SPREAD).filter(|i| !held.contains(i)).collect()
+}
+
 /// Standard errors from which on a spread shows.
 const SHOWS: f64 = 4.0;
 
 /// The edge of a board in which light may spread; None if the data show no edge.
 ///
 /// Light enters at one place and leaves at another, and crosses the ink at both. So the sides approach the geometric mean
-/// of their radiance factors at the edge, as an exponential with the spread as its length.
-pub(crate) fn fit_spread(edge: &EdgeBins) -> Option<EdgeFit> {
-    let clean = fit(edge)?;
-    let start = start(edge)?;
+/// of their radiance factors at the edge, as an exponential with the spread as its length. The camera's blur is known from
+/// another edge, or it is found with the spread.
+pub(crate) fn fit_spread(edge: &EdgeBins, blur: Option<Estimate>) -> Option<EdgeFit> {
+    let Some(blur) = blur else { return fit_held(edge, None) };
+    let found = fit_held(edge, Some(blur.value))?;
+    // The spread follows the error of the blur.
+    let there = fit_held(edge, Some(blur.value + blur.std_error))?;
+    let std_error = libm::hypot(found.spread.std_error, there.spread.value - found.spread.value);
+    Some(EdgeFit { blur, spread: Estimate::new(found.spread.value, std_error), ..found })
+}
+
+/// The edge with its spread, at a blur if there is one.
+fn fit_held(edge: &EdgeBins, blur: Option<f64>) -> Option<EdgeFit> {
+    let mut start = start(edge)?;
+    start[BLUR] = blur.unwrap_or(start[BLUR]);
+    let free = |spread: &[usize]| {
+        let of_blur = if blur.is_some() { &[BLUR][..] } else { &[] };
+        all_but(&[spread, of_blur].concat())
+    };
+    let clean = descend(edge, start, &free(&[SPREAD]))?.edge();
     // A small spread has the effect of another place of the edge: it is held at values, and followed from the best.
     let held = |spread: f64| {
         let mut start = start;
         start[SPREAD] = spread;
-        descend(edge, start, SPREAD)
+        descend(edge, start, &free(&[SPREAD]))
     };
     let values = (0..).map(|i| 0.2 * edge.width * f64::from(i) * libm::pow(1.3, f64::from(i)));
     let tried = values.take_while(|b| *b < 0.5 * edge.reach);
@@ -62,12 +84,12 @@ pub(crate) fn fit_spread(edge: &EdgeBins) -> Option<EdgeFit> {
         let std_error = first.map_or(edge.reach, |(b, _)| *b);
         return Some(EdgeFit { spread: Estimate::new(0.0, std_error), ..clean });
     }
-    descend(edge, best.1.p, SPREAD + 1).map(|found| found.edge())
+    descend(edge, best.1.p, &free(&[])).map(|found| found.edge())
 }
 
 /// The edge of a board in which light does not spread; None if the data show no edge.
 pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
-    let fitted = descend(edge, start(edge)?, SPREAD)?.edge();
+    let fitted = descend(edge, start(edge)?, &all_but(&[SPREAD]))?.edge();
     (fitted.origin.value.abs() < edge.reach && fitted.blur.value.is_finite()).then_some(fitted)
 }
 
@@ -94,56 +116,61 @@ fn start(edge: &EdgeBins) -> Option<Parameters> {
 struct Minimum {
     p: Parameters,
     parameters: FittedParameters,
+    /// Those that are not held.
+    free: Vec<usize>,
     /// Sum of squares of the residuals.
     squares: f64,
 }
 
 impl Minimum {
     fn estimate(&self, i: usize) -> Estimate {
-        Estimate::new(self.p[i], self.parameters.std_error(i))
+        let place = self.free.iter().position(|free| *free == i);
+        Estimate::new(self.p[i], place.map_or(0.0, |place| self.parameters.std_error(place)))
     }
 
     fn edge(&self) -> EdgeFit {
-        let is_free = self.parameters.x.len() > SPREAD;
+        let is_free = self.free.contains(&SPREAD);
         let spread = if is_free { self.estimate(SPREAD) } else { Estimate::new(0.0, f64::INFINITY) };
         let [dark, light, ..] = self.p;
         EdgeFit { origin: self.estimate(ORIGIN), blur: self.estimate(BLUR), spread, dark, light }
     }
 }
 
-/// The minimum below a start, with the first `free` parameters free.
-fn descend(edge: &EdgeBins, mut p: Parameters, free: usize) -> Option<Minimum> {
+/// The minimum below a start, with some parameters free.
+fn descend(edge: &EdgeBins, mut p: Parameters, free: &[usize]) -> Option<Minimum> {
     let points = edge.inside();
     let (mut found, mut misfit, mut squares) = (None, 0.0, f64::INFINITY);
     for iteration in 0..25 {
         // Dust was rejected in the bins, so all bins count here. Model error is assumed equal in all bins; otherwise
         // the dark side, with its low noise, would dominate.
-        let mut normal = NormalEquations::new(free);
+        let mut normal = NormalEquations::new(free.len());
         let (mut found_squares, mut noise_squares) = (0.0, 0.0);
         for [x, v, e] in &points {
             let r = v - model(&p, *x, edge.width);
             found_squares += r * r;
             noise_squares += e * e;
-            normal.add(&gradient(&p, *x, edge.width)[..free], r, 1.0 / (e * e + misfit));
+            let gradient = gradient(&p, *x, edge.width);
+            let row: Vec<f64> = free.iter().map(|i| gradient[*i]).collect();
+            normal.add(&row, r, 1.0 / (e * e + misfit));
         }
-        let share = points.len() as f64 / (points.len() as f64 - free as f64).max(1.0);
+        let share = points.len() as f64 / (points.len() as f64 - free.len() as f64).max(1.0);
         misfit = ((found_squares * share - noise_squares) / points.len() as f64).max(0.0);
         squares = found_squares;
         let parameters = normal.solve()?;
-        for (p, d) in p.iter_mut().zip(parameters.x.iter()) {
-            *p += d;
+        for (i, d) in free.iter().zip(parameters.x.iter()) {
+            p[*i] += d;
         }
         p[BLUR] = p[BLUR].clamp(0.1 * edge.width, edge.reach);
         p[SPREAD] = p[SPREAD].clamp(0.0, edge.reach);
         // The first weights know nothing of the misfit.
         let is_done =
-            iteration > 1 && (0..free).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
+            iteration > 1 && (0..free.len()).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
         found = Some(parameters);
         if is_done {
             break;
         }
     }
-    Some(Minimum { p, parameters: found?, squares })
+    Some(Minimum { p, parameters: found?, free: free.to_vec(), squares })
 }
 
 /// σ from the distance between a quarter and three quarters of the rise: of several crossings that nearest to 0 counts,
@@ -257,12 +284,18 @@ mod tests {
             let p = [0.02, 0.8, 0.011, 0.029, 0.0, 0.0, spread];
             let points = (-120..=120).map(|k| f64::from(k) * 0.01);
             let points = points.map(|x| [x, model(&p, x, 0.01), 1e-3]).collect();
-            let found = fit_spread(&EdgeBins { width: 0.01, reach: 1.2, points }).unwrap();
+            let edge = EdgeBins { width: 0.01, reach: 1.2, points };
+            let found = fit_spread(&edge, None).unwrap();
             for (estimate, truth) in [(found.spread, spread), (found.blur, 0.029), (found.origin, 0.011)] {
                 assert!((estimate.value - truth).abs() < 1e-4, "{spread}: {found:?}");
             }
+            // A known blur makes the spread's error smaller; an error of the blur counts.
+            let known = |std_error| fit_spread(&edge, Some(Estimate::new(0.029, std_error))).unwrap().spread;
+            assert!((known(0.0).value - spread).abs() < 1e-4, "{spread}: {:?}", known(0.0));
+            assert!(known(0.0).std_error < found.spread.std_error, "{spread}: {:?}", known(0.0));
+            assert!(known(1e-3).std_error > 1.1 * known(0.0).std_error, "{spread}: {:?}", known(1e-3));
         }
-        let (clean, found) = (fit(&edge(1e-3)).unwrap(), fit_spread(&edge(1e-3)).unwrap());
+        let (clean, found) = (fit(&edge(1e-3)).unwrap(), fit_spread(&edge(1e-3), None).unwrap());
         assert_eq!((found.spread.value, found.blur), (0.0, clean.blur));
         assert!((0.005..0.03).contains(&found.spread.std_error), "{found:?}");
     }

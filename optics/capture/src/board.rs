@@ -8,7 +8,7 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
 use crate::lattice::{
-    CropCells, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find,
+    CropCells, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find, own_edge,
 };
 use crate::lattice::{light, movement};
 use crate::least_squares::{FittedParameters, NormalEquations};
@@ -29,6 +29,8 @@ pub struct BareShots<'a> {
     shots: Vec<ShotReport>,
     /// Profiles in finer bins, per shot.
     fine: Vec<[EdgeProfile; 3]>,
+    /// Blur of each shot of another edge.
+    blurs: Vec<[Estimate; 3]>,
     warnings: Vec<Warning>,
 }
 
@@ -71,7 +73,8 @@ impl<'a> BareShots<'a> {
     pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
         target.check()?;
         let (cells, readings, shots, fine) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { calibration, target, found: None, cells, readings, shots, fine, warnings: Vec::new() })
+        let (blurs, warnings) = (Vec::new(), Vec::new());
+        Ok(Self { calibration, target, found: None, cells, readings, shots, fine, blurs, warnings })
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
@@ -109,6 +112,37 @@ impl<'a> BareShots<'a> {
         Ok(())
     }
 
+    /// A shot of an edge in which no light spreads, in the place of the board's: it shows the camera's blur.
+    #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
+    pub fn add_edge(&mut self, photo: Photo) -> Result<(), Refusal> {
+        self.calibration.settings.check(&photo)?;
+        let Some(found) = &self.found else {
+            return Err(Refusal::Missing { what: "shots of the bare board" });
+        };
+        let radiance = Radiance::new(self.calibration, &photo);
+        let no_edge = || Refusal::NoOwnEdge { label: photo.label.clone() };
+        let edge_frame = own_edge(&radiance, &found.edge_frame).ok_or_else(no_edge)?;
+        let blur = |c: Colour| blur::fit(&edge_bins(&fine(&radiance, &edge_frame, c))).map(|fit| fit.blur);
+        let [red, green, blue] = Colour::ALL.map(blur);
+        let all = red.zip(green).zip(blue).map(|((red, green), blue)| [red, green, blue]);
+        self.blurs.push(all.ok_or_else(no_edge)?);
+        Ok(())
+    }
+
+    /// The camera's blur of a colour by another edge; None without one.
+    fn known_blur(&self, c: usize) -> Option<Estimate> {
+        let n = self.blurs.len() as f64;
+        let mean =
+            |value: fn(&Estimate) -> f64| self.blurs.iter().map(|blur| value(&blur[c])).sum::<f64>() / n;
+        let scatter = spread_of_mean(&self.blurs.iter().map(|blur| blur[c].value).collect::<Vec<_>>());
+        let estimate = || {
+            let value = mean(|e| e.value);
+            let errors = [mean(|e| e.std_error), scatter, OWN_EDGE * value];
+            Estimate::new(value, errors.iter().map(|e| e * e).sum::<f64>().sqrt())
+        };
+        (!self.blurs.is_empty()).then(estimate)
+    }
+
     /// Samples of a colour must fall into all bins, so the edge has to cross at least one of their steps within the
     /// crop.
     fn check_slanted(&self, photo: &Photo, binnings: &[Binning; 3]) -> Result<(), Refusal> {
@@ -128,6 +162,7 @@ impl<'a> BareShots<'a> {
     }
 
     pub fn finish(mut self) -> Result<Board, Refusal> {
+        let known = [0, 1, 2].map(|c| self.known_blur(c));
         let Some(found) = self.found else {
             return Err(Refusal::Missing { what: "shots of the bare board" });
         };
@@ -140,15 +175,17 @@ impl<'a> BareShots<'a> {
         let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
         let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
         let fine = [0, 1, 2].map(|c| crate::join::mean(&of_fine(c)));
-        let [red, green, blue] = fine.each_ref().map(|profile| fit_edge(profile, label));
-        let fits = [red?, green?, blue?];
+        let fit = |c: usize| fit_edge(&fine[c], known[c], label);
+        let fits = [fit(0)?, fit(1)?, fit(2)?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
                 of_fine(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
             spread_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
-        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, spread(|e| e.blur.value, c)));
+        let alone = |c: usize| libm::hypot(spread(|e| e.blur.value, c), BLUR_OF_FORM * fits[c].spread.value);
+        let of_blur = |c: usize| if self.blurs.is_empty() { alone(c) } else { 0.0 };
+        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, of_blur(c)));
         let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
         let spread_mm = whole_spread(fits.map(|fit| fit.spread));
         if spread_mm.value > 2.0 * spread_mm.std_error {
@@ -211,10 +248,15 @@ pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Satura
     }
 }
 
+/// Relative standard error of a blur by another edge: its line is placed to some 5 µm at its ends.
+const OWN_EDGE: f64 = 0.01;
 /// Distance from the edge within which blur and spread are fitted, in mm.
 const REACH_MM: f64 = 1.2;
 /// Standard error of a spread whose distribution is not exponential, as a share, and the least one in mm.
 const OTHER_FORM: f64 = 0.1;
+/// Error of the blur by that form, as a share of the spread: by a half that spreads far less and one that spreads far more,
+/// 0.06.
+const BLUR_OF_FORM: f64 = 0.08;
 const LEAST_STD_ERROR_MM: f64 = 0.002;
 
 /// The spread of a board: the mean over the colours, by their errors, with their scatter.
@@ -238,12 +280,12 @@ fn edge_bins(profile: &EdgeProfile) -> EdgeBins {
     EdgeBins { width: profile.x_mm[1] - profile.x_mm[0], reach: REACH_MM, points }
 }
 
-fn fit_edge(profile: &EdgeProfile, label: &str) -> Result<blur::EdgeFit, Refusal> {
+fn fit_edge(profile: &EdgeProfile, known: Option<Estimate>, label: &str) -> Result<blur::EdgeFit, Refusal> {
     let no_edge = || Refusal::NoBoard {
         label: label.to_owned(),
         seen: format!("the {} profile is not that of an edge between two even sides", profile.colour),
     };
-    blur::fit_spread(&edge_bins(profile)).ok_or_else(no_edge)
+    blur::fit_spread(&edge_bins(profile), known).ok_or_else(no_edge)
 }
 
 fn spread_of_mean(values: &[f64]) -> f64 {

@@ -12,6 +12,7 @@ mod find;
 pub(crate) mod light;
 mod lines;
 pub(crate) mod movement;
+mod own_edge;
 mod pose;
 mod scan;
 
@@ -22,6 +23,7 @@ pub use find::FreeEdge;
 pub(crate) use find::{LocatedBoard, find, free_edges};
 pub(crate) use light::PatchRadiance;
 pub(crate) use movement::FreeParts;
+pub(crate) use own_edge::own_edge;
 
 /// Properties of the printed board.
 #[derive(Debug, Clone, Copy, PartialEq)]

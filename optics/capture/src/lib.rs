@@ -1,12 +1,13 @@
 //! Computes profiles from photographs, on plain arrays, without files, network or clock. A session is processed in steps
 //! that take photographs one at a time, so that at most two are in memory: [`Darks`] → [`Flats`] → [`Patches`] →
-//! [`BareShots`] → [`Mountings`], one per sample. Each step has `add(photo)`, which checks and may refuse, and
-//! `finish()`, whose result the next one uses.
+//! [`BareShots`] → [`HazeShots`], [`Mountings`], one per sample. Each step has `add(photo)`, which checks and may refuse,
+//! and `finish()`, whose result the next one uses.
 
 mod agreement;
 mod bins;
 mod black;
 mod blemishes;
+mod blue_cut;
 mod blur;
 mod board;
 mod calibration;
@@ -15,6 +16,7 @@ mod check;
 mod estimate;
 mod flat;
 mod frame;
+mod haze;
 mod join;
 mod lattice;
 mod least_squares;
@@ -33,12 +35,14 @@ mod view;
 
 pub use bins::{BIN_MM, BINS, EdgeProfile};
 pub use black::{Black, Darks};
+pub use blue_cut::BlueCutShots;
 pub use board::{BareShots, Board};
 pub use calibration::{Calibration, PatchReading};
 pub use check::{ShotCheck, check_shot, find_edges};
 pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Area, Colour, Exposure, Frame, Levels, Pattern, Photo, Site};
+pub use haze::HazeShots;
 pub use join::join_parts;
 pub use lattice::{EdgeLine, FreeEdge, Target};
 pub use mountings::{Mountings, SampleProfile};

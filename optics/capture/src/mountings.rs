@@ -212,10 +212,7 @@ impl<'a> Mountings<'a> {
         let shots = self.shots.len() as f64;
         let mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / shots;
         let between = |c: usize, i: usize| joined[c].between[i] / shots.sqrt();
-        let black = |c: usize| {
-            let levels = calibration.black().levels().iter();
-            levels.map(|l| l.std_error).fold(0.0, f64::max) / calibration.gain[c].value
-        };
+        let black = |c: usize| calibration.black().std_error() / calibration.gain[c].value;
         let moved = self.unseen_movement_mm();
         let per_channel = |f: &dyn Fn(usize) -> f64| [f(0), f(1), f(2)];
         [

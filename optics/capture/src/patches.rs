@@ -1,7 +1,8 @@
 //! Fits linearity, stray light and the white reference to shots of grey patches.
 //!
 //! (S − D)/f = k ρ + γ M/f: f is the flat, k the numbers per unit of radiance factor, M the frame's mean of S − D, and
-//! γ the share of it that lens and camera scatter over the frame.
+//! γ the share of it that lens and camera scatter over the frame. Three patches give all of these; of fewer, exposure times
+//! give linearity, and a usual γ is assumed.
 
 use optics_model::Invalid;
 
@@ -9,7 +10,7 @@ use crate::black::Black;
 use crate::calibration::{Calibration, frame_means};
 use crate::camera_settings::CameraSettings;
 use crate::flat::Flat;
-use crate::frame::{Area, Colour, Photo};
+use crate::frame::{Area, Colour, Exposure, Photo};
 use crate::least_squares::{median, robust_mean};
 use crate::noise::Pairs;
 use crate::one_colour;
@@ -17,15 +18,18 @@ use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::saturation::{Saturation, saturation};
 use crate::view::PhotoView;
 
+mod exposures;
 mod find;
 mod line;
+
+use exposures::ExposedWhite;
 
 /// The grey patches with their certified reflectances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neutral {
     rho: Vec<[f64; 3]>,
     std_error: f64,
-    /// None if they have to be found.
+    /// None if they have to be found; a single one lies in the frame's middle.
     areas: Option<Vec<Area>>,
 }
 
@@ -37,6 +41,7 @@ pub struct Patches {
     neutral: Neutral,
     last: Option<Photo>,
     shots: Vec<PatchShot>,
+    exposures: Vec<ExposedWhite>,
     pairs: Pairs,
     warnings: Vec<Warning>,
 }
@@ -73,16 +78,22 @@ const OTHER_PATCH: f64 = 1.5;
 const LEAST_PX: f64 = 8.0;
 /// Pixels of an area that are read: enough for a white patch to 0.005 %.
 const SAMPLES: f64 = 100_000.0;
+/// Side of a single panel's area, as a share of the frame's, and the greatest difference between its quarters.
+const MIDDLE: f64 = 0.2;
+const EVEN: f64 = 0.05;
 
 impl Neutral {
     /// `rho` per patch and channel, `std_error` relative, `areas` in the same order. Without areas, the row of patches
-    /// is searched for in every shot.
+    /// is searched for in every shot, and a single panel is taken to fill the frame's middle.
     pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Option<Vec<Area>>) -> Result<Self, Invalid> {
-        if rho.len() < 3 {
+        if rho.is_empty() {
+            return Err(Invalid::new("rho", "no patches", "at least a white panel is needed"));
+        }
+        if rho.len() == 2 && areas.is_none() {
             return Err(Invalid::new(
-                "rho",
-                format!("{} patches", rho.len()),
-                "at least 3 are needed for a line",
+                "areas_px",
+                "nothing",
+                "two patches make no row that can be found: give their places",
             ));
         }
         if let Some((i, wrong)) =
@@ -132,6 +143,7 @@ impl Patches {
             neutral,
             last: None,
             shots: Vec::new(),
+            exposures: Vec::new(),
             pairs: Pairs::default(),
             warnings: Vec::new(),
         }
@@ -160,6 +172,7 @@ impl Patches {
         let means = frame_means(&self.black, frame);
         let areas = match &self.neutral.areas {
             Some(areas) => areas.clone(),
+            None if self.neutral.rho.len() == 1 => vec![self.middle(photo)?],
             None => find::find(PhotoView { photo, black: &self.black, flat: &self.flat }, &self.neutral)?,
         };
         let mut readings = Vec::new();
@@ -181,6 +194,48 @@ impl Patches {
             readings.push(per_channel);
         }
         Ok(PatchShot { label: photo.label.clone(), seconds: photo.seconds, areas, readings, sites: of_sites })
+    }
+
+    /// A shot of the white at another exposure time.
+    #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
+    pub fn add_exposure(&mut self, photo: Photo) -> Result<(), Refusal> {
+        let Some(exposure) = photo.exposure else {
+            let seen = format!("{} states no time", photo.label);
+            return Err(Refusal::FewExposures { seen });
+        };
+        if let Some(last) = &self.last {
+            let mut settings = CameraSettings::of(last);
+            settings.exposure = settings.exposure.map(|same| Exposure { time_s: exposure.time_s, ..same });
+            settings.check(&photo)?;
+        }
+        let readings = self.read(&photo, saturation(&photo))?.readings[self.neutral.white()];
+        self.exposures.push(ExposedWhite { label: photo.label.clone(), time_s: exposure.time_s, readings });
+        Ok(())
+    }
+
+    /// The frame's middle, which a panel fills.
+    fn middle(&self, photo: &Photo) -> Result<Area, Refusal> {
+        let [width, height] = [photo.frame.width(), photo.frame.height()].map(|side| side as f64);
+        let part = |i: usize, j: usize, share: f64| Area {
+            x: (0.5 - share + share * i as f64) * width,
+            y: (0.5 - share + share * j as f64) * height,
+            width: share * width,
+            height: share * height,
+        };
+        let full = Saturation::all(f64::INFINITY);
+        let quarter = |k: usize| -> Result<f64, Refusal> {
+            let area = part(k % 2, k / 2, 0.5 * MIDDLE);
+            Ok(robust_mean(&self.samples(photo, area, 0, Colour::Green, full)?.light).0)
+        };
+        let quarters = (0..4).map(quarter).collect::<Result<Vec<_>, _>>()?;
+        let (least, most) =
+            quarters.iter().fold((f64::INFINITY, 0.0_f64), |(least, most), v| (least.min(*v), most.max(*v)));
+        if most > (1.0 + EVEN) * least.max(f64::MIN_POSITIVE) {
+            let percent = 100.0 * (most / least - 1.0);
+            let seen = format!("the frame's middle differs by {percent:.0} %, as no single panel does");
+            return Err(Refusal::NoPatches { label: photo.label.clone(), seen });
+        }
+        Ok(Area { width: MIDDLE * width, height: MIDDLE * height, ..part(0, 0, 0.5 * MIDDLE) })
     }
 
     fn samples(
@@ -245,7 +300,7 @@ impl Patches {
         let Some(last) = &self.last else { return Err(Refusal::Missing { what: "shots of the patches" }) };
         let sites = last.frame.sites();
         self.check_alike()?;
-        let fitted = line::fit(&self.neutral, &self.shots)?;
+        let fitted = line::fit(&self.neutral, &self.shots, &self.exposures)?;
         // Pairs of patch shots show one subject, flats a moved sheet; these are used only if there are no better pairs.
         let mut pairs = self.black.pairs.clone();
         pairs.extend(&self.pairs);

@@ -27,6 +27,17 @@ pub enum Refusal {
     )]
     NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
     #[error(
+        "{label}: the {colour} samples are {:.2} % {} what the longest exposure gives in its time, 1 % is allowed; switch off \
+         tone curves, expose less, or give three grey patches",
+        percent.abs(), if *percent < 0.0 { "below" } else { "above" }
+    )]
+    NotProportional { label: String, colour: Colour, percent: f64 },
+    #[error(
+        "linearity needs three exposure times of the white panel, the shortest at most half of the longest: {seen}; files must \
+         state their time"
+    )]
+    FewExposures { seen: String },
+    #[error(
         "{label}: the grey patches were not found: {seen}; they are looked for as a row of even rectangles at equal \
          distances, in the order of rho; check that order, or give their places with `areas_px`"
     )]
@@ -112,6 +123,20 @@ pub enum Refusal {
         "{label}: the crop leaves the frame at ({x_px:.0}, {y_px:.0}) px; move the edge to the frame's middle"
     )]
     OutsideFrame { label: String, x_px: f64, y_px: f64 },
+    #[error(
+        "{label}: slip and gel show {percent:.1} % of white in {colour} where a light trap is expected, up to 5 % are allowed;          lay them over a deep black hole (a box lined with black velvet), in the board's place"
+    )]
+    NoTrap { label: String, colour: Colour, percent: f64 },
+    #[error(
+        "{label}: no straight edge between two even sides crosses the middle of the crop; lay chrome on glass, or another edge \
+         that spreads no light, along the board's edge and in its plane"
+    )]
+    NoOwnEdge { label: String },
+    #[error(
+        "{label}: {seen}; for a shot without blue, put a filter before the lamps that blocks it (yellow), and leave a part of the \
+         board free"
+    )]
+    NoBlueCut { label: String, seen: String },
     #[error("{label}: the crop looks like the bare board; cover the edge with the slab")]
     NoSlab { label: String },
     #[error(
@@ -141,6 +166,11 @@ pub enum Warning {
          board that does not (chrome on glass, anodised metal) gives narrower intervals"
     )]
     SpreadingBoard { mm: f64, std_error_mm: f64 },
+    #[error(
+        "under gel the board's light side reflects {wet:.3} ± {std_error:.3}, dry {dry:.3}: the difference is gloss; the fit \
+         takes the value under gel"
+    )]
+    Gloss { wet: f64, std_error: f64, dry: f64 },
     #[error("no dark shots: the black level is taken from the files, without an error")]
     NoDark,
     #[error(
@@ -200,6 +230,16 @@ pub enum Warning {
     NoPairs,
     #[error("times of the shots are unknown: the white reference is the mean of its shots")]
     NoTimes,
+    #[error(
+        "{patches} do not show whether numbers are proportional to light: an error of 1 % is allowed for; add shots of the \
+         white at other exposure times (`exposures` under [neutral]), or grey patches"
+    )]
+    LinearityUnknown { patches: &'static str },
+    #[error(
+        "one patch does not show how much light lens and camera scatter over the frame: {percent} ± {percent} % of its mean is \
+         assumed; add a black patch"
+    )]
+    GlareUnknown { percent: f64 },
     #[error("no shots of the patches after the samples: drift of the light is unknown")]
     NoDrift,
 }

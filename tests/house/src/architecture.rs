@@ -41,7 +41,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("coordinator", &["optics-model", "optics-fit", "farm-proto", "farm-link"]),
     ("worker", &["optics-model", "optics-tracer", "optics-layers", "farm-proto", "farm-link"]),
     ("client/figures", &["optics-model"]),
-    ("client/lab", &["optics-model", "optics-tracer", "optics-capture", "farm-figures"]),
+    ("client/lab", &["optics-model", "optics-tracer", "optics-layers", "optics-capture", "farm-figures"]),
     (
         "client",
         &[

@@ -2,6 +2,7 @@
 
 mod faults;
 mod figures;
+mod further_shots;
 mod patches;
 mod real_sensor;
 mod refusals;

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use optics_capture::{Board, BoardRho, Calibration, SampleProfile};
+use farm_figures::numbers::with_error;
+use optics_capture::{Board, BoardRho, Calibration, Estimate, SampleProfile};
 
 use super::bands::Band;
 use super::session_file::{CaptureSession, Sample};
@@ -31,6 +32,10 @@ pub struct CapturedPart {
     pub calibration: Calibration,
     pub board: Board,
     pub rho: [BoardRho; 3],
+    /// Radiance factor that slip, gel and camera add everywhere; None without shots over a light trap.
+    pub haze: Option<Estimate>,
+    /// Factor on ρ of the light side; None without shots of the board under slip and gel.
+    pub light_side: Option<Estimate>,
     pub samples: Vec<CapturedSample>,
 }
 
@@ -38,6 +43,8 @@ pub struct CapturedPart {
 pub struct CapturedSample {
     pub about: Sample,
     pub profile: SampleProfile,
+    /// Share of red and of green light that blue excites; None without shots of it.
+    pub fluorescence: Option<[Estimate; 2]>,
     /// None of bands.
     pub strip: Option<Strip>,
 }
@@ -53,6 +60,19 @@ impl Captured {
 }
 
 impl CapturedPart {
+    /// The results of further shots of the session.
+    pub fn further(&self) -> Vec<String> {
+        let percent = |e: Estimate| format!("{} %", with_error(100.0 * e.value, 100.0 * e.std_error));
+        let haze = self.haze.map(|haze| format!("haze {} of white", percent(haze)));
+        let light =
+            self.light_side.map(|factor| format!("light side in gel {} of its dry ρ", percent(factor)));
+        let samples = self.samples.iter().filter_map(|sample| {
+            let [red, green] = sample.fluorescence?.map(percent);
+            Some(format!("excited by blue in {}: red {red}, green {green}", sample.about.label()))
+        });
+        haze.into_iter().chain(light).chain(samples).collect()
+    }
+
     /// Warnings about a part: those of a band begin with its name.
     fn warnings(&self) -> Vec<String> {
         let set_up = self.calibration.warnings.iter().chain(&self.board.warnings).map(ToString::to_string);

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use optics_capture::{EdgeProfile, Estimate, Source};
+use optics_capture::{Colour, EdgeProfile, Estimate, Source};
 use optics_model::ProfileSetup;
 use optics_model::grid::Axes;
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
@@ -218,9 +218,14 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
         format: &'static str,
         #[serde(flatten)]
         errors: SessionErrors,
+        #[serde(skip_serializing_if = "Value::is_null")]
+        colours: Value,
         blur_mm: Value,
         blur_std_error_mm: Value,
         base_spread_mm: Value,
+        /// Measured quantities of the scene.
+        #[serde(flatten)]
+        measured: Map<String, Value>,
         #[serde(flatten)]
         parts: Map<String, Value>,
         record: SessionRecord,
@@ -234,9 +239,11 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
     SessionJson {
         format: "farmctl-session/1",
         errors: SessionErrors::of(captured),
+        colours: captured.session.colours.map_or(Value::Null, colours),
         blur_mm: by_channel(&channels, |c| json!(c.blur_mm().value)),
         blur_std_error_mm: by_channel(&channels, |c| json!(c.blur_mm().std_error)),
-        base_spread_mm: base_spread_mm(captured),
+        base_spread_mm: best(captured, |part| Some(part.board.spread_mm)).unwrap_or_default(),
+        measured: measured(captured),
         parts: parts(captured),
         record: captured.session.record.clone(),
         inputs: inputs.collect(),
@@ -244,10 +251,25 @@ pub(super) fn session(captured: &Captured) -> impl Serialize {
     }
 }
 
-/// The board's spread: of several bands that with the least error.
-fn base_spread_mm(captured: &Captured) -> Value {
-    let spreads = captured.parts.iter().map(|part| part.board.spread_mm);
-    spreads.min_by(|a, b| a.std_error.total_cmp(&b.std_error)).map_or(Value::Null, estimate)
+/// Mean wavelength and standard deviation of a camera's colours.
+fn colours(colours: [(f64, f64); 3]) -> Value {
+    let band = |(colour, (nm, std_dev)): (Colour, (f64, f64))| {
+        (colour.letter().to_owned(), json!({"wavelength_nm": nm, "std_dev_nm": std_dev}))
+    };
+    Value::Object(Colour::ALL.into_iter().zip(colours).map(band).collect())
+}
+
+/// A number of the session: of several bands that with the least error.
+fn best(captured: &Captured, found: impl Fn(&CapturedPart) -> Option<Estimate>) -> Option<Value> {
+    let all = captured.parts.iter().filter_map(found);
+    all.min_by(|a, b| a.std_error.total_cmp(&b.std_error)).map(estimate)
+}
+
+/// Quantities of the scene that have shots of their own.
+fn measured(captured: &Captured) -> Map<String, Value> {
+    let found =
+        [("haze", best(captured, |part| part.haze)), ("light_side", best(captured, |part| part.light_side))];
+    found.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))).collect()
 }
 
 /// `board`, `camera` and `samples` of red, green and blue, or a list of these as `bands`.
@@ -335,6 +357,7 @@ fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
         "thickness_mm": sample.about.thickness_mm,
         "shots": sample.profile.shots.iter().map(|shot| shot.label.clone()).collect::<Vec<_>>(),
         "light": light.collect::<Vec<_>>(),
+        "fluorescence": sample.fluorescence.map(|[red, green]| json!({"R": estimate(red), "G": estimate(green)})),
         "budget": Value::Object(budget.chain([thickness, blur]).collect()),
         "warnings": report::texts(&sample.profile.warnings),
     })

@@ -34,6 +34,8 @@ pub struct CaptureSession {
     pub parts: Vec<SessionPart>,
     pub target: Target,
     pub scene: optics_model::Scene,
+    /// Mean wavelength and standard deviation in nm of red, green and blue, by the camera's sensitivities.
+    pub colours: Option<[(f64, f64); 3]>,
     /// Values that are valid but implausible.
     pub doubts: Vec<String>,
     pub record: SessionRecord,
@@ -50,7 +52,15 @@ pub struct SessionPart {
     pub flat: Vec<PathBuf>,
     pub neutral_shots: Vec<PathBuf>,
     pub neutral: Neutral,
+    /// Shots of the white at other exposure times.
+    pub exposures: Vec<PathBuf>,
     pub bare: Vec<PathBuf>,
+    /// An edge in which no light spreads.
+    pub edge: Vec<PathBuf>,
+    /// Slip and gel over a light trap.
+    pub haze: Vec<PathBuf>,
+    /// The board under slip and gel.
+    pub in_gel: Vec<PathBuf>,
     pub samples: Vec<Sample>,
 }
 
@@ -61,6 +71,8 @@ pub struct Sample {
     pub thickness_mm: f64,
     pub thickness_std_error_mm: f64,
     pub shots: Vec<PathBuf>,
+    /// Shots under lamps without blue.
+    pub blue_cut: Vec<PathBuf>,
 }
 
 impl Sample {
@@ -99,8 +111,10 @@ impl CaptureSession {
 
 impl SessionPart {
     fn shots(&self) -> impl Iterator<Item = &PathBuf> {
-        let samples = self.samples.iter().flat_map(|sample| &sample.shots);
-        [&self.dark, &self.flat, &self.neutral_shots, &self.bare].into_iter().flatten().chain(samples)
+        let samples = self.samples.iter().flat_map(|sample| sample.shots.iter().chain(&sample.blue_cut));
+        let set_up = [&self.dark, &self.flat, &self.neutral_shots, &self.exposures];
+        let board = [&self.bare, &self.edge, &self.haze, &self.in_gel];
+        set_up.into_iter().chain(board).flatten().chain(samples)
     }
 }
 
@@ -138,12 +152,20 @@ struct CameraTable {
     #[serde(default)]
     flat: Vec<String>,
     pattern: Option<String>,
+    /// A table of the sensitivities of red, green and blue over wavelength.
+    sensitivity: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct TargetTable {
     bare: Vec<String>,
+    #[serde(default)]
+    edge: Vec<String>,
+    #[serde(default)]
+    haze: Vec<String>,
+    #[serde(default)]
+    in_gel: Vec<String>,
     square_mm: Option<f64>,
     square_std_error_mm: Option<f64>,
     dark_side: Option<String>,
@@ -158,6 +180,8 @@ struct SampleTable {
     /// Width and height of the slab.
     slab_mm: Option<[f64; 2]>,
     shots: Vec<String>,
+    #[serde(default)]
+    blue_cut: Vec<String>,
 }
 
 /// The squares and patches of the paper: defaults of fields that a session omits.
@@ -184,6 +208,7 @@ impl SessionFile {
         for band in &bands {
             doubts.extend(doubts::stray(band, light.as_ref())?);
         }
+        let colours = self.colours(folder, light.as_ref())?;
         let part = |band| self.part(folder, band, light.as_ref(), &scene);
         let parts = if bands.is_empty() {
             vec![part(None)?]
@@ -194,7 +219,34 @@ impl SessionFile {
         check_once(&parts)?;
         check_slabs(&parts[0].samples)?;
         let record = self.record.checked()?;
-        Ok(CaptureSession { pattern, parts, target, scene, doubts, record, text })
+        Ok(CaptureSession { pattern, parts, target, scene, colours, doubts, record, text })
+    }
+
+    /// Mean wavelength and standard deviation in nm of red, green and blue.
+    fn colours(&self, folder: &Path, light: Option<&Spectrum>) -> Result<Option<[(f64, f64); 3]>, Invalid> {
+        const FIELD: &str = "camera.sensitivity";
+        let Some(file) = &self.camera.sensitivity else { return Ok(None) };
+        let refused = |given: String, allowed: &str| Err(Invalid::new(FIELD, given, allowed));
+        if !self.bands.is_empty() {
+            return refused(
+                format!("{file:?}"),
+                "it is for red, green and blue: a [[band]] has a filter of its own",
+            );
+        }
+        let columns = Spectrum::read_in(folder, FIELD, file)?;
+        let lit =
+            |column: Spectrum| light.map_or(Ok(column.clone()), |light| column.lit("light.spectrum", light));
+        let columns = columns.into_iter().map(lit).collect::<Result<Vec<_>, _>>()?;
+        let colours: Option<Vec<_>> = columns.iter().map(Spectrum::mean_and_std_dev).collect();
+        match colours.as_deref() {
+            Some([red, green, blue]) if red.0 > green.0 && green.0 > blue.0 => {
+                Ok(Some([*red, *green, *blue]))
+            }
+            _ => refused(
+                format!("{file:?} with {} columns of values", columns.len()),
+                "the columns wavelength_nm, R, G and B are needed, red at the longest wavelengths",
+            ),
+        }
     }
 
     fn read_bands(&self, folder: &Path) -> Result<Vec<Band>, Invalid> {
@@ -219,10 +271,21 @@ impl SessionFile {
         let sample = |(i, table): (usize, &SampleTable)| {
             sample(folder, table, band.as_ref()).map_err(|e| e.within(format_args!("sample[{i}]")))
         };
+        let haze = files("target.haze", &self.target.haze)?;
+        let in_gel = files("target.in_gel", &self.target.in_gel)?;
+        if haze.is_empty() && !in_gel.is_empty() {
+            let allowed =
+                "without `haze`, shots of slip and gel over a light trap, haze and gloss cannot be separated";
+            return Err(Invalid::new("target.in_gel", in_gel.len(), allowed));
+        }
         Ok(SessionPart {
+            edge: files("target.edge", &self.target.edge)?,
+            haze,
+            in_gel,
             dark: files(DARK, &self.camera.dark)?,
             flat: files("camera.flat", &self.camera.flat)?,
             neutral_shots: needed("neutral.shots", files("neutral.shots", &self.neutral.shots)?)?,
+            exposures: files("neutral.exposures", &self.neutral.exposures)?,
             neutral: self.neutral.read(folder, band.as_ref(), light, scene)?,
             bare: needed("target.bare", files("target.bare", &self.target.bare)?)?,
             samples: self.samples.iter().enumerate().map(sample).collect::<Result<_, _>>()?,
@@ -250,7 +313,11 @@ fn files_of_band(
 }
 
 fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sample, Invalid> {
-    let SampleTable { material, thickness_mm, thickness_std_error_mm, slab_mm, shots } = table;
+    let SampleTable { material, thickness_mm, thickness_std_error_mm, slab_mm, shots, blue_cut } = table;
+    if band.is_some() && !blue_cut.is_empty() {
+        let allowed = "red, green and blue are compared: in bands, compare a filter before the lamps with one before the camera";
+        return Err(Invalid::new("blue_cut", format_args!("{blue_cut:?}"), allowed));
+    }
     let within = |field: &str, value: f64, from: f64, to: f64| {
         let allowed = format!("allowed are {from} to {to}");
         if (from..=to).contains(&value) { Ok(value) } else { Err(Invalid::new(field, value, allowed)) }
@@ -278,6 +345,7 @@ fn sample(folder: &Path, table: &SampleTable, band: Option<&Band>) -> Result<Sam
             thickness_mm.scatter_mm(),
         ),
         shots: needed("shots", files_of_band(folder, "shots", shots, band)?)?,
+        blue_cut: files_of(folder, "blue_cut", blue_cut)?,
     })
 }
 
@@ -297,9 +365,16 @@ fn check_once(parts: &[SessionPart]) -> Result<(), Invalid> {
             (DARK.to_owned(), &part.dark),
             ("camera.flat".to_owned(), &part.flat),
             ("neutral.shots".to_owned(), &part.neutral_shots),
+            ("neutral.exposures".to_owned(), &part.exposures),
             ("target.bare".to_owned(), &part.bare),
+            ("target.edge".to_owned(), &part.edge),
+            ("target.haze".to_owned(), &part.haze),
+            ("target.in_gel".to_owned(), &part.in_gel),
         ];
-        let samples = part.samples.iter().enumerate().map(|(i, s)| (format!("sample[{i}].shots"), &s.shots));
+        let samples = part.samples.iter().enumerate().flat_map(|(i, sample)| {
+            [("shots", &sample.shots), ("blue_cut", &sample.blue_cut)]
+                .map(|(field, files)| (format!("sample[{i}].{field}"), files))
+        });
         let mut own: HashSet<PathBuf> = HashSet::new();
         for (field, files) in lists.into_iter().chain(samples) {
             for file in files {

@@ -80,18 +80,32 @@ impl Spectrum {
         self.rows.iter().map(|(_, value)| *value).fold(0.0, f64::max)
     }
 
-    /// Standard deviation of wavelengths that are weighted by the values, by the trapezoidal rule; 0 if all values are 0.
+    /// These values times those of another table.
+    pub fn lit(&self, field: &str, light: &Self) -> Result<Self, Invalid> {
+        let lit = |(nm, value): &(f64, f64)| {
+            Ok((*nm, if *value > 0.0 { value * light.within(field, *nm)? } else { 0.0 }))
+        };
+        Ok(Self { rows: self.rows.iter().map(lit).collect::<Result<_, Invalid>>()? })
+    }
+
+    /// Standard deviation of wavelengths that are weighted by the values; 0 if all values are 0.
     pub fn std_dev(&self) -> f64 {
+        self.mean_and_std_dev().map_or(0.0, |(_, std_dev)| std_dev)
+    }
+
+    /// Mean and standard deviation of wavelengths that are weighted by the values, by the trapezoidal rule; none if all
+    /// values are 0.
+    pub fn mean_and_std_dev(&self) -> Option<(f64, f64)> {
         let moment = |of: &dyn Fn(f64) -> f64| -> f64 {
             let pairs = self.rows.windows(2);
             pairs.map(|w| 0.5 * (w[1].0 - w[0].0) * (w[0].1 * of(w[0].0) + w[1].1 * of(w[1].0))).sum()
         };
         let whole = moment(&|_| 1.0);
         if whole <= 0.0 {
-            return 0.0;
+            return None;
         }
         let mean = moment(&|nm| nm) / whole;
-        (moment(&|nm| (nm - mean).powi(2)) / whole).sqrt()
+        Some((mean, (moment(&|nm| (nm - mean).powi(2)) / whole).sqrt()))
     }
 
     /// The value at a wavelength; 0 outside of the table.

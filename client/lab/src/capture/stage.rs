@@ -1,11 +1,11 @@
 //! Runs the steps of a session in their order.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use optics_capture::{
-    Appearance, BareShots, Board, BoardRho, Calibration, Colour, Darks, Flats, Mountings, Patches, Photo,
-    Warning,
+    Appearance, BareShots, BlueCutShots, Board, BoardRho, Calibration, Colour, Darks, Estimate, Flats,
+    HazeShots, Mountings, Patches, Photo, Warning,
 };
 use optics_model::scene::{Channel, LEAST_RHO_DARK};
 use optics_model::{Invalid, Scene};
@@ -14,6 +14,7 @@ use optics_tracer::{BareBoard, SeenBase};
 use super::band_optics::BandOptics;
 use super::bands::BandPixels;
 use super::captured::{Captured, CapturedPart, CapturedSample};
+use super::in_gel::{gloss, light_side};
 use super::session_file::{CaptureSession, Sample, SessionPart};
 use super::shots::{Shots, turned};
 use super::strip::Strip;
@@ -65,13 +66,22 @@ impl SessionRun<'_> {
         if part.band.as_ref().is_some_and(|band| band.pixels == BandPixels::Mono) {
             check_monochrome(&calibration)?;
         }
-        let mut board = self.board(session, &part, &calibration)?;
+        let mut board = self.board(session, [&part.bare, &part.edge], "bare board", &calibration)?;
         let rho = board_rho(&session.scene, &mut board, calibration.reference_std_error)?;
+        let haze = self.haze(&part.haze, &calibration, &board)?;
+        let mut wet = None;
+        if let Some(haze) = haze.filter(|_| !part.in_gel.is_empty()) {
+            let seen = self.board(session, [&part.in_gel, &[]], "board in gel", &calibration)?;
+            let scene = session.scene.clone().with_channels(board_channels(&rho)?)?;
+            let factor = light_side(&scene, &seen, haze)?;
+            board.warnings.extend(gloss(factor, &rho));
+            wet = Some(factor);
+        }
         let slabs = std::mem::take(&mut part.samples).into_iter();
         let samples = slabs.map(|slab| self.sample(slab, &part, &calibration, &board));
         let samples = samples.collect::<Result<_>>()?;
         let about = self.shots.about(first);
-        Ok(CapturedPart { band: part.band, about, calibration, board, rho, samples })
+        Ok(CapturedPart { band: part.band, about, calibration, board, rho, haze, light_side: wet, samples })
     }
 
     fn read(&mut self, path: &Path, what: &str) -> Result<Photo> {
@@ -100,20 +110,41 @@ impl SessionRun<'_> {
         for path in others {
             patches.add(self.read(path, "grey patches")?)?;
         }
+        for path in &part.exposures {
+            patches.add_exposure(self.read(path, "exposure")?)?;
+        }
         Ok(patches.finish()?)
     }
 
     fn board(
         &mut self,
         session: &CaptureSession,
-        part: &SessionPart,
+        [shots, edges]: [&[PathBuf]; 2],
+        what: &str,
         calibration: &Calibration,
     ) -> Result<Board> {
         let mut bare = BareShots::new(calibration, session.target)?;
-        for path in &part.bare {
-            bare.add(self.read(path, "bare board")?)?;
+        for path in shots {
+            bare.add(self.read(path, what)?)?;
+        }
+        for path in edges {
+            bare.add_edge(self.read(path, "edge")?)?;
         }
         Ok(bare.finish()?)
+    }
+
+    /// None without shots over a light trap.
+    fn haze(
+        &mut self,
+        shots: &[PathBuf],
+        calibration: &Calibration,
+        board: &Board,
+    ) -> Result<Option<Estimate>> {
+        let mut haze = HazeShots::new(calibration, board);
+        for path in shots {
+            haze.add(self.read(path, "haze")?)?;
+        }
+        if shots.is_empty() { Ok(None) } else { Ok(Some(haze.finish()?)) }
     }
 
     fn sample(
@@ -134,7 +165,13 @@ impl SessionRun<'_> {
             }
             mountings.add(photo)?;
         }
-        Ok(CapturedSample { about: slab, profile: mountings.finish()?, strip })
+        let profile = mountings.finish()?;
+        let mut cut = BlueCutShots::new(calibration, board, &profile);
+        for path in &slab.blue_cut {
+            cut.add(self.read(path, &format!("{label} without blue"))?)?;
+        }
+        let fluorescence = if slab.blue_cut.is_empty() { None } else { Some(cut.finish()?) };
+        Ok(CapturedSample { about: slab, profile, fluorescence, strip })
     }
 }
 

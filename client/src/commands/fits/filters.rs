@@ -9,6 +9,7 @@
 
 use farm_figures::numbers::significant;
 use farm_lab::measurement_file::Note;
+use farm_lab::session_folder::{BandWidth, SessionBands};
 use optics_model::fit::{ChannelFit, MaterialFit};
 use optics_model::measurement::{colour, wavelength_nm};
 
@@ -26,24 +27,30 @@ const MOST_NAMED: usize = 4;
 const COLOURS: [(&str, f64, f64); 3] = [("R", 600.0, 30.0), ("G", 535.0, 35.0), ("B", 465.0, 30.0)];
 /// σ_a over σ_s(1 − g) from which on a medium absorbs so much that the width of its band matters.
 const ABSORBING: f64 = 0.03;
+/// Standard errors from which on a share of excited light is one.
+const FIRM: f64 = 3.0;
 /// Longest wavelength in nm that excites fluorescence in resins.
 const BLUE_NM: f64 = 470.0;
 
-/// Notes on what the bands of the channels make uncertain; `widths` are wavelength and standard deviation of each filter in
-/// nm.
-pub(super) fn notes(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Vec<Note> {
-    [wide(fits, widths), leaks(fits), unknown_band(fits), fluorescence(fits)].into_iter().flatten().collect()
+/// Notes on what the bands of the channels make uncertain.
+pub(super) fn notes(fits: &[MaterialFit], bands: &SessionBands) -> Vec<Note> {
+    let notes = [wide(fits, bands), leaks(fits), unknown_band(fits, bands), fluorescence(fits, bands)];
+    notes.into_iter().flatten().collect()
 }
 
-/// Wavelength and standard deviation of a channel that is a camera's colour.
-fn colour_band(channel: &str) -> Option<(f64, f64)> {
-    let found = COLOURS.into_iter().find(|(name, ..)| colour(channel) == Some(*name));
-    found.map(|(_, nm, width)| (nm, width))
+/// The band of a channel that is a camera's colour: by the camera's sensitivities, or the usual one.
+fn colour_band(channel: &str, bands: &SessionBands) -> Option<BandWidth> {
+    let name = colour(channel)?;
+    let usual = || {
+        let (_, wavelength_nm, std_dev_nm) = COLOURS.into_iter().find(|(usual, ..)| *usual == name)?;
+        Some(BandWidth { wavelength_nm, std_dev_nm })
+    };
+    bands.colours.get(name).copied().or_else(usual)
 }
 
 /// The wavelength of a channel, at least about.
-fn place_nm(channel: &str) -> Option<f64> {
-    wavelength_nm(channel).or_else(|| colour_band(channel).map(|(nm, _)| nm))
+fn place_nm(channel: &str, bands: &SessionBands) -> Option<f64> {
+    wavelength_nm(channel).or_else(|| colour_band(channel, bands).map(|band| band.wavelength_nm))
 }
 
 /// A channel whose σ_a is known well enough to show how it changes with wavelength.
@@ -57,18 +64,18 @@ struct KnownBand<'a> {
 }
 
 /// The known bands of a material, by wavelength.
-fn known_bands(fit: &MaterialFit) -> Vec<KnownBand<'_>> {
+fn known_bands<'a>(fit: &'a MaterialFit, bands: &SessionBands) -> Vec<KnownBand<'a>> {
     let known = fit.channels.iter().filter_map(|channel| {
-        let (nm, refined) = (place_nm(&channel.channel)?, channel.refined.as_ref()?);
+        let (nm, refined) = (place_nm(&channel.channel, bands)?, channel.refined.as_ref()?);
         let sigma_a = refined.best.medium.absorption_per_mm();
         let interval = refined.absorption_per_mm;
         let half_width = 0.5 * (interval.high - interval.low) / sigma_a;
         let is_known = sigma_a > 0.0 && half_width < KNOWN && !interval.open_low && !interval.open_high;
         is_known.then(|| KnownBand { channel, nm, ln_sigma_a: libm::log(sigma_a), half_width })
     });
-    let mut bands: Vec<KnownBand> = known.collect();
-    bands.sort_by(|a, b| a.nm.total_cmp(&b.nm));
-    bands
+    let mut known: Vec<KnownBand> = known.collect();
+    known.sort_by(|a, b| a.nm.total_cmp(&b.nm));
+    known
 }
 
 fn is_absorbing(channel: &ChannelFit) -> bool {
@@ -94,10 +101,10 @@ fn first_few(all: &[String]) -> Option<String> {
 }
 
 /// Notes media that absorb in a channel whose band is not known, where too few others show how absorption changes.
-fn unknown_band(fits: &[MaterialFit]) -> Option<Note> {
+fn unknown_band(fits: &[MaterialFit], bands: &SessionBands) -> Option<Note> {
     let is_alone = |fit: &MaterialFit, channel: &ChannelFit| {
         let is_unknown = wavelength_nm(&channel.channel).is_none();
-        is_unknown && is_absorbing(channel) && known_bands(fit).len() < COLOURS.len()
+        is_unknown && is_absorbing(channel) && known_bands(fit, bands).len() < COLOURS.len()
     };
     named(fits, is_alone).map(|named| Note {
         code: "UNKNOWN_BAND",
@@ -109,19 +116,43 @@ fn unknown_band(fits: &[MaterialFit]) -> Option<Note> {
     })
 }
 
-/// Notes materials that absorb blue more than other colours: some of that light may come back as fluorescence.
-fn fluorescence(fits: &[MaterialFit]) -> Option<Note> {
+/// Notes materials that absorb blue more than other colours: some of that light may come back as fluorescence. Shots
+/// without blue show whether it does.
+fn fluorescence(fits: &[MaterialFit], bands: &SessionBands) -> Option<Note> {
+    let shown = |fit: &MaterialFit| {
+        let slabs = bands.samples.iter().filter(|slab| slab.material == fit.material);
+        slabs.filter_map(|slab| slab.fluorescence.as_ref()).collect::<Vec<_>>()
+    };
+    let excited = fits.iter().flat_map(|fit| {
+        let shares =
+            shown(fit).into_iter().flatten().filter(|(_, share)| share.value > FIRM * share.std_error);
+        shares
+            .map(|(colour, share)| {
+                format!("{} {colour} ({} %)", fit.material, significant(100.0 * share.value, 1))
+            })
+            .collect::<Vec<_>>()
+    });
+    if let Some(named) = first_few(&excited.collect::<Vec<_>>()) {
+        return Some(Note {
+            code: "FLUORESCENCE",
+            text: format!(
+                "blue light excites a part of the light of other channels: {named}; their σ_a is too small: give the shots \
+                 without blue as the slab's `shots`, and leave its blue channel out"
+            ),
+        });
+    }
     let sigma_a = |c: &ChannelFit| c.refined.as_ref().map(|r| r.best.medium.absorption_per_mm());
     let absorbs_blue = |fit: &MaterialFit, channel: &ChannelFit| {
         let least = fit.channels.iter().filter_map(sigma_a).fold(f64::INFINITY, f64::min);
-        let is_blue = place_nm(&channel.channel).is_some_and(|nm| nm <= BLUE_NM);
-        is_blue && is_absorbing(channel) && sigma_a(channel).is_some_and(|own| own > DARK * least)
+        let is_blue = place_nm(&channel.channel, bands).is_some_and(|nm| nm <= BLUE_NM);
+        let is_open = shown(fit).is_empty() && is_blue && is_absorbing(channel);
+        is_open && sigma_a(channel).is_some_and(|own| own > DARK * least)
     };
     named(fits, absorbs_blue).map(|named| Note {
         code: "FLUORESCENCE_UNKNOWN",
         text: format!(
             "absorbs blue: {named}; if the resin fluoresces, σ_a of its other channels is too small, by some 20 % where 5 % \
-             of that light comes back; compare a shot of it through a filter before the lamps that blocks blue"
+             of that light comes back; a shot of it through a filter before the lamps that blocks blue shows it (`blue_cut`)"
         ),
     })
 }
@@ -168,9 +199,9 @@ fn unexplained_where_dark(fit: &MaterialFit) -> Vec<String> {
     }
 }
 
-/// `widths` are wavelength and standard deviation of each filter in nm. None if the bands are narrow enough.
-fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
-    let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| wide_bands(fit, widths)).collect();
+/// None if the bands are narrow enough.
+fn wide(fits: &[MaterialFit], bands: &SessionBands) -> Option<Note> {
+    let mut wide: Vec<WideBand> = fits.iter().flat_map(|fit| wide_bands(fit, bands)).collect();
     wide.sort_by(|a, b| b.bias.total_cmp(&a.bias));
     let named = wide.iter().map(|band| format!("{} (by {} %)", band.name, significant(100.0 * band.bias, 1)));
     first_few(&named.collect::<Vec<_>>()).map(|named| Note {
@@ -182,28 +213,28 @@ fn wide(fits: &[MaterialFit], widths: &[(f64, f64)]) -> Option<Note> {
     })
 }
 
-fn wide_bands(fit: &MaterialFit, widths: &[(f64, f64)]) -> Vec<WideBand> {
-    let bands = known_bands(fit);
-    if bands.len() < 3 {
+fn wide_bands(fit: &MaterialFit, bands: &SessionBands) -> Vec<WideBand> {
+    let known = known_bands(fit, bands);
+    if known.len() < 3 {
         return Vec::new();
     }
     let wide = |i: usize| {
-        let first = i.saturating_sub(1).min(bands.len() - 3);
-        let KnownBand { channel, nm, half_width, .. } = bands[i];
-        let of_colour = colour_band(&channel.channel);
-        let of_filter = || widths.iter().find(|(of, _)| *of == nm).copied();
-        let (_, std_dev_nm) = of_colour.or_else(of_filter)?;
+        let first = i.saturating_sub(1).min(known.len() - 3);
+        let KnownBand { channel, nm, half_width, .. } = known[i];
+        let is_colour = colour(&channel.channel).is_some();
         // Bands of cameras are known by their usual widths only: clear media are not doubted by them.
-        if of_colour.is_some() && !is_absorbing(channel) {
+        if is_colour && bands.colours.is_empty() && !is_absorbing(channel) {
             return None;
         }
-        let (slope, curvature) = derivatives(&bands[first..first + 3], nm);
+        let of_filter = || bands.bands.iter().find(|band| band.wavelength_nm == nm).copied();
+        let std_dev_nm = colour_band(&channel.channel, bands).or_else(of_filter)?.std_dev_nm;
+        let (slope, curvature) = derivatives(&known[first..first + 3], nm);
         let bias = std_dev_nm.powi(2) * (0.5 * curvature - 0.3 * slope * slope).abs();
         let is_large = bias > LEAST && bias > LEAST_OF_INTERVAL * half_width;
-        let unit = if of_colour.is_some() { "" } else { " nm" };
+        let unit = if is_colour { "" } else { " nm" };
         is_large.then(|| WideBand { name: format!("{} {}{unit}", fit.material, channel.channel), bias })
     };
-    (0..bands.len()).filter_map(wide).collect()
+    (0..known.len()).filter_map(wide).collect()
 }
 
 /// First and second derivative at `nm` of the parabola through three points.
@@ -270,7 +301,7 @@ mod tests {
     #[test]
     fn coloured_media_of_cameras_are_noted() {
         let codes = |channels: &[(&str, f64)]| -> Vec<&str> {
-            notes(&ink(channels), &[]).iter().map(|note| note.code).collect()
+            notes(&ink(channels), &SessionBands::default()).iter().map(|note| note.code).collect()
         };
         assert_eq!(codes(&[("R", 0.002), ("G", 0.003), ("B", 0.008)]), [""; 0]);
         assert_eq!(codes(&[("R", 0.002), ("G", 0.002), ("B", 0.023)]), [""; 0]);
@@ -279,19 +310,45 @@ mod tests {
         // Where the others absorb too little to be known, nothing shows how absorption changes.
         let mut cyan = ink(&[("R", 1.5), ("G", 0.01), ("B", 0.01)]);
         cyan[0].channels[1].refined.as_mut().unwrap().absorption_per_mm.open_low = true;
-        assert_eq!(notes(&cyan, &[]).iter().map(|note| note.code).collect::<Vec<_>>(), ["UNKNOWN_BAND"]);
+        assert_eq!(
+            notes(&cyan, &SessionBands::default()).iter().map(|note| note.code).collect::<Vec<_>>(),
+            ["UNKNOWN_BAND"]
+        );
         assert_eq!(codes(&[("mono", 1.5)]), ["UNKNOWN_BAND"]);
         assert_eq!(codes(&[("450", 1.5), ("550", 0.1)]), ["FLUORESCENCE_UNKNOWN"]);
         assert_eq!((codes(&[("mono", 0.01)]), codes(&[("450", 1.5)])), (vec![], vec![]));
-        let text = notes(&ink(&[("red", 1.5), ("green", 0.3), ("blue", 0.1)]), &[]).remove(0).text;
+        let text = notes(&ink(&[("red", 1.5), ("green", 0.3), ("blue", 0.1)]), &SessionBands::default())
+            .remove(0)
+            .text;
         assert!(text.contains("ink red (by 17 %)"), "{text}");
+    }
+
+    /// Shots without blue end the doubt, or show the share; sensitivities replace the usual bands of cameras.
+    #[test]
+    fn session_knows_fluorescence_and_bands() {
+        let yellow = ink(&[("R", 0.05), ("G", 0.2), ("B", 1.5)]);
+        let session = |share: f64| -> SessionBands {
+            let text = format!(
+                r#"{{"samples": [{{"material": "ink", "fluorescence": {{"R": {{"value": {share}, "std_error": 0.003}}}}}}],
+                    "colours": {{"R": {{"wavelength_nm": 610, "std_dev_nm": 2}}, "G": {{"wavelength_nm": 540, "std_dev_nm": 2}},
+                                 "B": {{"wavelength_nm": 460, "std_dev_nm": 2}}}}}}"#
+            );
+            serde_json::from_str(&text).unwrap()
+        };
+        let codes = |share: f64| notes(&yellow, &session(share)).iter().map(|n| n.code).collect::<Vec<_>>();
+        assert_eq!(codes(0.004), [""; 0]);
+        assert_eq!(codes(0.04), ["FLUORESCENCE"]);
+        assert!(notes(&yellow, &session(0.04))[0].text.contains("ink R (4 %)"));
     }
 
     /// Biases of simulated filters of 40 nm were 9 % at the top and 17 % on the slope, of 10 nm 0.5 and 1.4 %.
     #[test]
     fn wide_bands_are_noted() {
         let wavelengths = [500.0, 550.0, 600.0];
-        let widths = |fwhm: f64| wavelengths.map(|nm| (nm, fwhm / 2.3548));
+        let widths = |fwhm: f64| {
+            let band = |wavelength_nm| BandWidth { wavelength_nm, std_dev_nm: fwhm / 2.3548 };
+            SessionBands { bands: wavelengths.map(band).to_vec(), ..SessionBands::default() }
+        };
         let biases: Vec<f64> =
             wide_bands(&line(&wavelengths), &widths(40.0)).iter().map(|band| band.bias).collect();
         for (found, simulated) in biases.iter().zip([0.17, 0.09, 0.17]) {

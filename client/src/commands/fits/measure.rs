@@ -262,8 +262,8 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
             .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), &record))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
-    let widths = inputs.folder.as_ref().map(SessionFolder::band_widths_nm).transpose()?.unwrap_or_default();
-    let mut of_set_up = filters::notes(&found.materials, &widths);
+    let bands = inputs.folder.as_ref().map(SessionFolder::bands).transpose()?.unwrap_or_default();
+    let mut of_set_up = filters::notes(&found.materials, &bands);
     of_set_up.extend(tilt::tilt(&found.materials));
     output.notes(&of_set_up, &inputs.measurements);
     notes.extend(of_set_up);

@@ -9,7 +9,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::capture::{self, Captured, CapturedChannel, CapturedSample, FILES, SessionErrors};
+use farm_lab::capture::{
+    self, Captured, CapturedChannel, CapturedPart, CapturedSample, FILES, SessionErrors,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use optics_capture::Source;
 use serde_json::{Value, json};
@@ -170,7 +172,9 @@ fn set_up_text(captured: &Captured) -> String {
         errors.offset_std_error,
         percent(errors.slope_std_error),
     );
-    format!("{}\n{}", wrapped(&board), wrapped(&errors))
+    let further: Vec<String> = captured.parts.iter().flat_map(CapturedPart::further).collect();
+    let further = if further.is_empty() { String::new() } else { wrapped(&further.join("; ")) + "\n" };
+    format!("{}\n{further}{}", wrapped(&board), wrapped(&errors))
 }
 
 /// Results of one channel of a sample.

@@ -28,6 +28,19 @@ impl CropCells {
         Self(Colour::ALL.map(|colour| (0..CELLS * CELLS).map(|k| cell(radiance, edge, colour, k)).collect()))
     }
 
+    /// Mean over the crop, per channel; half of the difference between its sides counts as error.
+    pub fn levels(&self) -> [Estimate; 3] {
+        self.0.each_ref().map(|cells| {
+            let side = |light: bool| {
+                let of_side = cells.iter().enumerate().filter(|(k, _)| is_light(*k) == light);
+                robust_mean(&of_side.map(|(_, cell)| cell.value).collect::<Vec<_>>())
+            };
+            let ([a, noise_a], [b, noise_b]) = (<[f64; 2]>::from(side(false)), <[f64; 2]>::from(side(true)));
+            let std_error = libm::hypot(0.5 * libm::hypot(noise_a, noise_b), 0.5 * (a - b));
+            Estimate::new(f64::midpoint(a, b), std_error)
+        })
+    }
+
     pub fn mean(shots: &[Self]) -> Self {
         let n = shots.len() as f64;
         let of = |c: usize, k: usize| {

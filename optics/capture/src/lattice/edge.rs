@@ -67,6 +67,17 @@ impl EdgeFrame {
         })
     }
 
+    /// The frame of another edge, at x = a + b y of this one.
+    pub fn moved(mut self, [a, b]: [f64; 2], light_is_here: bool) -> Self {
+        let across = self.sign * libm::hypot(self.slope, 1.0);
+        self.offset_mm += across * a;
+        self.slope += across * b;
+        if !light_is_here {
+            self.sign = -self.sign;
+        }
+        self
+    }
+
     pub fn mm_per_px(&self) -> f64 {
         self.square_mm * self.pose.pitch(self.px([0.0, 0.0]))
     }

@@ -1,5 +1,6 @@
 //! Fits the line through the patches, and checks linearity, drift and gamma.
 
+use super::exposures::{self, ExposedWhite};
 use super::{Neutral, PatchShot, RawReading};
 use crate::calibration::{LampDrift, PatchReading};
 use crate::estimate::Estimate;
@@ -9,6 +10,12 @@ use crate::refusal::{Refusal, Warning};
 
 /// Relative deviation from the line above which a session is refused.
 const NOT_LINEAR: f64 = 0.01;
+
+/// Fewest patches that show linearity.
+const LEAST: usize = 3;
+
+/// Share of the frame's mean light that lens and camera scatter, where no patches show it.
+const GLARE: Estimate = Estimate { value: 0.005, std_error: 0.005 };
 
 /// Relative change of the light between shots above which a session is refused.
 const DRIFT: f64 = 0.005;
@@ -27,7 +34,11 @@ pub(super) struct FittedLine {
     pub warnings: Vec<Warning>,
 }
 
-pub(super) fn fit(neutral: &Neutral, shots: &[PatchShot]) -> Result<FittedLine, Refusal> {
+pub(super) fn fit(
+    neutral: &Neutral,
+    shots: &[PatchShot],
+    exposures: &[ExposedWhite],
+) -> Result<FittedLine, Refusal> {
     check_gamma(neutral, &shots[0])?;
     let mut fitted = FittedLine::default();
     let brightness: Vec<[f64; 3]> = relative(shots);
@@ -43,6 +54,15 @@ pub(super) fn fit(neutral: &Neutral, shots: &[PatchShot]) -> Result<FittedLine, 
         channel(neutral, &means, colour, &mut fitted, &mut readings)?;
     }
     fitted.patches = readings;
+    if !exposures.is_empty() {
+        fitted.linearity = exposures::linearity(exposures)?;
+    } else if neutral.rho.len() < LEAST {
+        let patches = if neutral.rho.len() == 1 { "one patch" } else { "two patches" };
+        fitted.warnings.push(Warning::LinearityUnknown { patches });
+    }
+    if neutral.rho.len() == 1 {
+        fitted.warnings.push(Warning::GlareUnknown { percent: 100.0 * GLARE.value });
+    }
     Ok(fitted)
 }
 
@@ -71,12 +91,18 @@ fn channel(
     patches: &mut [PatchReading],
 ) -> Result<(), Refusal> {
     let c = colour.index();
-    let line =
-        regress(neutral, readings, c, false).ok_or(Refusal::Missing { what: "patches of different ρ" })?;
-    let (k, glare) = (line.x[0], line.x[1]);
+    let white = neutral.white();
+    let (rho, of_white) = (neutral.rho[white][c], readings[white]);
+    let (k, glare) = if let [only] = readings {
+        ((only.light - GLARE.value * only.veil) / rho, GLARE)
+    } else {
+        let line = regress(neutral, readings, c, false)
+            .ok_or(Refusal::Missing { what: "patches of different ρ" })?;
+        (line.x[0], Estimate::new(line.x[1], line.std_error(1)))
+    };
     for (i, (patch, reading)) in patches.iter_mut().zip(readings).enumerate() {
         let rho = neutral.rho[i][c];
-        let expected = k * rho + glare * reading.veil;
+        let expected = k * rho + glare.value * reading.veil;
         patch.deviation[c] = reading.light / expected - 1.0;
         let own = libm::hypot(neutral.std_error * rho * k, reading.std_error) / expected;
         if patch.deviation[c].is_nan() || patch.deviation[c].abs() > NOT_LINEAR.max(3.0 * own) {
@@ -84,19 +110,19 @@ fn channel(
             return Err(Refusal::NotLinear { colour, patch: i + 1, rho, deviation });
         }
     }
-    let white = neutral.white();
-    let (rho, of_white) = (neutral.rho[white][c], readings[white]);
-    let gain = (of_white.light - glare * of_white.veil) / rho;
-    let gain_error = libm::hypot(of_white.std_error, line.std_error(1) * of_white.veil) / rho;
+    let gain = (of_white.light - glare.value * of_white.veil) / rho;
+    let gain_error = libm::hypot(of_white.std_error, glare.std_error * of_white.veil) / rho;
     fitted.gain[c] = Estimate::new(gain, gain_error);
-    fitted.glare[c] = Estimate::new(glare, line.std_error(1));
+    fitted.glare[c] = glare;
     for (patch, reading) in patches.iter_mut().zip(readings) {
-        let value = (reading.light - glare * reading.veil) / gain;
+        let value = (reading.light - glare.value * reading.veil) / gain;
         patch.value[c] = Estimate::new(value, reading.std_error / gain);
     }
     // L = kρ + γM + qρ²: half-way, it deviates from the line through black and white by qρ/2.
-    fitted.linearity[c] = regress(neutral, readings, c, true)
-        .map_or(0.0, |curve| (0.5 * rho * curve.x[2] / curve.x[0]).abs().min(NOT_LINEAR));
+    let curved =
+        || regress(neutral, readings, c, true).map(|curve| (0.5 * rho * curve.x[2] / curve.x[0]).abs());
+    fitted.linearity[c] =
+        if readings.len() < LEAST { NOT_LINEAR } else { curved().unwrap_or(0.0).min(NOT_LINEAR) };
     Ok(())
 }
 

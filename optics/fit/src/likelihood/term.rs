@@ -4,13 +4,14 @@
 //!
 //! y = F(x − x₀) · (e^(−m) + γ + (s + w L) x/10 mm) + z + Σ_k c_k φ_k,
 //!
-//! F is the simulated profile at this slab's thickness, blurred by the camera; m is the logarithm of a factor on μ, x₀
-//! the position of the edge; γ, z and s are gain, zero and slope of the profile, w the slope of its slab's thickness, L
-//! the derivative of ln F by the logarithm of the thickness, and φ_k modes of the noise of the dictionary's records. Where the base's ρ was measured with the same white reference, whose error is μ, F includes
-//! (m + ln μ) D, where D is the response of F through ρ to a brighter reference. x₀, c_k and parts of γ, z, s and w belong to
-//! this profile, the other parts to all channels of its slab. Those of the profile have normal priors and are counted here
-//! in units of the priors' standard deviations, so that each adds its square to −2 ln L. Eliminating them (a Schur
-//! complement) leaves a gradient and an information matrix of the unknowns that the profile shares with others.
+//! F is the simulated profile at this slab's thickness, blurred by the camera; m is the logarithm of a factor on μ, x₀ the
+//! position of the edge; γ, z and s are gain, zero and slope of the profile, w the slope of its slab's thickness, L the
+//! derivative of ln F by the logarithm of the thickness, and φ_k modes of the noise of the dictionary's records. Where the
+//! base's ρ was measured with the same white reference, whose error is μ, F includes (m + ln μ) D, where D is the response
+//! of F through ρ to a brighter reference. x₀, c_k and parts of γ, z, s and w belong to this profile, the other parts to
+//! all channels of its slab. Those of the profile have normal priors and are counted here in units of the priors' standard
+//! deviations, so that each adds its square to −2 ln L. Eliminating them (a Schur complement) leaves a gradient and an
+//! information matrix of the unknowns that the profile shares with others.
 
 pub(crate) mod blend;
 pub(crate) mod blur;

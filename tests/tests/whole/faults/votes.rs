@@ -90,7 +90,7 @@ async fn results_without_a_real_lease_are_refused() {
 /// A machine that fails at once or delivers NaN is suspended.
 #[tokio::test(flavor = "multi_thread")]
 async fn failing_machine_costs_no_job() {
-    let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "20", "--verify-share", "0"]);
+    let farm = Farm::with_tokens(&["hole", "healthy"], &["--lease", "3600", "--verify-share", "0"]);
     farm.submit("grid", GRID);
     let mut hole = farm.test_worker_with("hole", "hole").await.unwrap();
     let healthy = farm.test_worker_with("healthy", "healthy").await.unwrap();

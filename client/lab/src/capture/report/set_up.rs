@@ -42,7 +42,7 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
     });
     let figures: String = board.shots.iter().map(|shot| shots::figure(captured, part, shot)).collect();
     format!(
-        "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}.</p>\n\
+        "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}{}.</p>\n\
          <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>MTF50 [1/mm] ([cycles/px])</th>\
          <th>edge against green [µm]</th><th>radiance factor, light</th><th>radiance factor, dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
          <figure class=\"wide\">{}<figcaption>The bare edge.</figcaption></figure>\n{}<div class=\"row\">{figures}</div>\n",
@@ -53,6 +53,7 @@ fn board(captured: &Captured, part: &CapturedPart) -> String {
         board.edge.angle_deg.std_error,
         board.edge.bend_px.value,
         board.edge.dark_side,
+        part.further().iter().map(|text| format!("; {}", escaped(text))).collect::<String>(),
         rows.collect::<String>(),
         figure(&board.profiles),
         sfr(board),

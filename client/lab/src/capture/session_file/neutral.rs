@@ -20,6 +20,9 @@ pub(super) struct NeutralTable {
     rho: NeutralRho,
     pub(super) std_error: Option<f64>,
     areas_px: Option<Vec<[f64; 4]>>,
+    /// Shots of the white at other exposure times.
+    #[serde(default)]
+    pub(super) exposures: Vec<String>,
     geometry: Option<Certificate>,
 }
 

@@ -228,3 +228,56 @@ fn certificates_are_converted_to_the_ring() {
     let message = given("geometry = \"0:45\"\n").unwrap_err().to_string();
     assert!(message.contains("0:45") && message.contains("`8:h`"), "{message}");
 }
+
+/// Further shots are read in the order of their use; those of a slab without blue belong to colours alone.
+#[test]
+fn further_shots_are_read() {
+    let names = ["dark_1", "chart", "board", "long", "short", "edge", "trap", "gel", "white_1", "cut"];
+    let whole = SOUND.replace("[target]", "exposures = [\"long.pgm\", \"short.pgm\"]\n[target]").replace(
+        "[target]",
+        "[target]\nedge = [\"edge.pgm\"]\nhaze = [\"trap.pgm\"]\nin_gel = [\"gel.pgm\"]",
+    ) + "blue_cut = [\"cut.pgm\"]\n";
+    let session = read_in(&names, &[], &whole, ("", "")).unwrap();
+    let found = session.shots().map(|p| p.file_stem().unwrap().to_str().unwrap().to_owned());
+    let order = ["dark_1", "chart", "long", "short", "board", "edge", "trap", "gel", "white_1", "cut"];
+    assert_eq!(found.collect::<Vec<_>>(), order);
+    assert_eq!(session.parts[0].samples[0].blue_cut.len(), 1);
+    let bands = include_str!("tests/bands.toml").replace("rho = \"rho.csv\"", "rho = [0.9, 0.5, 0.1]");
+    let names =
+        ["dark", "blue_chart", "blue_board", "blue_white", "630_chart", "630_board", "630_white", "cut"];
+    let message =
+        read_in(&names, &[], &(bands + "blue_cut = [\"cut.pgm\"]\n"), ("", "")).unwrap_err().to_string();
+    assert!(message.contains("sample[0].blue_cut") && message.contains("compare a filter"), "{message}");
+}
+
+/// A camera's sensitivities, under the lamps, give means and widths of its colours; without three in order they are refused.
+#[test]
+fn sensitivities_give_the_widths_of_colours() {
+    let names = ["dark_1", "chart", "board", "white_1"];
+    let table = |peaks: [f64; 3]| {
+        let row = |nm: i32| {
+            let [r, g, b] = peaks.map(|at| libm::exp(-0.5 * ((f64::from(nm) - at) / 20.0).powi(2)));
+            format!("{nm},{r:.6},{g:.6},{b:.6}\n")
+        };
+        "wavelength_nm,R,G,B\n".to_owned() + &(38..=70).map(|i| row(10 * i)).collect::<String>()
+    };
+    let read = |peaks: [f64; 3], session: &str| {
+        // Lamps that are stronger by a factor of e for each 100 nm.
+        let lamp = (35..=75)
+            .map(|i| format!("{},{:.6}\n", 10 * i, libm::exp(0.1 * f64::from(i))))
+            .collect::<String>();
+        let tables = [("ssf.csv", table(peaks)), ("lamp.csv", format!("wavelength_nm,power\n{lamp}"))];
+        let tables: Vec<(&str, &str)> = tables.iter().map(|(name, text)| (*name, text.as_str())).collect();
+        read_in(&names, &tables, session, ("[camera]", "[camera]\nsensitivity = \"ssf.csv\""))
+    };
+    let peaks = [600.0, 540.0, 460.0];
+    let colours = read(peaks, SOUND).unwrap().colours.unwrap();
+    for ((nm, std_dev), expected) in colours.into_iter().zip(peaks) {
+        assert!((nm - expected).abs() < 0.1 && (std_dev - 20.0).abs() < 0.1, "{nm} {std_dev}");
+    }
+    // A Gaussian moves by its variance times the slope of the logarithm.
+    let lit = read(peaks, &SOUND.replace("[neutral]", "[light]\nspectrum = \"lamp.csv\"\n[neutral]"));
+    assert!((lit.unwrap().colours.unwrap()[1].0 - 544.0).abs() < 0.1);
+    let message = read([460.0, 540.0, 600.0], SOUND).unwrap_err().to_string();
+    assert!(message.contains("camera.sensitivity") && message.contains("red at the longest"), "{message}");
+}

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use farm_tests::dng::dng;
 use farm_tests::photograph::{
-    Board, Camera, Dust, Look, Random, Session, SessionValues, Slab, What, session_file, traced,
+    Board, Camera, Dust, Edge, Look, Random, Session, SessionValues, Slab, What, session_file, traced,
 };
-use optics_model::scene::{Channel, Scope};
+use optics_model::scene::{Channel, Prior, PriorKind, Scope};
 use optics_model::{Medium, Scene};
 use optics_tracer::BareBoard;
 
@@ -21,6 +21,8 @@ const STATED_SQUARE_MM: f64 = 20.0;
 /// Standard deviation of the lamps between exposures.
 const FLICKER: f64 = 0.001;
 const MOUNTINGS: u64 = 3;
+/// Largest haze.
+const HAZE: f64 = 0.01;
 
 /// One session: three media, one for each channel, in two thicknesses.
 #[derive(Debug)]
@@ -33,6 +35,8 @@ pub(super) struct Laboratory {
     pub scene: Vec<(String, [Option<f64>; 2])>,
     board: Board,
     camera: Camera,
+    /// Radiance factor that slip and gel add everywhere.
+    haze: f64,
     /// Relative error of the white reference.
     pub white: f64,
     /// Relative change of the lamps from the first shot to the last.
@@ -54,13 +58,21 @@ impl Laboratory {
         let white = WHITE * random.normal();
         let scene = scene(&mut random);
         let set_ups = set_ups(&scene, &mut Random::new(830_000 + number));
-        let value = |prior| (scene.name_of(prior), [0, 1].map(|slab: usize| set_ups[slab].value_of(prior)));
+        let haze = Random::new(840_000 + number).between(0.0, HAZE);
+        let value = |prior: &Prior| {
+            let value = |slab: usize| match prior.kind() {
+                PriorKind::Haze => Some(haze),
+                _ => set_ups[slab].value_of(prior),
+            };
+            (scene.name_of(prior), [0, 1].map(value))
+        };
         Self {
             media,
             thickness_mm,
             board: board(&set_ups[0], square_mm),
             scene: scene.priors().iter().map(value).collect(),
             set_ups,
+            haze,
             camera: camera(&mut random),
             white,
             drift: random.between(-0.002, 0.002),
@@ -70,11 +82,13 @@ impl Laboratory {
 
     /// Writes photographs and session file.
     pub(super) fn photograph(&self, folder: &Path, walks: u64) {
-        let slab = |i: usize| Slab {
-            board: self.board.clone(),
-            edge: traced(&self.set_ups[i], self.media, self.thickness_mm[i], walks, self.seed + i as u64),
-            rim_mm: [-13.0, 13.0, -9.0, 9.0],
-            bubble: None,
+        let haze = self.haze;
+        let board = self.board.clone();
+        let covered = |edge, rim_mm| Slab { board: board.clone(), edge, rim_mm, bubble: None };
+        let slab = |i: usize| {
+            let clear =
+                traced(&self.set_ups[i], self.media, self.thickness_mm[i], walks, self.seed + i as u64);
+            covered(Edge::new(move |c, x| clear.at(c, x) + haze), [-13.0, 13.0, -9.0, 9.0])
         };
         let mut session = Session::with_certificate(self.camera.clone(), slab(0), self.white);
         let shoot = |session: &mut Session, what: What, (file, seed): (&str, u64), shots: &[(u64, f64)]| {
@@ -94,6 +108,8 @@ impl Laboratory {
         shoot(&mut session, What::Sheet, ("flat", self.seed), &after(200.0, 3));
         shoot(&mut session, What::Chart, ("chart", self.seed), &[(0, 400.0), (1, LAST_S)]);
         shoot(&mut session, What::Bare, ("board", self.seed), &after(600.0, 3));
+        session.lay(&self.camera, &covered(Edge::new(move |_, _| haze), [-40.0, 40.0, -40.0, 40.0]));
+        shoot(&mut session, What::Slab, ("haze", self.seed + 7), &after(800.0, 2));
         for (i, from) in [900.0, 1500.0].into_iter().enumerate() {
             session.lay(&self.camera, &slab(i));
             let file = format!("slab{i}");
@@ -106,7 +122,8 @@ impl Laboratory {
             thickness_mm: &STATED_MM,
             thickness_std_error_mm: THICKNESS_MM,
         };
-        std::fs::write(folder.join("session.toml"), session_file(&session, &values)).unwrap();
+        let file = session_file(&session, &values).replace("[target]\n", "[target]\nhaze = [\"haze_*\"]\n");
+        std::fs::write(folder.join("session.toml"), file).unwrap();
     }
 }
 
