@@ -16,14 +16,31 @@ use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
 
 /// The part of a session file about wavelengths.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(default)]
+#[derive(Debug, Clone, Default)]
 pub struct SessionBands {
     /// Filters; none for red, green and blue.
     pub bands: Vec<BandWidth>,
     /// Red, green and blue by the camera's sensitivities.
     pub colours: BTreeMap<String, BandWidth>,
     pub samples: Vec<SlabLight>,
+}
+
+impl SessionBands {
+    /// The entries of a session file that have a known form; others belong to other programs.
+    pub fn known(session: &serde_json::Value) -> Self {
+        let list = |field: &str| session[field].as_array().cloned().unwrap_or_default();
+        let colours = session["colours"].as_object().cloned().unwrap_or_default().into_iter();
+        Self {
+            bands: list("bands").into_iter().filter_map(|band| serde_json::from_value(band).ok()).collect(),
+            colours: colours
+                .filter_map(|(name, band)| Some((name, serde_json::from_value(band).ok()?)))
+                .collect(),
+            samples: list("samples")
+                .into_iter()
+                .filter_map(|slab| serde_json::from_value(slab).ok())
+                .collect(),
+        }
+    }
 }
 
 /// Wavelength of a band and its standard deviation.
@@ -103,7 +120,8 @@ impl SessionFolder {
         let Some(path) = self.session() else { return Ok(SessionBands::default()) };
         let place = || format!("session file {}", path.display());
         let text = std::fs::read_to_string(&path).with_context(place)?;
-        serde_json::from_str(&text).with_context(place)
+        let session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
+        Ok(SessionBands::known(&session))
     }
 
     /// Names of people, instruments and certificates.

@@ -3,14 +3,12 @@
 mod chosen_dictionary;
 pub(crate) mod design;
 mod dictionary_notes;
-mod filters;
 pub(crate) mod fit;
 pub(crate) mod map;
 pub(crate) mod measure;
 pub(crate) mod profile;
 pub(crate) mod scale;
 pub(crate) mod similar;
-mod tilt;
 
 use std::process::ExitCode;
 

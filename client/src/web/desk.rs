@@ -117,6 +117,8 @@ impl Desk for DeskService {
             let options = FitOptions::try_from(request.options.unwrap_or_default())?;
             let materials: Vec<Measurement> =
                 request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
+            let of_session = folder.as_deref().map(SessionFolder::open).transpose()?;
+            let of_set_up = answers::set_up_notes(&found.materials, of_session.as_ref())?;
             let set_up = folder.map_or_else(|| Ok(SetUp::default()), |f| session::set_up(&f))?;
             let given = set_up.with_given(options.settings());
             let assumed = given.assumed(&materials).text(options.settings());
@@ -125,7 +127,7 @@ impl Desk for DeskService {
                 common: common_text(&found.common),
                 channels: channels(&found),
                 objective: objective(&found.materials, assumed).into_iter().map(for_page).collect(),
-                remarks: remarks(&found),
+                remarks: remarks(&found, &of_set_up),
                 estimates: estimate_rows(&found.materials).into_iter().map(Into::into).collect(),
                 estimates_note: estimates::NOTE.to_owned(),
                 budget: error_budget(&found.materials)
@@ -361,14 +363,18 @@ fn for_page(text: impl AsRef<str>) -> String {
     WORDS.iter().fold(text.as_ref().to_owned(), |text, (option, word)| text.replace(option, word))
 }
 
-/// Remarks on channels, and on the scale factor of all.
-fn remarks(found: &MeasureAnswer) -> Vec<Remark> {
-    let of_all = low_scale(&found.common, &found.materials);
-    let of_all =
-        of_all.map(|text| Remark { about: vec!["μ".to_owned()], text: for_page(text), warning: true });
+/// Remarks on channels, on the scale factor of all, and on the set-up.
+fn remarks(found: &MeasureAnswer, of_set_up: &[measurement_file::Note]) -> Vec<Remark> {
+    let warning = |about: &str, text: &str| Remark {
+        about: vec![about.to_owned()],
+        text: for_page(text),
+        warning: true,
+    };
+    let of_all = low_scale(&found.common, &found.materials).map(|text| warning("μ", &text));
+    let of_all = of_all.into_iter().chain(of_set_up.iter().map(|note| warning("set-up", &note.text)));
     let of_channels = all_remarks(&found.materials).into_iter();
     let remark = |r: answers::Remark| Remark { about: r.about, text: for_page(r.text), warning: r.warning };
-    of_all.into_iter().chain(of_channels.map(remark)).collect()
+    of_all.chain(of_channels.map(remark)).collect()
 }
 
 /// Figures with the names of their files.

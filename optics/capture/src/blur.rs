@@ -65,6 +65,9 @@ fn fit_held(edge: &EdgeBins, blur: Option<f64>) -> Option<EdgeFit> {
         all_but(&[spread, of_blur].concat())
     };
     let clean = descend(edge, start, &free(&[SPREAD]))?.edge();
+    if !clean.is_inside(edge) {
+        return None;
+    }
     // A small spread has the effect of another place of the edge: it is held at values, and followed from the best.
     let held = |spread: f64| {
         let mut start = start;
@@ -84,13 +87,19 @@ fn fit_held(edge: &EdgeBins, blur: Option<f64>) -> Option<EdgeFit> {
         let std_error = first.map_or(edge.reach, |(b, _)| *b);
         return Some(EdgeFit { spread: Estimate::new(0.0, std_error), ..clean });
     }
-    descend(edge, best.1.p, &free(&[])).map(|found| found.edge())
+    descend(edge, best.1.p, &free(&[])).map(|found| found.edge()).filter(|found| found.is_inside(edge))
 }
 
 /// The edge of a board in which light does not spread; None if the data show no edge.
 pub(crate) fn fit(edge: &EdgeBins) -> Option<EdgeFit> {
     let fitted = descend(edge, start(edge)?, &all_but(&[SPREAD]))?.edge();
-    (fitted.origin.value.abs() < edge.reach && fitted.blur.value.is_finite()).then_some(fitted)
+    fitted.is_inside(edge).then_some(fitted)
+}
+
+impl EdgeFit {
+    fn is_inside(&self, edge: &EdgeBins) -> bool {
+        self.origin.value.abs() < edge.reach && self.blur.value.is_finite()
+    }
 }
 
 impl EdgeBins {

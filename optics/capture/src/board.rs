@@ -27,6 +27,8 @@ pub struct BareShots<'a> {
     /// Brightness of each shot at the patches of the first.
     readings: Vec<Vec<PatchRadiance>>,
     shots: Vec<ShotReport>,
+    /// Radiance factor of the frame's mean, per shot.
+    means: Vec<[f64; 3]>,
     /// Profiles in finer bins, per shot.
     fine: Vec<[EdgeProfile; 3]>,
     /// Blur of each shot of another edge.
@@ -67,14 +69,16 @@ pub struct Board {
     pub(crate) readings: Vec<PatchRadiance>,
     /// Relative error of the mean light of the bare shots: their spread, and its unevenness.
     pub(crate) light_std_error: [f64; 3],
+    /// Radiance factor of the frame's mean.
+    pub(crate) frame_mean: [f64; 3],
 }
 
 impl<'a> BareShots<'a> {
     pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
         target.check()?;
         let (cells, readings, shots, fine) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let (blurs, warnings) = (Vec::new(), Vec::new());
-        Ok(Self { calibration, target, found: None, cells, readings, shots, fine, blurs, warnings })
+        let (blurs, means, warnings) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { calibration, target, found: None, cells, readings, shots, means, fine, blurs, warnings })
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
@@ -107,6 +111,7 @@ impl<'a> BareShots<'a> {
         self.check_slanted(&photo, &binnings)?;
         self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
         self.cells.push(CropCells::of(&radiance, &edge_frame));
+        self.means.push(Colour::ALL.map(|c| radiance.mean(c)));
         self.readings.push(readings);
         self.shots.push(ShotReport::new(&photo.label, seen.moved_px, light, blur_px, binnings));
         Ok(())
@@ -122,6 +127,9 @@ impl<'a> BareShots<'a> {
         let radiance = Radiance::new(self.calibration, &photo);
         let no_edge = || Refusal::NoOwnEdge { label: photo.label.clone() };
         let edge_frame = own_edge(&radiance, &found.edge_frame).ok_or_else(no_edge)?;
+        let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
+        check_clipped(&photo, &binnings, radiance.full)?;
+        self.check_slanted(&photo, &binnings)?;
         let blur = |c: Colour| blur::fit(&edge_bins(&fine(&radiance, &edge_frame, c))).map(|fit| fit.blur);
         let [red, green, blue] = Colour::ALL.map(blur);
         let all = red.zip(green).zip(blue).map(|((red, green), blue)| [red, green, blue]);
@@ -175,6 +183,13 @@ impl<'a> BareShots<'a> {
         let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
         let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
         let fine = [0, 1, 2].map(|c| crate::join::mean(&of_fine(c)));
+        for (colour, known) in Colour::ALL.into_iter().zip(&known) {
+            let bare = blur::fit(&edge_bins(&fine[colour.index()])).map(|fit| fit.blur);
+            let Some((known, bare)) = known.as_ref().zip(bare) else { continue };
+            if known.value - bare.value > 3.0 * libm::hypot(known.std_error, bare.std_error) {
+                return Err(Refusal::EdgeOutOfFocus { colour, known_mm: known.value, board_mm: bare.value });
+            }
+        }
         let fit = |c: usize| fit_edge(&fine[c], known[c], label);
         let fits = [fit(0)?, fit(1)?, fit(2)?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
@@ -212,6 +227,8 @@ impl<'a> BareShots<'a> {
             profiles,
             cells: CropCells::mean(&self.cells),
             light_std_error: light::spread_of(&self.readings),
+            frame_mean: [0, 1, 2]
+                .map(|c| self.means.iter().map(|m| m[c]).sum::<f64>() / self.means.len() as f64),
             readings: PatchRadiance::mean(&self.readings),
             shots: self.shots,
             warnings: self.warnings,
@@ -221,6 +238,16 @@ impl<'a> BareShots<'a> {
 }
 
 impl Board {
+    /// Whether its crop looks like that of another board.
+    pub fn looks_like(&self, other: &Self) -> bool {
+        self.cells.is_bare(&other.cells)
+    }
+
+    /// Relative error of the light of its shots, against those of the patches.
+    pub fn light_error(&self, calibration: &Calibration, c: usize) -> f64 {
+        libm::hypot(self.light_std_error[c], calibration.light.std_error[c])
+    }
+
     /// The pixel at a distance from the edge, positive on its light side, and a place along it.
     pub fn to_px(&self, x_mm: f64, y_mm: f64) -> [f64; 2] {
         self.found.edge_frame.px([x_mm, y_mm])
@@ -235,7 +262,7 @@ impl Board {
 /// Share of clipped samples above which a shot is refused.
 const CLIPPED: f64 = 1e-3;
 
-pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning; 3], full: Saturation) -> Result<(), Refusal> {
+pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning], full: Saturation) -> Result<(), Refusal> {
     match binnings.iter().find(|b| b.clipped_share > CLIPPED) {
         None => Ok(()),
         Some(b) => Err(Refusal::Clipped {

@@ -7,10 +7,12 @@ use crate::frame::{Colour, Photo};
 use crate::lattice::CropCells;
 use crate::refusal::Refusal;
 
-/// Radiance factor above which no light trap lies in the crop.
-const NOT_DARK: f64 = 0.05;
-/// Standard error of the trap's own light: a box lined with velvet returns about as much.
+/// Radiance factor above which no light trap lies in the crop; less where the board's dark side is darker.
+const NOT_DARK: f64 = 0.015;
+/// Standard error of the trap's own light: a box lined with velvet returns about as much, and one that is less black shows
+/// as a haze, of which this share is uncertain.
 const TRAP: f64 = 5e-4;
+const TRAP_OF_HAZE: f64 = 0.2;
 
 /// Accumulates shots of slip and gel over a light trap, in the place of the board.
 #[derive(Debug)]
@@ -33,13 +35,15 @@ impl<'a> HazeShots<'a> {
         let radiance = Radiance::new(calibration, &photo);
         let levels = CropCells::of(&radiance, &self.board.found.edge_frame).levels();
         for (colour, level) in Colour::ALL.into_iter().zip(levels) {
-            if level.value > NOT_DARK {
-                let percent = 100.0 * level.value;
-                return Err(Refusal::NoTrap { label: photo.label.clone(), colour, percent });
-            }
             let c = colour.index();
+            let allowed = NOT_DARK.min(0.6 * self.board.dark[c].value.max(0.01));
+            if level.value > allowed {
+                let (percent, allowed) = (100.0 * level.value, 100.0 * allowed);
+                return Err(Refusal::NoTrap { label: photo.label.clone(), colour, percent, allowed });
+            }
             let black = calibration.black().std_error() / calibration.gain[c].value;
-            let glare = calibration.glare[c].std_error * radiance.mean(colour);
+            // The stray light of slabs is that of a frame with the board, whose share is as uncertain for all of them.
+            let glare = calibration.glare[c].std_error * radiance.mean(colour).max(self.board.frame_mean[c]);
             let errors = [level.std_error, black, glare];
             let std_error = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
             self.levels.push(Estimate::new(level.value, std_error));
@@ -57,7 +61,8 @@ impl<'a> HazeShots<'a> {
         let mean = |value: fn(&Estimate) -> f64| self.levels.iter().map(value).sum::<f64>() / n;
         let value = mean(|level| level.value);
         let scatter = self.levels.iter().map(|level| (level.value - value).powi(2)).sum::<f64>() / n;
-        let squares = mean(|level| level.std_error.powi(2)) + scatter + TRAP * TRAP;
+        let squares =
+            mean(|level| level.std_error.powi(2)) + scatter + TRAP * TRAP + (TRAP_OF_HAZE * value).powi(2);
         Ok(Estimate::new(value, squares.sqrt()))
     }
 }

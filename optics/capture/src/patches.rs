@@ -213,6 +213,24 @@ impl Patches {
         Ok(())
     }
 
+    /// The white at other exposure times and at that of the session, whose numbers they have to reach.
+    fn with_own_exposure(&self) -> Result<Vec<ExposedWhite>, Refusal> {
+        let mut exposures = self.exposures.clone();
+        if let (false, Some(last)) = (exposures.is_empty(), &self.last) {
+            let Some(exposure) = last.exposure else {
+                let seen = format!("{} states no time", last.label);
+                return Err(Refusal::FewExposures { seen });
+            };
+            let white = self.neutral.white();
+            exposures.extend(self.shots.iter().map(|shot| ExposedWhite {
+                label: shot.label.clone(),
+                time_s: exposure.time_s,
+                readings: shot.readings[white],
+            }));
+        }
+        Ok(exposures)
+    }
+
     /// The frame's middle, which a panel fills.
     fn middle(&self, photo: &Photo) -> Result<Area, Refusal> {
         let [width, height] = [photo.frame.width(), photo.frame.height()].map(|side| side as f64);
@@ -300,7 +318,7 @@ impl Patches {
         let Some(last) = &self.last else { return Err(Refusal::Missing { what: "shots of the patches" }) };
         let sites = last.frame.sites();
         self.check_alike()?;
-        let fitted = line::fit(&self.neutral, &self.shots, &self.exposures)?;
+        let fitted = line::fit(&self.neutral, &self.shots, &self.with_own_exposure()?)?;
         // Pairs of patch shots show one subject, flats a moved sheet; these are used only if there are no better pairs.
         let mut pairs = self.black.pairs.clone();
         pairs.extend(&self.pairs);

@@ -27,8 +27,8 @@ pub enum Refusal {
     )]
     NotLinear { colour: Colour, patch: usize, rho: f64, deviation: f64 },
     #[error(
-        "{label}: the {colour} samples are {:.2} % {} what the longest exposure gives in its time, 1 % is allowed; switch off \
-         tone curves, expose less, or give three grey patches",
+        "{label}: the {colour} samples are {:.2} % {} those of the longest exposure in its time, 1 % is allowed; switch off tone \
+         curves, expose less, or leave `exposures` out and give three grey patches",
         percent.abs(), if *percent < 0.0 { "below" } else { "above" }
     )]
     NotProportional { label: String, colour: Colour, percent: f64 },
@@ -124,19 +124,29 @@ pub enum Refusal {
     )]
     OutsideFrame { label: String, x_px: f64, y_px: f64 },
     #[error(
-        "{label}: slip and gel show {percent:.1} % of white in {colour} where a light trap is expected, up to 5 % are allowed;          lay them over a deep black hole (a box lined with black velvet), in the board's place"
+        "{label}: slip and gel show {percent:.1} % of white in {colour} where a light trap is expected, up to {allowed:.1} % are \
+         allowed; lay them over a deep black hole (a box lined with black velvet), in the board's place"
     )]
-    NoTrap { label: String, colour: Colour, percent: f64 },
+    NoTrap { label: String, colour: Colour, percent: f64, allowed: f64 },
     #[error(
         "{label}: no straight edge between two even sides crosses the middle of the crop; lay chrome on glass, or another edge \
          that spreads no light, along the board's edge and in its plane"
     )]
     NoOwnEdge { label: String },
     #[error(
-        "{label}: {seen}; for a shot without blue, put a filter before the lamps that blocks it (yellow), and leave a part of the \
-         board free"
+        "{label}: {seen}; shoot the slab with a filter before the lamps that blocks blue (yellow), and leave a part of the board \
+         free"
     )]
     NoBlueCut { label: String, seen: String },
+    #[error(
+        "the other edge is blurred by {known_mm:.4} mm in {colour}, the board's by {board_mm:.4}, so that it lies out of focus; \
+         lay it in the board's plane"
+    )]
+    EdgeOutOfFocus { colour: Colour, known_mm: f64, board_mm: f64 },
+    #[error(
+        "{label}: in red the slab has {percent:.1} % more light without blue, as another slab has; shoot the same slab"
+    )]
+    BrighterWithoutBlue { label: String, percent: f64 },
     #[error("{label}: the crop looks like the bare board; cover the edge with the slab")]
     NoSlab { label: String },
     #[error(

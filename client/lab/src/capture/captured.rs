@@ -44,7 +44,7 @@ pub struct CapturedSample {
     pub about: Sample,
     pub profile: SampleProfile,
     /// Share of red and of green light that blue excites; None without shots of it.
-    pub fluorescence: Option<[Estimate; 2]>,
+    pub fluorescence: Option<[Option<Estimate>; 2]>,
     /// None of bands.
     pub strip: Option<Strip>,
 }
@@ -67,7 +67,7 @@ impl CapturedPart {
         let light =
             self.light_side.map(|factor| format!("light side in gel {} of its dry ρ", percent(factor)));
         let samples = self.samples.iter().filter_map(|sample| {
-            let [red, green] = sample.fluorescence?.map(percent);
+            let [red, green] = sample.fluorescence?.map(|e| e.map_or("too dark".to_owned(), percent));
             Some(format!("excited by blue in {}: red {red}, green {green}", sample.about.label()))
         });
         haze.into_iter().chain(light).chain(samples).collect()

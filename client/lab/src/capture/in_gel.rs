@@ -4,10 +4,10 @@
 //! light trap. What the dry board reflects beyond is gloss, which gel takes away. Of the dark side this shows no more than
 //! is known: what a dry coat mirrors of the lamps is as uncertain as its roughness.
 
-use anyhow::{Context, Result};
-use optics_capture::{Board, BoardRho, Estimate, Warning};
+use anyhow::{Context, Result, bail};
+use optics_capture::{Board, BoardRho, Calibration, Estimate, Warning};
 use optics_layers::Print;
-use optics_model::scene::{Channel, Layer, LayerMedium};
+use optics_model::scene::{Channel, Layer, LayerMedium, PriorKind};
 use optics_model::{Invalid, Scene};
 use optics_tracer::SeenBase;
 
@@ -16,9 +16,40 @@ const STEPS: usize = 8;
 /// Step of ρ and of haze for slopes.
 const STEP: f64 = 1e-4;
 
-/// Factor on ρ of the light side, from the board under slip and gel, and ρ of the dry one, which the scene has.
-pub(super) fn light_side(scene: &Scene, seen: &Board, haze: Estimate) -> Result<Estimate> {
-    factor(scene, seen.light, haze).context("the board in gel")
+/// Factor on ρ of the light side, from the board under slip and gel, and ρ of the dry one, which the scene has. The light of
+/// both has its own error.
+pub(super) fn light_side(
+    scene: &Scene,
+    calibration: &Calibration,
+    [dry, wet]: [&Board; 2],
+    haze: Estimate,
+) -> Result<Estimate> {
+    if dry.looks_like(wet) {
+        bail!(
+            "the shots of target.in_gel show the dry board: lay slip and gel on it, without a slab, or leave them out"
+        );
+    }
+    let of_light = |c: usize| {
+        [dry, wet].map(|board| board.light_error(calibration, c)).into_iter().fold(0.0, libm::hypot)
+    };
+    let light = [0, 1, 2].map(|c| {
+        let Estimate { value, std_error } = wet.light[c];
+        Estimate::new(value, libm::hypot(std_error, of_light(c) * value))
+    });
+    let found = factor(scene, light, haze).context("the board in gel")?;
+    let prior = scene.priors().iter().find(|prior| prior.kind() == PriorKind::LightSide);
+    if let Some((low, high)) = prior.map(|prior| prior.range(scene))
+        && !(1.0 + low..=1.0 + high).contains(&found.value)
+    {
+        bail!(
+            "target.in_gel: the light side has {:.3} of its dry ρ, from {:.3} to {:.3} is allowed: its gloss is too strong for \
+             the scene, or the lamps changed; shoot both again, or take a matt board",
+            found.value,
+            1.0 + low,
+            1.0 + high
+        );
+    }
+    Ok(found)
 }
 
 /// A warning if ρ under gel and that of the dry board differ.

@@ -259,6 +259,22 @@ fn colours(colours: [(f64, f64); 3]) -> Value {
     Value::Object(Colour::ALL.into_iter().zip(colours).map(band).collect())
 }
 
+/// Shares of light that blue excites, of the colours in which a slab is bright enough.
+fn fluorescence(shares: [Option<Estimate>; 2]) -> Value {
+    let found = [Colour::Red, Colour::Green].into_iter().zip(shares);
+    found.filter_map(|(colour, share)| Some((colour.letter().to_owned(), estimate(share?)))).collect()
+}
+
+/// A number of the session that may differ between bands: the mean with their scatter.
+fn common(captured: &Captured, found: impl Fn(&CapturedPart) -> Option<Estimate>) -> Option<Value> {
+    let all: Vec<Estimate> = captured.parts.iter().filter_map(found).collect();
+    let n = all.len() as f64;
+    let mean = |value: &dyn Fn(&Estimate) -> f64| all.iter().map(value).sum::<f64>() / n;
+    let value = mean(&|e| e.value);
+    let square = mean(&|e| e.std_error.powi(2)) + mean(&|e| (e.value - value).powi(2));
+    (!all.is_empty()).then(|| estimate(Estimate::new(value, square.sqrt())))
+}
+
 /// A number of the session: of several bands that with the least error.
 fn best(captured: &Captured, found: impl Fn(&CapturedPart) -> Option<Estimate>) -> Option<Value> {
     let all = captured.parts.iter().filter_map(found);
@@ -267,8 +283,10 @@ fn best(captured: &Captured, found: impl Fn(&CapturedPart) -> Option<Estimate>) 
 
 /// Quantities of the scene that have shots of their own.
 fn measured(captured: &Captured) -> Map<String, Value> {
-    let found =
-        [("haze", best(captured, |part| part.haze)), ("light_side", best(captured, |part| part.light_side))];
+    let found = [
+        ("haze", common(captured, |part| part.haze)),
+        ("light_side", common(captured, |part| part.light_side)),
+    ];
     found.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?))).collect()
 }
 
@@ -357,7 +375,7 @@ fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
         "thickness_mm": sample.about.thickness_mm,
         "shots": sample.profile.shots.iter().map(|shot| shot.label.clone()).collect::<Vec<_>>(),
         "light": light.collect::<Vec<_>>(),
-        "fluorescence": sample.fluorescence.map(|[red, green]| json!({"R": estimate(red), "G": estimate(green)})),
+        "fluorescence": sample.fluorescence.map(fluorescence),
         "budget": Value::Object(budget.chain([thickness, blur]).collect()),
         "warnings": report::texts(&sample.profile.warnings),
     })

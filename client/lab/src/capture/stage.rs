@@ -73,8 +73,8 @@ impl SessionRun<'_> {
         if let Some(haze) = haze.filter(|_| !part.in_gel.is_empty()) {
             let seen = self.board(session, [&part.in_gel, &[]], "board in gel", &calibration)?;
             let scene = session.scene.clone().with_channels(board_channels(&rho)?)?;
-            let factor = light_side(&scene, &seen, haze)?;
-            board.warnings.extend(gloss(factor, &rho));
+            let factor = light_side(&scene, &calibration, [&board, &seen], haze)?;
+            board.warnings.extend(seen.warnings.into_iter().chain(gloss(factor, &rho)));
             wet = Some(factor);
         }
         let slabs = std::mem::take(&mut part.samples).into_iter();

@@ -21,8 +21,9 @@ use optics_model::fit::{
 use serde::Serialize;
 
 use super::chosen_dictionary::{self, WantedDictionary};
-use super::{filters, tilt};
-use crate::answers::{FitsReport, MeasureAnswer, UsedOptions, budget_text, verdict, verdict_text};
+use crate::answers::{
+    FitsReport, MeasureAnswer, UsedOptions, budget_text, set_up_notes, verdict, verdict_text,
+};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::figure_files::{self, FigureSize};
@@ -262,9 +263,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
             .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), &record))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
-    let bands = inputs.folder.as_ref().map(SessionFolder::bands).transpose()?.unwrap_or_default();
-    let mut of_set_up = filters::notes(&found.materials, &bands);
-    of_set_up.extend(tilt::tilt(&found.materials));
+    let of_set_up = set_up_notes(&found.materials, inputs.folder.as_ref())?;
     output.notes(&of_set_up, &inputs.measurements);
     notes.extend(of_set_up);
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;

@@ -130,29 +130,36 @@ impl PatchRadiance {
     }
 }
 
-/// Brightness of a shot relative to the bare shots at the free patches. Where patches differ by more than noise, the
-/// light is uneven, for example by bands of flicker; this error of the factor does not decrease with their number.
+/// Brightness of a shot relative to the bare shots at the free patches, in each colour.
 pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<[Estimate; 3]> {
+    let [red, green, blue] = [0, 1, 2].map(|c| channel_factor(bare, shot, free, c));
+    Some([red?, green?, blue?])
+}
+
+/// Brightness in one colour. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
+/// this error of the factor does not decrease with their number.
+pub(crate) fn channel_factor(
+    bare: &[PatchRadiance],
+    shot: &[PatchRadiance],
+    free: &[bool],
+    c: usize,
+) -> Option<Estimate> {
     let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
-    let mut found = [Estimate::default(); 3];
-    for (c, found) in found.iter_mut().enumerate() {
-        let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
-        let sound = pairs.clone().filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
-        let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
-            sound.map(|(b, s)| (s.value[c] / b.value[c], libm::hypot(relative(b), relative(s)))).unzip();
-        if ratios.len() < PATCHES {
-            return None;
-        }
-        let n = ratios.len() as f64;
-        let (value, _) = robust_mean(&ratios);
-        let noise = median(&mut noise);
-        // Three standard deviations of a spread due to chance.
-        let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
-        let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
-        let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
-        *found = Estimate::new(steady.value, libm::hypot(steady.std_error, value * uneven));
+    let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
+    let sound = pairs.filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
+    let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
+        sound.map(|(b, s)| (s.value[c] / b.value[c], libm::hypot(relative(b), relative(s)))).unzip();
+    if ratios.len() < PATCHES {
+        return None;
     }
-    Some(found)
+    let n = ratios.len() as f64;
+    let (value, _) = robust_mean(&ratios);
+    let noise = median(&mut noise);
+    // Three standard deviations of a spread due to chance.
+    let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
+    let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
+    let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
+    Some(Estimate::new(steady.value, libm::hypot(steady.std_error, value * uneven)))
 }
 
 /// Shrinks a change by up to three standard errors, so that steady light is left unchanged. The shrinkage is added to

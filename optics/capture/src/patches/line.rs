@@ -15,7 +15,7 @@ const NOT_LINEAR: f64 = 0.01;
 const LEAST: usize = 3;
 
 /// Share of the frame's mean light that lens and camera scatter, where no patches show it.
-const GLARE: Estimate = Estimate { value: 0.005, std_error: 0.005 };
+const GLARE: Estimate = Estimate { value: 0.01, std_error: 0.01 };
 
 /// Relative change of the light between shots above which a session is refused.
 const DRIFT: f64 = 0.005;
@@ -55,7 +55,10 @@ pub(super) fn fit(
     }
     fitted.patches = readings;
     if !exposures.is_empty() {
-        fitted.linearity = exposures::linearity(exposures)?;
+        let found = exposures::linearity(exposures)?;
+        // Patches show as much of it as there is at their levels.
+        let by_patches = if neutral.rho.len() < LEAST { [0.0; 3] } else { fitted.linearity };
+        fitted.linearity = [0, 1, 2].map(|c| found[c].max(by_patches[c]));
     } else if neutral.rho.len() < LEAST {
         let patches = if neutral.rho.len() == 1 { "one patch" } else { "two patches" };
         fitted.warnings.push(Warning::LinearityUnknown { patches });
@@ -188,9 +191,10 @@ fn light(shots: &[PatchShot], brightness: &[[f64; 3]], warnings: &mut Vec<Warnin
 
 /// Refuses brightness that follows a power of ρ other than the first. Patches in the wrong order follow no power.
 fn check_gamma(neutral: &Neutral, shot: &PatchShot) -> Result<(), Refusal> {
-    let points: Vec<[f64; 2]> = (neutral.rho.iter().zip(&shot.readings))
-        .map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))])
-        .collect();
+    // Stray light is a large part of black patches.
+    let sound = neutral.rho.iter().zip(&shot.readings).filter(|(rho, _)| rho[1] > BLACK);
+    let points: Vec<[f64; 2]> =
+        sound.map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))]).collect();
     let mut normal = NormalEquations::new(2);
     for [rho, light] in &points {
         normal.add(&[1.0, *rho], *light, 1.0);
@@ -204,6 +208,9 @@ fn check_gamma(neutral: &Neutral, shot: &PatchShot) -> Result<(), Refusal> {
     }
     Ok(())
 }
+
+/// Reflectance of a patch that shows no power, since stray light changes it.
+const BLACK: f64 = 0.02;
 
 /// Scatter of ln L within which the patches follow a power.
 const A_POWER: f64 = 0.15;

@@ -2,9 +2,9 @@
 //! them at once.
 //!
 //! A mesh over factors on μ and the dictionary's anisotropies finds the valley, in the basis of `problem/start`;
-//! from its lowest point one descent over all unknowns of all channels finds the minimum. The mesh has the scene's
-//! phase function: where a second lobe is to be estimated, further descents begin at smaller and at larger
-//! anisotropies. Intervals of a channel follow its own likelihood, with the others' likelihood as a quadratic in
+//! from its lowest point one descent over all unknowns of all channels finds the minimum. The mesh has the scene as it is
+//! stated: where its phase function is uncertain, descents begin in all ranges of anisotropies, and the lowest minimum
+//! counts. Intervals of a channel follow its own likelihood, with the others' likelihood as a quadratic in
 //! the shared unknowns added (a Schur complement of their information). Where the pulls of channels on the shared
 //! unknowns scatter by more than their noise, as they do if the photographs contain effects that the model lacks,
 //! the others count less, by their χ² per degree of freedom (a Birge ratio).
@@ -53,8 +53,11 @@ struct Set<'a> {
     base: f64,
 }
 
-/// Difference of anisotropies from which on cells may lie in other valleys.
+/// Range of anisotropies within which cells lie in one valley.
 const FAR_G: f64 = 0.2;
+/// Cost over that of the best approach, above which another one leads to no lower minimum, and most that are followed.
+const NEAR_BEST: f64 = 1.3;
+const SETTLED: usize = 3;
 
 /// All channels near a common minimum.
 struct Approached<'a> {
@@ -145,9 +148,7 @@ impl<'a> Set<'a> {
             scale: plan.search_mu.map(|_| limits),
         };
         let cells = self.mesh(&scales, common_g);
-        let approached = self.beginnings(&cells).into_iter().map(|cell| self.approach(cell, sharing));
-        let lowest = approached.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost));
-        let mut joint = Self::settle(lowest.expect("a mesh has a point"), sharing);
+        let mut joint = self.lowest_minimum(&self.beginnings(&cells), sharing);
         if let Some(spread) = joint.g_spread().filter(|_| plan.g_spread.is_none()) {
             let Joint { mut assembly, state, iors, .. } = joint;
             assembly.set_g_spread(spread);
@@ -156,17 +157,33 @@ impl<'a> Set<'a> {
         (cells, joint)
     }
 
-    /// The lowest cell, and the lowest at much smaller and much larger anisotropies if the phase function is uncertain.
+    /// The lowest of the minima below these cells. Descents that end far above the best lead to none of them.
+    fn lowest_minimum(&self, beginnings: &[&Cell], sharing: Sharing) -> Joint<'_> {
+        let mut approached: Vec<Approached> =
+            beginnings.par_iter().map(|cell| self.approach(cell, sharing)).collect();
+        approached.sort_by(|a, b| a.state.cost.total_cmp(&b.state.cost));
+        let bound = NEAR_BEST * approached.first().expect("a mesh has a point").state.cost;
+        approached.retain(|near| near.state.cost <= bound);
+        approached.truncate(SETTLED);
+        let minima = approached.into_iter().map(|near| Self::settle(near, sharing));
+        minima.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost)).expect("the best is kept")
+    }
+
+    /// The lowest cell; if the phase function is uncertain, the lowest in every range of anisotropies. The mesh has the scene
+    /// as it is stated: with errors of the set-up its costs say little.
     fn beginnings<'c>(&self, cells: &'c [Cell]) -> Vec<&'c Cell> {
         let lowest = |among: &dyn Fn(&Cell) -> bool| {
             cells.iter().filter(|cell| among(cell)).min_by(|a, b| a.cost.total_cmp(&b.cost))
         };
+        let range = |cell: &Cell| cell.g.map(|g| (g / FAR_G).round() as i64);
         let Some(first) = lowest(&|_| true) else { return Vec::new() };
-        let Some(g) = first.g.filter(|_| self.channels[0].has_free_phase()) else { return vec![first] };
-        let than_first =
-            |cell: &Cell, by: f64| cell.g.is_some_and(|of_cell| (of_cell - g) * by.signum() >= by.abs());
-        let others = [-FAR_G, FAR_G].map(|by| lowest(&|cell| than_first(cell, by)));
-        std::iter::once(first).chain(others.into_iter().flatten()).collect()
+        if range(first).is_none() || !self.channels[0].has_free_phase() {
+            return vec![first];
+        }
+        let mut ranges: Vec<i64> = cells.iter().filter_map(range).collect();
+        ranges.sort_unstable();
+        ranges.dedup();
+        ranges.into_iter().filter_map(|one| lowest(&|cell| range(cell) == Some(one))).collect()
     }
 
     /// Cells at every scale and, with a common anisotropy, at every one of the dictionary's.

@@ -59,17 +59,22 @@ fn haze_is_measured_over_a_light_trap() {
     let mut session = Session::new(Camera::default(), slab());
     let calibration = calibrate(&session, &PLAIN).unwrap();
     let board = find(&session, &calibration, &PLAIN).unwrap();
-    for haze in [0.0, 0.004, 0.02] {
+    for haze in [0.0, 0.004, 0.01] {
         let trap = Slab { edge: Edge::new(move |_, _| haze), rim_mm: [-60.0, 60.0, -60.0, 60.0], ..slab() };
         session.lay(&session.camera.clone(), &trap);
         let mut shots_of_trap = HazeShots::new(&calibration, &board);
         shots(&session, What::Slab, 2, &PLAIN).into_iter().try_for_each(|p| shots_of_trap.add(p)).unwrap();
         let found = shots_of_trap.finish().unwrap();
         println!("{haze}: {found:?}");
-        assert!(is_within(found, haze, 3.0) && found.std_error < 1e-3, "{haze}: {found:?}");
+        assert!(is_within(found, haze, 3.0) && found.std_error < 3e-3, "{haze}: {found:?}");
     }
     let mut sheet = HazeShots::new(&calibration, &board);
     let refused = sheet.add(session.shoot(What::Sheet, 0, &PLAIN)).unwrap_err();
+    assert!(matches!(refused, Refusal::NoTrap { .. }), "{refused}");
+    // Velvet under the gel is no trap.
+    let velvet = Slab { edge: Edge::new(|_, _| 0.018), rim_mm: [-60.0, 60.0, -60.0, 60.0], ..slab() };
+    session.lay(&session.camera.clone(), &velvet);
+    let refused = sheet.add(session.shoot(What::Slab, 0, &PLAIN)).unwrap_err();
     assert!(matches!(refused, Refusal::NoTrap { .. }), "{refused}");
 }
 
@@ -111,6 +116,9 @@ fn one_panel_and_exposures_replace_patches() {
     let alone = with_panel(Camera::default(), &[]).unwrap();
     assert_eq!(alone.linearity, [0.01; 3]);
     assert!(alone.warnings.iter().any(|w| matches!(w, Warning::LinearityUnknown { .. })));
+    // The lowest sixteenth of the numbers shows little: the session's own exposure counts too.
+    let low = with_panel(Camera { curve: 0.06, ..Camera::default() }, &[0.0625, 0.05, 0.03]).unwrap_err();
+    assert!(matches!(low, Refusal::NotProportional { .. }), "{low}");
     let curved = with_panel(Camera { curve: 0.06, ..Camera::default() }, &shares).unwrap_err();
     assert!(matches!(curved, Refusal::NotProportional { .. }), "{curved}");
 }
@@ -141,10 +149,22 @@ fn excited_light_ends_without_blue() {
     let shot = |i: u64, factors| filtered(session.shoot(What::Slab, 10 + i, &PLAIN), factors, black);
     let mut without = BlueCutShots::new(&calibration, &board, &whole);
     (0..2).try_for_each(|i| without.add(shot(i, [0.9, 0.85, 0.02]))).unwrap();
-    let [red, green] = without.finish().unwrap();
+    let [red, green] = without.finish().unwrap().map(Option::unwrap);
     println!("red {red:?}, green {green:?}");
     assert!(is_within(red, 0.03, 3.0) && is_within(green, 0.0, 3.0), "{red:?} {green:?}");
-    assert!(red.std_error < 3e-3 && green.std_error < 0.015, "{red:?} {green:?}");
+    assert!(red.std_error < 3e-3 && green.std_error < 0.03, "{red:?} {green:?}");
     let refused = BlueCutShots::new(&calibration, &board, &whole).add(shot(3, [0.9, 0.9, 0.8])).unwrap_err();
     assert!(matches!(refused, Refusal::NoBlueCut { .. }), "{refused}");
+    // Neither a thinner slab nor a black one shows anything.
+    let mut other = BlueCutShots::new(&calibration, &board, &whole);
+    let bright = Edge::new(|c, x| 1.1 * white(c, x));
+    session.lay(&session.camera.clone(), &Slab { edge: bright, ..slab() });
+    other.add(filtered(session.shoot(What::Slab, 20, &PLAIN), [0.9, 0.85, 0.0], black)).unwrap();
+    let refused = other.finish().unwrap_err();
+    assert!(matches!(refused, Refusal::BrighterWithoutBlue { .. }), "{refused}");
+    session.lay(&session.camera.clone(), &Slab { edge: Edge::new(|_, _| 0.01), ..slab() });
+    let black_slab = mounted(&session, &calibration, &board, &PLAIN, 3).unwrap();
+    let mut dark = BlueCutShots::new(&calibration, &board, &black_slab);
+    dark.add(filtered(session.shoot(What::Slab, 30, &PLAIN), [0.9, 0.85, 0.02], black)).unwrap();
+    assert_eq!(dark.finish().unwrap(), [None; 2]);
 }

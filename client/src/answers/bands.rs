@@ -9,7 +9,7 @@
 
 use farm_figures::numbers::significant;
 use farm_lab::measurement_file::Note;
-use farm_lab::session_folder::{BandWidth, SessionBands};
+use farm_lab::session_folder::{BandWidth, Excited, SessionBands};
 use optics_model::fit::{ChannelFit, MaterialFit};
 use optics_model::measurement::{colour, wavelength_nm};
 
@@ -29,13 +29,15 @@ const COLOURS: [(&str, f64, f64); 3] = [("R", 600.0, 30.0), ("G", 535.0, 35.0), 
 const ABSORBING: f64 = 0.03;
 /// Standard errors from which on a share of excited light is one.
 const FIRM: f64 = 3.0;
+/// Share of excited light below which it does not matter.
+const LITTLE: f64 = 0.02;
 /// Longest wavelength in nm that excites fluorescence in resins.
 const BLUE_NM: f64 = 470.0;
 
 /// Notes on what the bands of the channels make uncertain.
 pub(super) fn notes(fits: &[MaterialFit], bands: &SessionBands) -> Vec<Note> {
-    let notes = [wide(fits, bands), leaks(fits), unknown_band(fits, bands), fluorescence(fits, bands)];
-    notes.into_iter().flatten().collect()
+    let notes = [wide(fits, bands), leaks(fits), unknown_band(fits, bands)];
+    notes.into_iter().chain(fluorescence(fits, bands)).flatten().collect()
 }
 
 /// The band of a channel that is a camera's colour: by the camera's sensitivities, or the usual one.
@@ -116,45 +118,49 @@ fn unknown_band(fits: &[MaterialFit], bands: &SessionBands) -> Option<Note> {
     })
 }
 
-/// Notes materials that absorb blue more than other colours: some of that light may come back as fluorescence. Shots
-/// without blue show whether it does.
-fn fluorescence(fits: &[MaterialFit], bands: &SessionBands) -> Option<Note> {
-    let shown = |fit: &MaterialFit| {
+/// Notes materials that fluoresce, and those that absorb blue more than other colours without shots that show how much of
+/// that light comes back.
+fn fluorescence(fits: &[MaterialFit], bands: &SessionBands) -> [Option<Note>; 2] {
+    let shares = |fit: &MaterialFit| -> Vec<(&str, Excited)> {
         let slabs = bands.samples.iter().filter(|slab| slab.material == fit.material);
-        slabs.filter_map(|slab| slab.fluorescence.as_ref()).collect::<Vec<_>>()
+        let shares = slabs.filter_map(|slab| slab.fluorescence.as_ref()).flatten();
+        shares.map(|(colour, share)| (colour.as_str(), *share)).collect()
     };
+    let firm = |share: &Excited| share.value > FIRM * share.std_error;
     let excited = fits.iter().flat_map(|fit| {
-        let shares =
-            shown(fit).into_iter().flatten().filter(|(_, share)| share.value > FIRM * share.std_error);
+        let shares = shares(fit).into_iter().filter(|(_, share)| firm(share));
+        let percent = |share: Excited| significant(100.0 * share.value, 1);
         shares
-            .map(|(colour, share)| {
-                format!("{} {colour} ({} %)", fit.material, significant(100.0 * share.value, 1))
-            })
+            .map(|(colour, share)| format!("{} {colour} ({} %)", fit.material, percent(share)))
             .collect::<Vec<_>>()
     });
-    if let Some(named) = first_few(&excited.collect::<Vec<_>>()) {
-        return Some(Note {
-            code: "FLUORESCENCE",
-            text: format!(
-                "blue light excites a part of the light of other channels: {named}; their σ_a is too small: give the shots \
-                 without blue as the slab's `shots`, and leave its blue channel out"
-            ),
-        });
-    }
+    let shown = first_few(&excited.collect::<Vec<_>>()).map(|named| Note {
+        code: "FLUORESCENCE",
+        text: format!(
+            "blue light excites a part of the light of other channels: {named}; their σ_a is too small: photograph the whole \
+             session under the filter that blocks blue, with a [[band]] for red and one for green"
+        ),
+    });
     let sigma_a = |c: &ChannelFit| c.refined.as_ref().map(|r| r.best.medium.absorption_per_mm());
     let absorbs_blue = |fit: &MaterialFit, channel: &ChannelFit| {
         let least = fit.channels.iter().filter_map(sigma_a).fold(f64::INFINITY, f64::min);
         let is_blue = place_nm(&channel.channel, bands).is_some_and(|nm| nm <= BLUE_NM);
-        let is_open = shown(fit).is_empty() && is_blue && is_absorbing(channel);
-        is_open && sigma_a(channel).is_some_and(|own| own > DARK * least)
+        let shares = shares(fit);
+        let is_known =
+            |(_, share): &(&str, Excited)| firm(share) || share.value + 2.0 * share.std_error < LITTLE;
+        let is_open = shares.is_empty() || !shares.iter().all(is_known);
+        let absorbs =
+            is_blue && is_absorbing(channel) && sigma_a(channel).is_some_and(|own| own > DARK * least);
+        is_open && absorbs
     };
-    named(fits, absorbs_blue).map(|named| Note {
+    let unknown = named(fits, absorbs_blue).map(|named| Note {
         code: "FLUORESCENCE_UNKNOWN",
         text: format!(
             "absorbs blue: {named}; if the resin fluoresces, σ_a of its other channels is too small, by some 20 % where 5 % \
              of that light comes back; a shot of it through a filter before the lamps that blocks blue shows it (`blue_cut`)"
         ),
-    })
+    });
+    [shown, unknown]
 }
 
 /// A band whose σ_a may be off.
@@ -327,18 +333,21 @@ mod tests {
     #[test]
     fn session_knows_fluorescence_and_bands() {
         let yellow = ink(&[("R", 0.05), ("G", 0.2), ("B", 1.5)]);
-        let session = |share: f64| -> SessionBands {
+        let session = |share: f64, error: f64| -> SessionBands {
             let text = format!(
-                r#"{{"samples": [{{"material": "ink", "fluorescence": {{"R": {{"value": {share}, "std_error": 0.003}}}}}}],
+                r#"{{"samples": [{{"material": "ink", "fluorescence": {{"R": {{"value": {share}, "std_error": {error}}}}}}}],
                     "colours": {{"R": {{"wavelength_nm": 610, "std_dev_nm": 2}}, "G": {{"wavelength_nm": 540, "std_dev_nm": 2}},
                                  "B": {{"wavelength_nm": 460, "std_dev_nm": 2}}}}}}"#
             );
-            serde_json::from_str(&text).unwrap()
+            SessionBands::known(&serde_json::from_str(&text).unwrap())
         };
-        let codes = |share: f64| notes(&yellow, &session(share)).iter().map(|n| n.code).collect::<Vec<_>>();
-        assert_eq!(codes(0.004), [""; 0]);
-        assert_eq!(codes(0.04), ["FLUORESCENCE"]);
-        assert!(notes(&yellow, &session(0.04))[0].text.contains("ink R (4 %)"));
+        let codes = |share: f64, error: f64| {
+            notes(&yellow, &session(share, error)).iter().map(|n| n.code).collect::<Vec<_>>()
+        };
+        assert_eq!(codes(0.004, 0.003), [""; 0]);
+        assert_eq!(codes(0.018, 0.003), ["FLUORESCENCE"]);
+        assert_eq!(codes(0.01, 0.02), ["FLUORESCENCE_UNKNOWN"], "too uncertain");
+        assert!(notes(&yellow, &session(0.04, 0.003))[0].text.contains("ink R (4 %)"));
     }
 
     /// Biases of simulated filters of 40 nm were 9 % at the top and 17 % on the slope, of 10 nm 0.5 and 1.4 %.
