@@ -169,8 +169,8 @@ impl<'a> Set<'a> {
         minima.min_by(|a, b| a.state.cost.total_cmp(&b.state.cost)).expect("the best is kept")
     }
 
-    /// The lowest cell; if the phase function is uncertain, the lowest in every range of anisotropies. The mesh has the scene
-    /// as it is stated: with errors of the set-up its costs say little.
+    /// The lowest cell; if the phase function is uncertain, the lowest in every range of anisotropies. The mesh has the
+    /// scene as it is stated: with errors of the set-up its costs say little.
     fn beginnings<'c>(&self, cells: &'c [Cell]) -> Vec<&'c Cell> {
         let lowest = |among: &dyn Fn(&Cell) -> bool| {
             cells.iter().filter(|cell| among(cell)).min_by(|a, b| a.cost.total_cmp(&b.cost))
