@@ -74,7 +74,9 @@ impl SessionRun<'_> {
             let seen = self.board(session, [&part.in_gel, &[]], "board in gel", &calibration)?;
             let scene = session.scene.clone().with_channels(board_channels(&rho)?)?;
             let factor = light_side(&scene, &calibration, [&board, &seen], haze)?;
-            board.warnings.extend(seen.warnings.into_iter().chain(gloss(factor, &rho)));
+            // The dry board has shown its spread.
+            let others = seen.warnings.into_iter().filter(|w| !matches!(w, Warning::SpreadingBoard { .. }));
+            board.warnings.extend(others.chain(gloss(factor, &rho)));
             wet = Some(factor);
         }
         let slabs = std::mem::take(&mut part.samples).into_iter();

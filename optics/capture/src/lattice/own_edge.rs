@@ -5,8 +5,7 @@ use crate::calibration::Radiance;
 use crate::frame::Colour;
 use crate::least_squares::{NormalEquations, robust_mean, spread, tukey};
 
-/// Strips across the edge, samples across each for its mean, and half of the largest angle to the board's edge as the
-/// tangent.
+/// Strips across the edge, samples across each for its mean, and the tangent of the largest angle to the board's edge.
 const STRIPS: usize = 40;
 const ACROSS: usize = 12;
 const STEEPEST: f64 = 0.2;
