@@ -14,6 +14,9 @@ use crate::likelihood::term::reduced::Reduced;
 use crate::likelihood::term::{Own, OwnPrior};
 use crate::surrogate::g;
 
+/// Thickness of a layer as a share of its prior's standard deviation, below which there is none.
+const NEAR_0: f64 = 0.3;
+
 impl Found<'_, '_> {
     /// The uncertain quantities of the scene, in its order.
     pub(crate) fn scene_estimates(&self, covariance: &DMatrix<f64>) -> Vec<SceneEstimate> {
@@ -21,10 +24,14 @@ impl Found<'_, '_> {
         let estimate = |unknown: &SceneUnknown| {
             let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
             let (u, limits) = (self.state.x[slot], self.system.unknowns[slot].limits);
-            // No weight and no spread are ends of the quantities, not of the responses.
-            let ends_at_0 = matches!(prior.kind(), PriorKind::SecondLobeWeight | PriorKind::BaseSpread);
-            let is_low = u <= limits.0 && !ends_at_0;
             let (mean, sd) = (scene.value_of(prior).unwrap_or(self.sample_ior), prior.std_error());
+            // No weight, no spread and no gel are ends of the quantities, not of the responses.
+            let ends_at_0 = match prior.kind() {
+                PriorKind::SecondLobeWeight | PriorKind::BaseSpread => true,
+                PriorKind::Thickness => mean + sd * limits.0 < NEAR_0 * sd,
+                _ => false,
+            };
+            let is_low = u <= limits.0 && !ends_at_0;
             let (of_prior, of_prior_sd) = match self.system.unknowns[slot].prior {
                 Some((of_prior, of_prior_sd)) if unknown.is_measured => (of_prior, of_prior_sd),
                 _ => (0.0, 1.0),
