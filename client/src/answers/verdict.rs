@@ -58,7 +58,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     }
 }
 
-/// Whether the data contradict the set-up: a cause is suspected, or a quantity contradicts its prior or lies at the end of
+/// Whether the data contradict the set-up: a cause is suspected, or a quantity contradicts its prior or is pulled beyond
 /// its range.
 fn is_doubtful(channel: &ChannelFit) -> bool {
     let is =

@@ -96,7 +96,7 @@ class SceneEstimate:
     prior_std_error: float
     """The standard error of the prior, in the unit."""
     at_end: bool
-    """The estimate lies at the end of the range of the dictionary's responses: the true value may lie beyond it."""
+    """The data pull the estimate beyond the range of the dictionary's responses, where the true value may lie."""
 
     def __repr__(self) -> str:
         slab = "" if self.slab_mm is None else f" of {self.slab_mm:g} mm"

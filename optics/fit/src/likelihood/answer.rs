@@ -101,11 +101,13 @@ impl Found<'_, '_> {
         // priors.
         let covariance =
             covariance.or_else(|| inverse_over_free(&self.system.unknowns, &normal.information, 1e-9));
-        let covariance = covariance.map_or_else(nothing, |c| c * goodness.inflation);
+        let covariance = covariance.unwrap_or_else(nothing);
+        let step = &covariance * &normal.downhill;
+        let covariance = covariance * goodness.inflation;
         let slots = self.slots();
-        let of = |i: usize, k: usize| covariance[(slots[i], slots[k])];
-        let both = (of(LN_SIGMA_T, LN_SIGMA_T) * of(LN_ONE_MINUS_G, LN_ONE_MINUS_G)).max(0.0).sqrt();
-        let correlation = if both > 0.0 { of(LN_SIGMA_T, LN_ONE_MINUS_G) / both } else { 0.0 };
+        let entry = |i: usize, k: usize| covariance[(slots[i], slots[k])];
+        let both = (entry(LN_SIGMA_T, LN_SIGMA_T) * entry(LN_ONE_MINUS_G, LN_ONE_MINUS_G)).max(0.0).sqrt();
+        let correlation = if both > 0.0 { entry(LN_SIGMA_T, LN_ONE_MINUS_G) / both } else { 0.0 };
         let free_g = !self.system.unknowns[slots[LN_ONE_MINUS_G]].held;
         let [sigma_t, albedo, g, reduced, absorption] = intervals;
         let resolved = is_resolved(&sigma_t, &albedo);
@@ -127,7 +129,7 @@ impl Found<'_, '_> {
             g,
             reduced_scattering_per_mm: reduced,
             absorption_per_mm: absorption,
-            covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|k| of(i, k))),
+            covariance: [0, 1, 2].map(|i| [0, 1, 2].map(|k| entry(i, k))),
             correlation,
             valley: free_g && correlation.abs() > VALLEY,
             resolved,
@@ -145,7 +147,7 @@ impl Found<'_, '_> {
                 nuisances,
                 outliers: outliers(self.system, &linear),
                 stretches: stretches(self.system, &linear),
-                scene: self.scene_estimates(&covariance),
+                scene: self.scene_estimates(&covariance, &step),
                 bound: bound(&ideal.unwrap_or_else(|| covariance.clone()), self.state, slots),
                 budget,
             },
@@ -232,11 +234,11 @@ impl Found<'_, '_> {
             covariance: &covariance,
             inflation,
         };
-        let of = |i: usize| {
+        let interval_at_g = |i: usize| {
             let ends = profile.ends(Quantity::Unknown(slots[i]), system.unknowns[slots[i]].limits);
             interval(ends, |x| self.parameter(i, x), i != LN_SIGMA_T)
         };
-        is_resolved(&of(LN_SIGMA_T), &of(ROOT_CO_ALBEDO))
+        is_resolved(&interval_at_g(LN_SIGMA_T), &interval_at_g(ROOT_CO_ALBEDO))
     }
 
     /// Share of the records' noise in the variance of ln σ_t.

@@ -149,7 +149,7 @@ pub struct SceneEstimate {
     /// Mean of its prior: the scene's value.
     pub prior: f64,
     pub prior_std_error: f64,
-    /// The estimate lies at the end of the range of the responses: the true value may lie beyond it.
+    /// The data pull the estimate beyond the range of the responses, where the true value may lie.
     pub at_end: bool,
 }
 

@@ -1,6 +1,6 @@
 //! Reports the estimates of the set-up's nuisances, each with its prior.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use optics_model::fit::{Nuisance, NuisanceEstimate, SceneEstimate};
 use optics_model::phase::{MOST_G, MOST_SECOND_WEIGHT, SecondLobe};
 use optics_model::scene::{PriorKind, Scene, Scope};
@@ -16,10 +16,16 @@ use crate::surrogate::g;
 
 /// Thickness of a layer as a share of its prior's standard deviation, below which there is none.
 const NEAR_0: f64 = 0.3;
+/// Standard errors by which data must pull a quantity beyond its range: true values near an end scatter less.
+const BEYOND: f64 = 2.0;
 
 impl Found<'_, '_> {
-    /// The uncertain quantities of the scene, in its order.
-    pub(crate) fn scene_estimates(&self, covariance: &DMatrix<f64>) -> Vec<SceneEstimate> {
+    /// The uncertain quantities of the scene, in its order. `step` leads from the state to the minimum of the quadratic.
+    pub(crate) fn scene_estimates(
+        &self,
+        covariance: &DMatrix<f64>,
+        step: &DVector<f64>,
+    ) -> Vec<SceneEstimate> {
         let scene = self.data.dictionary.grid().scene();
         let estimate = |unknown: &SceneUnknown| {
             let (slot, prior) = (unknown.slot, &scene.priors()[unknown.prior]);
@@ -31,7 +37,9 @@ impl Found<'_, '_> {
                 PriorKind::Thickness => mean + sd * limits.0 < NEAR_0 * sd,
                 _ => false,
             };
-            let is_low = u <= limits.0 && !ends_at_0;
+            let std_error = std_error(covariance, slot);
+            let is_low = u <= limits.0 && !ends_at_0 && step[slot] < -BEYOND * std_error;
+            let is_high = u >= limits.1 && step[slot] > BEYOND * std_error;
             let (of_prior, of_prior_sd) = match self.system.unknowns[slot].prior {
                 Some((of_prior, of_prior_sd)) if unknown.is_measured => (of_prior, of_prior_sd),
                 _ => (0.0, 1.0),
@@ -42,10 +50,10 @@ impl Found<'_, '_> {
                 scope: if unknown.channel.is_some() { Scope::Channel } else { prior.scope() },
                 slab_mm: unknown.slab_mm,
                 value: mean + sd * u,
-                std_error: sd * covariance[(slot, slot)].max(0.0).sqrt(),
+                std_error: sd * std_error,
                 prior: mean + sd * of_prior,
                 prior_std_error: sd * of_prior_sd,
-                at_end: is_low || u >= limits.1 || self.is_beyond(prior.kind(), mean + sd * u),
+                at_end: is_low || is_high || self.is_beyond(prior.kind(), mean + sd * u),
             }
         };
         let free = |unknown: &&SceneUnknown| self.is_free(unknown.slot);
@@ -64,14 +72,14 @@ impl Found<'_, '_> {
 
     /// All nuisances in the order of the answer: common ones first, then by profile.
     pub(crate) fn nuisances(&self, covariance: &DMatrix<f64>, reduced: &[Reduced]) -> Vec<NuisanceEstimate> {
-        let of_profile = |i: usize| {
+        let profile_estimates = |i: usize| {
             let own = self.own_estimates(i, covariance, &reduced[i]);
             self.blur_estimate(i, covariance)
                 .into_iter()
                 .chain(self.thickness_estimate(i, covariance))
                 .chain(own)
         };
-        let profiles = (0..self.system.terms.len()).flat_map(of_profile);
+        let profiles = (0..self.system.terms.len()).flat_map(profile_estimates);
         self.scale_estimate(covariance).into_iter().chain(profiles).collect()
     }
 
@@ -177,8 +185,8 @@ pub(crate) fn second_lobe(
     let of_scene = scene.phase().second_lobe()?;
     let slots = &system.slots[profile];
     let estimate = |kind: PriorKind, of_scene: f64| {
-        let of_kind = |u: &&SceneUnknown| scene.priors()[u.prior].kind() == kind;
-        let own = system.of_scene.iter().find(|u| of_kind(u) && slots.contains(&u.slot));
+        let has_kind = |u: &&SceneUnknown| scene.priors()[u.prior].kind() == kind;
+        let own = system.of_scene.iter().find(|u| has_kind(u) && slots.contains(&u.slot));
         own.map_or(of_scene, |u| of_scene + scene.priors()[u.prior].std_error() * state.x[u.slot])
     };
     let weight = estimate(PriorKind::SecondLobeWeight, of_scene.weight());

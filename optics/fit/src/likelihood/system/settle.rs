@@ -18,6 +18,8 @@ use crate::surrogate::{Coordinates, NoisePlace, Surrogate};
 const FAR: f64 = 0.01;
 /// That change of a quantity of the scene, in standard deviations of its prior.
 const FAR_OF_SCENE: f64 = 0.1;
+/// Most times that they are computed again.
+const MOVES: usize = 4;
 /// Greatest distance, in mm, of an edge from its stated origin at which a descent finds it.
 const FAR_MM: f64 = 0.06;
 /// Factor by which the noise is reduced at a time, on the way to a model without dust.
@@ -35,7 +37,7 @@ impl<'a> System<'a> {
     /// Descends from a rough minimum to the final one: with the noise of the neighbouring records, and without dust.
     pub(crate) fn settle(&mut self, mut state: State) -> State {
         self.add_modes(&mut state);
-        let modes_at = state.clone();
+        let mut modes_at = state.clone();
         for term in &mut self.terms {
             term.robust = true;
             term.left_out.fill(false);
@@ -55,15 +57,23 @@ impl<'a> System<'a> {
                 break;
             }
         }
-        // The noise of the responses grows with the quantities of the scene.
-        let of_scene = |i: usize| self.of_scene.iter().any(|unknown| unknown.slot == i);
-        let far = |i: usize| if of_scene(i) { FAR_OF_SCENE } else { FAR };
-        let is_far = |i: usize| (state.x[i] - modes_at.x[i]).abs() > far(i);
-        if (0..state.x.len()).any(is_far) {
+        // The noise of the responses grows with the quantities of the scene, and responses follow a medium to first order.
+        for _ in 0..MOVES {
+            if !self.is_far(&state, &modes_at) {
+                break;
+            }
+            modes_at = state.clone();
             self.add_modes(&mut state);
             state = self.descend(state, None, FINE);
         }
         state
+    }
+
+    /// Whether an unknown has moved far from where the parts that depend on the state were computed.
+    fn is_far(&self, state: &State, from: &State) -> bool {
+        let is_of_scene = |i: usize| self.of_scene.iter().any(|unknown| unknown.slot == i);
+        let far = |i: usize| if is_of_scene(i) { FAR_OF_SCENE } else { FAR };
+        (0..state.x.len()).any(|i| (state.x[i] - from.x[i]).abs() > far(i))
     }
 
     /// The state with some unknowns moved and held there, the others following in one step.
@@ -159,7 +169,7 @@ impl<'a> System<'a> {
             return vec![Vec::new(); self.terms.len()];
         }
         let noises = self.places_of(Surrogate::response_noise, state);
-        let of_quantity = |i: usize, prior: usize, slot: usize| -> Vec<Line> {
+        let quantity_factors = |i: usize, prior: usize, slot: usize| -> Vec<Line> {
             let Some(noise) = &noises[i] else { return Vec::new() };
             let sharing = (0..noises.len()).filter(|k| self.slots[*k].contains(&slot));
             let others = sharing.filter_map(|k| noises[k].as_ref());
@@ -169,11 +179,11 @@ impl<'a> System<'a> {
             factors.iter_mut().flatten().for_each(|v| *v *= size);
             factors
         };
-        let of_term = |i: usize| {
+        let term_factors = |i: usize| {
             let slots = self.slots[i].iter().skip(SHARED).enumerate();
-            slots.flat_map(|(prior, slot)| of_quantity(i, prior, *slot)).collect()
+            slots.flat_map(|(prior, slot)| quantity_factors(i, prior, *slot)).collect()
         };
-        (0..self.terms.len()).into_par_iter().map(of_term).collect()
+        (0..self.terms.len()).into_par_iter().map(term_factors).collect()
     }
 
     /// Robust standard deviation of the residuals over the noise, from the median of their magnitudes: the greatest of
