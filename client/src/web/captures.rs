@@ -1,6 +1,7 @@
 //! Lists the folders that `farmctl capture` has written and the session files from which it can make more; serves their
 //! reports.
 
+use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
@@ -23,9 +24,11 @@ const LARGEST: u64 = 256 << 20;
 const POLICY: &str = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; \
      frame-ancestors 'self'";
 
-/// How deep folders are searched for session files, and how many files are looked at.
+/// How deep folders are searched for session files, how many entries of all folders are looked at, and how many files are
+/// read.
 const DEPTH: usize = 3;
-const MOST_FILES: usize = 10_000;
+const MOST_ENTRIES: usize = 10_000;
+const MOST_READ: usize = 500;
 
 #[derive(Debug)]
 pub(super) struct Captures {
@@ -105,22 +108,27 @@ impl Captures {
 
 /// The session files below the working directory, in alphabetical order. Links are not followed.
 pub(super) fn session_files() -> Vec<PathBuf> {
-    let walk = toml_files(Path::new("."), DEPTH);
-    let mut found: Vec<PathBuf> = walk.into_iter().filter(|path| CaptureSession::is_at(path)).collect();
+    let all = toml_files(Path::new("."), MOST_ENTRIES).into_iter().take(MOST_READ);
+    let mut found: Vec<PathBuf> = all.filter(|path| CaptureSession::is_at(path)).collect();
     found.sort();
     found
 }
 
-/// TOML files below a folder, without the "./" of the working directory.
-fn toml_files(folder: &Path, depth: usize) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).into_iter().flatten().flatten().take(MOST_FILES) {
-        let (Ok(kind), path) = (entry.file_type(), entry.path()) else { continue };
-        let hidden = entry.file_name().to_string_lossy().starts_with('.');
-        if kind.is_dir() && depth > 0 && !hidden {
-            found.extend(toml_files(&path, depth - 1));
-        } else if kind.is_file() && path.extension().is_some_and(|e| e == "toml") {
-            found.push(path.strip_prefix(".").map_or(path.clone(), Path::to_owned));
+/// TOML files below a folder, without the "./" of the working directory, among at most this many entries: those of upper
+/// folders come first.
+fn toml_files(folder: &Path, most: usize) -> Vec<PathBuf> {
+    let (mut found, mut left) = (Vec::new(), most);
+    let mut folders = VecDeque::from([(folder.to_owned(), DEPTH)]);
+    while let Some((folder, depth)) = folders.pop_front() {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten().take(left) {
+            left -= 1;
+            let (Ok(kind), path) = (entry.file_type(), entry.path()) else { continue };
+            let hidden = entry.file_name().to_string_lossy().starts_with('.');
+            if kind.is_dir() && depth > 0 && !hidden {
+                folders.push_back((path, depth - 1));
+            } else if kind.is_file() && path.extension().is_some_and(|e| e == "toml") {
+                found.push(path.strip_prefix(".").map_or(path.clone(), Path::to_owned));
+            }
         }
     }
     found

@@ -40,6 +40,10 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
         edges: [None; 2],
         warnings: Vec::new(),
     };
+    if photo.frame.samples().iter().all(|sample| *sample == 0) {
+        check.warnings.push(Warning::DarkShot { label: photo.label.clone() });
+        return Ok(check);
+    }
     // A clipped photograph has to be repeated, so no other warning matters.
     for colour in Colour::ALL {
         let clipped = clipped_share(photo, colour, full);

@@ -63,6 +63,10 @@ fn shown(counts: &[u32]) -> f64 {
     let total: u32 = counts.iter().sum();
     let few = 20.max(total / 20_000);
     let highest = counts.iter().rposition(|n| *n > 0).unwrap_or(0);
+    // One number throughout is no photograph.
+    if counts[highest] == total {
+        return highest as f64;
+    }
     // A few defective pixels may lie above.
     let mut above = 0;
     let most = counts.iter().rposition(|n| {
@@ -71,11 +75,11 @@ fn shown(counts: &[u32]) -> f64 {
     });
     let between = |from: f64, to: f64| counts[from.ceil() as usize..to.ceil() as usize].iter().sum::<u32>();
     let pile = |(top, width): (usize, f64)| {
-        let near = (1.0 - width) * top as f64;
-        let (piled, below) =
-            (between(near, counts.len() as f64), between((1.0 - 7.5 * width) * top as f64, near));
-        // There are fewer samples above any brightness than below, except where they pile up.
-        (piled > few && piled > 2 * below).then_some(near)
+        let [far, near] = [7.5, 1.0].map(|widths| (1.0 - widths * width) * top as f64);
+        let (piled, below) = (between(near, counts.len() as f64), between(far, near));
+        // There are fewer samples above any brightness than below, except where they pile up. Below small numbers, as of
+        // a dark frame, there is none to compare with.
+        (far.ceil() < near.ceil() && piled > few && piled > 2 * below).then_some(near)
     };
     let tops = [Some(highest), most].into_iter().flatten();
     let piles = tops.flat_map(|top| WIDTHS.map(|width| (top, width)));
@@ -120,6 +124,19 @@ mod tests {
         samples[3 * 777] = 65_000;
         odd.frame = Frame::new(200, 150, Pattern::Rgb, samples).unwrap();
         assert!(full(&odd)[0] < 30_000.0);
+    }
+
+    /// Numbers of a dark frame whose black level is subtracted are no pile.
+    #[test]
+    fn dark_frames_are_not_saturated() {
+        for spread in [0.4, 2.0, 8.0, 25.0] {
+            let mut state = 5;
+            let samples = (0..200 * 150).map(|_| (spread * normal(&mut state)).max(0.0).round() as u16);
+            let frame = Frame::new(200, 150, Pattern::One([true; 4]), samples.collect()).unwrap();
+            let levels = Levels { black: Some([0.0; 4]), white: None };
+            let photo = Photo { label: "dark".to_owned(), frame, levels, seconds: None, exposure: None };
+            assert_eq!(saturation(&photo).0, [65_535.0; 4], "{spread}");
+        }
     }
 
     /// If the file gives a saturation level for each colour, that level is used.

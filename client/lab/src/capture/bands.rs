@@ -14,8 +14,9 @@ pub(super) const MOST_BANDS: usize = optics_model::scene::MAX_CHANNELS / 2;
 const FWHM: f64 = 2.354_820_045;
 /// Standard deviations over which a Gaussian filter transmits.
 const REACH: f64 = 3.0;
-/// Step of integrals over a band, in nm.
+/// Step of integrals over a band, in nm, and steps within the full width at half maximum of a Gaussian filter.
 const STEP_NM: f64 = 0.5;
+const STEPS_IN_FWHM: f64 = 8.0;
 /// Share of a band's light at each of its ends that is left out, so that tables need not reach there.
 const NEGLIGIBLE: f64 = 2e-4;
 /// Transmission over the greatest at which the passband of a filter ends.
@@ -131,12 +132,13 @@ impl Band {
 
     /// Wavelengths of the band and their weights by filter and light, without ends that do not count.
     fn weights(&self, light: Option<&Spectrum>) -> Result<Vec<(f64, f64)>, Invalid> {
-        let (from, to) = self.range_nm();
-        let steps = ((to - from) / STEP_NM).ceil().max(1.0) as usize;
-        let place = |i: usize| from + (to - from) * i as f64 / steps as f64;
-        // Half an interval lies at each end.
-        let width = |i: usize| if i == 0 || i == steps { 0.5 } else { 1.0 };
-        let transmitted = (0..=steps).map(|i| (place(i), width(i) * self.transmission(place(i)))).collect();
+        let places = self.places_nm(light);
+        let width = |i: usize| {
+            let [below, above] = [i.saturating_sub(1), (i + 1).min(places.len() - 1)];
+            0.5 * (places[above] - places[below])
+        };
+        let weight = |(i, nm): (usize, &f64)| (*nm, width(i) * self.transmission(*nm));
+        let transmitted = places.iter().enumerate().map(weight).collect();
         let Some(light) = light else { return Ok(without_ends(transmitted)) };
         let lit = |(nm, weight)| Ok((nm, weight * light.within("light.spectrum", nm)?));
         let weights: Vec<(f64, f64)> =
@@ -146,6 +148,23 @@ impl Band {
         }
         let given = format!("0 in the whole band of {} nm", self.wavelength_nm);
         Err(Invalid::new("light.spectrum", given, "a band needs light"))
+    }
+
+    /// Rising wavelengths at which integrals are evaluated: even steps, and the rows of filter and light, between which
+    /// narrow lines could lie otherwise.
+    fn places_nm(&self, light: Option<&Spectrum>) -> Vec<f64> {
+        let (from, to) = self.range_nm();
+        let (step, filter) = match &self.filter {
+            Filter::Gaussian { fwhm_nm } => (STEP_NM.min(fwhm_nm / STEPS_IN_FWHM), None),
+            Filter::Table(table) => (STEP_NM, Some(table)),
+        };
+        let steps = ((to - from) / step).ceil().max(1.0) as usize;
+        let even = (0..=steps).map(|i| from + (to - from) * i as f64 / steps as f64);
+        let of_tables = filter.into_iter().chain(light).flat_map(Spectrum::wavelengths_nm);
+        let mut places: Vec<f64> = even.chain(of_tables.filter(|nm| (from..=to).contains(nm))).collect();
+        places.sort_by(f64::total_cmp);
+        places.dedup();
+        places
     }
 
     fn range_nm(&self) -> (f64, f64) {
@@ -284,6 +303,34 @@ mod tests {
         let leaked = 1.0 / (10.0 + 2.9);
         let found = band.mean("rho", &step, None).unwrap();
         assert!((found / leaked - 1.0).abs() < 0.05, "{found} for {leaked}");
+    }
+
+    /// A filter and a lamp's line that are narrower than the steps of integrals count with their areas.
+    #[test]
+    fn narrow_filters_and_lines_count() {
+        let check_line = |nm: f64, width: f64, pairs: &str| {
+            let file = Some("filter.csv".to_owned());
+            let table = BandTable { wavelength_nm: nm, transmission: file, ..table(None, None) };
+            let band = Band::new(table, |_| Ok(spectrum_of(pairs))).unwrap();
+            let found = band.mean("rho", &spectrum_of("300,0 800,500"), None).unwrap();
+            assert!((found - (nm - 300.0)).abs() < width, "{found}");
+        };
+        check_line(550.25, 0.1, "400,0 550.1,0 550.25,1 550.4,0 700,0");
+        check_line(632.8, 1e-3, "632.79,0 632.8,1 632.81,0");
+        // Half of the light is in a line of 0.1 nm.
+        let box_of_100 = filter("500,1 600,1");
+        let lamp = spectrum_of("400,0.001 520.1,0.001 520.15,2 520.2,0.001 700,0.001");
+        let found = box_of_100.mean("rho", &spectrum_of("500,0 600,1"), Some(&lamp)).unwrap();
+        assert!((found - (0.5 * 0.2015 + 0.5 * 0.5)).abs() < 0.001, "{found}");
+        for fwhm in [0.1, 0.5, 2.0] {
+            let band = Band::new(table(Some(fwhm), None), |_| unreachable!()).unwrap();
+            let squares: Vec<String> = (0..=800)
+                .map(|i| 546.0 + 0.01 * f64::from(i))
+                .map(|nm| format!("{nm},{}", (nm - 550.0).powi(2)))
+                .collect();
+            let variance = band.mean("rho", &spectrum_of(&squares.join(" ")), None).unwrap();
+            assert!((variance / (fwhm / FWHM).powi(2) - 0.973).abs() < 0.02, "{fwhm}: {variance}");
+        }
     }
 
     /// Tables must cover the band.

@@ -76,6 +76,10 @@ impl Spectrum {
         (self.rows[0].0, self.rows[self.rows.len() - 1].0)
     }
 
+    pub fn wavelengths_nm(&self) -> impl Iterator<Item = f64> {
+        self.rows.iter().map(|(nm, _)| *nm)
+    }
+
     pub fn greatest(&self) -> f64 {
         self.rows.iter().map(|(_, value)| *value).fold(0.0, f64::max)
     }

@@ -3,6 +3,7 @@
 
 use anyhow::{Context, Result, bail};
 
+use super::names::normal;
 use super::note::Note;
 use super::pixels::FileRow;
 use super::rows::ProfileDraft;
@@ -55,7 +56,12 @@ pub(super) fn drafts(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDra
         for (column, nm) in &bands {
             let value = Some(row.number(&table.columns, *column)? / white);
             let patch = FileRow { line: row.line, x_mm: None, value, std_error };
-            drafts.push(ProfileDraft::patch_of(&row.cells[name], &nm.to_string(), thickness_mm, patch));
+            drafts.push(ProfileDraft::patch_of(
+                &normal(&row.cells[name]),
+                &nm.to_string(),
+                thickness_mm,
+                patch,
+            ));
         }
     }
     notes.push(Note::new(

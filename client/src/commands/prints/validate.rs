@@ -240,7 +240,7 @@ fn compared(
     let found = view.predicted(std::slice::from_ref(slab))?;
     let [thin, thick] = [slab, &thicker].map(|slab| view.values(std::slice::from_ref(slab)));
     let (thin, thick) = (thin?, thick?);
-    let of = |(channel, value, error): &(&str, f64, f64)| {
+    let comparison = |(channel, value, error): &(&str, f64, f64)| {
         let at = view.names().iter().position(|name| name == channel)?;
         let predicted = &found[at][0];
         let gain = (ErrorKey::Gain(number), args.gain_std_error * value);
@@ -261,7 +261,7 @@ fn compared(
             parts,
         })
     };
-    Ok(patch.values.iter().filter_map(of).collect())
+    Ok(patch.values.iter().filter_map(comparison).collect())
 }
 
 /// The difference of measured and predicted colour; None unless the channels are wavelengths of the visible range.
@@ -329,7 +329,7 @@ fn ink(name: &str, patches: &[ChartPatch], found: &[Vec<PatchJson>]) -> InkJson 
             variance += (weight * p.parts.own).powi(2);
             shared.extend(p.parts.shared.iter().map(|(key, change)| (*key, weight * change)));
         }
-        count += channels.len();
+        count += usize::from(!channels.is_empty());
     }
     let std_error = libm::hypot(sum_std_error(shared.into_iter()), variance.sqrt());
     InkJson { material: name.to_owned(), patches: count, z: sum / std_error.max(f64::MIN_POSITIVE) }

@@ -114,9 +114,11 @@ fn camera(captured: &Captured, part: &CapturedPart) -> String {
     )
 }
 
-/// An exposure time in s as cameras show it.
+/// An exposure time in s as cameras show it: as a fraction where it is nearly one.
 pub(super) fn exposure(time_s: f64) -> String {
-    if time_s < 1.0 { format!("1/{:.0} s", 1.0 / time_s) } else { format!("{time_s} s") }
+    let parts = 1.0 / time_s;
+    let is_fraction = time_s < 0.9 && (parts / parts.round() - 1.0).abs() < 0.02;
+    if is_fraction { format!("1/{parts:.0} s") } else { format!("{} s", significant(time_s, 3)) }
 }
 
 /// Grey patches against the line through them.
@@ -193,5 +195,19 @@ fn departure_colour(departure: f64) -> [u8; 3] {
         [mixed(200.0, 190.0), mixed(200.0, 40.0), mixed(200.0, 30.0)]
     } else {
         [mixed(200.0, 30.0), mixed(200.0, 70.0), mixed(200.0, 190.0)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Times that are no part of a second are decimal numbers, as on cameras.
+    #[test]
+    fn exposures_are_shown_as_by_cameras() {
+        let shown = [0.6, 0.8, 0.4, 0.5, 1.0 / 3.0, 0.0166, 1.0 / 8000.0, 1.0, 1.3, 30.0].map(exposure);
+        let expected =
+            ["0.6 s", "0.8 s", "0.4 s", "1/2 s", "1/3 s", "1/60 s", "1/8000 s", "1 s", "1.3 s", "30 s"];
+        assert_eq!(shown, expected);
     }
 }

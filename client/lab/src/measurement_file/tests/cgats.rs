@@ -15,10 +15,18 @@ fn rows_of_a_table_are_patches() {
     let names: Vec<&str> = file.materials.iter().map(Measurement::material).collect();
     assert_eq!(names, ["light grey", "cyan"]);
     let profiles = file.materials[0].profiles();
-    let of = |i: usize| (profiles[i].channel(), profiles[i].thickness_mm(), profiles[i].values()[0]);
-    assert_eq!([of(0), of(1), of(2)], [("460", 2.0, 0.315), ("470", 2.0, 0.3225), ("480", 2.0, 0.33)]);
+    let row = |i: usize| (profiles[i].channel(), profiles[i].thickness_mm(), profiles[i].values()[0]);
+    assert_eq!([row(0), row(1), row(2)], [("460", 2.0, 0.315), ("470", 2.0, 0.3225), ("480", 2.0, 0.33)]);
     assert_eq!(file.notes.len(), 1, "{:?}", file.notes);
     assert!(file.notes[0].text.contains("3 wavelengths from 460 to 480 nm, of 100 for white"));
+}
+
+/// Names in decomposed letters are those in composed ones, as media are called.
+#[test]
+fn names_of_patches_are_in_composed_letters() {
+    let file = parse(&TABLE.replace("cyan", "Gru\u{308}n").replace("light grey", "light\u{a0}grey"));
+    let names: Vec<&str> = file.materials.iter().map(Measurement::material).collect();
+    assert_eq!(names, ["light grey", "Gr\u{fc}n"]);
 }
 
 /// Names of columns as instruments and programs write them, with thickness and errors in the rows.

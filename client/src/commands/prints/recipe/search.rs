@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
 /// Largest share of each part.
 #[derive(Debug, Clone, Copy)]
@@ -23,11 +23,12 @@ pub(super) fn closest(limits: &ShareLimits, cost: impl Fn(&[f64]) -> Result<f64>
     let mut best: Option<(Vec<f64>, f64)> = None;
     for start in alone.chain([filled(limits, |_| 1.0 / n as f64)]) {
         let at = cost(&start)?;
-        if best.as_ref().is_none_or(|(_, least)| at < *least) {
+        if !at.is_nan() && best.as_ref().is_none_or(|(_, least)| at < *least) {
             best = Some((start, at));
         }
     }
-    let (mut shares, mut least) = best.expect("there is a start");
+    let (mut shares, mut least) =
+        best.context("no mixture has a colour that can be compared with the wanted one")?;
     let mut step = STEPS.0;
     while step >= STEPS.1 {
         let mut has_fallen = false;
@@ -97,6 +98,17 @@ mod tests {
                 "{shares:?} {expected:?}"
             );
         }
+    }
+
+    /// A start whose cost is no number does not hide the others; without any other nothing is found.
+    #[test]
+    fn starts_without_a_cost_are_passed_over() {
+        let limits = ShareLimits { most: &[1.0, 1.0] };
+        let cost = |shares: &[f64]| Ok(if shares[0] > 0.9 { f64::NAN } else { (shares[0] - 0.3).powi(2) });
+        let shares = closest(&limits, cost).unwrap();
+        assert!((shares[0] - 0.3).abs() < 3e-3, "{shares:?}");
+        let refused = closest(&limits, |_| Ok(f64::NAN)).unwrap_err().to_string();
+        assert!(refused.starts_with("no mixture has a colour"), "{refused}");
     }
 
     /// Limits that allow one mixture only leave that one.
