@@ -12,6 +12,7 @@ use optics_model::job::JobSpec;
 use optics_model::sums::{Sums, result_bytes};
 use optics_model::{Digest, Invalid, PackedRecords};
 use tokio::task::JoinHandle;
+use tokio::time::Instant;
 use tokio_stream::{Stream, StreamExt};
 
 use super::result_budget::{Reservation, ResultStream};
@@ -168,9 +169,7 @@ where
         job: &JobSpec,
     ) -> Result<(std::result::Result<JobResult, Invalid>, Reservation, Option<Piece>), E> {
         let mut reservation = Reservation::default();
-        let time = longest(result_bytes(job));
-        let gathered = tokio::time::timeout(time, self.gather(job, &mut reservation)).await;
-        let (bytes, after) = gathered.map_err(|_| FarmError::Slow(time.as_secs()))??;
+        let (bytes, after) = self.gather(job, &mut reservation).await?;
         let checked = if job.block().is_some() {
             // Invalid sums are refused here rather than when they are merged.
             Sums::from_le_bytes(job, 1, &bytes).map(|_| JobResult::Sums(bytes))
@@ -188,9 +187,11 @@ where
         reservation: &mut Reservation,
     ) -> Result<(Bytes, Option<Piece>), E> {
         let (wanted, what) = (result_bytes(job), if job.block().is_some() { "sums" } else { "records" });
-        let mut whole = BytesMut::new();
+        let time = longest(wanted);
+        let (mut whole, mut end) = (BytesMut::new(), Instant::now() + time);
         loop {
-            let piece = match (self.next().await?, job.block()) {
+            let next = tokio::time::timeout_at(end, self.next()).await;
+            let piece = match (next.map_err(|_| FarmError::Slow(time.as_secs()))??, job.block()) {
                 (Some(Piece::Records(piece)), None) | (Some(Piece::Sums(piece)), Some(_)) => piece,
                 (after @ (None | Some(Piece::Header(_))), _) => return Ok((whole.freeze(), after)),
                 (Some(Piece::Records(_)), Some(_)) => {
@@ -207,7 +208,10 @@ where
                 let given = format!("more than {wanted} bytes");
                 return Err(refused(what, given, format!("{wanted} are needed")));
             }
+            // A wait for the coordinator's own memory is no slowness of the worker.
+            let before = Instant::now();
             self.budget.reserve(reservation, piece.len()).await;
+            end += before.elapsed();
             // Reserved all at once, so that the buffer is never moved; the system provides the memory as it is written to.
             whole.reserve(wanted - whole.len());
             whole.extend_from_slice(&piece);

@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, timeout_at};
 
 use super::watch::REPEAT;
-use super::{Farm, Result};
+use super::{Farm, FarmError, Result};
 
 /// Least time between two looks, for every hundred thousand jobs begun: a look takes the scheduler's lock.
 const PAUSE: Duration = Duration::from_millis(250);
@@ -32,6 +32,7 @@ pub(crate) struct JobRun {
 #[derive(Debug)]
 pub(crate) struct JobWatch {
     farm: Arc<Farm>,
+    name: DictionaryName,
     id: DictionaryId,
     changes: watch::Receiver<()>,
     /// The states at the last look.
@@ -52,6 +53,7 @@ impl Farm {
         let (id, _) = self.found(name)?;
         Ok(JobWatch {
             farm: self.clone(),
+            name: name.clone(),
             id,
             changes,
             last: Vec::new(),
@@ -83,7 +85,7 @@ impl JobWatch {
                         tokio::time::sleep(PAUSE * (1 + self.last.len() / JOBS_A_PAUSE) as u32).await;
                         self.changes.mark_unchanged();
                     }
-                    self.look();
+                    self.look()?;
                 }
                 Ok(Err(_)) => return Ok(None),
                 Err(_) => {}
@@ -91,14 +93,16 @@ impl JobWatch {
         }
     }
 
-    fn look(&mut self) {
-        let (states, open) = self.farm.scheduler.query(|dispatcher, _| {
-            let open = dispatcher.schedule().by_id(self.id).is_some_and(|d| d.state().is_open());
-            (dispatcher.job_states(self.id), open)
+    fn look(&mut self) -> Result<()> {
+        let found = self.farm.scheduler.query(|dispatcher, _| {
+            let open = dispatcher.schedule().by_id(self.id)?.state().is_open();
+            Some((dispatcher.job_states(self.id), open))
         });
+        let (states, open) = found.ok_or_else(|| FarmError::Deleted { name: self.name.clone() })?;
         self.runs = changed(&self.last, &states);
         self.last = states;
         self.ended = !open;
+        Ok(())
     }
 }
 

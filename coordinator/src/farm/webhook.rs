@@ -46,8 +46,7 @@ impl Webhook {
 }
 
 async fn deliver_all(url: Uri, mut events: mpsc::Receiver<StoredEvent>, pause: Duration) {
-    let config = Agent::config_builder().timeout_global(Some(PATIENCE)).max_redirects(0);
-    let agent: Agent = config.build().into();
+    let agent = agent();
     // The URL may contain a secret, so logs have its host only.
     let host = url.host().unwrap_or_default().to_owned();
     while let Some(event) = events.recv().await {
@@ -55,10 +54,11 @@ async fn deliver_all(url: Uri, mut events: mpsc::Receiver<StoredEvent>, pause: D
         let mut pause = pause;
         for attempt in 1..=ATTEMPTS {
             let (agent, url, body) = (agent.clone(), url.clone(), body.clone());
-            let call = move || agent.post(url).content_type("application/json").send(&body);
-            let Ok(sent) = tokio::task::spawn_blocking(call).await else { return };
+            let Ok(sent) = tokio::task::spawn_blocking(move || deliver(&agent, &url, &body)).await else {
+                return;
+            };
             match sent {
-                Ok(_) => break,
+                Ok(()) => break,
                 Err(error) if attempt < ATTEMPTS && passes(&error) => {
                     tokio::time::sleep(pause).await;
                     pause *= 2;
@@ -70,6 +70,16 @@ async fn deliver_all(url: Uri, mut events: mpsc::Receiver<StoredEvent>, pause: D
             }
         }
     }
+}
+
+fn agent() -> Agent {
+    Agent::config_builder().timeout_global(Some(PATIENCE)).max_redirects(0).build().into()
+}
+
+/// Posts a body. A redirection is no delivery: it is not followed.
+fn deliver(agent: &Agent, url: &Uri, body: &str) -> Result<(), ureq::Error> {
+    let status = agent.post(url).content_type("application/json").send(body)?.status();
+    if status.is_success() { Ok(()) } else { Err(ureq::Error::StatusCode(status.as_u16())) }
 }
 
 /// Whether a later attempt may succeed.
@@ -84,6 +94,9 @@ fn passes(error: &ureq::Error) -> bool {
 /// The error without the URL.
 fn named(error: &ureq::Error) -> String {
     match error {
+        ureq::Error::StatusCode(code @ 300..400) => {
+            format!("HTTP status {code}, a redirection: give the URL to which it leads")
+        }
         ureq::Error::StatusCode(code) => format!("HTTP status {code}"),
         ureq::Error::Io(error) => error.to_string(),
         ureq::Error::Timeout(_) => format!("no answer within {} s", PATIENCE.as_secs()),
@@ -181,6 +194,19 @@ mod tests {
         assert_eq!(kinds, ["DONE", "DONE", "DONE", "ENDED", "BACKUP_FAILED"]);
         assert_eq!(bodies[0]["text"], "dictionary paper: done, 34276 records");
         assert_eq!(bodies[0]["data"]["worker"], serde_json::Value::Null);
+    }
+
+    /// A redirection is a failure that a later attempt does not mend, and its message says what to do.
+    #[test]
+    fn redirections_are_no_deliveries() {
+        for status in ["301 Moved", "302 Found", "303 See Other", "307 Temporary", "308 Permanent"] {
+            let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+            let url = format!("http://{}/", listener.local_addr().unwrap()).parse().unwrap();
+            let receiver = receiver(listener, vec![status]);
+            let error = deliver(&agent(), &url, "{}").unwrap_err();
+            assert!(!passes(&error) && named(&error).contains("give the URL to which it leads"), "{error}");
+            receiver.join().unwrap();
+        }
     }
 
     /// Events beyond the queue are dropped without a wait.

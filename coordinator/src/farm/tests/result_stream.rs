@@ -1,10 +1,13 @@
 //! Tests streams of valid and invalid results.
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
 use super::*;
+use crate::farm::result_budget::Reservation;
 use crate::farm::{Header, Piece, Refusal};
 
 fn header(worker: &WorkerId, key: LeaseKey, identity: Digest) -> Piece {
@@ -42,6 +45,35 @@ async fn refused_result_does_not_end_its_stream() {
         assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == kind), "{again:?}");
         assert_eq!(jobs_done(&farm), left, "{kind:?}");
     }
+}
+
+/// A worker whose result waits for the coordinator's memory is not called slow.
+#[tokio::test]
+async fn wait_for_memory_is_no_slowness() {
+    let (farm, worker, _dir) = begun(0.0).await;
+    let leases = farm.acquire_now(&worker, 1).unwrap().leases;
+    let machine = Machine { token: "node1".to_owned(), address: "10.0.0.1".to_owned(), ..Machine::default() };
+    let others = farm.result_budget.stream(&machine.token, machine.identity());
+    let [mut share, mut overdraft] = [(); 2].map(|()| Reservation::default());
+    others.reserve(&mut share, 128 << 20).await;
+    others.reserve(&mut overdraft, 1).await;
+    tokio::time::pause();
+    let (start, released) = (tokio::time::Instant::now(), tokio::sync::oneshot::channel());
+    let (release, done) = released;
+    tokio::spawn(async move {
+        tokio::time::sleep(Duration::from_mins(10)).await;
+        tokio::time::resume();
+        drop((share, overdraft, others));
+        release.send(()).unwrap();
+    });
+    let stream = tokio_stream::iter(pieces(&worker, &leases[0], 0.25).into_iter().map(Ok::<_, FarmError>));
+    let delivered = farm.receive(&machine, stream).await.unwrap();
+    assert!(
+        matches!(&delivered[..], [Ok(outcome)] if outcome.kind() == OutcomeKind::Stored),
+        "{delivered:?}"
+    );
+    done.await.unwrap();
+    assert!(start.elapsed() >= Duration::from_mins(10));
 }
 
 /// Malformed results are refused with the name of the field, and nothing of them is stored.

@@ -114,12 +114,15 @@ async fn failed_write_is_retried() {
 async fn watch_follows_a_dictionary_not_a_name() {
     let (farm, _, _dir) = begun(0.0).await;
     let by = Actor::default();
-    let mut watch = farm.watch(name()).unwrap();
+    let (mut watch, mut jobs) = (farm.watch(name()).unwrap(), farm.watch_jobs(&name()).unwrap());
     watch.next().await.unwrap().unwrap();
+    jobs.next().await.unwrap().unwrap();
     farm.cancel(&by, &name(), "").await.unwrap();
     farm.delete(&by, &name()).await.unwrap();
     farm.submit(&by, name(), grid(), 0).await.unwrap();
     assert!(matches!(watch.next().await, Err(FarmError::Deleted { .. })));
+    // Nor do those of its jobs seem complete.
+    assert!(matches!(jobs.next().await, Err(FarmError::Deleted { .. })));
 }
 
 /// A watch without changes repeats the last state within 15 seconds.
