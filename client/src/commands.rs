@@ -20,6 +20,7 @@ use crate::cli::Global;
 use crate::output::Output;
 use crate::web;
 pub(crate) use dictionaries::DictionaryDeleted;
+pub(crate) use fits::measure::NotKept;
 
 /// Measures the optical parameters of translucent resins: computes dictionaries of simulated edge profiles and fits
 /// measured profiles to them.

@@ -16,6 +16,8 @@ pub(crate) const TIMEOUT: u8 = 6;
 pub(crate) const DISPUTED: u8 = 7;
 /// Deleted, and perhaps replaced by another dictionary of the same name, while the command waited.
 pub(crate) const DELETED: u8 = 8;
+/// The measurement is answered, but not kept with the farm.
+pub(crate) const NOT_KEPT: u8 = 9;
 /// Stopped by a signal.
 pub(crate) const INTERRUPTED: u8 = 130;
 

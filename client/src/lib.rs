@@ -1,4 +1,6 @@
 //! Implements `farmctl`: submits grids, fits measurements, simulates profiles; on one machine or with a farm.
+//!
+//! `docs/glossary.md` explains the terms.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 
@@ -26,7 +28,7 @@ mod web;
 use std::process::ExitCode;
 
 pub use commands::Cli;
-use commands::DictionaryDeleted;
+use commands::{DictionaryDeleted, NotKept};
 use output::Output;
 
 /// Runs a command. Errors are printed on standard error (or, with `--json`, as an object on standard output) and
@@ -43,6 +45,13 @@ pub async fn run(cli: Cli) -> ExitCode {
         Err(error) if error.is::<DictionaryDeleted>() => {
             output.error(&error);
             ExitCode::from(exit::DELETED)
+        }
+        Err(error) if error.is::<NotKept>() => {
+            // JSON has the reason in the answer.
+            if !output.is_json() {
+                output.error(&error);
+            }
+            ExitCode::from(exit::NOT_KEPT)
         }
         Err(error) if error.is::<interrupt::Interrupted>() => {
             output.error(&error);

@@ -5,20 +5,21 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::record::SessionRecord;
-use farm_lab::research_object::ResearchObject;
+use farm_lab::research_object::{ANSWER_FILE, ResearchObject};
 use farm_lab::session_folder::{ReportedAnswer, SessionFolder};
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 use optics_model::Grid;
+use serde::Serialize;
 
 use crate::answers::{
     FitsReport, MeasureAnswer, common_text, fits_text, inks_text, low_scale, media_files, medium_rows,
     verdict,
 };
-use crate::output::{now_unix_s, utc, warning, wrapped, write_whole};
+use crate::output::{envelope, now_unix_s, utc, warning, wrapped, write_whole};
 
 /// Files of media, with their purpose.
 const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
-                       and for renderers media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda";
+                       answer.json (all of --json), and for renderers media.py, media.xml, media.pbrt, media_blender.py";
 
 /// The answer as it is printed.
 pub(crate) fn text(found: &MeasureAnswer, report: &FitsReport) -> String {
@@ -52,7 +53,7 @@ pub(crate) fn complete(
 ) -> Result<Option<PathBuf>> {
     let record = folder.record()?;
     write_renderers(folder.path(), found)?;
-    write_media(folder.path(), found, dictionary, &record)?;
+    write_media(folder.path(), found, dictionary, Some(&record))?;
     let answer = ReportedAnswer {
         verdict: verdict(&found.materials),
         rows: medium_rows(&found.materials),
@@ -77,12 +78,19 @@ pub(crate) fn write_media(
     folder: &Path,
     found: &MeasureAnswer,
     (dictionary, grid): (&str, &Grid),
-    record: &SessionRecord,
+    record: Option<&SessionRecord>,
 ) -> Result<()> {
     let media = found.media_file(dictionary, grid).text()?;
     write_whole(&folder.join(MEDIA_FILE), media.as_bytes()).context(MEDIA_FILE)?;
     let page = found.uncertainty(dictionary, grid, record);
     write_whole(&folder.join(UNCERTAINTY_FILE), page.as_bytes()).context(UNCERTAINTY_FILE)
+}
+
+/// Writes the answer as `--json` prints it.
+pub(crate) fn write_answer(folder: &Path, data: &impl Serialize) -> Result<()> {
+    let path = folder.join(ANSWER_FILE);
+    let text = envelope("measure", data)? + "\n";
+    write_whole(&path, text.as_bytes()).with_context(|| format!("writing {}", path.display()))
 }
 
 /// Describes the folder of a session for archives.

@@ -1,11 +1,10 @@
-//! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML), pbrt-v4, Blender, MaterialX and USD.
+//! Formats measured media for renderers, ready to paste: Mitsuba 3 (Python and XML), pbrt-v4 and Blender.
 //!
 //! Mitsuba and pbrt describe a homogeneous medium by coefficients that may differ between channels or wavelengths, and
-//! one phase function; the others have three colours. A material becomes one medium where its channels are R, G and B
+//! one phase function; Blender has three colours. A material becomes one medium where its channels are R, G and B
 //! with a common phase function, or wavelengths in nm, whose g may differ; and one medium per channel otherwise.
 
 mod blender;
-mod materialx;
 mod mitsuba;
 mod pbrt;
 mod rgb;
@@ -19,7 +18,6 @@ use optics_model::measurement::wavelength_nm;
 use optics_model::phase::SecondLobe;
 
 pub(crate) use self::blender::blender;
-pub(crate) use self::materialx::{materialx, usd};
 pub(crate) use self::mitsuba::{mitsuba_dict, mitsuba_xml};
 pub(crate) use self::pbrt::pbrt;
 use similar::{SIMILAR, mean_g, with_common_g};
@@ -107,9 +105,9 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
     let mut blocks = Vec::new();
     for fit in fits {
         let channels: Vec<_> = fit.channels.iter().filter_map(RenderedChannel::of).collect();
-        let of = |c: &RenderedChannel| BlockPhase { g: c.medium.g(), second_lobe: c.second_lobe };
-        let phase = channels.first().map(of).unwrap_or_default();
-        let is_common = channels.iter().all(|c| of(c) == phase);
+        let block_phase = |c: &RenderedChannel| BlockPhase { g: c.medium.g(), second_lobe: c.second_lobe };
+        let phase = channels.first().map(block_phase).unwrap_or_default();
+        let is_common = channels.iter().all(|c| block_phase(c) == phase);
         let joint = if is_common { rgb(&channels).or_else(|| spectrum(&channels)) } else { None };
         let with_one_g = || Some((spectrum(&with_common_g(&channels)?)?, true));
         if let Some(((values, what), is_similar)) = joint.map(|joint| (joint, false)).or_else(with_one_g) {
@@ -131,7 +129,7 @@ fn blocks(fits: &[MaterialFit]) -> Vec<MediumBlock> {
             }
             let name = names.take(&format!("{}_{}", fit.material, channel.name));
             let values = Values::Scalar(channel.medium);
-            blocks.push(MediumBlock { name, notes, values, phase: of(channel), ior: channel.ior });
+            blocks.push(MediumBlock { name, notes, values, phase: block_phase(channel), ior: channel.ior });
         }
     }
     blocks
@@ -269,8 +267,6 @@ mod tests {
             ("mitsuba-xml", mitsuba_xml(&media)),
             ("pbrt", pbrt(&media)),
             ("blender", blender(&media)),
-            ("materialx", materialx(&media)),
-            ("usd", usd(&media)),
         ] {
             is_stable(&format!("renderers/tests/{name}.txt"), &text);
         }
@@ -283,12 +279,10 @@ mod tests {
             "x --> <scene> \n--- \" \"Skin1\n\rShape \"y\u{2028}\u{202e}\0",
             vec![channel("c", 1.0, 0.5)],
         )];
-        let (xml, mtlx) = (mitsuba_xml(&media), materialx(&media));
-        for (xml, root, element) in [(&xml, "scene", "medium"), (&mtlx, "materialx", "open_pbr_surface")] {
-            let document = roxmltree::Document::parse(xml).unwrap();
-            assert_eq!(document.root_element().tag_name().name(), root);
-            assert_eq!(document.descendants().filter(|n| n.has_tag_name(element)).count(), 1, "{xml}");
-        }
+        let xml = mitsuba_xml(&media);
+        let document = roxmltree::Document::parse(&xml).unwrap();
+        assert_eq!(document.root_element().tag_name().name(), "scene");
+        assert_eq!(document.descendants().filter(|n| n.has_tag_name("medium")).count(), 1, "{xml}");
         for line in xml.lines().filter_map(|line| line.trim_start().strip_prefix("<!--")) {
             assert!(!line.trim_end_matches("-->").contains("--"), "{line}");
         }

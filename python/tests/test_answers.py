@@ -84,7 +84,7 @@ def test_an_output_has_the_files_and_the_same_answer(
     }  # fmt: skip
     same(farm.measure(white, output=tmp_path / "media", **given), farm.measure(white, **given))
     names = {path.name for path in (tmp_path / "media").iterdir()}
-    assert {"table.csv", "media.json", "media.py", "media.pbrt", "media.mtlx", "media.usda"} <= names
+    assert {"table.csv", "media.json", "media.py", "media.pbrt", "media_blender.py", "answer.json"} <= names
     free = farm.measure(white, free_g=True, mu=1.0, objective="likelihood")
     same(farm.measure(white, output=tmp_path / "free", free_g=True, mu=1.0, objective="likelihood"), free)
     with pytest.raises(resin_farm.FarmError, match="records of the dictionary without intervals"):

@@ -380,6 +380,17 @@ impl Farm {
         Ok(status)
     }
 
+    /// Executes a statement in the coordinator's database.
+    ///
+    /// # Panics
+    /// If it fails.
+    pub async fn execute(&self, statement: &'static str) {
+        use sqlx::Connection;
+        let options = sqlx::sqlite::SqliteConnectOptions::new().filename(self.database());
+        let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("it can be opened");
+        sqlx::query(statement).execute(&mut database).await.expect("it can be executed");
+    }
+
     /// Number of rows of records in the database, and of those that duplicate another's point and albedo.
     ///
     /// # Panics

@@ -14,15 +14,32 @@ use crate::whole_file::write_whole;
 /// Name of the file, which the specification defines.
 pub const RESEARCH_OBJECT_FILE: &str = "ro-crate-metadata.json";
 
+/// Name of the file with the whole answer of a measurement.
+pub const ANSWER_FILE: &str = "answer.json";
+
+/// Files that a measurement adds to the folder of a session.
+pub const MEASURED_FILES: [&str; 9] = [
+    ANSWER_FILE,
+    MEDIA_FILE,
+    UNCERTAINTY_FILE,
+    RESEARCH_OBJECT_FILE,
+    "table.csv",
+    "media.py",
+    "media.xml",
+    "media.pbrt",
+    "media_blender.py",
+];
+
 /// Files of a session: name, contents and media type.
-const FILES: [(&str, &str, &str); 8] = [
+const FILES: [(&str, &str, &str); 9] = [
     ("measurements.csv", "Profiles across the edge", "text/csv"),
-    ("session.json", "Set-up, photographs with their digests, and errors of the media", "application/json"),
+    ("session.json", "Set-up, and photographs with their digests", "application/json"),
     ("scene.toml", "Layers, lamps and sensor", "application/toml"),
     ("grid.toml", "Grid of the session's dictionary", "application/toml"),
     ("report.html", "Report of the session", "text/html"),
     ("report.json", "Data of the report", "application/json"),
     (MEDIA_FILE, "Optical parameters with their covariance", "application/json"),
+    (ANSWER_FILE, "Media with intervals, error budgets and fits", "application/json"),
     (UNCERTAINTY_FILE, "Statement of uncertainty", "text/html"),
 ];
 

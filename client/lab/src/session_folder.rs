@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use farm_figures::estimates::estimate_rows;
 use farm_figures::{error_budget, fit_figure, spectra_figure};
-use optics_model::fit::{FitCurves, Interval, Likelihood, MaterialFit, Refined, SceneEstimate, SourceShare};
+use optics_model::fit::{FitCurves, MaterialFit};
 use optics_model::{Digest, Grid, Scene};
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
 use crate::grid_file::read_grid_without_responses;
@@ -136,12 +136,8 @@ impl SessionFolder {
         }
     }
 
-    /// Adds the media's errors to the session file, and renders the report with the fits. Returns the report's path;
-    /// `None` if the folder has no data of a report.
+    /// Renders the report with the fits. Returns its path; `None` if the folder has no data of a report.
     pub fn complete(&self, fits: &[MaterialFit], mu: f64, answer: ReportedAnswer) -> Result<Option<PathBuf>> {
-        if let Some(session) = self.session() {
-            add_to_session(&session, fits)?;
-        }
         let data = self.path.join("report.json");
         let Ok(json) = std::fs::read(&data) else { return Ok(None) };
         let report: CaptureReport =
@@ -175,44 +171,6 @@ pub struct ReportedAnswer {
     pub text: String,
 }
 
-/// A channel's 95 % intervals with their error budget, and its estimates of the scene.
-#[derive(Debug, Serialize)]
-struct MediumErrors<'a> {
-    material: &'a str,
-    channel: &'a str,
-    sigma_t_per_mm: Interval,
-    albedo: Interval,
-    budget: &'a [SourceShare],
-    scene: &'a [SceneEstimate],
-}
-
-impl<'a> MediumErrors<'a> {
-    fn of(material: &'a str, channel: &'a str, refined: &'a Refined) -> Self {
-        let Refined { sigma_t_per_mm, albedo, .. } = *refined;
-        let Likelihood { budget, scene, .. } = &refined.likelihood;
-        Self { material, channel, sigma_t_per_mm, albedo, budget, scene }
-    }
-}
-
-/// Writes the media's errors into the session's file, in addition to the data from `capture`.
-fn add_to_session(path: &Path, fits: &[MaterialFit]) -> Result<()> {
-    let place = || format!("session file {}", path.display());
-    let text = std::fs::read_to_string(path).with_context(place)?;
-    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|channel| (&fit.material, channel)));
-    let errors: Vec<MediumErrors> = channels
-        .filter_map(|(material, channel)| {
-            let refined = channel.refined.as_ref()?;
-            Some(MediumErrors::of(material, &channel.channel, refined))
-        })
-        .collect();
-    let mut session: serde_json::Value = serde_json::from_str(&text).with_context(place)?;
-    if let Some(fields) = session.as_object_mut() {
-        fields.insert("media_errors_95".to_owned(), serde_json::to_value(errors)?);
-    }
-    let text = serde_json::to_string_pretty(&session)? + "\n";
-    write_whole(path, text.as_bytes()).with_context(place)
-}
-
 /// Simulated profiles of a material for each slab; empty unless it has red, green and blue.
 fn simulated(fit: &MaterialFit, mu: f64) -> Vec<Simulated> {
     let curves = |name: &str| fit.channels.iter().find(|c| c.channel == name).map(|c| c.curves.as_slice());
@@ -224,9 +182,9 @@ fn simulated(fit: &MaterialFit, mu: f64) -> Vec<Simulated> {
         curve.map(|curve| curve.values.iter().map(|v| v / mu).collect::<Vec<f64>>()).unwrap_or_default()
     };
     let slabs = red.iter().zip(green).zip(blue);
-    let of = |((r, g), b): ((&FitCurves, &FitCurves), &FitCurves)| Simulated {
+    let slab = |((r, g), b): ((&FitCurves, &FitCurves), &FitCurves)| Simulated {
         label: format!("{} {} mm", fit.material, r.thickness_mm),
         values: [values(r), values(g), values(b)],
     };
-    slabs.map(of).filter(|s| s.values.iter().all(|v| !v.is_empty())).collect()
+    slabs.map(slab).filter(|s| s.values.iter().all(|v| !v.is_empty())).collect()
 }

@@ -21,7 +21,8 @@ pub struct UncertaintyStatement<'a> {
     pub fits: &'a [MaterialFit],
     pub shared_errors: &'a SharedErrors,
     pub common: &'a Common,
-    pub record: &'a SessionRecord,
+    /// None if the profiles are not those of `farmctl capture`.
+    pub record: Option<&'a SessionRecord>,
     pub dictionary: &'a str,
     /// Digest of the dictionary's grid and physics.
     pub digest: &'a str,
@@ -35,7 +36,7 @@ impl UncertaintyStatement<'_> {
             measurands(),
             self.traceability(),
             results(&channels),
-            input_table(&input_quantities(self.fits)),
+            input_table(&input_quantities(self.fits, self.record.is_some())),
             budgets(&channels),
             correlations(&channels),
             limits(),
@@ -44,11 +45,15 @@ impl UncertaintyStatement<'_> {
         page("Uncertainty of measurement", &body.concat())
     }
 
+    fn entries(&self) -> Vec<(&'static str, &'static str, &str)> {
+        self.record.map(SessionRecord::entries).unwrap_or_default()
+    }
+
     fn head(&self) -> String {
         let names: Vec<&str> = self.fits.iter().map(|fit| fit.material.as_str()).collect();
         let row = |(_, label, text): (_, &str, &str)| vec![label.to_owned(), text.to_owned()];
         let mut rows = vec![vec!["Materials".to_owned(), names.join(", ")]];
-        rows.extend(self.record.entries().into_iter().filter(|(key, ..)| !is_certificate(key)).map(row));
+        rows.extend(self.entries().into_iter().filter(|(key, ..)| !is_certificate(key)).map(row));
         format!(
             "<h1>Uncertainty of measurement</h1>\n<p>Optical parameters of translucent materials, stated after JCGM \
              100:2008 (GUM).</p>\n{}",
@@ -57,18 +62,18 @@ impl UncertaintyStatement<'_> {
     }
 
     fn traceability(&self) -> String {
-        let certificates = self.record.entries();
+        let certificates = self.entries();
         let row = |(_, label, text): &(_, &str, &str)| vec![(*label).to_owned(), (*text).to_owned()];
         let rows: Vec<Vec<String>> =
             certificates.iter().filter(|(key, ..)| is_certificate(key)).map(row).collect();
-        let of = |key: &str| certificates.iter().any(|(known, ..)| *known == key);
+        let is_stated = |key: &str| certificates.iter().any(|(known, ..)| *known == key);
         let lacking: Vec<&str> = [
             ("white_certificate", "the white reference"),
             ("thickness_certificate", "the thickness of the slabs"),
             ("scale_certificate", "the board's squares"),
         ]
         .into_iter()
-        .filter(|(key, _)| !of(key))
+        .filter(|(key, _)| !is_stated(key))
         .map(|(_, name)| name)
         .collect();
         let statement = if lacking.is_empty() {
@@ -150,14 +155,14 @@ fn results(channels: &[EvaluatedChannel]) -> String {
 
 /// Warnings that precede the values.
 fn doubts(channels: &[EvaluatedChannel]) -> String {
-    let of = |is: &dyn Fn(&EvaluatedChannel) -> bool| {
+    let labels = |is: &dyn Fn(&EvaluatedChannel) -> bool| {
         channels.iter().filter(|c| is(c)).map(EvaluatedChannel::label).collect::<Vec<_>>().join(", ")
     };
     let worst = channels.iter().filter(|c| c.is_enlarged).map(|c| c.misfit).fold(0.0, f64::max);
     let all = [
-        (of(&|c| !c.is_resolved), "The data do not determine σ_t and the albedo separately".to_owned()),
+        (labels(&|c| !c.is_resolved), "The data do not determine σ_t and the albedo separately".to_owned()),
         (
-            of(&|c| c.is_enlarged),
+            labels(&|c| c.is_enlarged),
             format!(
                 "Residuals exceed what noise and the input quantities explain (up to {} times); u_c contains this factor, \
                  but its cause may have shifted the values",
@@ -165,7 +170,7 @@ fn doubts(channels: &[EvaluatedChannel]) -> String {
             ),
         ),
         (
-            of(&|c| c.is_from_mixtures),
+            labels(&|c| c.is_from_mixtures),
             "Values follow from mixtures: budget and correlations are not stated".to_owned(),
         ),
     ];
@@ -197,7 +202,7 @@ const MOST_COLUMNS: usize = 6;
 /// Contributions to u_c in per cent of the value: tables of each measurand, with a row for each source and a column for
 /// each channel.
 fn budgets(channels: &[EvaluatedChannel]) -> String {
-    let of = |i: usize| {
+    let section = |i: usize| {
         let mut names: Vec<&str> = Vec::new();
         for (name, part) in channels.iter().flat_map(|c| &c.measurands[i].contributions) {
             if *part >= LEAST_SHOWN && !names.contains(&name.as_str()) {
@@ -211,7 +216,7 @@ fn budgets(channels: &[EvaluatedChannel]) -> String {
         "<h2>Budget</h2>\n<p>Contributions |c<sub>i</sub>| u(x<sub>i</sub>) in per cent of the value, whose squares add up to \
          u<sub>c</sub>². “g” is the growth of u<sub>c</sub> because the anisotropy is estimated, too; “other channels” are errors \
          of other materials and channels through what they share.</p>\n{}",
-        (0..MEASURANDS.len()).map(of).collect::<String>()
+        (0..MEASURANDS.len()).map(section).collect::<String>()
     )
 }
 
@@ -219,8 +224,8 @@ fn budget(channels: &[EvaluatedChannel], measurand: usize, names: &[&str]) -> St
     let labels: Vec<String> = channels.iter().map(EvaluatedChannel::label).collect();
     let head: Vec<&str> = std::iter::once("source").chain(labels.iter().map(String::as_str)).collect();
     let part = |channel: &EvaluatedChannel, name: &str| {
-        let of = channel.measurands[measurand].contributions.iter().find(|(of, _)| of == name);
-        significant(of.map_or(0.0, |(_, part)| *part), 2)
+        let contribution = channel.measurands[measurand].contributions.iter().find(|(of, _)| of == name);
+        significant(contribution.map_or(0.0, |(_, part)| *part), 2)
     };
     let combined = |channel: &EvaluatedChannel| {
         let m = &channel.measurands[measurand];

@@ -29,6 +29,8 @@ pub(crate) struct MeasureAnswer {
     pub(crate) shared_errors: SharedErrors,
     /// The id under which it is kept; `None` if it is not.
     pub(crate) kept: Option<String>,
+    /// The reason why it is not kept although it should be.
+    pub(crate) not_kept: Option<String>,
 }
 
 impl TryFrom<MeasureResponse> for MeasureAnswer {
@@ -42,6 +44,7 @@ impl TryFrom<MeasureResponse> for MeasureAnswer {
             unmixed: answer.unmixed.map(Unmixed::try_from).transpose()?,
             shared_errors: answer.shared_errors.unwrap_or_default().try_into()?,
             kept: Some(answer.kept_id).filter(|id| !id.is_empty()),
+            not_kept: Some(answer.not_kept).filter(|why| !why.is_empty()),
         })
     }
 }
@@ -55,8 +58,13 @@ impl MeasureAnswer {
         MediaFile::new(&self.materials, &self.shared_errors, &with)
     }
 
-    /// The statement of uncertainty as a page.
-    pub(crate) fn uncertainty(&self, dictionary: &str, grid: &Grid, record: &SessionRecord) -> String {
+    /// The statement of uncertainty as a page; `record` is that of a session of `capture`.
+    pub(crate) fn uncertainty(
+        &self,
+        dictionary: &str,
+        grid: &Grid,
+        record: Option<&SessionRecord>,
+    ) -> String {
         let digest = Digest::of_grid(grid).to_string();
         UncertaintyStatement {
             fits: &self.materials,
@@ -71,14 +79,12 @@ impl MeasureAnswer {
 }
 
 /// Table and media for renderers, as files with their names.
-pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 7]> {
+pub(crate) fn media_files(fits: &[MaterialFit]) -> Result<[(&'static str, String); 5]> {
     Ok([
         ("table.csv", table_csv(fits)?),
         ("media.py", renderers::mitsuba_dict(fits)),
         ("media.xml", renderers::mitsuba_xml(fits)),
         ("media.pbrt", renderers::pbrt(fits)),
         ("media_blender.py", renderers::blender(fits)),
-        ("media.mtlx", renderers::materialx(fits)),
-        ("media.usda", renderers::usd(fits)),
     ])
 }

@@ -141,3 +141,11 @@ fn texts_of_answers_are_stable() {
         is_stable(&format!("answers/tests/{name}.txt"), &(text + "\n"));
     }
 }
+
+/// A capture removes all files of media that an earlier measurement wrote into its folder.
+#[test]
+fn captures_remove_files_of_media() {
+    let files = media_files(&fit("white", &[channel("R", 6.0, 1.0)])).unwrap();
+    let all = farm_lab::research_object::MEASURED_FILES;
+    assert!(files.iter().all(|(name, _)| all.contains(name)), "{all:?}");
+}

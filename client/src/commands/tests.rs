@@ -45,6 +45,7 @@ fn answers() -> Vec<String> {
         unmixed: None,
         shared_errors: SharedErrors::default(),
         kept: None,
+        not_kept: None,
     };
     let job = job();
     let assumed = SetUp::default().assumed(&[]);
@@ -122,6 +123,7 @@ fn with_inks(materials: Vec<MaterialFit>) -> MeasureAnswer {
         unmixed: Some(testing::unmixed()),
         shared_errors: SharedErrors::default(),
         kept: None,
+        not_kept: None,
     }
 }
 
@@ -326,9 +328,9 @@ fn job() -> JobSpec {
 
 fn record() -> Record {
     let profile = || {
-        let of = |values: [f32; 2]| Estimate::new(values.into(), vec![0.001, 0.0]).unwrap();
-        let derivatives = Derivatives { albedo: of([1.0, 2.0]), sigma_t: of([3.0, 4.0]) };
-        Profile { radiance_factor: of([0.1, 0.8]), derivatives: Some(derivatives) }
+        let estimate = |values: [f32; 2]| Estimate::new(values.into(), vec![0.001, 0.0]).unwrap();
+        let derivatives = Derivatives { albedo: estimate([1.0, 2.0]), sigma_t: estimate([3.0, 4.0]) };
+        Profile { radiance_factor: estimate([0.1, 0.8]), derivatives: Some(derivatives) }
     };
     Record { index: 3, profiles: vec![profile(), profile(), profile()] }
 }

@@ -51,53 +51,9 @@ impl<'a> RgbMedium<'a> {
             ior: block.ior,
         }
     }
-
-    /// OpenPBR 1.1: T, S and λ in mm with μ_t = −ln T/λ and μ_s = S/λ. With λ = 1/max μ_t, T is 1/e or more and S 1 or
-    /// less, so that nothing is clamped.
-    pub(super) fn open_pbr(&self) -> OpenPbr {
-        let extinction: [f64; 3] = std::array::from_fn(|i| self.scattering[i] + self.absorption[i]);
-        let depth = 1.0 / extinction.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        OpenPbr {
-            depth,
-            colour: extinction.map(|mu| libm::exp(-mu * depth)),
-            scatter: self.scattering.map(|mu| mu * depth),
-        }
-    }
-}
-
-/// The transmission of an `open_pbr_surface`.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct OpenPbr {
-    /// λ.
-    pub depth: f64,
-    /// T.
-    pub colour: [f64; 3],
-    /// S.
-    pub scatter: [f64; 3],
 }
 
 /// `a, b, c` with nine digits: T is close to 1 where hardly anything is absorbed.
 pub(super) fn triple(values: [f64; 3]) -> String {
     values.map(|v| format!("{v:.9}")).join(", ")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::renderers::{blocks, tests::three_kinds};
-
-    /// T, S and λ give back the coefficients by OpenPBR's formulas.
-    #[test]
-    fn open_pbr_gives_the_coefficients_back() {
-        for block in &blocks(&three_kinds()) {
-            let medium = RgbMedium::of(block);
-            let OpenPbr { depth, colour, scatter } = medium.open_pbr();
-            for i in 0..3 {
-                assert!((0.3..=1.0).contains(&colour[i]) && (0.0..=1.0).contains(&scatter[i]));
-                let (extinction, scattering) = (-libm::log(colour[i]) / depth, scatter[i] / depth);
-                assert!((scattering / medium.scattering[i] - 1.0).abs() < 1e-12);
-                assert!((extinction - scattering - medium.absorption[i]).abs() < 1e-12 / depth, "{medium:?}");
-            }
-        }
-    }
 }

@@ -143,12 +143,12 @@ impl Desk for DeskService {
         let request = request.into_inner();
         let folder = request.capture.as_deref().map(|folder| self.captures.folder(folder)).transpose()?;
         answer(move || {
-            let record = folder.map(|f| SessionFolder::open(&f)?.record()).transpose()?.unwrap_or_default();
+            let record = folder.map(|f| SessionFolder::open(&f)?.record()).transpose()?;
             let (found, dictionary) = prints::measured(request)?;
             let mut files: Vec<_> = media_files(&found.materials)?.into();
             if let Some((name, grid)) = dictionary {
                 files.push((MEDIA_FILE, found.media_file(&name, &grid).text()?));
-                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, &record)));
+                files.push((UNCERTAINTY_FILE, found.uncertainty(&name, &grid, record.as_ref())));
             }
             let file = |(name, text): (&str, String)| File {
                 name: name.to_owned(),

@@ -62,20 +62,18 @@ impl Farm {
 
     /// A measurement and its content.
     pub(crate) async fn measurement(&self, id: &str) -> Result<(StoredMeasurement, Vec<u8>)> {
-        let summary = self.summary(id).await?;
-        let content = self.store.measurement_content(id).await?;
-        Ok((summary, content.ok_or_else(|| not_found(id))?))
+        self.store.measurement_with_content(id).await?.ok_or_else(|| not_found(id))
     }
 
     pub(crate) async fn annotate_measurement(
         &self,
         by: &Actor,
         id: &str,
-        title: &str,
-        note: &str,
+        title: Option<&str>,
+        note: Option<&str>,
     ) -> Result<StoredMeasurement> {
         self.check_owner(by, id).await?;
-        if title.is_empty() {
+        if title == Some("") {
             return Err(Invalid::new("title", "nothing", "a title is needed").into());
         }
         self.store.annotate_measurement(id, title, note).await?;

@@ -17,6 +17,7 @@ use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::status::{OrStatus, required};
+use super::text::lines;
 use super::work::{check_answer, check_design};
 use crate::actor::Actor;
 use crate::authorisation::actor;
@@ -103,6 +104,7 @@ impl Fits for Context {
         let mut request = request.into_inner();
         let keep = request.keep.take();
         let question = keep.is_some().then(|| request.clone());
+        keep.iter().try_for_each(|keep| lines("keep.note", &keep.note).map(drop)).or_status()?;
         let name = dictionary_name(request.dictionary).or_status()?;
         let options = options(request.options.as_ref()).or_status()?;
         let search_mu = request.search_mu.map(MuRange::try_from).transpose();
@@ -137,9 +139,13 @@ impl Fits for Context {
             unmixed: unmixed.map(Into::into),
             shared_errors: Some(answer.shared_errors.into()),
             kept_id: String::new(),
+            not_kept: String::new(),
         };
         if let (Some(keep), Some(question)) = (keep, question) {
-            answer.kept_id = self.keep(&by, keep, question, &answer, &grid).await?;
+            match self.keep(&by, keep, question, &answer, &grid).await {
+                Ok(id) => answer.kept_id = id,
+                Err(why) => why.message().clone_into(&mut answer.not_kept),
+            }
         }
         Ok(Response::new(answer))
     }

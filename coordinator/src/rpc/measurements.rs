@@ -58,8 +58,10 @@ impl Measurements for Context {
     ) -> Result<Response<MeasurementSummary>, Status> {
         let by = actor(request.extensions());
         let AnnotateMeasurementRequest { id, title, note } = request.into_inner();
-        let (title, note) = (short_line(&title), lines("note", &note).or_status()?);
-        Ok(Response::new(summary(self.farm.annotate_measurement(&by, &id, &title, &note).await?)))
+        let title = title.map(|title| short_line(&title));
+        let note = note.map(|note| lines("note", &note)).transpose().or_status()?;
+        let stored = self.farm.annotate_measurement(&by, &id, title.as_deref(), note.as_deref()).await?;
+        Ok(Response::new(summary(stored)))
     }
 
     async fn delete(

@@ -1,6 +1,7 @@
 //! Stores and reads kept measurements (table `measurements`). Their content is opaque here; a digest finds damage.
 
 use optics_model::Digest;
+use sqlx::SqliteConnection;
 
 use super::{Result, Store, StoreError, doing};
 
@@ -54,6 +55,24 @@ impl ContentRow {
     }
 }
 
+/// Selects what is listed of measurements.
+macro_rules! listed {
+    ($which:literal) => {
+        concat!(
+            "SELECT number, id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, channels \
+             FROM measurements ",
+            $which
+        )
+    };
+}
+
+async fn content(connection: &mut SqliteConnection, id: &str) -> Result<Option<Vec<u8>>> {
+    let select = "SELECT number, content, content_digest FROM measurements WHERE id = ?";
+    let row: Option<ContentRow> =
+        sqlx::query_as(select).bind(id).fetch_optional(connection).await.map_err(doing(READING))?;
+    row.map(ContentRow::checked).transpose()
+}
+
 const WHAT: &str = "storing a measurement";
 const READING: &str = "reading the kept measurements";
 
@@ -93,37 +112,31 @@ impl Store {
 
     /// Measurements with smaller numbers than this, the newest first.
     pub async fn measurements_before(&self, number: i64, most: u32) -> Result<Vec<StoredMeasurement>> {
-        sqlx::query_as(
-            "SELECT number, id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, channels \
-             FROM measurements WHERE number < ? ORDER BY number DESC LIMIT ?",
-        )
-        .bind(number)
-        .bind(most)
-        .fetch_all(&self.read)
-        .await
-        .map_err(doing(READING))
+        sqlx::query_as(listed!("WHERE number < ? ORDER BY number DESC LIMIT ?"))
+            .bind(number)
+            .bind(most)
+            .fetch_all(&self.read)
+            .await
+            .map_err(doing(READING))
     }
 
     pub async fn measurement(&self, id: &str) -> Result<Option<StoredMeasurement>> {
-        sqlx::query_as(
-            "SELECT number, id, kept_unix_ms, owner, title, note, source, command, dictionary, materials, channels \
-             FROM measurements WHERE id = ?",
-        )
-        .bind(id)
-        .fetch_optional(&self.read)
-        .await
-        .map_err(doing(READING))
+        let found = sqlx::query_as(listed!("WHERE id = ?")).bind(id).fetch_optional(&self.read);
+        found.await.map_err(doing(READING))
+    }
+
+    /// A measurement and its content as they are at one time.
+    pub async fn measurement_with_content(&self, id: &str) -> Result<Option<(StoredMeasurement, Vec<u8>)>> {
+        let mut tx = self.read.begin().await.map_err(doing(READING))?;
+        let listed = sqlx::query_as(listed!("WHERE id = ?")).bind(id).fetch_optional(&mut *tx);
+        let listed: Option<StoredMeasurement> = listed.await.map_err(doing(READING))?;
+        Ok(listed.zip(content(&mut tx, id).await?))
     }
 
     /// The content of a measurement, compared with its digest.
     pub async fn measurement_content(&self, id: &str) -> Result<Option<Vec<u8>>> {
-        let row: Option<ContentRow> =
-            sqlx::query_as("SELECT number, content, content_digest FROM measurements WHERE id = ?")
-                .bind(id)
-                .fetch_optional(&self.read)
-                .await
-                .map_err(doing(READING))?;
-        row.map(ContentRow::checked).transpose()
+        let mut connection = self.read.acquire().await.map_err(doing(READING))?;
+        content(&mut connection, id).await
     }
 
     /// Number of measurements that an owner keeps.
@@ -136,14 +149,22 @@ impl Store {
         Ok(count as usize)
     }
 
-    pub async fn annotate_measurement(&self, id: &str, title: &str, note: &str) -> Result<()> {
-        sqlx::query("UPDATE measurements SET title = ?, note = ? WHERE id = ?")
-            .bind(title)
-            .bind(note)
-            .bind(id)
-            .execute(self.writer()?)
-            .await
-            .map_err(doing("annotating a measurement"))?;
+    /// Replaces what is given.
+    pub async fn annotate_measurement(
+        &self,
+        id: &str,
+        title: Option<&str>,
+        note: Option<&str>,
+    ) -> Result<()> {
+        sqlx::query(
+            "UPDATE measurements SET title = coalesce(?, title), note = coalesce(?, note) WHERE id = ?",
+        )
+        .bind(title)
+        .bind(note)
+        .bind(id)
+        .execute(self.writer()?)
+        .await
+        .map_err(doing("annotating a measurement"))?;
         Ok(())
     }
 

@@ -189,7 +189,7 @@ class Farm(FarmAccess):
             g_change: where channels are wavelengths, standard deviation of the change of ln(1 − g) over 100 nm; 0.1 if
                 None, and 0 for one anisotropy.
             output: a folder to write: the table, `media.json` for `predict`, a statement of uncertainty, and media for
-                Mitsuba 3, pbrt-v4, Blender, MaterialX and USD. A session's folder has them without it.
+                Mitsuba 3, pbrt-v4 and Blender. A session's folder has them without it.
             given: the options of `FitOptions` that are known. Without `mu`, the scale factor is estimated.
 
         Returns:

@@ -93,7 +93,16 @@ fn example_session_gives_the_true_profiles() {
     let measured = farm_lab::measurement_file::read_measurements(&white.join("measurements.csv")).unwrap();
     assert!(measured.notes.is_empty(), "{:?}", measured.notes);
 
+    // Media of an earlier measurement are not those of these photographs.
+    let stale = farm_lab::research_object::MEASURED_FILES;
+    std::fs::create_dir(folder.path().join("again")).unwrap();
+    for name in stale.iter().chain(&["session.json", "my notes.txt"]) {
+        write(folder.path(), &format!("again/{name}"), "{}");
+    }
     let again = run(folder.path(), &["capture", text(&session()), "-o", "again"]);
+    let left = names(&folder.path().join("again"));
+    assert_eq!(left.iter().filter(|name| stale.contains(&name.as_str())).count(), 0, "{left:?}");
+    assert!(left.iter().any(|name| name == "my notes.txt"));
     assert!(again.stdout.contains("written to again: measurements.csv"), "{}", again.stdout);
     for name in FILES {
         let [first, second] =
@@ -122,8 +131,9 @@ fn captured_folder_is_measured_and_reported() {
     // The scene `lab` has priors, which the report shows once, as tables.
     assert!(report.contains("gel thickness</td><td data-name=\"of\">white 0.512 mm</td>"));
     assert_eq!(report.matches("to improve first").count() + report.matches("To improve first").count(), 1);
-    let session = read_json(&folder.path().join("out/session.json"));
-    assert!(session["media_errors_95"][0]["scene"][0]["prior_std_error"].is_f64(), "{session}");
+    // The answer is kept whole in a file of its own.
+    let answer = read_json(&folder.path().join("out/answer.json"));
+    assert_eq!((&answer["kind"], &answer["data"]["materials"]), (&"measure".into(), &data["materials"]));
     assert!(!report.contains("<script") && !report.contains("http://") || report.contains("www.w3.org"));
     // A second measurement uses the existing dictionary.
     assert_eq!(measured(folder.path(), &[])["materials"], data["materials"]);

@@ -50,11 +50,6 @@ export function text(error: unknown): string {
   return failure.rawMessage || 'something went wrong';
 }
 
-// Whether the farm could not store something: without space, or at its limit.
-export function isOfStore(error: unknown): boolean {
-  return [Code.Internal, Code.ResourceExhausted].includes(ConnectError.from(error).code);
-}
-
 // Whether the coordinator is of an older version, without this call.
 export function isMissing(error: unknown): boolean {
   return ConnectError.from(error).code === Code.Unimplemented;

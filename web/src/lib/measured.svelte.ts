@@ -4,7 +4,7 @@ import type { Note, OpenCaptureResponse, SummarizeResponse } from '../gen/desk/v
 import { Objective, type MaterialFit, type MeasureResponse } from '../gen/farm/v1/fits_pb';
 import type { KeptMeasurement, MeasurementSummary } from '../gen/farm/v1/measurements_pb';
 import type { Channel, Grid, Measurement, Medium } from '../gen/farm/v1/model_pb';
-import { desk, fits, isOfStore, kept, text } from './api';
+import { desk, fits, kept, text } from './api';
 import { dropped, keep, type Dropped } from './dropped';
 import { gridOver } from './known.svelte';
 import { parametersOf, type MeasureQuestion, type Options } from './request';
@@ -91,7 +91,8 @@ class Measured {
     const [own, asking, board] = [this.turn, new AbortController(), request.board];
     [this.busy, this.wrong, this.#asking] = ['Measuring…', '', asking];
     try {
-      const { found, why } = await measure(request, asking.signal, isKept ? { source: this.name, command: line, title: titleOf(request, line), note: '' } : null);
+      const keep = isKept ? { keep: { source: this.name, command: line, title: titleOf(request, line), note: '' } } : {};
+      const found = await fits.measure({ ...request, ...keep }, { signal: asking.signal });
       const [answer, summary] = await Promise.all([
         this.#answer(found, request.options, { dictionary: request.dictionary, board, grid: gridOver(grid, board), line }),
         found.keptId ? kept.get({ id: found.keptId }).then((k) => k.summary ?? null) : null,
@@ -100,7 +101,7 @@ class Measured {
       this.answer = { ...answer, kept: summary };
       this.#asked.kept = summary?.id ?? null;
       route.set({ kept: summary?.id ?? null });
-      this.wrong = why;
+      this.wrong = found.notKept && `The measurement is not kept: ${found.notKept}`;
       if (this.capture && isKept) await this.#complete(this.answer).catch((error: unknown) => (this.wrong = `The folder has no media of this answer: ${text(error)}`));
     } catch (error) {
       if (own !== this.turn || asking.signal.aborted) return;
@@ -205,22 +206,6 @@ function titleOf(request: MeasureQuestion, line: string): string {
   const options = line.split(' --').slice(1).filter((option) => !option.startsWith('output ') && !option.startsWith('data '));
   if (options.length === 0) return '';
   return `${request.materials.map((m) => m.material).join(', ')} (${options.join(', ')})`.slice(0, 190);
-}
-
-// The answer; `why` is the reason if it could not be kept.
-async function measure(
-  request: MeasureQuestion,
-  signal: AbortSignal,
-  texts: { source: string; command: string; title: string; note: string } | null,
-): Promise<{ found: MeasureResponse; why: string }> {
-  if (!texts) return { found: await fits.measure(request, { signal }), why: '' };
-  try {
-    return { found: await fits.measure({ ...request, keep: texts }, { signal }), why: '' };
-  } catch (error) {
-    // A measurement that cannot be kept is shown nevertheless. Other errors are those of the question.
-    if (!isOfStore(error)) throw error;
-    return { found: await fits.measure(request, { signal }), why: `The measurement is not kept: ${text(error)}` };
-  }
 }
 
 // Colours of materials with R, G and B.

@@ -1,5 +1,6 @@
 //! Writes the folder of a session: profiles, set-up, scene, the grid of its dictionary, and the report.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -18,6 +19,7 @@ use super::report::{self, CaptureReport};
 use super::stage::{board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
 use crate::record::SessionRecord;
+use crate::research_object::MEASURED_FILES;
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
@@ -32,8 +34,8 @@ const ALIKE: f64 = 1.04;
 const NEAR: f64 = 1.03;
 const NOMINAL_MM: [f64; 14] = [0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 5.0];
 
-/// Writes the folder: no file unless all can be generated, and each file atomically. Returns the notes of reading its
-/// measurements back.
+/// Writes the folder: no file unless all can be generated, and each file atomically; removes what an earlier measurement
+/// has written there. Returns the notes of reading its measurements back.
 pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
     let measurements = measurements(captured)?;
     let read = measurement_file::read(&measurements)
@@ -59,6 +61,13 @@ pub fn write_folder(folder: &Path, captured: &Captured) -> Result<Vec<Note>> {
             .with_context(place)?;
     }
     std::fs::create_dir_all(folder).with_context(place)?;
+    // The media of an earlier measurement are not those of these profiles.
+    for name in MEASURED_FILES {
+        match std::fs::remove_file(folder.join(name)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => return Err(error).with_context(place),
+            _ => {}
+        }
+    }
     for name in FILES {
         std::fs::rename(draft.path().join(name), folder.join(name)).with_context(place)?;
     }

@@ -45,7 +45,7 @@ pub(super) struct EvaluatedMeasurand {
 /// Every channel with a refined medium.
 pub(super) fn evaluated(fits: &[MaterialFit], errors: &SharedErrors) -> Vec<EvaluatedChannel> {
     let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| (&fit.material, c)));
-    let of = |(number, (material, channel)): (usize, (&String, &optics_model::fit::ChannelFit))| {
+    let evaluation = |(number, (material, channel)): (usize, (&String, &optics_model::fit::ChannelFit))| {
         let refined = channel.refined.as_ref()?;
         Some(EvaluatedChannel {
             material: material.clone(),
@@ -57,7 +57,7 @@ pub(super) fn evaluated(fits: &[MaterialFit], errors: &SharedErrors) -> Vec<Eval
             is_from_mixtures: refined.from_mixtures,
         })
     };
-    channels.enumerate().filter_map(of).collect()
+    channels.enumerate().filter_map(evaluation).collect()
 }
 
 impl EvaluatedChannel {
@@ -96,9 +96,9 @@ fn measurands(refined: &Refined, shared: &[[f64; SharedErrors::OF_MEDIUM]]) -> [
     let shares: [fn(&SourceShare) -> f64; 3] = [|s| s.sigma_t, |s| s.reduced_scattering, |s| s.absorption];
     let slopes = slopes(refined);
     std::array::from_fn(|i| {
-        let of = |c: &[f64]| (0..3).map(|k| slopes[i][k] * c[k]).sum::<f64>();
-        let rows = refined.covariance.map(|row| of(&row));
-        let u = if refined.from_mixtures { half_width(intervals[i]) } else { of(&rows).max(0.0).sqrt() };
+        let product = |c: &[f64]| (0..3).map(|k| slopes[i][k] * c[k]).sum::<f64>();
+        let rows = refined.covariance.map(|row| product(&row));
+        let u = if refined.from_mixtures { half_width(intervals[i]) } else { product(&rows).max(0.0).sqrt() };
         // Budget and shared errors are those of the fit without mixtures.
         let (budget, shared) =
             if refined.from_mixtures { (&[][..], &[][..]) } else { (&refined.likelihood.budget[..], shared) };
@@ -111,7 +111,7 @@ fn measurands(refined: &Refined, shared: &[[f64; SharedErrors::OF_MEDIUM]]) -> [
             coverage_factor: coverage_factor(degrees_of_freedom),
             degrees_of_freedom,
             contributions: contributions(budget, shares[i], u, values[i]),
-            shared: shared.iter().map(|changes| of(changes)).collect(),
+            shared: shared.iter().map(|changes| product(changes)).collect(),
         }
     })
 }
@@ -128,9 +128,9 @@ fn contributions(
     value: f64,
 ) -> Vec<(String, f64)> {
     let relative = 100.0 * u / value.max(f64::MIN_POSITIVE);
-    let of =
+    let contribution =
         |source: &SourceShare| (source_name(source).to_owned(), share(source).max(0.0).sqrt() * relative);
-    budget.iter().map(of).collect()
+    budget.iter().map(contribution).collect()
 }
 
 /// Welch and Satterthwaite: u⁴ / Σ uᵢ⁴/νᵢ. The noise of the pixels has the degrees of freedom of the fit, other inputs are

@@ -27,12 +27,15 @@ struct GatheredInput {
     unit: String,
     /// Places of the values: channel, slab or material.
     values: BTreeSet<String>,
+    /// It is of type A: from observations.
+    is_observed: bool,
+    distribution: &'static str,
     priors: Vec<f64>,
     posteriors: Vec<f64>,
 }
 
-/// The input quantities of all channels, each once.
-pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
+/// The input quantities of all channels, each once. What `farmctl capture` estimates from photographs is of type A.
+pub(super) fn input_quantities(fits: &[MaterialFit], is_captured: bool) -> Vec<InputQuantity> {
     let refined: Vec<(usize, &str, &Refined)> = fits
         .iter()
         .enumerate()
@@ -70,7 +73,10 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
                 Nuisance::Thickness => format!("{material} {of_slab}"),
                 _ => format!("{material} {channel} {of_slab}"),
             };
-            entry(&mut gathered, name, unit).add(value, n.prior_std_error, n.std_error);
+            let entry = entry(&mut gathered, name, unit);
+            entry.add(value, n.prior_std_error, n.std_error);
+            let of_photographs = matches!(n.nuisance, Nuisance::BlurVariance | Nuisance::Origin);
+            entry.is_observed |= is_captured && of_photographs || !n.prior_std_error.is_finite();
         }
         for e in &r.likelihood.scene {
             let of_slab = e.slab_mm.map(|mm| mm.to_string()).unwrap_or_default();
@@ -79,7 +85,9 @@ pub(super) fn input_quantities(fits: &[MaterialFit]) -> Vec<InputQuantity> {
                 Scope::Channel => format!("{material} {channel}"),
                 Scope::Material | Scope::Slab => format!("{material} {of_slab}"),
             };
-            entry(&mut gathered, &e.quantity, &e.unit).add(value, e.prior_std_error, e.std_error);
+            let entry = entry(&mut gathered, &e.quantity, &e.unit);
+            entry.add(value, e.prior_std_error, e.std_error);
+            entry.distribution = "normal, with wider tails";
         }
     }
     all.extend(gathered.iter().map(GatheredInput::quantity));
@@ -93,6 +101,8 @@ fn entry<'a>(all: &'a mut Vec<GatheredInput>, name: &str, unit: &str) -> &'a mut
             name,
             unit,
             values: BTreeSet::new(),
+            is_observed: false,
+            distribution: "normal",
             priors: Vec::new(),
             posteriors: Vec::new(),
         });
@@ -114,8 +124,8 @@ impl GatheredInput {
             name: self.name.clone(),
             count: self.values.len(),
             std_uncertainty: if is_free { "unknown".to_owned() } else { range(&self.priors, &self.unit) },
-            kind: if is_free { "A" } else { "B" },
-            distribution: "normal",
+            kind: if self.is_observed { "A" } else { "B" },
+            distribution: self.distribution,
             posterior: range(&self.posteriors, &self.unit),
         }
     }

@@ -17,7 +17,7 @@ fn page_of(record: &SessionRecord, errors: &SharedErrors) -> String {
         fits: &fits(),
         shared_errors: errors,
         common: &testing::common(),
-        record,
+        record: Some(record),
         dictionary: "lab",
         digest: "0123",
     }
@@ -100,7 +100,13 @@ fn inputs_are_counted_once() {
         prior: 0.0,
         prior_std_error: 0.002,
     };
-    let all = [(Nuisance::Scale, None), (Nuisance::Thickness, Some(0.5)), (Nuisance::Gain, Some(0.5))];
+    let all = [
+        (Nuisance::Scale, None),
+        (Nuisance::Thickness, Some(0.5)),
+        (Nuisance::Gain, Some(0.5)),
+        (Nuisance::BlurVariance, None),
+        (Nuisance::Origin, Some(0.5)),
+    ];
     for fit in &mut fits {
         let mut channel = fit.channels[0].clone();
         let refined = channel.refined.as_mut().unwrap();
@@ -108,10 +114,17 @@ fn inputs_are_counted_once() {
         fit.channels =
             vec![channel.clone(), optics_model::fit::ChannelFit { channel: "G".into(), ..channel }];
     }
-    let inputs = input_quantities(&fits);
-    let of = |name: &str| inputs.iter().find(|input| input.name.starts_with(name)).unwrap();
-    assert_eq!((of("white reference").count, of("thickness").count, of("gain").count), (1, 2, 4));
-    assert_eq!((of("thickness").std_uncertainty.as_str(), of("thickness").kind), ("0.002 mm", "B"));
+    let kinds = |inputs: &[InputQuantity]| -> String {
+        ["white", "thickness", "gain", "blur", "place"]
+            .map(|name| inputs.iter().find(|input| input.name.starts_with(name)).unwrap().kind)
+            .concat()
+    };
+    // Blur and edge are estimated from photographs only where there are some.
+    let inputs = input_quantities(&fits, true);
+    assert_eq!([kinds(&inputs), kinds(&input_quantities(&fits, false))], ["BBBAA", "BBBBB"]);
+    let input = |name: &str| inputs.iter().find(|input| input.name.starts_with(name)).unwrap();
+    assert_eq!((input("white reference").count, input("thickness").count, input("gain").count), (1, 2, 4));
+    assert_eq!((input("thickness").std_uncertainty.as_str(), input("thickness").kind), ("0.002 mm", "B"));
 }
 
 /// Undetermined media, open ends, residuals beyond noise and values from mixtures are stated before the values.

@@ -91,8 +91,8 @@ pub(crate) struct MeasureArgs {
     /// Keep question and answer with the farm, for `farmctl measurements` and the page.
     #[arg(long, value_name = "TITLE", num_args = 0..=1, require_equals = true, default_missing_value = "")]
     keep: Option<String>,
-    /// Write a folder with table.csv, media.json for `farmctl predict`, uncertainty.html, and media for Mitsuba 3, pbrt-v4,
-    /// Blender, MaterialX and USD. The folder of a session then stays as it is.
+    /// Write a folder with table.csv, media.json for `farmctl predict`, uncertainty.html, answer.json, and media for
+    /// Mitsuba 3, pbrt-v4 and Blender. The folder of a session then stays as it is.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
@@ -205,9 +205,23 @@ impl Inputs {
 
 /// Texts of a measurement that is kept: its file, and this command line.
 fn kept_as(title: String, measurements: &Path) -> Keep {
-    let arguments = std::env::args().skip(1).map(|argument| shell_quoted(&argument));
-    let command = std::iter::once("farmctl".to_owned()).chain(arguments).collect::<Vec<_>>().join(" ");
+    let command = kept_command(std::env::args().skip(1));
     Keep { title, note: String::new(), source: measurements.display().to_string(), command }
+}
+
+/// A command line without general options: everybody reads it, and where the farm is or how its owner gets in is no part
+/// of the question.
+fn kept_command(arguments: impl IntoIterator<Item = String>) -> String {
+    let mut command = "farmctl".to_owned();
+    let mut arguments = arguments.into_iter();
+    while let Some(argument) = arguments.next() {
+        match argument.split_once('=').map_or(argument.as_str(), |(name, _)| name) {
+            "--server" | "--access" | "--data" if !argument.contains('=') => drop(arguments.next()),
+            "--server" | "--access" | "--data" | "--local" | "--json" | "--quiet" | "-q" => {}
+            _ => command += &format!(" {}", shell_quoted(&argument)),
+        }
+    }
+    command
 }
 
 /// Refuses the paper's objective where media or intervals are required: it gives the best records only.
@@ -243,16 +257,17 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         board: Vec::new(),
     };
     let session = inputs.folder.as_ref().map(SessionFolder::scene).transpose()?.flatten();
-    let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?.unwrap_or_default();
+    let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?;
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
-    let Answer { dictionary, grid, found, notes: of_dictionary } = ask(global, inputs.own, &asked).await?;
+    let Answer { dictionary, grid, mut found, notes: of_dictionary } =
+        ask(global, inputs.own, &asked).await?;
     output.notes(&of_dictionary, &inputs.measurements);
     notes.extend(of_dictionary);
     if mixtures.is_some() && found.unmixed.is_none() {
         bail!("the coordinator is too old to fit mixtures: upgrade it");
     }
-    if is_kept && found.kept.is_none() {
-        bail!("the coordinator is too old to keep measurements: upgrade it, or leave --keep out");
+    if is_kept && found.kept.is_none() && found.not_kept.is_none() {
+        found.not_kept = Some("the coordinator is too old to keep measurements: upgrade it".to_owned());
     }
     let pictures = match &inputs.plot {
         Some(path) => figure_files::write_fits(&found.materials, path, inputs.figure)?,
@@ -260,7 +275,7 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     };
     if let Some(folder) = &inputs.output {
         measured::write_renderers(folder, &found)
-            .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), &record))
+            .and_then(|()| measured::write_media(folder, &found, (&dictionary, &grid), record.as_ref()))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     let of_set_up = set_up_notes(&found.materials, inputs.folder.as_ref())?;
@@ -280,6 +295,10 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         None => None,
     };
     let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
+    let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
+    if let Some(folder) = folder {
+        measured::write_answer(folder, &data)?;
+    }
     output.print("measure", &data, || {
         let mut text = answer(true);
         if inputs.folder.is_some() {
@@ -289,13 +308,18 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         }
         let report =
             report.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
-        let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
         if let Some(folder) = folder {
             text += &measured::written_to(folder, report.unwrap_or_default());
         }
         text
-    })
+    })?;
+    found.not_kept.clone().map_or(Ok(()), |why| Err(NotKept(why).into()))
 }
+
+/// The answer is there, but it could not be kept with the farm.
+#[derive(Debug, thiserror::Error)]
+#[error("this answer is not kept: {0}")]
+pub(crate) struct NotKept(String);
 
 pub(crate) fn data<'a>(
     options: UsedOptions<'a>,
@@ -319,6 +343,8 @@ pub(crate) fn data<'a>(
         /// Id of the kept measurement.
         #[serde(skip_serializing_if = "Option::is_none")]
         kept: Option<&'a str>,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        not_kept: Option<&'a str>,
     }
     MeasureJson {
         options,
@@ -329,5 +355,6 @@ pub(crate) fn data<'a>(
         notes,
         unmixed: found.unmixed.as_ref(),
         kept: found.kept.as_deref(),
+        not_kept: found.not_kept.as_deref(),
     }
 }

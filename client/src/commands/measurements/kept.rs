@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
-use farm_lab::record::SessionRecord;
 use farm_lab::set_up::SetUp;
 use farm_proto::wire::{
     AnnotateMeasurementRequest, DeleteMeasurementRequest, GetMeasurementRequest, KeptMeasurement,
@@ -160,12 +159,8 @@ async fn get(connection: &Connection, kept: &KeptIdArgs) -> Result<KeptMeasureme
 }
 
 async fn annotate(connection: &Connection, args: &KeptNoteArgs) -> Result<KeptJson> {
-    let before = get(connection, &args.kept).await?.summary.unwrap_or_default();
-    let changed = AnnotateMeasurementRequest {
-        id: before.id,
-        title: args.title.clone().unwrap_or(before.title),
-        note: args.note.clone().unwrap_or(before.note),
-    };
+    let (id, title, note) = (args.kept.id.clone(), args.title.clone(), args.note.clone());
+    let changed = AnnotateMeasurementRequest { id, title, note };
     Ok(connection.measurements().annotate(changed).await?.into_inner().into())
 }
 
@@ -224,14 +219,15 @@ fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result
     let assumed = SetUp::default().with_given(options.settings()).assumed(&materials);
     if let Some(folder) = folder {
         measured::write_renderers(folder, &found)
-            .and_then(|()| {
-                let record = SessionRecord::default();
-                measured::write_media(folder, &found, (&summary.dictionary, &grid), &record)
-            })
+            .and_then(|()| measured::write_media(folder, &found, (&summary.dictionary, &grid), None))
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     let used = UsedOptions::new(&summary.dictionary, &options, &assumed);
-    output.print("measure", &measure::data(used, &found, &[]), || {
+    let data = measure::data(used, &found, &[]);
+    if let Some(folder) = folder {
+        measured::write_answer(folder, &data)?;
+    }
+    output.print("measure", &data, || {
         let report = FitsReport {
             fits: &found.materials,
             assumed: assumed.text(options.settings()),

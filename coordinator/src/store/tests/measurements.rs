@@ -23,13 +23,15 @@ async fn measurement_kept_again_is_the_newest() {
     let (_dir, store) = empty().await;
     store.keep_measurement(&kept("a", "", "first"), b"1").await.unwrap();
     store.keep_measurement(&kept("b", "second", ""), b"2").await.unwrap();
-    store.annotate_measurement("a", "first print", "slab 2\nscratched").await.unwrap();
+    // Two people who change title and note at once lose nothing.
+    store.annotate_measurement("a", Some("first print"), None).await.unwrap();
+    store.annotate_measurement("a", None, Some("slab 2\nscratched")).await.unwrap();
     store.keep_measurement(&kept("a", "", ""), b"3").await.unwrap();
     let all = store.measurements_before(i64::MAX, 10).await.unwrap();
     let shown: Vec<_> = all.iter().map(|m| (m.id.as_str(), m.title.as_str(), m.note.as_str())).collect();
     assert_eq!(shown, [("a", "first print", "slab 2\nscratched"), ("b", "second", "")]);
     assert_eq!(store.measurements_before(all[0].number, 10).await.unwrap(), all[1..]);
-    assert_eq!(store.measurement_content("a").await.unwrap().as_deref(), Some(&b"3"[..]));
+    assert_eq!(store.measurement_with_content("a").await.unwrap(), Some((all[0].clone(), b"3".to_vec())));
     store.keep_measurement(&kept("c", "", ""), b"").await.unwrap();
     assert_eq!(store.measurement("c").await.unwrap().unwrap().title, "white, cyan");
     assert_eq!(store.measurements_of("alice").await.unwrap(), 3);

@@ -154,6 +154,18 @@ fn kept_measurements_have_owners_and_survive() {
     assert_eq!(by(&farm, "alice", &[&measure[..6], &["--keep"]].concat()).code, 0);
     let [first] = &listed("alice")[..] else { panic!("one is kept: {:?}", listed("alice")) };
     assert_eq!([&first["title"], &first["note"]], ["first print", "slab 2\nscratched"]);
+    // An answer that cannot be kept is given nevertheless.
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let fault = "CREATE TRIGGER full BEFORE INSERT ON measurements BEGIN SELECT RAISE(ABORT, 'no room'); END";
+    runtime.block_on(farm.execute(fault));
+    let lost = by(&farm, "alice", &measure);
+    assert_eq!(lost.code, 9, "{}", lost.stderr);
+    assert!(lost.stdout.starts_with(kept.stdout.split_once("\nkept: ").unwrap().0), "{}", lost.stdout);
+    assert!(lost.stderr.contains("this answer is not kept: storing a measurement"), "{}", lost.stderr);
+    let lost = by(&farm, "alice", &[&measure[..], &["--json"]].concat());
+    assert_eq!(lost.code, 9, "{}", lost.stderr);
+    assert!(cli::json(&lost, "measure")["not_kept"].as_str().unwrap().contains("no room"), "{}", lost.stdout);
+    runtime.block_on(farm.execute("DROP TRIGGER full"));
     // A backup contains it.
     assert_eq!(by(&farm, "admin", &["backup", "copy.db"]).code, 0);
     assert_eq!(by(&farm, "admin", &["measurements", "delete", &id]).code, 0);

@@ -18,8 +18,7 @@ pub(super) const FILES: &str = "\
 <tr><td><a href=\"table.csv\">table.csv</a></td><td>all media with their intervals</td></tr>
 <tr><td><a href=\"media.json\">media.json</a></td><td>media with their covariance: <code>farmctl predict</code> computes how prints \
 look, <code>farmctl validate</code> compares a printed chart, <code>farmctl recipe</code> finds mixtures</td></tr>
-<tr><td>media.py, media.xml, media.pbrt, media_blender.py, media.mtlx, media.usda</td><td>media for Mitsuba 3, pbrt-v4, \
-Blender, MaterialX and USD</td></tr>
+<tr><td>media.py, media.xml, media.pbrt, media_blender.py</td><td>media for Mitsuba 3, pbrt-v4 and Blender</td></tr>
 <tr><td><a href=\"measurements.csv\">measurements.csv</a></td><td>the measured profiles</td></tr>
 </table>
 ";

@@ -37,3 +37,11 @@ fn paper_objective_gives_no_media() {
         assert!(error.contains("--objective paper") && error.ends_with(named), "{error}");
     }
 }
+
+/// A kept command line has the question, and neither the way to the farm nor that in.
+#[test]
+fn kept_commands_have_the_question_alone() {
+    let line = "measure a.csv --server http://key@farm:7700 --mu 1.2 --access=/home/me/farm.access --data /tmp/x -q --keep";
+    let found = kept_command(line.split(' ').map(str::to_owned));
+    assert_eq!(found, "farmctl measure a.csv --mu 1.2 --keep");
+}
