@@ -13,11 +13,11 @@ pub(crate) fn traced(job: &JobSpec) -> Result<Vec<Record>> {
     if !scene.is_dispersive() {
         return traced_in(job, scene.clone());
     }
-    let of_channel = |channel: &Channel| traced_in(job, scene.of_channel(channel)?);
+    let channel_records = |channel: &Channel| traced_in(job, scene.of_channel(channel)?);
     let (first, others) = scene.channels().split_first().context("a scene has channels")?;
-    let mut all = of_channel(first)?;
+    let mut all = channel_records(first)?;
     for channel in others {
-        for (record, own) in all.iter_mut().zip(of_channel(channel)?) {
+        for (record, own) in all.iter_mut().zip(channel_records(channel)?) {
             record.profiles.extend(own.profiles);
         }
     }

@@ -53,13 +53,13 @@ mod tests {
     /// A client may change its own dictionaries only, an administrator may change all.
     #[test]
     fn clients_change_only_their_own_dictionaries() {
-        let of = |role| Actor { token: Some((role, "alice".to_owned())), address: "10.0.0.7".to_owned() };
-        assert!(of(Role::Client).may_change("alice"));
-        assert!(!of(Role::Client).may_change("bob") && !of(Role::Client).may_change(""));
-        assert!(of(Role::Admin).may_change("bob") && Actor::default().may_change("bob"));
-        assert_eq!(of(Role::Client).shares_as(), "alice");
-        assert_eq!((of(Role::Admin).shares_as(), Actor::default().shares_as()), ("", ""));
-        assert_eq!(of(Role::Client).to_string(), "alice at 10.0.0.7");
+        let actor = |role| Actor { token: Some((role, "alice".to_owned())), address: "10.0.0.7".to_owned() };
+        assert!(actor(Role::Client).may_change("alice"));
+        assert!(!actor(Role::Client).may_change("bob") && !actor(Role::Client).may_change(""));
+        assert!(actor(Role::Admin).may_change("bob") && Actor::default().may_change("bob"));
+        assert_eq!(actor(Role::Client).shares_as(), "alice");
+        assert_eq!((actor(Role::Admin).shares_as(), Actor::default().shares_as()), ("", ""));
+        assert_eq!(actor(Role::Client).to_string(), "alice at 10.0.0.7");
         assert_eq!(Actor { address: "::1".to_owned(), ..Actor::default() }.to_string(), "::1");
     }
 }

@@ -2,6 +2,8 @@
 //!
 //! `rpc → farm → (dispatch, store, optics-fit)`, never back; dispatch and store do not depend on each other. The caller
 //! owns the port and the stop signal.
+//!
+//! `docs/glossary.md` explains the terms.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 

@@ -2,6 +2,8 @@
 //!
 //! The generated wire types are in [`wire`]; `convert` is the only place that turns them into the types of
 //! `optics-model` and of this crate, and back.
+//!
+//! `docs/glossary.md` explains the terms.
 
 pub mod codec;
 mod convert;

@@ -189,8 +189,8 @@ pub struct Coverage(pub Vec<Vec<Estimate>>);
 impl Coverage {
     /// The estimates of some quantities of media.
     pub fn of_media<'a>(sessions: impl IntoIterator<Item = &'a [Answer]>, quantities: &[usize]) -> Self {
-        let of_answer = |a: &'a Answer| quantities.iter().map(|q| a.medium[*q]);
-        Self(sessions.into_iter().map(|answers| answers.iter().flat_map(of_answer).collect()).collect())
+        let estimates = |a: &'a Answer| quantities.iter().map(|q| a.medium[*q]);
+        Self(sessions.into_iter().map(|answers| answers.iter().flat_map(estimates).collect()).collect())
     }
 
     pub fn all(&self) -> impl Iterator<Item = &Estimate> {
@@ -244,11 +244,11 @@ impl Coverage {
 
 /// The quantities of the scene of all answers with this name, by session.
 pub fn of_scene(sessions: &[Vec<Answer>], name: Option<&str>) -> Coverage {
-    let of_answer = |a: &Answer| -> Vec<Estimate> {
+    let estimates = |a: &Answer| -> Vec<Estimate> {
         let these = a.scene.iter().filter(|q| !q.estimate.truth.is_nan());
         these.filter(|q| name.is_none_or(|name| q.name == name)).map(|q| q.estimate).collect()
     };
-    Coverage(sessions.iter().map(|answers| answers.iter().flat_map(of_answer).collect()).collect())
+    Coverage(sessions.iter().map(|answers| answers.iter().flat_map(estimates).collect()).collect())
 }
 
 /// Number of significant digits, without an exponent.

@@ -4,6 +4,8 @@
 //! the tracing threads, so that no walk blocks an async thread. `agent` is the main loop: it leases jobs, `job` takes
 //! each from its lease to its result, `delivery` keeps results until they are acknowledged, `heartbeat` renews the
 //! leases.
+//!
+//! `docs/glossary.md` explains the terms.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 

@@ -158,7 +158,7 @@ struct DesignPanel {
 impl DesignPanel {
     /// `None` if no half-width can be drawn.
     fn new(name: &'static str, share: QuantityShare, design: &Design, rows: &DesignRows) -> Option<Self> {
-        let of_set = |set: &SlabSet| {
+        let set_dots = |set: &SlabSet| {
             let dot = |widths: &HalfWidths, filled: bool| Dot {
                 row: rows.row(set),
                 percent: 100.0 * share(widths, &design.medium),
@@ -169,7 +169,7 @@ impl DesignPanel {
             let free = set.g_free.as_ref().map(|w| dot(w, false));
             free.into_iter().chain([dot(&set.g_held, true)]).collect::<Vec<_>>()
         };
-        let all: Vec<Dot> = design.sets.iter().flat_map(of_set).collect();
+        let all: Vec<Dot> = design.sets.iter().flat_map(set_dots).collect();
         let incomplete = all.iter().any(|dot| dot.percent > 100.0);
         let dots: Vec<Dot> = all.into_iter().filter(|d| d.percent > 0.0 && d.percent <= 100.0).collect();
         let (low, high) = extent(dots.iter().map(|dot| dot.percent))?;

@@ -34,8 +34,8 @@ pub fn estimate_rows(fits: &[MaterialFit]) -> Vec<EstimateRow> {
     for fit in fits {
         let refined = fit.channels.iter().filter_map(|c| Some((c.channel.as_str(), c.refined.as_ref()?)));
         for (channel, estimate) in refined.flat_map(|(c, r)| r.likelihood.scene.iter().map(move |e| (c, e))) {
-            let of = shared_by(estimate, &fit.material, channel);
-            let known = all.entry((estimate.quantity.as_str(), of)).or_insert(estimate);
+            let sharers = shared_by(estimate, &fit.material, channel);
+            let known = all.entry((estimate.quantity.as_str(), sharers)).or_insert(estimate);
             if estimate.std_error < known.std_error {
                 *known = estimate;
             }
@@ -100,13 +100,13 @@ mod tests {
     #[test]
     fn channels_share_a_row() {
         let mut channels = vec![channel("R", 6.0, 1.0), channel("G", 9.0, 1.0)];
-        let of = |channels| estimate_rows(&[MaterialFit { material: "white".into(), channels }]);
-        assert_eq!(of(channels.clone()), [], "the scene is exact");
+        let white_rows = |channels| estimate_rows(&[MaterialFit { material: "white".into(), channels }]);
+        assert_eq!(white_rows(channels.clone()), [], "the scene is exact");
         channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
         let better = channels[1].refined.as_mut().unwrap();
         better.likelihood.scene = scene_estimates();
         better.likelihood.scene[0].std_error = 0.0008;
-        let rows = of(channels);
+        let rows = white_rows(channels);
         let cells: Vec<_> = rows.iter().map(|r| [&r.quantity, &r.of, &r.estimate, &r.prior]).collect();
         assert_eq!(
             cells,

@@ -3,6 +3,8 @@
 //!
 //! A figure function checks its data, lays panels out on a canvas in CSS pixels and returns a [`Picture`]. Equal data
 //! give equal bytes. Values that are not finite are left out.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod budget;
 mod changes;

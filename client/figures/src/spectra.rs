@@ -123,8 +123,8 @@ fn draw_panel(
     frame.rules(canvas);
     let [bottom, top] = [0.0, 1.0].map(|end| frame.y.value(end));
     for (i, spectrum) in spectra.iter().enumerate() {
-        let of = |(nm, r): &(f64, &Refined)| (*nm, (quantity.of)(r).1);
-        let intervals: Vec<(f64, Interval)> = spectrum.channels.iter().map(of).collect();
+        let interval = |(nm, r): &(f64, &Refined)| (*nm, (quantity.of)(r).1);
+        let intervals: Vec<(f64, Interval)> = spectrum.channels.iter().map(interval).collect();
         let inside = |v: f64, open: f64| if v.is_finite() { v.clamp(bottom, top) } else { open };
         let above = intervals.iter().map(|(nm, i)| frame.place(*nm, inside(i.high, top)));
         let below = intervals.iter().rev().map(|(nm, i)| frame.place(*nm, inside(i.low, bottom)));

@@ -212,9 +212,9 @@ mod tests {
     fn greys_are_srgb_greys() {
         for (illuminant, observer, _) in ALL {
             let colorimetry = Colorimetry::new(&bands(10.0), Viewing { illuminant, observer }).unwrap();
-            let of = |grey: f64| colorimetry.srgb(&colorimetry.colour(&[grey; 31]));
+            let srgb = |grey: f64| colorimetry.srgb(&colorimetry.colour(&[grey; 31]));
             let expected = |code| (observer == StandardObserver::TwoDegrees).then_some([code; 3]);
-            assert_eq!([of(1.0), of(0.215_861)], [expected(255), expected(128)]);
+            assert_eq!([srgb(1.0), srgb(0.215_861)], [expected(255), expected(128)]);
         }
     }
 

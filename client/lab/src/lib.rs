@@ -1,6 +1,8 @@
 //! Reads and writes a laboratory's files: photographs and sessions, measurements, grids, scenes and mixtures.
 //!
 //! Checks them, runs `optics_capture` on photographs, and writes the results. It uses no network and no async runtime.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod bounded_file;
 pub mod capture;

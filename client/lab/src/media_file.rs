@@ -308,12 +308,12 @@ fn covariance(refined: &Refined) -> [[f64; 3]; 3] {
         // An end that is not known leaves a factor of e.
         if half.is_finite() { half * half } else { 1.0 }
     };
-    let of = [
+    let variances = [
         variance(&refined.sigma_t_per_mm, libm::log),
         variance(&refined.albedo, |a| (1.0 - a).max(0.0).sqrt()),
         variance(&refined.g, |g| libm::log(1.0 - g)),
     ];
-    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { of[i] } else { 0.0 }))
+    std::array::from_fn(|i| std::array::from_fn(|j| if i == j { variances[i] } else { 0.0 }))
 }
 
 #[cfg(test)]

@@ -232,8 +232,8 @@ fn wide_bands(fit: &MaterialFit, bands: &SessionBands) -> Vec<WideBand> {
         if is_colour && bands.colours.is_empty() && !is_absorbing(channel) {
             return None;
         }
-        let of_filter = || bands.bands.iter().find(|band| band.wavelength_nm == nm).copied();
-        let std_dev_nm = colour_band(&channel.channel, bands).or_else(of_filter)?.std_dev_nm;
+        let filter_band = || bands.bands.iter().find(|band| band.wavelength_nm == nm).copied();
+        let std_dev_nm = colour_band(&channel.channel, bands).or_else(filter_band)?.std_dev_nm;
         let (slope, curvature) = derivatives(&known[first..first + 3], nm);
         let bias = std_dev_nm.powi(2) * (0.5 * curvature - 0.3 * slope * slope).abs();
         let is_large = bias > LEAST && bias > LEAST_OF_INTERVAL * half_width;
@@ -275,7 +275,7 @@ mod tests {
     /// Misfits in dark bands alone are noted; those of a single band, or in bright ones, have other causes.
     #[test]
     fn misfits_where_dark_are_leaks() {
-        let of = |unexplained: &[&str]| {
+        let text = |unexplained: &[&str]| {
             let mut fit = line(&[430.0, 470.0, 550.0]);
             for channel in &mut fit.channels {
                 let is_unexplained = unexplained.contains(&channel.channel.as_str());
@@ -284,8 +284,12 @@ mod tests {
             }
             leaks(&[fit]).map(|note| note.text)
         };
-        assert!(of(&["550"]).unwrap().contains("only there: magenta 550 nm; a filter"), "{:?}", of(&["550"]));
-        assert_eq!([of(&[]), of(&["430", "550"]), of(&["430"])], [None, None, None]);
+        assert!(
+            text(&["550"]).unwrap().contains("only there: magenta 550 nm; a filter"),
+            "{:?}",
+            text(&["550"])
+        );
+        assert_eq!([text(&[]), text(&["430", "550"]), text(&["430"])], [None, None, None]);
     }
 
     /// Inks with these absorptions per mm in channels with these names.

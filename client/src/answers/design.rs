@@ -136,8 +136,8 @@ fn limits(design: &Design) -> String {
         [("σ_t", HalfWidths::of_sigma_t), ("1 − α", HalfWidths::of_co_albedo)];
     for (quantity, share) in quantities {
         if let Some(improvement) = limit(best, &design.medium, share) {
-            let of = |widths: &HalfWidths| percent(share(widths, &design.medium));
-            lines.push(wrapped(&what_limits(quantity, improvement, &best.g_held, of)));
+            let percent_text = |widths: &HalfWidths| percent(share(widths, &design.medium));
+            lines.push(wrapped(&what_limits(quantity, improvement, &best.g_held, percent_text)));
         }
     }
     lines.extend(scene(best, &design.medium).as_deref().map(wrapped));

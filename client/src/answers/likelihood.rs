@@ -42,7 +42,7 @@ fn moved(n: &NuisanceEstimate) -> bool {
 
 /// `origin −0.070 ± 0.004 mm (0.5 mm)`.
 fn nuisance(n: &NuisanceEstimate) -> String {
-    let of = n.profile_mm.map_or(String::new(), |t| format!(" ({t} mm)"));
+    let profile = n.profile_mm.map_or(String::new(), |t| format!(" ({t} mm)"));
     let percent = || with_error(100.0 * n.value, 100.0 * n.std_error);
     let plain = || with_error(n.value, n.std_error);
     let text = match n.nuisance {
@@ -56,7 +56,7 @@ fn nuisance(n: &NuisanceEstimate) -> String {
         Nuisance::Slope => format!("slope {} % per 10 mm", percent()),
         Nuisance::Wedge => format!("wedge {} % per 10 mm", percent()),
     };
-    text + &of
+    text + &profile
 }
 
 /// A variance in mm² as a standard deviation in µm, d√v = dv / (2√v). Near 0 this is not valid: then only the upper end

@@ -24,7 +24,7 @@ pub(crate) fn misfit(refined: &Refined) -> Option<String> {
 }
 
 fn reason(s: &Suspicion) -> String {
-    let of = s.thickness_mm.map_or("all profiles".to_owned(), |t| format!("the profile of {t} mm"));
+    let place = s.thickness_mm.map_or("all profiles".to_owned(), |t| format!("the profile of {t} mm"));
     let size = |digits| significant(s.amount.abs(), digits);
     let percent = significant(100.0 * s.amount.abs(), 2);
     let (large, rises) = if s.amount > 0.0 { ("large", "brighter") } else { ("small", "darker") };
@@ -36,25 +36,25 @@ fn reason(s: &Suspicion) -> String {
                 .to_owned()
         }
         Cause::EdgeOffset => format!(
-            "most likely cause: an edge at x = {} mm instead of 0 in {of}; shift its x_mm",
+            "most likely cause: an edge at x = {} mm instead of 0 in {place}; shift its x_mm",
             significant(s.amount, 2)
         ),
         Cause::Gain => format!(
-            "most likely cause: values {percent} % too {large} in {of}; check exposure and white reference"
+            "most likely cause: values {percent} % too {large} in {place}; check exposure and white reference"
         ),
         Cause::Zero => format!(
-            "most likely cause: values too {large} by {} in {of}; check black level and stray light",
+            "most likely cause: values too {large} by {} in {place}; check black level and stray light",
             size(2)
         ),
         Cause::Slope => format!(
-            "most likely cause: light that gets {percent} % {rises} from dark to light side in {of}; divide by a flat field"
+            "most likely cause: light that gets {percent} % {rises} from dark to light side in {place}; divide by a flat field"
         ),
         Cause::Wedge => format!(
-            "most likely cause: a wedge, a slab that gets {percent} % {thicker} from dark to light side in {of}; turn it by \
+            "most likely cause: a wedge, a slab that gets {percent} % {thicker} from dark to light side in {place}; turn it by \
              180° for half of its shots, or measure its thickness at both ends"
         ),
         Cause::Blur => format!(
-            "most likely cause: a camera that blurs by {} mm (standard deviation) in {of}; focus, or use a smaller aperture",
+            "most likely cause: a camera that blurs by {} mm (standard deviation) in {place}; focus, or use a smaller aperture",
             size(2)
         ),
         Cause::GammaCoded => {
@@ -66,7 +66,7 @@ fn reason(s: &Suspicion) -> String {
             size(2)
         ),
         Cause::Thickness => format!(
-            "most likely cause: a slab of {} mm in {of}; measure its thickness again",
+            "most likely cause: a slab of {} mm in {place}; measure its thickness again",
             significant(s.amount, 3)
         ),
         Cause::ThicknessesSwapped => {

@@ -220,13 +220,13 @@ mod tests {
     fn differences_are_counted_in_uncertainties() {
         let found = channel("white", &medium(6.0 * libm::exp(0.03_f64), 0.9, 0.01), &medium(6.0, 0.9, 0.01));
         assert!((found.probability.unwrap() - libm::erfc(1.5)).abs() < 1e-9, "{found:?}");
-        let of = |name: &str| found.quantities.iter().find(|q| q.quantity == name).unwrap();
-        let sigma_t = of("σ_t");
+        let named_quantity = |name: &str| found.quantities.iter().find(|q| q.quantity == name).unwrap();
+        let sigma_t = named_quantity("σ_t");
         assert!((sigma_t.e_n.unwrap() - 3.0 / (Z * 2_f64.sqrt())).abs() < 0.01, "{sigma_t:?}");
         let [mean, half] = sigma_t.pooled.unwrap();
         assert!((mean / 6.09 - 1.0).abs() < 2e-3, "{sigma_t:?}");
         assert!((half / (6.0 * Z * 0.01 * 1.5) - 1.0).abs() < 0.03, "{sigma_t:?}");
-        assert_eq!((of("α").e_n, of("g").e_n), (None, None), "held, and open");
+        assert_eq!((named_quantity("α").e_n, named_quantity("g").e_n), (None, None), "held, and open");
     }
 
     /// Quantiles of χ²: 5 % of 3.841, 5.991 and 7.815.

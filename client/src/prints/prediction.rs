@@ -148,7 +148,7 @@ fn colours(
     let colorimetry = Colorimetry::new(&nm, viewing)?;
     let colour = |values: &[Vec<f64>], base: usize| colorimetry.colour(&spectrum(values, &order, base));
     let values: Vec<Vec<f64>> = found.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
-    let of_base = |(i, base): (usize, &PrintBase)| {
+    let base_colour = |(i, base): (usize, &PrintBase)| {
         let colour = colour(&values, i);
         ColourJson {
             base: base.clone(),
@@ -157,19 +157,19 @@ fn colours(
             colour,
         }
     };
-    let all: Vec<ColourJson> = bases.iter().enumerate().map(of_base).collect();
+    let all: Vec<ColourJson> = bases.iter().enumerate().map(base_colour).collect();
     let y = |base: &usize| all[*base].colour.xyz[1];
     let least = (0..all.len()).min_by(|a, b| y(a).total_cmp(&y(b)));
     let greatest = (0..all.len()).max_by(|a, b| y(a).total_cmp(&y(b)));
     let ends = least.zip(greatest).filter(|(least, greatest)| least != greatest);
-    let of_ends = |f: fn(&SeenColour, &SeenColour) -> f64| {
+    let comparison = |f: fn(&SeenColour, &SeenColour) -> f64| {
         ends.map(|(least, greatest)| {
-            let of = |values: &[Vec<f64>]| f(&colour(values, least), &colour(values, greatest));
-            [of(&values), std_error(found, of)]
+            let value = |values: &[Vec<f64>]| f(&colour(values, least), &colour(values, greatest));
+            [value(&values), std_error(found, value)]
         })
     };
-    let contrast_ratio = of_ends(|a, b| a.xyz[1] / b.xyz[1]);
-    let delta_e_2000 = of_ends(|a, b| delta_e_2000(a.lab, b.lab));
+    let contrast_ratio = comparison(|a, b| a.xyz[1] / b.xyz[1]);
+    let delta_e_2000 = comparison(|a, b| delta_e_2000(a.lab, b.lab));
     Ok(ColoursJson { viewing, bases: all, contrast_ratio, delta_e_2000 })
 }
 

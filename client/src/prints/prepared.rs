@@ -30,6 +30,6 @@ impl Prints {
 
 /// Whether prints look different in two scenes.
 pub(crate) fn looks_different(a: &Scene, b: &Scene) -> bool {
-    let of = |s: &Scene| (s.layers().to_vec(), s.light(), s.sensor().polar_deg(), s.sample_ior_offset());
-    of(a) != of(b)
+    let look = |s: &Scene| (s.layers().to_vec(), s.light(), s.sensor().polar_deg(), s.sample_ior_offset());
+    look(a) != look(b)
 }

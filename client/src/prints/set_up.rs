@@ -47,8 +47,8 @@ impl FoundSetUp {
             let quantity = names.iter().position(|known| known == name).with_context(|| {
                 format!("set_up {name:?} of the media file is not uncertain in its scene")
             })?;
-            let of = |s: &MediaSetUp| (s.material.clone(), s.channel.clone());
-            if estimates.iter().any(|(other, known)| *other == quantity && of(known) == of(found)) {
+            let key = |s: &MediaSetUp| (s.material.clone(), s.channel.clone());
+            if estimates.iter().any(|(other, known)| *other == quantity && key(known) == key(found)) {
                 bail!("set_up {name:?} of the media file occurs twice");
             }
             estimates.push((quantity, found.clone()));
@@ -109,9 +109,9 @@ impl FoundSetUp {
 
     /// The bare board of a scene, each once: its coat is the lowest layer.
     fn bare_board(&self, scene: &Scene) -> Result<BareBoard> {
-        let of = |s: &Scene| (s.layers().last().cloned(), s.light(), s.sensor().polar_deg());
+        let look = |s: &Scene| (s.layers().last().cloned(), s.light(), s.sensor().polar_deg());
         let mut boards = self.boards.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, board)) = boards.iter().find(|(known, _)| of(known) == of(scene)) {
+        if let Some((_, board)) = boards.iter().find(|(known, _)| look(known) == look(scene)) {
             return Ok(*board);
         }
         let board = BareBoard::of(scene)?;
@@ -201,23 +201,24 @@ mod tests {
     /// Indices of materials are averaged by volume; a print of one of them differs from the average by steps.
     #[test]
     fn materials_are_averaged_by_volume() {
-        let of = |name, difference| estimate("sample index", [Some(name), None], difference);
+        let index = |name, difference| estimate("sample index", [Some(name), None], difference);
         let slabs = [slab(&[("a", 1.0)], 3.0), slab(&[("b", 1.0)], 1.0)];
-        let found = set_up(&Scene::lab(), &[of("a", 0.02), of("b", -0.02)], &slabs).unwrap();
+        let found = set_up(&Scene::lab(), &[index("a", 0.02), index("b", -0.02)], &slabs).unwrap();
         assert!((found.scene("R").unwrap().sample_ior_offset() - 0.01).abs() < 1e-12);
         let changed = found.changed("R");
         assert_eq!(changed.len(), 1);
         let (offset, shared) = found.steps(&changed[0], "R", &slabs[..1]);
         assert!((offset - 1.0).abs() < 1e-9 && (shared[0] - 1.0).abs() < 1e-9, "{offset} {shared:?}");
-        let twice = set_up(&Scene::lab(), &[of("a", 0.02), of("a", 0.02)], &slabs).unwrap_err().to_string();
+        let twice =
+            set_up(&Scene::lab(), &[index("a", 0.02), index("a", 0.02)], &slabs).unwrap_err().to_string();
         assert!(twice.contains("set_up \"sample index\" of the media file occurs twice"), "{twice}");
     }
 
     /// An index of each channel is that channel's.
     #[test]
     fn channels_have_their_own_estimates() {
-        let of = |name, difference| estimate("sample index", [Some("a"), Some(name)], difference);
-        let found = [of("R", 0.01), of("G", 0.02), of("B", 0.03)];
+        let index = |name, difference| estimate("sample index", [Some("a"), Some(name)], difference);
+        let found = [index("R", 0.01), index("G", 0.02), index("B", 0.03)];
         let found = set_up(&Scene::lab(), &found, &[slab(&[("a", 1.0)], 1.0)]).unwrap();
         let offset = |channel| found.scene(channel).unwrap().sample_ior_offset();
         assert_eq!([offset("R"), offset("G"), offset("B")], [0.01, 0.02, 0.03]);

@@ -99,8 +99,8 @@ impl<'a> PrintView<'a> {
         let materials = materials_of(slabs);
         let all = materials.iter().map(|name| file.material(name)).collect::<Result<Vec<_>>>()?;
         let first = all.first().context("a print has at least one slab")?;
-        let of_all = |c: &&MediaChannel| all.iter().all(|m| m.channel(&c.channel).is_some());
-        let names: Vec<&str> = first.channels.iter().filter(of_all).map(|c| c.channel.as_str()).collect();
+        let is_common = |c: &&MediaChannel| all.iter().all(|m| m.channel(&c.channel).is_some());
+        let names: Vec<&str> = first.channels.iter().filter(is_common).map(|c| c.channel.as_str()).collect();
         let Some(middle) = names.get(names.len() / 2) else {
             bail!("no channel has a medium of {}", materials.join(" and "));
         };
@@ -204,8 +204,8 @@ pub(crate) fn uncertain(channel: &MediaChannel, assumed: &Scene) -> Result<Uncer
 /// The index of all materials in a channel. A print of media that were measured at several indices is refused: it has
 /// faces between its slabs, which predictions do not have.
 fn common_ior(materials: &[&MediaMaterial], channel: &str) -> Result<f64> {
-    let of = |m: &&MediaMaterial| Some((m.material.clone(), m.channel(channel)?.sample_ior));
-    let mut iors = materials.iter().filter_map(of);
+    let named_ior = |m: &&MediaMaterial| Some((m.material.clone(), m.channel(channel)?.sample_ior));
+    let mut iors = materials.iter().filter_map(named_ior);
     let (first, ior) = iors.next().context("a print has at least one medium")?;
     if let Some((other, own)) = iors.find(|(_, own)| *own != ior) {
         bail!(

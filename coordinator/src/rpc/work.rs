@@ -31,12 +31,12 @@ pub(super) fn check_answer(
     // In addition to the neighbours' curves, there are the positions, the measured values, and the curve of the refined
     // fit.
     let curves = |profiles: usize| profiles * pixels * PIXEL_BYTES * (neighbours + 3);
-    let of = |material: &Measurement| {
+    let material_bytes = |material: &Measurement| {
         let channels = channels_called(grid, material.channels()).len();
         let profiles = material.profiles().len();
         channels * neighbours * NEIGHBOUR_BYTES + profiles * neighbours * THICKNESS_BYTES + curves(profiles)
     };
-    let bytes: usize = materials.iter().map(of).sum();
+    let bytes: usize = materials.iter().map(material_bytes).sum();
     if bytes <= most {
         return Ok(());
     }

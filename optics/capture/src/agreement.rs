@@ -68,7 +68,7 @@ pub(crate) fn leave_out(
 
 /// Deviation of shot `j` from the median of the others, in the channel where it is largest.
 fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
-    let of_channel = |c: usize| {
+    let deviation = |c: usize| {
         let off = |k: usize| {
             let others =
                 shots.iter().enumerate().filter(|(i, _)| *i != j).map(|(_, s)| s.profiles[c].values[k]);
@@ -80,7 +80,7 @@ fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
         let mean = all.iter().map(|v| v * v).sum::<f64>() / all.len().max(1) as f64;
         mean.sqrt() / contrast(board, c)
     };
-    (0..3).map(of_channel).fold(0.0, f64::max)
+    (0..3).map(deviation).fold(0.0, f64::max)
 }
 
 fn contrast(board: &Board, c: usize) -> f64 {

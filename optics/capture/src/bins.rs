@@ -149,7 +149,7 @@ impl ChannelBins {
     }
 
     fn residuals(&self) -> Vec<Residual> {
-        let of = |(samples, fit): (&Vec<Binned>, &Option<BinFit>)| {
+        let bin_residuals = |(samples, fit): (&Vec<Binned>, &Option<BinFit>)| {
             let fit = fit.as_ref()?;
             let residual = |s: &Binned| {
                 let off = s.residual(fit.value, fit.slope);
@@ -157,7 +157,7 @@ impl ChannelBins {
             };
             Some(samples.iter().map(residual).collect::<Vec<_>>())
         };
-        self.bins.iter().zip(&self.fits).filter_map(of).flatten().collect()
+        self.bins.iter().zip(&self.fits).filter_map(bin_residuals).flatten().collect()
     }
 
     fn mask(&mut self, mask: &BlemishMask) {
@@ -356,12 +356,13 @@ fn profile(
     let centre = |k: usize| (k as f64 + 0.5) * grid.width_mm() - HALF_CROP_MM;
     let error = |f: &BinFit| f.sigma * scatter * f.leverage.sqrt();
     let share = |samples: &Vec<Binned>, f: &BinFit| 1.0 - f.kept as f64 / samples.len() as f64;
-    let of = |f: &dyn Fn(&BinFit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
+    let bin_values =
+        |f: &dyn Fn(&BinFit) -> f64| fits.iter().map(|fit| fit.as_ref().map_or(f64::NAN, f)).collect();
     EdgeProfile {
         colour,
         x_mm: (0..grid.bins).map(centre).collect(),
-        values: of(&|f| f.value),
-        std_errors: of(&error),
+        values: bin_values(&|f| f.value),
+        std_errors: bin_values(&error),
         counts: bins.iter().map(|b| b.len() as u32).collect(),
         rejected: bins.iter().zip(fits).map(|(b, f)| f.as_ref().map_or(0.0, |f| share(b, f))).collect(),
     }

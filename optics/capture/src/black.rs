@@ -66,12 +66,12 @@ impl Darks {
         let Some(last) = &self.last else { return Black::from_file(any) };
         CameraSettings::of(last).check(any)?;
         let sites = last.frame.sites();
-        let of_site = |lists: &[Vec<f64>], s: usize| lists.iter().map(|l| l[s]).collect::<Vec<_>>();
+        let site_values = |lists: &[Vec<f64>], s: usize| lists.iter().map(|l| l[s]).collect::<Vec<_>>();
         let mut levels = Vec::new();
         let mut fixed_pattern = Vec::new();
         for site in &sites {
-            levels.push(mean_of(&of_site(&self.means, site.index)));
-            let covariance = mean_of(&of_site(&self.covariances, site.index)).value;
+            levels.push(mean_of(&site_values(&self.means, site.index)));
+            let covariance = mean_of(&site_values(&self.covariances, site.index)).value;
             fixed_pattern.push(if covariance.is_finite() { covariance.max(0.0).sqrt() } else { 0.0 });
         }
         let noise = self.pairs_read(&sites);

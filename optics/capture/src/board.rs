@@ -179,10 +179,10 @@ impl<'a> BareShots<'a> {
             self.warnings.push(Warning::FewShots { what, count });
         }
         let label = &self.shots[0].label;
-        let of_shots = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
-        let profiles = [0, 1, 2].map(|c| crate::join::mean(&of_shots(c)));
-        let of_fine = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
-        let fine = [0, 1, 2].map(|c| crate::join::mean(&of_fine(c)));
+        let shot_profiles = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
+        let profiles = [0, 1, 2].map(|c| crate::join::mean(&shot_profiles(c)));
+        let fine_shots = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
+        let fine = [0, 1, 2].map(|c| crate::join::mean(&fine_shots(c)));
         for (colour, known) in Colour::ALL.into_iter().zip(&known) {
             let bare = blur::fit(&edge_bins(&fine[colour.index()])).map(|fit| fit.blur);
             let Some((known, bare)) = known.as_ref().zip(bare) else { continue };
@@ -194,13 +194,13 @@ impl<'a> BareShots<'a> {
         let fits = [fit(0)?, fit(1)?, fit(2)?];
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
-                of_fine(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
+                fine_shots(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
             spread_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
         let alone = |c: usize| libm::hypot(spread(|e| e.blur.value, c), BLUR_OF_FORM * fits[c].spread.value);
-        let of_blur = |c: usize| if self.blurs.is_empty() { alone(c) } else { 0.0 };
-        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, of_blur(c)));
+        let blur_spread = |c: usize| if self.blurs.is_empty() { alone(c) } else { 0.0 };
+        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, blur_spread(c)));
         let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
         let spread_mm = whole_spread(fits.map(|fit| fit.spread));
         if spread_mm.value > 2.0 * spread_mm.std_error {

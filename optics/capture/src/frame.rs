@@ -279,9 +279,9 @@ mod tests {
             let sites = pattern.sites();
             for (x, y) in (0..8).flat_map(|y| (0..8).map(move |x| (x, y))) {
                 let position = x % 2 + 2 * (y % 2);
-                let of: Vec<&Site> = sites.iter().filter(|s| s.has_column(x) && s.has_row(y)).collect();
-                assert_eq!(of.len(), usize::from(own[position]), "{pattern:?} {x} {y}");
-                assert!(of.iter().all(|site| site.position == position));
+                let owners: Vec<&Site> = sites.iter().filter(|s| s.has_column(x) && s.has_row(y)).collect();
+                assert_eq!(owners.len(), usize::from(own[position]), "{pattern:?} {x} {y}");
+                assert!(owners.iter().all(|site| site.position == position));
             }
             assert!(Colour::ALL.iter().all(|colour| sites.iter().any(|site| site.colour == *colour)));
             assert!(sites.iter().enumerate().all(|(i, site)| site.index == i));

@@ -191,10 +191,10 @@ impl Departure {
                 normal.add(row, r, 1.0 / (e * e));
             }
         }
-        let of = |s: crate::least_squares::FittedParameters| {
+        let estimates = |s: crate::least_squares::FittedParameters| {
             std::array::from_fn(|i| Estimate::new(s.x[i], s.std_error(i)))
         };
-        let coefficients: [Estimate; 4] = normal.solve().map_or([Estimate::default(); 4], of);
+        let coefficients: [Estimate; 4] = normal.solve().map_or([Estimate::default(); 4], estimates);
         let explained = |row: &[f64; 4]| row.iter().zip(&coefficients).map(|(b, c)| b * c.value).sum::<f64>();
         let off = |k: usize| shot.values[k] - mean.values[k] - explained(&basis[k]);
         let left = (0..basis.len()).map(|k| off(k) / shot.std_errors[k]).collect();

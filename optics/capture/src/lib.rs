@@ -2,6 +2,8 @@
 //! that take photographs one at a time, so that at most two are in memory: [`Darks`] → [`Flats`] → [`Patches`] →
 //! [`BareShots`] → [`HazeShots`], [`Mountings`], one per sample. Each step has `add(photo)`, which checks and may refuse,
 //! and `finish()`, whose result the next one uses.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod agreement;
 mod bins;

@@ -267,9 +267,10 @@ impl<'a> Mountings<'a> {
     /// Movement across the edge that may have remained undetected.
     fn unseen_movement_mm(&self) -> f64 {
         let axis = self.board.found.across();
-        let of = |s: &ShotReport| s.moved_px[axis].map_or(UNSEEN_PX, |m| libm::hypot(m.value, m.std_error));
+        let movement_px =
+            |s: &ShotReport| s.moved_px[axis].map_or(UNSEEN_PX, |m| libm::hypot(m.value, m.std_error));
         let n = self.shots.len() as f64;
-        let mean = (self.shots.iter().map(|s| of(s).powi(2)).sum::<f64>() / n).sqrt();
+        let mean = (self.shots.iter().map(|s| movement_px(s).powi(2)).sum::<f64>() / n).sqrt();
         mean * self.board.mm_per_px.value
     }
 }

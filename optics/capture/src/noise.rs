@@ -184,8 +184,11 @@ fn group(blocks: &[NoiseBlock]) -> (NoiseBlock, f64) {
     let freedom = (SIDE * SIDE - 1) as f64;
     // Ratio of median to mean of χ² by Wilson and Hilferty; a median has π/2 times the variance.
     let correction = (1.0 - 2.0 / (9.0 * freedom)).powi(3);
-    let of = |f: fn(&NoiseBlock) -> f64| median(&mut blocks.iter().map(f).collect::<Vec<_>>());
-    let middle = NoiseBlock { signal: of(|b| b.signal), variance: of(|b| b.variance) / correction };
+    let block_median = |f: fn(&NoiseBlock) -> f64| median(&mut blocks.iter().map(f).collect::<Vec<_>>());
+    let middle = NoiseBlock {
+        signal: block_median(|b| b.signal),
+        variance: block_median(|b| b.variance) / correction,
+    };
     (middle, freedom * blocks.len() as f64 * std::f64::consts::FRAC_2_PI)
 }
 

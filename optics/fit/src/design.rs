@@ -146,8 +146,12 @@ impl Planner<'_> {
         let free = free_g.then(|| self.plan(false).precision(&slabs_mm, &known)).flatten();
         let improvement = |better| {
             let improvement = self.improvement(&slabs_mm, &known, better)?;
-            let of = |precision: &Option<Precision>| self.estimated(precision.as_ref()?, better);
-            Some(Improvement { estimated: of(&held), estimated_g_free: of(&free), ..improvement })
+            let estimated = |precision: &Option<Precision>| self.estimated(precision.as_ref()?, better);
+            Some(Improvement {
+                estimated: estimated(&held),
+                estimated_g_free: estimated(&free),
+                ..improvement
+            })
         };
         let widths = |of: &Option<Precision>| of.as_ref().map_or(HalfWidths::UNKNOWN, |p| p.medium);
         SlabSet {

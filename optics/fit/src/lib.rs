@@ -3,6 +3,8 @@
 //! Contains Eqs. 1 to 6 of Elek, Sumin et al. 2017 (supplement, Secs. 5.5 and 6.1), and a likelihood, which interpolates
 //! between the records of the dictionary and gives confidence intervals. The public functions are the questions that a
 //! dictionary answers.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod bases;
 mod design;

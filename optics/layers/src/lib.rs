@@ -5,6 +5,8 @@
 //! place of its sample. The light of a ring does not depend on the azimuth, so radiances are vectors over the polar angle
 //! alone, and layers are matrices: see `operator` for how they are added, and `slab` for how those of a medium are
 //! doubled.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod dense;
 mod faces;

@@ -97,8 +97,8 @@ pub fn predict(
     };
     let ends: Vec<Vec<f64>> = moved.par_iter().map(at).collect::<Result<_, Invalid>>()?;
     let by_set_up = |change: &SetUpChange| -> Result<Vec<f64>, Invalid> {
-        let of = |print, rho| radiance_factors(print, media, slabs, rho);
-        let (from, to) = (of(change.from, rho), of(change.to, change.to_rho));
+        let factors = |print, rho| radiance_factors(print, media, slabs, rho);
+        let (from, to) = (factors(change.from, rho), factors(change.to, change.to_rho));
         Ok(to?.iter().zip(from?).map(|(to, from)| to - from).collect())
     };
     let steps: Vec<Vec<f64>> = set_up.par_iter().map(by_set_up).collect::<Result<_, Invalid>>()?;

@@ -240,14 +240,14 @@ impl Grid {
     /// The fewest and the most walks that a job of the axes begins with.
     pub fn least_and_most_walks(&self) -> [Walks; 2] {
         let last = |axis: &[f64]| axis[axis.len() - 1];
-        let of = |sigma_t, thickness| {
+        let walks = |sigma_t, thickness| {
             let point = TransportPoint::new(sigma_t, self.g()[0], thickness, self.sample_ior()[0]);
             self.effort.walks(&point.expect("axes hold checked values"))
         };
         // The thickest sample needs the most walks.
         [
-            of(self.sigma_t_per_mm()[0], self.thickness_mm()[0]),
-            of(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
+            walks(self.sigma_t_per_mm()[0], self.thickness_mm()[0]),
+            walks(last(self.sigma_t_per_mm()), last(self.thickness_mm())),
         ]
     }
 

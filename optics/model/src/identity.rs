@@ -120,9 +120,9 @@ mod tests {
     #[test]
     fn plans_with_other_priors_differ() {
         let axes = Grid::paper().axes().clone();
-        let of = |scene: Scene| Grid::new(scene, axes.clone(), Walks::PAPER, 1, false).unwrap();
-        let lab = of(Scene::lab());
-        let fewer = of(Scene::lab().with_priors(Scene::lab().priors()[1..].to_vec()).unwrap());
+        let grid = |scene: Scene| Grid::new(scene, axes.clone(), Walks::PAPER, 1, false).unwrap();
+        let lab = grid(Scene::lab());
+        let fewer = grid(Scene::lab().with_priors(Scene::lab().priors()[1..].to_vec()).unwrap());
         assert_eq!(Digest::of_grid(&lab), Digest::of_grid(&fewer));
         assert_ne!(Digest::of_plan(&lab), Digest::of_plan(&fewer));
         assert_eq!(Digest::of_plan(&Grid::paper()), Digest::of_grid(&Grid::paper()));

@@ -2,6 +2,8 @@
 //!
 //! A type with a rule has private fields and one validating constructor, so a [`Grid`] or a [`Scene`] is always
 //! correct. Nothing here uses a runtime, a network, a clock, a database or a file.
+//!
+//! `docs/glossary.md` explains the terms.
 
 pub mod angle;
 mod canonical;

@@ -135,8 +135,8 @@ impl<'a> SeenBase<'a> {
 fn means<const N: usize>(points: u32, f: impl Fn(FacePoint) -> [f64; N] + Sync) -> [f64; N] {
     const PART: u32 = 1 << 12;
     let add = |a: [f64; N], b: [f64; N]| std::array::from_fn(|i| a[i] + b[i]);
-    let of_point = |i: u32| f(FacePoint::new(i, points));
-    let part = |part: u32| (part * PART..(part + 1) * PART).map(of_point).fold([0.0; N], add);
+    let point_values = |i: u32| f(FacePoint::new(i, points));
+    let part = |part: u32| (part * PART..(part + 1) * PART).map(point_values).fold([0.0; N], add);
     let parts: Vec<[f64; N]> = (0..points / PART).into_par_iter().map(part).collect();
     parts.into_iter().fold([0.0; N], add).map(|sum| sum / f64::from(points))
 }

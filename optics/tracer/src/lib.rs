@@ -7,6 +7,8 @@
 //! The result is a function of the job alone. Walks draw from counter-based streams; batches are grouped into
 //! chunks of a fixed size, chunks into blocks, and sums merged in their order, whichever thread or machine finished
 //! first.
+//!
+//! `docs/glossary.md` explains the terms.
 
 mod bare_board;
 mod exits;

@@ -166,11 +166,11 @@ impl Lobes {
     /// As [`Lobe::cosine`], with the number scaled to its lobe.
     #[inline(always)]
     fn cosine<L: Lanes>(&self, xi: L) -> L {
-        let of_lobe = |values: [f32; 2]| xi.below(self.limit, values);
-        let scaled = xi * of_lobe(self.factor) + of_lobe(self.offset);
+        let lobe_value = |values: [f32; 2]| xi.below(self.limit, values);
+        let scaled = xi * lobe_value(self.factor) + lobe_value(self.offset);
         let [c2, c1, c0] = self.numerator;
-        let root = scaled * of_lobe(self.g) + 1.0;
-        ((scaled * of_lobe(c2) + of_lobe(c1)) * scaled + of_lobe(c0)) / (root * root)
+        let root = scaled * lobe_value(self.g) + 1.0;
+        ((scaled * lobe_value(c2) + lobe_value(c1)) * scaled + lobe_value(c0)) / (root * root)
     }
 }
 

@@ -22,6 +22,8 @@
 //! [`arguments`] parses command lines, [`logs`] sets up logging, [`memory`] finds how much memory a program may use,
 //! [`signals`] waits for signals to end, [`walltime`] reads times in Slurm's forms and with units, [`sync_folder`]
 //! writes the names in a folder to the disk.
+//!
+//! `docs/glossary.md` explains the terms.
 
 #![warn(clippy::print_stdout, clippy::print_stderr, reason = "they panic where the output is full or closed")]
 

@@ -44,11 +44,11 @@ fn anchors(text: &str) -> BTreeSet<String> {
 
 /// Links to files and headings of the project: line and target.
 fn links(text: &str) -> Vec<(usize, &str)> {
-    let of_line = |(number, line)| {
+    let line_links = |(number, line)| {
         let after = str::split(line, "](").skip(1);
         after.filter_map(move |rest: &str| Some((number, rest.split_once(')')?.0)))
     };
-    prose(text).flat_map(of_line).filter(|(_, target)| !target.contains("://")).collect()
+    prose(text).flat_map(line_links).filter(|(_, target)| !target.contains("://")).collect()
 }
 
 /// The path from the root that a link in `document` refers to.

@@ -222,6 +222,26 @@ fn comments_name_their_subject() {
     assert!(found.is_empty(), "comments without a subject:\n{}", found.join("\n"));
 }
 
+/// Bindings called `of`, and closures whose name begins with it: neither says what it is.
+fn nameless_bindings(path: &Path, text: &str) -> Vec<String> {
+    let is_nameless = |line: &str| {
+        let Some(binding) = line.trim_start().strip_prefix("let ") else { return false };
+        let Some((name, value)) = binding.trim_start_matches("mut ").split_once(" = ") else { return false };
+        name == "of" || name.starts_with("of_") && value.trim_start_matches("move ").starts_with('|')
+    };
+    let found = (1..).zip(text.lines()).filter(|(_, line)| is_nameless(line));
+    found.map(|(number, line): (usize, _)| format!("{}:{number}: {line}", path.display())).collect()
+}
+
+#[test]
+fn bindings_say_what_they_are() {
+    let text = "let of = 1;\nlet mut of_slab = move |i| i;\nlet of_slab = 2;\nlet profile = |of| of;";
+    assert_eq!(nameless_bindings(Path::new("a.rs"), text).len(), 2);
+    let sources = own_files("rs").into_iter();
+    let found: Vec<String> = sources.flat_map(|(path, text)| nameless_bindings(&path, &text)).collect();
+    assert!(found.is_empty(), "name these after what they are or return:\n{}", found.join("\n"));
+}
+
 #[test]
 fn foreign_words_stay_within_their_budgets() {
     let mut found: BTreeMap<String, Vec<String>> = BTreeMap::new();

@@ -36,7 +36,7 @@ impl BandOptics {
         let blur = |part: &CapturedPart| part.channels()[0].blur_mm().value;
         let sharpest = parts.iter().min_by(|a, b| blur(a).total_cmp(&blur(b)));
         let Some(reference) = sharpest.filter(|part| part.band.is_some()) else { return Vec::new() };
-        let of = |part: &CapturedPart| {
+        let optics = |part: &CapturedPart| {
             let band = part.band.as_ref()?;
             let pairs = pairs(&reference.board.corners_px, &part.board.corners_px);
             let (shift_px, magnification, left_px) = similarity(&pairs);
@@ -51,7 +51,7 @@ impl BandOptics {
                 blur_ratio: blur(part) / blur(reference),
             })
         };
-        parts.iter().filter_map(of).collect()
+        parts.iter().filter_map(optics).collect()
     }
 
     /// A remark on a band that is out of focus, or whose picture moved.

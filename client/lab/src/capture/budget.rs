@@ -25,11 +25,11 @@ impl SessionErrors {
     pub fn of(captured: &Captured) -> Self {
         let channels = captured.channels();
         let pooled = |sources: &[Source]| {
-            let of_channel = |channel: &CapturedChannel| {
+            let channel_squares = |channel: &CapturedChannel| {
                 let square = |sample| channel.error(sample, sources).powi(2);
                 channel.part.samples.iter().map(square).collect::<Vec<f64>>()
             };
-            let squares: Vec<f64> = channels.iter().flat_map(of_channel).collect();
+            let squares: Vec<f64> = channels.iter().flat_map(channel_squares).collect();
             (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt().min(1.0)
         };
         Self {

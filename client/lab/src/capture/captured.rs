@@ -82,10 +82,10 @@ impl CapturedPart {
                 if text.starts_with(&label) { text } else { format!("{label}: {text}") }
             })
         });
-        let of_band = |text: String| match &self.band {
+        let band_text = |text: String| match &self.band {
             Some(band) => format!("band {}: {text}", band.name),
             None => text,
         };
-        set_up.chain(samples).map(of_band).collect()
+        set_up.chain(samples).map(band_text).collect()
     }
 }

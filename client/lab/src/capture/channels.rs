@@ -28,8 +28,8 @@ pub fn profiles<'a, 'b>(
     channels: &'a [CapturedChannel<'b>],
 ) -> impl Iterator<Item = (&'a CapturedChannel<'b>, &'b CapturedSample)> {
     let samples = channels.first().map_or(0, |channel| channel.part.samples.len());
-    let of = move |i: usize| channels.iter().map(move |channel| (channel, &channel.part.samples[i]));
-    (0..samples).flat_map(of)
+    let pairs = move |i: usize| channels.iter().map(move |channel| (channel, &channel.part.samples[i]));
+    (0..samples).flat_map(pairs)
 }
 
 impl CapturedPart {
@@ -86,8 +86,8 @@ impl CapturedChannel<'_> {
 
     /// Standard error of a profile's source, or of several independent ones.
     pub fn error(&self, sample: &CapturedSample, sources: &[Source]) -> f64 {
-        let of = sample.profile.budget.iter().filter(|line| sources.contains(&line.source));
-        of.map(|line| self.of_line(sample, line).powi(2)).sum::<f64>().sqrt()
+        let lines = sample.profile.budget.iter().filter(|line| sources.contains(&line.source));
+        lines.map(|line| self.of_line(sample, line).powi(2)).sum::<f64>().sqrt()
     }
 
     fn of_line(&self, sample: &CapturedSample, line: &Contribution) -> f64 {

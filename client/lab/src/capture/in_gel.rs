@@ -29,12 +29,12 @@ pub(super) fn light_side(
             "the shots of target.in_gel show the dry board: lay slip and gel on it, without a slab, or leave them out"
         );
     }
-    let of_light = |c: usize| {
+    let relative_error = |c: usize| {
         [dry, wet].map(|board| board.light_error(calibration, c)).into_iter().fold(0.0, libm::hypot)
     };
     let light = [0, 1, 2].map(|c| {
         let Estimate { value, std_error } = wet.light[c];
-        Estimate::new(value, libm::hypot(std_error, of_light(c) * value))
+        Estimate::new(value, libm::hypot(std_error, relative_error(c) * value))
     });
     let found = factor(scene, light, haze).context("the board in gel")?;
     let prior = scene.priors().iter().find(|prior| prior.kind() == PriorKind::LightSide);

@@ -36,8 +36,8 @@ impl CaptureReport {
     pub(super) fn of(captured: &Captured) -> Self {
         let colours: Vec<&CapturedPart> = captured.parts.iter().filter(|part| part.band.is_none()).collect();
         let slabs = |captured, part: &&CapturedPart| {
-            let of = |sample| SlabSection::of(captured, part, sample);
-            part.samples.iter().map(of).collect::<Vec<_>>()
+            let section = |sample| SlabSection::of(captured, part, sample);
+            part.samples.iter().map(section).collect::<Vec<_>>()
         };
         Self {
             title: title(captured),

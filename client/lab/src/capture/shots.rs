@@ -183,7 +183,7 @@ fn plane(photograph: Photograph, c: usize) -> Photograph {
 pub fn turned(inputs: &[Input]) -> Vec<String> {
     let stated = |input: &Input| input.about.orientation.filter(|o| !o.is_as_stored());
     let name = |input: &Input| input.about.orientation.map_or_else(|| "none".to_owned(), |o| o.to_string());
-    let of = |input: &Input| {
+    let warning = |input: &Input| {
         let first = inputs.iter().find(|other| other.group == input.group)?;
         (stated(first) != stated(input)).then(|| {
             format!(
@@ -196,7 +196,7 @@ pub fn turned(inputs: &[Input]) -> Vec<String> {
             )
         })
     };
-    inputs.iter().filter_map(of).collect()
+    inputs.iter().filter_map(warning).collect()
 }
 
 fn digest_of(samples: &[u16]) -> blake3::Hash {

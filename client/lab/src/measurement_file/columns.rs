@@ -151,13 +151,15 @@ impl Columns {
                 assumed.push(meaning.described(given));
             }
         }
-        let of = |field: ColumnField| found.iter().find(|(meaning, _)| meaning.field == field).copied();
-        let missing: Vec<_> = ColumnField::NEEDED.into_iter().filter(|field| of(*field).is_none()).collect();
+        let entry = |field: ColumnField| found.iter().find(|(meaning, _)| meaning.field == field).copied();
+        let missing: Vec<_> =
+            ColumnField::NEEDED.into_iter().filter(|field| entry(*field).is_none()).collect();
         if !missing.is_empty() {
             let s = if missing.len() == 1 { "" } else { "s" };
             bail!("missing column{s} {}; needed are {}", joined(missing), joined(ColumnField::NEEDED));
         }
-        if let (Some((value, _)), Some((error, place))) = (of(ColumnField::Value), of(ColumnField::StdError))
+        if let (Some((value, _)), Some((error, place))) =
+            (entry(ColumnField::Value), entry(ColumnField::StdError))
             && value.unit == ColumnUnit::Percent
             && error.unit == ColumnUnit::None
         {
@@ -170,7 +172,7 @@ impl Columns {
             notes.push(Note::new("COLUMNS", format!("columns: {}", assumed.join(", "))));
         }
         let column = |field: ColumnField| {
-            of(field).map(|(m, place)| Column { place, factor: m.unit.factor(), name: field.name() })
+            entry(field).map(|(m, place)| Column { place, factor: m.unit.factor(), name: field.name() })
         };
         match ColumnField::NEEDED.map(column) {
             [Some(material), Some(channel), Some(thickness), Some(x), Some(value)] => {

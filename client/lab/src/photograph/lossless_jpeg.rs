@@ -122,9 +122,9 @@ impl JpegHead {
             let place = usize::from(byte(body, 0)? & 15);
             let counts = body.get(1..17).ok_or_else(|| damaged("a Huffman table is cut off"))?;
             let values: usize = counts.iter().map(|c| usize::from(*c)).sum();
-            let of = body.get(17..17 + values).ok_or_else(|| damaged("a Huffman table is cut off"))?;
+            let symbols = body.get(17..17 + values).ok_or_else(|| damaged("a Huffman table is cut off"))?;
             *self.codes.get_mut(place).ok_or_else(|| damaged("a fifth Huffman table"))? =
-                Some(code(counts, of)?);
+                Some(code(counts, symbols)?);
             body = &body[17 + values..];
         }
         Ok(())

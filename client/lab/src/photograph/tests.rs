@@ -268,31 +268,34 @@ fn png_with_a_tone_curve_is_refused() {
 fn files_without_linear_radiance_are_refused() {
     let (rgb, dng) = (Maker::rgb, Maker::dng);
     let curve: Vec<u32> = (0..256).map(|i: u32| i * i).collect();
-    let of = |maker: Maker, message| (maker.bytes(), message);
+    let case = |maker: Maker, message| (maker.bytes(), message);
     for (bytes, message) in [
-        of(rgb().with(258, &[8, 8, 8]), "8 bits a sample are too few"),
-        of(rgb().with(262, &[6]), "JPEG"),
-        of(rgb().with(339, &[3]), "tag SampleFormat"),
-        of(
+        case(rgb().with(258, &[8, 8, 8]), "8 bits a sample are too few"),
+        case(rgb().with(262, &[6]), "JPEG"),
+        case(rgb().with(339, &[3]), "tag SampleFormat"),
+        case(
             rgb().with(259, &[32_773]),
             "tag Compression = 32773 (PackBits) is not valid: allowed are 1 (none), 5",
         ),
-        of(rgb().with(301, &curve), "the values have gone through a tone curve (its TransferFunction"),
-        of(
+        case(rgb().with(301, &curve), "the values have gone through a tone curve (its TransferFunction"),
+        case(
             dng().with(33_421, &[6, 6]),
             "tag CFARepeatPatternDim = [6, 6] is not valid: allowed are mosaics of 2 × 2",
         ),
-        of(
+        case(
             dng().with(259, &[52_546]),
             "tag Compression = 52546 (JPEG XL of DNG 1.7) is not valid: allowed are 1",
         ),
-        of(dng().with(259, &[34_713]), "tag Compression = 34713 (Nikon's own) is not valid"),
-        of(
+        case(dng().with(259, &[34_713]), "tag Compression = 34713 (Nikon's own) is not valid"),
+        case(
             dng().with(259, &[34_892]),
             "the DNG is compressed with loss, to 8 bits after a tone curve: convert",
         ),
-        of(Maker { width: 15_000, height: 10_000, ..dng() }, "194 bytes are said to hold 150000000 samples"),
-        of(
+        case(
+            Maker { width: 15_000, height: 10_000, ..dng() },
+            "194 bytes are said to hold 150000000 samples",
+        ),
+        case(
             Maker { width: 15_000, height: 10_000, ..dng().with(259, &[7]) },
             "206 bytes are said to hold 150000000 samples",
         ),

@@ -83,10 +83,10 @@ fn photograph_of<'d, 'a>(
     is_dng: bool,
 ) -> Result<&'d Directory<'a>, UnreadablePhotograph> {
     let whole = |d: &&Directory| is_whole(d);
-    let of = |kind: u64| {
+    let directory = |kind: u64| {
         all.iter().filter(whole).find(|d| d.whole_of(Tag::PHOTOMETRIC).ok().flatten() == Some(kind))
     };
-    if let Some(raw) = of(CFA).or_else(|| of(LINEAR_RAW)) {
+    if let Some(raw) = directory(CFA).or_else(|| directory(LINEAR_RAW)) {
         return Ok(raw);
     }
     if is_dng {

@@ -40,11 +40,11 @@ mod tests {
         let named = |r: f64, g: f64| Some(ByChannel::Named(vec![("R".into(), r), ("G".into(), g)]));
         let values = Session { blur_mm: named(0.02, 0.03), ..Session::default() };
         let set_up = SetUp { values };
-        let of = |channel| set_up.settings_of(FitSettings::default(), channel);
-        assert_eq!(of(Some("G")).unwrap().blur_mm, 0.03);
+        let settings = |channel| set_up.settings_of(FitSettings::default(), channel);
+        assert_eq!(settings(Some("G")).unwrap().blur_mm, 0.03);
         // A channel that is not in the session has the default.
-        assert_eq!(of(Some("IR")).unwrap().blur_mm, FitSettings::default().blur_mm);
-        assert!(of(None).unwrap_err().to_string().ends_with("name one with --channel"));
+        assert_eq!(settings(Some("IR")).unwrap().blur_mm, FitSettings::default().blur_mm);
+        assert!(settings(None).unwrap_err().to_string().ends_with("name one with --channel"));
         assert!(set_up.assumed_of(Some("G")).names().contains(&"blur_std_error_mm"));
         let values = Session { blur_std_error_mm: Some(ByChannel::All(0.001)), ..Session::default() };
         let set_up = SetUp { values };

@@ -148,10 +148,10 @@ fn read_value(quantity: &Quantity, value: &Value) -> Result<ByChannel, Invalid> 
     let (field, range) = (quantity.name, (quantity.lowest, quantity.highest));
     match value {
         Value::Object(channels) if quantity.form == Form::PerChannel => {
-            let of = |(name, value): (&String, &Value)| {
+            let named_value = |(name, value): (&String, &Value)| {
                 Ok((name.clone(), number(&format!("{field}.{name}"), value, range)?))
             };
-            let values = channels.iter().filter(|(_, v)| !v.is_null()).map(of);
+            let values = channels.iter().filter(|(_, v)| !v.is_null()).map(named_value);
             values.collect::<Result<_, _>>().map(ByChannel::Named)
         }
         Value::Number(_) => number(field, value, range).map(ByChannel::All),

@@ -160,10 +160,10 @@ mod tests {
     /// A small memory is shown with more digits.
     #[test]
     fn small_memory_has_more_digits() {
-        let of = |mib: u64| {
+        let text = |mib: u64| {
             let kernel = "avx2".to_owned();
             machine(&MachineFacts { cores: 2, memory_bytes: mib << 20, kernel, log: String::new() })
         };
-        assert_eq!([of(64 << 10), of(300)], ["2 cores, 64 GiB, avx2", "2 cores, 0.3 GiB, avx2"]);
+        assert_eq!([text(64 << 10), text(300)], ["2 cores, 64 GiB, avx2", "2 cores, 0.3 GiB, avx2"]);
     }
 }

@@ -266,13 +266,13 @@ impl InkMixer<'_> {
             }
             ColourTarget::Values(values) => values,
         };
-        let of = |name: &&str| {
+        let target_value = |name: &&str| {
             let found = values.iter().find(|(channel, _)| channel == name).map(|(_, value)| *value);
             found
                 .filter(|v| *v > 0.0)
                 .with_context(|| format!("the target has no value above 0 for channel {name}"))
         };
-        let wanted: Vec<f64> = self.even.names().iter().map(of).collect::<Result<_>>()?;
+        let wanted: Vec<f64> = self.even.names().iter().map(target_value).collect::<Result<_>>()?;
         if let Some(colorimetry) = &self.colorimetry {
             let ordered: Vec<f64> = self.order.iter().map(|i| wanted[*i]).collect();
             let lab = colorimetry.colour(&ordered).lab;

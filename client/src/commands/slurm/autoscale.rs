@@ -262,8 +262,8 @@ mod tests {
             ("--account=lab", "SLURM_CLUSTERS", "a,b", false),
             ("--account=lab", "SLURM_CLUSTERS", "all", false),
         ] {
-            let of_name = |name: &str| (name == variable).then(|| value.to_owned());
-            let refused = is_one_cluster(&[option.parse().unwrap()], of_name).err().map(|e| e.to_string());
+            let assigned = |name: &str| (name == variable).then(|| value.to_owned());
+            let refused = is_one_cluster(&[option.parse().unwrap()], assigned).err().map(|e| e.to_string());
             assert_eq!(refused.is_none(), is_one, "{option} {variable}={value}");
             assert!(refused.is_none_or(|refused| refused.contains("SLURM_CLUSTERS")));
         }

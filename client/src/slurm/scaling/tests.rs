@@ -293,8 +293,9 @@ proptest! {
                     tasks.extend((1..=count).map(|task| (TaskId { job, task }, TaskState::Waiting)));
                 }
                 Action::Cancel(cancelled) => {
-                    let of = |id: &TaskId| tasks.iter().find(|(task, _)| task == id).map(|(_, state)| *state);
-                    prop_assert!(cancelled.iter().all(|id| of(id) == Some(TaskState::Waiting)));
+                    let task_state =
+                        |id: &TaskId| tasks.iter().find(|(task, _)| task == id).map(|(_, state)| *state);
+                    prop_assert!(cancelled.iter().all(|id| task_state(id) == Some(TaskState::Waiting)));
                     prop_assert_eq!(tasks.len() - cancelled.len(), decision.wanted as usize);
                     scaling.cancelled(&cancelled);
                     tasks.retain(|(id, _)| !cancelled.contains(id));

@@ -95,8 +95,8 @@ impl ModelStore {
     }
 
     pub fn ended(&self, id: DictionaryId) -> Vec<EndedJob> {
-        let of_it = |job: &(DictionaryId, u32)| job.0 == id;
-        let done = self.done.iter().filter(|(job, _)| of_it(job)).map(|((_, job), done)| {
+        let is_own = |job: &(DictionaryId, u32)| job.0 == id;
+        let done = self.done.iter().filter(|(job, _)| is_own(job)).map(|((_, job), done)| {
             let by = if done.by.len() == 1 { done.by.first().copied() } else { None };
             let confirmed = done.confirmed.iter().copied().collect();
             EndedJob::Done {
@@ -109,7 +109,7 @@ impl ModelStore {
             }
         });
         let given_up =
-            self.given_up.iter().filter(|(job, _)| of_it(job)).map(|((_, job), (reason, quarantined))| {
+            self.given_up.iter().filter(|(job, _)| is_own(job)).map(|((_, job), (reason, quarantined))| {
                 EndedJob::GivenUp { job: *job, reason: reason.clone(), quarantined: *quarantined }
             });
         done.chain(given_up).collect()

@@ -80,8 +80,8 @@ impl Leases {
 
     /// Ends all leases of a dictionary.
     pub fn remove_dictionary(&mut self, dictionary: DictionaryId) {
-        let of_it = |held: &&OpenLease| held.key.dictionary == dictionary;
-        let tokens: Vec<Token> = self.all.values().filter(of_it).map(|h| h.key.token).collect();
+        let is_own = |held: &&OpenLease| held.key.dictionary == dictionary;
+        let tokens: Vec<Token> = self.all.values().filter(is_own).map(|h| h.key.token).collect();
         for token in tokens {
             self.remove(token);
         }

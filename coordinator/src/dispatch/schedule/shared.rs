@@ -22,8 +22,8 @@ impl Schedule {
     /// Jobs of other dictionaries with the same walks as a job, for whatever albedos. Jobs of responses are not shared
     /// while they are computed: their scenes differ.
     fn kin(&self, (id, job): JobRef) -> impl Iterator<Item = (&Dictionary, u32)> {
-        let of_axes = |own: &&Dictionary| own.grid().response_of(job as usize).is_none();
-        let own = self.dictionaries.get(&id).filter(of_axes).and_then(|own| {
+        let is_on_axes = |own: &&Dictionary| own.grid().response_of(job as usize).is_none();
+        let own = self.dictionaries.get(&id).filter(is_on_axes).and_then(|own| {
             let walks = own.jobs.get(job as usize)?.walks;
             Some((own.family?, walks, own.grid().point(job as usize)))
         });

@@ -47,17 +47,17 @@ fn held_up_coordinator_prolongs_no_new_lease() {
 fn renewals_after_a_restart_are_checked() {
     let lease = Bench::new(&[]).one(0, "a");
     let mut after = Bench::new(&[]);
-    let of_another_grid = |after: &mut Bench, name| {
+    let lost_keys = |after: &mut Bench, name| {
         let held = vec![HeldLease { key: lease.key, running: true, identity: DIGEST }];
         after.farm.renew(seconds(0), &worker(name), held).unwrap().0
     };
-    assert_eq!(of_another_grid(&mut after, "a"), [lease.key]);
+    assert_eq!(lost_keys(&mut after, "a"), [lease.key]);
     after.desire(FIRST, DesiredState::Pause);
     assert!(!after.renew(0, "a", &lease, true), "nothing is computed for it now");
     after.desire(FIRST, DesiredState::Run);
     assert!(after.renew(0, "a", &lease, true), "the part waits: it is the worker's again");
     assert!(!after.jobs(1, "b", 9).contains(&lease.key.job));
-    assert_eq!(of_another_grid(&mut after, "b"), [lease.key]);
+    assert_eq!(lost_keys(&mut after, "b"), [lease.key]);
 }
 
 /// After a restart a lease is taken up again only with the access token of its holder.

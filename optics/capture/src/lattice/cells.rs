@@ -43,11 +43,11 @@ impl CropCells {
 
     pub fn mean(shots: &[Self]) -> Self {
         let n = shots.len() as f64;
-        let of = |c: usize, k: usize| {
+        let cell_mean = |c: usize, k: usize| {
             let sum = |f: fn(&CellMean) -> f64| shots.iter().map(|s| f(&s.0[c][k])).sum::<f64>();
             CellMean { value: sum(|c| c.value) / n, std_error: sum(|c| c.std_error) / n / n.sqrt() }
         };
-        Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| of(c, k)).collect()))
+        Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| cell_mean(c, k)).collect()))
     }
 
     /// These means, corrected for light that is brighter by a factor.

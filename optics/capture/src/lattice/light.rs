@@ -233,10 +233,10 @@ mod tests {
     /// A change within three standard errors counts as none, and widens the error.
     #[test]
     fn insignificant_change_is_ignored() {
-        let of = |change: f64| less_chance(Estimate::new(1.0 + change, 1e-3));
-        assert!([0.0, 1e-3, -2.9e-3].into_iter().all(|change| (of(change).value - 1.0).abs() < 1e-12));
-        assert!((of(-2.9e-3).std_error / libm::hypot(1e-3, 2.9e-3) - 1.0).abs() < 1e-9);
-        let far = of(-0.04);
+        let estimate = |change: f64| less_chance(Estimate::new(1.0 + change, 1e-3));
+        assert!([0.0, 1e-3, -2.9e-3].into_iter().all(|change| (estimate(change).value - 1.0).abs() < 1e-12));
+        assert!((estimate(-2.9e-3).std_error / libm::hypot(1e-3, 2.9e-3) - 1.0).abs() < 1e-9);
+        let far = estimate(-0.04);
         assert!((far.value - 0.960_225).abs() < 1e-9 && far.std_error < 1.03e-3, "{far:?}");
     }
 }

@@ -114,12 +114,12 @@ impl BoardEdges {
             let run = RUNS[i];
             let end = if run == Run::Down { view.frame().width() } else { view.frame().height() };
             let ranges = |on: f64| {
-                let of = |s: &EdgeStretch| {
+                let range = |s: &EdgeStretch| {
                     let half = NEAR_PX + scan.reach_px + 12.0;
                     (s.at(on) - half).max(0.0) as usize..((s.at(on) + half).max(0.0) as usize).min(end)
                 };
                 let along = |s: &&EdgeStretch| (s.from() - 2.0..=s.to() + 2.0).contains(&on);
-                self.stretches[i].iter().filter(along).map(of).collect::<Vec<_>>()
+                self.stretches[i].iter().filter(along).map(range).collect::<Vec<_>>()
             };
             scan.within(view, run, ranges)
         })
@@ -143,14 +143,14 @@ impl BoardEdges {
     /// Whether each patch is free, under light of this brightness.
     fn free(&self, points: &[Vec<EdgePoint>; 2], light: f64) -> Vec<bool> {
         let levels = LevelBounds { of_high: FLICKER, ..self.levels(light) };
-        let of_run = |i: usize| {
+        let free_patches = |i: usize| {
             let is_free = |p: &&EdgePoint| {
                 near(&self.stretches[i], p, NEAR_PX).is_some_and(|bare| bare.fits(p, levels))
             };
             let free: Vec<EdgePoint> = points[i].iter().filter(is_free).copied().collect();
             self.patches_of(i).map(|patch| patch.is_among(&free, NEAR_PX)).collect::<Vec<_>>()
         };
-        [of_run(0), of_run(1)].concat()
+        [free_patches(0), free_patches(1)].concat()
     }
 
     fn levels(&self, light: f64) -> LevelBounds {

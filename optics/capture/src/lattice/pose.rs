@@ -260,13 +260,13 @@ impl PoseFit {
         let mut gradient = vec![0.0; count];
         for (k, g) in gradient.iter_mut().enumerate() {
             let mut step = vec![0.0; count];
-            let mut of = |size: f64| {
+            let mut ln_pitch = |size: f64| {
                 step[k] = size;
                 let mut moved = self.pose;
                 self.freedom.apply(&mut moved, &step);
                 libm::log(moved.pitch(self.pose.centre))
             };
-            *g = (of(1e-5) - of(-1e-5)) / 2e-5;
+            *g = (ln_pitch(1e-5) - ln_pitch(-1e-5)) / 2e-5;
         }
         let c = &self.solution.covariance;
         let mut variance = 0.0;

@@ -101,7 +101,7 @@ impl Tiles {
         let (width, height) = (frame.width(), frame.height());
         let side_px = (width.min(height) / TILES).max(2).next_multiple_of(2);
         let (columns, rows) = (width / side_px, height / side_px);
-        let of = |colour: Colour| -> Vec<f64> {
+        let tiles = |colour: Colour| -> Vec<f64> {
             let sites: Vec<_> = frame.sites().into_iter().filter(|s| s.colour == colour).collect();
             let tile = |k: usize| {
                 let (left, top) = (k % columns * side_px, k / columns * side_px);
@@ -120,7 +120,7 @@ impl Tiles {
             };
             (0..columns * rows).map(tile).collect()
         };
-        let light = Colour::ALL.map(of);
+        let light = Colour::ALL.map(tiles);
         let brightest = light[1].iter().copied().fold(0.0, f64::max);
         Self { side_px, columns, rows, light, floor: EVEN.1 * brightest }
     }

@@ -72,12 +72,12 @@ fn one_unknown_has_the_textbook_variance() {
     let found = sets(&dictionary, settings(guess(), exact_set_up(), &[&[0.5], &[1.0], &[0.5, 1.0]], &[1]));
     let information = |thickness: f64| -> f64 {
         let value = |x: f64, sigma_t: f64| profile_value(x, sigma_t, 0.62, 0.3, thickness, 1.0);
-        let of = |x: f64| {
+        let pixel_information = |x: f64| {
             let step: f64 = 1e-4;
             let slope = (value(x, 3.1 * libm::exp(step)) - value(x, 3.1 * libm::exp(-step))) / (2.0 * step);
             (slope / (NOISE * value(x, 3.1))).powi(2)
         };
-        centres(PIXELS as usize).into_iter().map(of).sum()
+        centres(PIXELS as usize).into_iter().map(pixel_information).sum()
     };
     let half_width = |information: f64| 3.1 * Z / information.sqrt();
     let [thin, thick] = [0.5, 1.0].map(information);
@@ -280,11 +280,11 @@ fn designs_beyond_the_dictionary_are_refused() {
     assert_eq!((slab.field(), slab.given()), ("slab_sets[1][1]", "0.25"));
     assert!(slab.allowed().contains("thickness_mm = [0.25, 0.5, 1]"), "{slab}");
     assert!(slab.allowed().contains("farmctl submit GRID.toml"), "{slab}");
-    let of = |sigma_t, albedo, g| Medium::new(sigma_t, albedo, g).unwrap();
+    let medium_outside = |sigma_t, albedo, g| Medium::new(sigma_t, albedo, g).unwrap();
     for (medium, field, given) in [
-        (of(40.0, 0.62, 0.3), "sigma_t_per_mm", "40"),
-        (of(3.1, 0.999, 0.3), "albedo", "0.999"),
-        (of(3.1, 0.62, 0.9), "g", "0.9"),
+        (medium_outside(40.0, 0.62, 0.3), "sigma_t_per_mm", "40"),
+        (medium_outside(3.1, 0.999, 0.3), "albedo", "0.999"),
+        (medium_outside(3.1, 0.62, 0.9), "g", "0.9"),
     ] {
         let error = refused(DesignSettings { medium, ..plain() });
         assert_eq!((error.field(), error.given()), (field, given));

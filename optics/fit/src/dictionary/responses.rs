@@ -177,11 +177,11 @@ impl VariedRecords {
                 let plain: Vec<f64> = row.iter().map(|v| f64::from(*v)).collect();
                 spread.effect_at(&plain, steps[0].1)
             });
-            let of_pixel = |p: usize| {
+            let pixel_response = |p: usize| {
                 let sum = weights.iter().zip(differences).map(|(w, d)| w * d[p]).sum::<f64>();
                 sum - first_order.as_ref().map_or(0.0, |effect| effect[p])
             };
-            linear.extend((0..row.len()).map(|p| of_pixel(p) as f32));
+            linear.extend((0..row.len()).map(|p| pixel_response(p) as f32));
             of_scene.extend_from_slice(row);
         };
         self.each_row(steps, records, &mut add);

@@ -153,7 +153,7 @@ fn slabs<'a>(
     let inks = mixtures.inks();
     let slab = |(data, terms): (ChannelData<'a>, Range<usize>)| {
         let parts = mixtures.parts_of(materials[data.material].material()).unwrap_or_default();
-        let of = |ink: &&str| parts.iter().find(|(name, _)| name == ink).map_or(0.0, |(_, f)| *f);
+        let fraction = |ink: &&str| parts.iter().find(|(name, _)| name == ink).map_or(0.0, |(_, f)| *f);
         let slots = &system.slots[terms.start];
         let std_errors = [0, 1].map(|which| {
             let quantity = Quantity::all(slots)[3 + which];
@@ -168,7 +168,7 @@ fn slabs<'a>(
             }
         });
         Slab {
-            fractions: inks.iter().map(of).collect(),
+            fractions: inks.iter().map(fraction).collect(),
             medium: [LN_SIGMA_T, ROOT_CO_ALBEDO, LN_ONE_MINUS_G].map(|i| state.x[slots[i]]),
             std_errors,
             left_out: None,

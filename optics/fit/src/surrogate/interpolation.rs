@@ -121,14 +121,14 @@ mod tests {
     /// Integrals of polynomials up to degree five are exact next to a step.
     #[test]
     fn integrals_are_exact_next_to_a_step() {
-        let of = |x: f64| {
+        let value = |x: f64| {
             if x < 9.0 { 0.1 * (x - 9.0).powi(5) } else { 0.4 * (x - 9.0) - 0.02 * (x - 9.0).powi(4) }
         };
-        let nodes: Vec<f64> = (0..20).map(|i| of(f64::from(i))).collect();
+        let nodes: Vec<f64> = (0..20).map(|i| value(f64::from(i))).collect();
         for at in [0.3, 4.5, 8.7, 9.2, 13.1, 18.9] {
             let place = Place::new(at, if at < 9.0 { 0..9 } else { 9..19 });
-            let slope = (of(at + 1e-5) - of(at - 1e-5)) / 2e-5;
-            assert!((place.integral(&nodes) - of(at)).abs() < 1e-9, "{at}");
+            let slope = (value(at + 1e-5) - value(at - 1e-5)) / 2e-5;
+            assert!((place.integral(&nodes) - value(at)).abs() < 1e-9, "{at}");
             assert!((place.integrand(&nodes) - slope).abs() < 1e-5 * (1.0 + slope.abs()), "{at}");
         }
     }

@@ -151,13 +151,13 @@ impl LocalAxis {
             Some(shape) => self.shapes[shape].at(x),
             None => (x - centre).powi(term as i32),
         };
-        let of_term = |term: usize| nodes.iter().chain(at).map(|x| value(term, *x)).collect();
-        let basis = orthonormal((0..terms).map(of_term).collect(), window);
-        let of_place = |j: usize| {
-            let of_node = |i: usize| basis.iter().map(|b| window[i] * b[i] * b[nodes.len() + j]).sum();
-            (0..nodes.len()).map(of_node).collect()
+        let term_values = |term: usize| nodes.iter().chain(at).map(|x| value(term, *x)).collect();
+        let basis = orthonormal((0..terms).map(term_values).collect(), window);
+        let weights = |j: usize| {
+            let weight = |i: usize| basis.iter().map(|b| window[i] * b[i] * b[nodes.len() + j]).sum();
+            (0..nodes.len()).map(weight).collect()
         };
-        (0..at.len()).map(of_place).collect()
+        (0..at.len()).map(weights).collect()
     }
 
     fn values_at(&self, x: f64) -> (usize, Vec<f64>) {
@@ -261,15 +261,15 @@ mod tests {
                 let x = low + share * (high - low);
                 let w = axis.weights(x);
                 for power in 0..=degree {
-                    let of = |weights: &[f64]| {
+                    let weighted_sum = |weights: &[f64]| {
                         let nodes = &axis.nodes[w.first..];
                         weights.iter().zip(nodes).map(|(w, x)| w * x.powi(power)).sum::<f64>()
                     };
                     let slope = f64::from(power) * x.powi((power - 1).max(0));
-                    assert!((of(&w.values) - x.powi(power)).abs() < 1e-8, "{n} nodes, {x}^{power}");
+                    assert!((weighted_sum(&w.values) - x.powi(power)).abs() < 1e-8, "{n} nodes, {x}^{power}");
                     // At the ends the quotient is one-sided.
                     assert!(
-                        (of(&w.slopes) - slope).abs() < 1e-3 * (1.0 + slope),
+                        (weighted_sum(&w.slopes) - slope).abs() < 1e-3 * (1.0 + slope),
                         "{n} nodes, slope of {x}^{power}"
                     );
                 }

@@ -25,11 +25,11 @@ fn traced(scene: &Scene, slab: &PrintLayer, rho: &[f64], walks: u64) -> Vec<(f64
     let walks = Walks::new(walks).unwrap();
     let job = JobSpec::new(scene, point, vec![medium.albedo()], walks, 1, false).unwrap();
     let record = optics_tracer::trace(&job, &AtomicBool::new(false)).unwrap().remove(0);
-    let of = |profile: &optics_model::Profile| {
+    let value_and_error = |profile: &optics_model::Profile| {
         let estimate = &profile.radiance_factor;
         (f64::from(estimate.values()[0]), f64::from(estimate.std_errors()[0]))
     };
-    record.profiles.iter().map(of).collect()
+    record.profiles.iter().map(value_and_error).collect()
 }
 
 /// A closed white furnace: whatever scatters without absorbing returns all light of the whole hemisphere.

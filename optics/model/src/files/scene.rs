@@ -263,7 +263,7 @@ impl From<&Scene> for SceneFile {
             }
         };
         // Plain Henyey–Greenstein needs no second lobe.
-        let of_lobe = |kind: PriorKind, layer: usize| {
+        let lobe_number = |kind: PriorKind, layer: usize| {
             number(kind, layer).filter(|_| *scene.phase() != PhaseShape::default())
         };
         let table =
@@ -274,8 +274,8 @@ impl From<&Scene> for SceneFile {
             ior: number(PriorKind::Index, i),
             thickness_mm: number(PriorKind::Thickness, i),
             roughness: number(PriorKind::Roughness, i).unwrap_or_default(),
-            second_lobe_weight: of_lobe(PriorKind::SecondLobeWeight, i),
-            second_lobe_g: of_lobe(PriorKind::SecondLobeG, i),
+            second_lobe_weight: lobe_number(PriorKind::SecondLobeWeight, i),
+            second_lobe_g: lobe_number(PriorKind::SecondLobeG, i),
             phase_function: scene.phase().table().filter(|_| l.medium() == LayerMedium::Sample).map(table),
         });
         let channels = scene.channels().iter().map(|c| ChannelTable {

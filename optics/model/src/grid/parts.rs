@@ -48,12 +48,12 @@ mod tests {
     #[test]
     fn too_many_parts_name_the_allowed_walks() {
         let with = |walks: u64, most: Option<u64>| {
-            let of = |walks| Walks::new(walks).unwrap();
+            let walk_count = |walks| Walks::new(walks).unwrap();
             let points = (1..=40).map(f64::from).collect();
             let axes =
                 Axes { sigma_t_per_mm: points, g: vec![0.0], thickness_mm: vec![1.0], ..Grid::paper().axes };
-            let grid = Grid::new(Scene::paper(), axes, of(walks), 1, false).unwrap();
-            let quality = most.map(|most| Quality::new(0.01, of(most)).unwrap());
+            let grid = Grid::new(Scene::paper(), axes, walk_count(walks), 1, false).unwrap();
+            let quality = most.map(|most| Quality::new(0.01, walk_count(most)).unwrap());
             quality.map_or(Ok(grid.clone()), |quality| grid.with_quality(quality)).unwrap().check_parts()
         };
         assert_eq!(with(25_000_000_000, None), Ok(()));

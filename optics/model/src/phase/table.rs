@@ -140,11 +140,11 @@ impl PhaseTable {
 /// ∫ f(c) w(c) dc, f being linear between the cosines and w a polynomial of at most the first degree: Simpson's rule.
 fn integral(cosines: &[f64], values: &[f64], weight: impl Fn(f64) -> f64) -> f64 {
     let pairs = cosines.windows(2).zip(values.windows(2));
-    let of_pair = |(c, v): (&[f64], &[f64])| {
+    let area = |(c, v): (&[f64], &[f64])| {
         let (middle, mean) = (0.5 * (c[0] + c[1]), 0.5 * (v[0] + v[1]));
         (c[1] - c[0]) / 6.0 * (v[0] * weight(c[0]) + 4.0 * mean * weight(middle) + v[1] * weight(c[1]))
     };
-    pairs.map(of_pair).sum()
+    pairs.map(area).sum()
 }
 
 /// Least angle in radians over which a peak falls to a third, on either side of it. Peaks below the value of isotropic

@@ -40,10 +40,10 @@ impl Channel {
     /// The weights of the channels of a scene for all boards that give the profile over this channel's board.
     pub fn board_weights(&self) -> Vec<f64> {
         let weight = |(a, b): (usize, usize)| -> f64 {
-            let of = |(i, j): (usize, usize)| {
+            let product = |(i, j): (usize, usize)| {
                 LIGHT.increment(i, a, self.rho_light()) * DARK.increment(j, b, self.rho_dark())
             };
-            lattice().map(of).sum()
+            lattice().map(product).sum()
         };
         lattice().map(weight).collect()
     }
@@ -116,8 +116,8 @@ mod tests {
     fn error(f: &dyn Fn(f64, f64) -> f64, [light, dark]: [f64; 2]) -> f64 {
         let boards = Scene::lab().for_all_boards().unwrap();
         let weights = Channel::new("R", light, dark).unwrap().board_weights();
-        let of_board = |c: &Channel| f(c.rho_light(), c.rho_dark());
-        let sum: f64 = boards.channels().iter().zip(&weights).map(|(c, w)| w * of_board(c)).sum();
+        let value = |c: &Channel| f(c.rho_light(), c.rho_dark());
+        let sum: f64 = boards.channels().iter().zip(&weights).map(|(c, w)| w * value(c)).sum();
         (sum - f(light, dark)).abs()
     }
 
@@ -131,8 +131,8 @@ mod tests {
         );
         for rho in BOARDS {
             for (i, j) in lattice() {
-                let of_light = |l: f64| if i == 0 { 1.0 } else { l / (1.0 - LIGHT.returned[i] * l) };
-                let off = error(&|l, d| of_light(l) * d.powi(j as i32), rho);
+                let light_factor = |l: f64| if i == 0 { 1.0 } else { l / (1.0 - LIGHT.returned[i] * l) };
+                let off = error(&|l, d| light_factor(l) * d.powi(j as i32), rho);
                 assert!(off < 1e-11, "{rho:?} {i} {j}: {off}");
             }
         }

@@ -231,7 +231,7 @@ mod tests {
     #[test]
     fn wrong_curves_are_refused() {
         let none = DispersionCurve::default;
-        let of_table = |wavelength_nm: [f64; 2], ior: [f64; 2]| DispersionCurve {
+        let table = |wavelength_nm: [f64; 2], ior: [f64; 2]| DispersionCurve {
             wavelength_nm: wavelength_nm.to_vec(),
             ior: ior.to_vec(),
             ..none()
@@ -248,14 +248,14 @@ mod tests {
             (other, "sellmeier_b = 3 and 1 numbers is not valid"),
             (one, "sellmeier_b = n² = -5"),
             (
-                of_table([400.0, 500.0], [1.5, 1.4]),
+                table([400.0, 500.0], [1.5, 1.4]),
                 "wavelength_nm = 400 to 500 nm is not valid: the index at 589.3 nm",
             ),
             (
-                of_table([700.0, 500.0], [1.5, 1.4]),
+                table([700.0, 500.0], [1.5, 1.4]),
                 "wavelength_nm[1] = 500 is not valid: wavelengths must be strictly",
             ),
-            (of_table([400.0, 700.0], [1.5, 0.4]), "ior = 0.4 is not valid"),
+            (table([400.0, 700.0], [1.5, 0.4]), "ior = 0.4 is not valid"),
         ] {
             let error = Dispersion::new(curve).unwrap_err().to_string();
             assert!(error.starts_with(expected), "{error}");

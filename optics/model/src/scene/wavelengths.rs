@@ -39,10 +39,10 @@ impl Scene {
     /// Checks every channel by [`Self::difference_in`].
     pub(crate) fn check_dispersion(&self) -> Result<()> {
         for (i, channel) in self.channels().iter().enumerate() {
-            let of_prior = |prior| self.difference_in(channel, prior).map(|_| ());
+            let checked = |prior| self.difference_in(channel, prior).map(|_| ());
             self.priors()
                 .iter()
-                .try_for_each(of_prior)
+                .try_for_each(checked)
                 .map_err(|e| e.within(format_args!("channels[{i}]")))?;
         }
         Ok(())

@@ -108,9 +108,9 @@ impl Trial {
 
     /// Names and answers of the rows, with g held or free.
     fn by_row(&self, found: &[Found], is_held: bool) -> Vec<(&Row, Vec<Answer>)> {
-        let of_row = |number| found.iter().filter(move |f| (f.0, f.1) == (number, is_held));
+        let row_entries = |number| found.iter().filter(move |f| (f.0, f.1) == (number, is_held));
         let rows = self.rows.iter().enumerate();
-        rows.map(|(number, row)| (row, of_row(number).map(|f| f.2.clone()).collect())).collect()
+        rows.map(|(number, row)| (row, row_entries(number).map(|f| f.2.clone()).collect())).collect()
     }
 }
 

@@ -35,17 +35,17 @@ fn variances(
     let job = JobSpec::new(scene, point, all.clone(), walks, seed, false).unwrap();
     let records = trace(&job, &AtomicBool::new(false)).unwrap();
     let record = |albedo: f64| &records[all.binary_search_by(|a| a.total_cmp(&albedo)).unwrap()];
-    let of_albedo = |albedo: &f64| {
+    let albedo_variances = |albedo: &f64| {
         let profile = &record(*albedo).profiles[0].radiance_factor;
         let squares = record(albedo * albedo).profiles[1].radiance_factor.values();
         let pixels = profile.values().iter().zip(profile.std_errors()).zip(squares);
-        let of_pixel = |((value, error), square): ((&f32, &f32), &f32)| {
+        let pixel_variances = |((value, error), square): ((&f32, &f32), &f32)| {
             let [value, error, square] = [*value, *error, *square].map(f64::from);
             [error * error, square / measure - value * value]
         };
-        pixels.map(of_pixel).collect()
+        pixels.map(pixel_variances).collect()
     };
-    albedos.iter().map(of_albedo).collect()
+    albedos.iter().map(albedo_variances).collect()
 }
 
 /// With 40 pixels per side, Mitsuba's standard errors are accurate to a few per cent.

@@ -91,10 +91,10 @@ fn charts_validate_their_inks() {
     assert!(number(&good["chi2"]) < 1e-6, "{}", good["chi2"]);
     assert!(good["colours"].as_array().unwrap().iter().all(|c| number(&c["delta_e_2000"]) < 1e-6));
     let wrong = chart(1.3);
-    let of = |name: &str| {
+    let ink_z = |name: &str| {
         number(&wrong["inks"].as_array().unwrap().iter().find(|i| i["material"] == name).unwrap()["z"])
     };
-    assert!(of("magenta") > 3.0 && of("white").abs() < 1.0, "{}", wrong["inks"]);
+    assert!(ink_z("magenta") > 3.0 && ink_z("white").abs() < 1.0, "{}", wrong["inks"]);
     let message = "patch \"pink\": neither measured nor a mixture";
     fails_line(folder.path(), "validate media.json chart.csv", &[message]);
 }
@@ -154,10 +154,10 @@ fn comparisons_count_differences() {
     assert_eq!(same.len(), 16);
     assert!(same.iter().all(|c| number(&c["probability"]) > 0.999));
     let other = compared("other.json");
-    let of = |c: &Value, name: &str| {
+    let e_n = |c: &Value, name: &str| {
         number(&c["quantities"].as_array().unwrap().iter().find(|q| q["quantity"] == name).unwrap()["e_n"])
     };
-    assert!(other.iter().all(|c| number(&c["probability"]) < 1e-6 && of(c, "σ_t") < -2.0), "{:?}", other[0]);
+    assert!(other.iter().all(|c| number(&c["probability"]) < 1e-6 && e_n(c, "σ_t") < -2.0), "{:?}", other[0]);
 }
 
 /// The tag has the colour of the answer, over the last base.

@@ -82,8 +82,8 @@ impl Trial {
         let data = data.to_str().unwrap();
         let found = measured(folder.path(), &["--g", &g.to_string(), "--data", data]);
         println!("session {number}: g {g:.3}, white reference off by {:+.2} %", 100.0 * laboratory.white);
-        let of_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
-        report.lines().filter(of_set_up).for_each(|line| println!("{line}"));
+        let is_set_up = |line: &&str| line.starts_with("board") || line.starts_with("errors");
+        report.lines().filter(is_set_up).for_each(|line| println!("{line}"));
         if let Some(kept) = std::env::var_os("FARM_TEST_KEEP") {
             std::fs::rename(folder.path(), Path::new(&kept).join(number.to_string())).unwrap();
         }

@@ -17,12 +17,12 @@ const MICROMETRES: f64 = 1000.0;
 pub(super) fn summary(captured: &Captured) -> String {
     let channels = captured.channels();
     let rows = profiles(&channels).map(|(channel, sample)| row(channel, sample));
-    let of_part = |part: &'_ CapturedPart| -> Vec<bool> {
+    let are_notes = |part: &'_ CapturedPart| -> Vec<bool> {
         let of_samples = part.samples.iter().flat_map(|s| &s.profile.warnings);
         let all = of_samples.chain(&part.calibration.warnings).chain(&part.board.warnings);
         all.map(Warning::is_note).collect()
     };
-    let all: Vec<bool> = captured.parts.iter().flat_map(of_part).collect();
+    let all: Vec<bool> = captured.parts.iter().flat_map(are_notes).collect();
     let notes = all.iter().filter(|is_note| **is_note).count();
     let doubtful = match all.len() - notes {
         0 => "There are no warnings.".to_owned(),

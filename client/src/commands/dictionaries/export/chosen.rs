@@ -78,13 +78,13 @@ impl ChosenAxes {
             return nominal.into_iter().map(|record| record as u32).collect();
         }
         let albedos = grid.albedo().len();
-        let of_variant = |variant: Option<usize>, record: usize| {
+        let job_record = |variant: Option<usize>, record: usize| {
             let job =
                 grid.response_job(variant, record / albedos).expect("nodes of the responses are chosen");
             (grid.first_record(job) + record % albedos) as u32
         };
-        let of_variant = &of_variant;
-        self.variants.iter().flat_map(|v| nominal.iter().map(move |record| of_variant(*v, *record))).collect()
+        let job_record = &job_record;
+        self.variants.iter().flat_map(|v| nominal.iter().map(move |record| job_record(*v, *record))).collect()
     }
 }
 

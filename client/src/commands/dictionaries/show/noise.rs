@@ -190,8 +190,8 @@ mod tests {
         assert_eq!((noise.records, noise.worst.record), (3 * albedos, 17));
         assert_eq!(noise.worst.albedo, grid.albedo()[17]);
         assert!((noise.median - 0.021).abs() < 1e-12, "{noise:?}");
-        let of = &noise.by_albedo[17];
-        assert!((of.median - 0.018).abs() < 1e-12 && of.worst == 0.5, "{of:?}");
+        let row = &noise.by_albedo[17];
+        assert!((row.median - 0.018).abs() < 1e-12 && row.worst == 0.5, "{row:?}");
         let text = noise.text();
         assert!(
             text.contains("median 2.10 %, worst 50.00 % (record 17: sigma_t 1 /mm, albedo 0.875"),

@@ -74,7 +74,7 @@ pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<(Vec<Libra
             Err(e) => left_out.push(format!("left out: {e:#}")),
         }
     }
-    let of_material = |one: &MediaMaterial| {
+    let material_matches = |one: &MediaMaterial| {
         let others = all.iter().flat_map(|(path, file)| file.materials.iter().map(move |m| (path, m)));
         let mut nearest: Vec<LibraryMatch> =
             others.filter_map(|(path, other)| compared(one, other, path, library)).collect();
@@ -82,7 +82,7 @@ pub(super) fn nearest(measured: &MediaFile, library: &Path) -> Result<(Vec<Libra
         nearest.truncate(LISTED);
         LibraryMatches { material: one.material.clone(), nearest }
     };
-    Ok((measured.materials.iter().map(of_material).collect(), left_out))
+    Ok((measured.materials.iter().map(material_matches).collect(), left_out))
 }
 
 fn compared(one: &MediaMaterial, other: &MediaMaterial, path: &Path, library: &Path) -> Option<LibraryMatch> {

@@ -49,10 +49,10 @@ impl Found<'_, '_> {
         let (Some(covariance), Some(held)) = (covariance, held) else { return Vec::new() };
         let [sigma_t, albedo, _, reduced, absorption] = Quantity::all(self.slots()).map(|quantity| {
             let gradient = quantity.gradient(&self.state.x);
-            let of = |c: &DMatrix<f64>| gradient.dot(&(c * &gradient));
+            let variance = |c: &DMatrix<f64>| gradient.dot(&(c * &gradient));
             let mut parts = self.parts(linear, normal, &(&held * &gradient));
-            let whole = of(covariance);
-            add(&mut parts, ErrorSource::G, (whole - of(&held)).max(0.0));
+            let whole = variance(covariance);
+            add(&mut parts, ErrorSource::G, (whole - variance(&held)).max(0.0));
             parts.iter().map(|part| if whole > 0.0 { part / whole } else { 0.0 }).collect::<Parts>()
         });
         let scene = self.data.dictionary.grid().scene();

@@ -15,7 +15,7 @@ const STRETCHES: usize = 4;
 
 /// Pixels that were left out.
 pub(crate) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> {
-    let of_term = |(term, linear): (&Term, &Linear)| -> Vec<OutlierPixel> {
+    let term_outliers = |(term, linear): (&Term, &Linear)| -> Vec<OutlierPixel> {
         let pixel = |i: usize| OutlierPixel {
             profile_mm: term.thickness_mm,
             x_mm: term.x_mm[i],
@@ -23,7 +23,7 @@ pub(crate) fn outliers(system: &System, linear: &[Linear]) -> Vec<OutlierPixel> 
         };
         (0..term.x_mm.len()).filter(|i| term.left_out[*i]).map(pixel).collect()
     };
-    system.terms.iter().zip(linear).flat_map(of_term).collect()
+    system.terms.iter().zip(linear).flat_map(term_outliers).collect()
 }
 
 /// Stretches in which neighbouring residuals are large together, the largest first.

@@ -51,8 +51,8 @@ fn rows(
     roots: &Roots,
 ) -> Vec<RowDVector<f64>> {
     let system = &joint.assembly.system;
-    let of_phase = |kind: PriorKind| priors.iter().position(|prior| prior.kind() == kind);
-    let lobe = [PriorKind::SecondLobeWeight, PriorKind::SecondLobeG].map(of_phase);
+    let prior_index = |kind: PriorKind| priors.iter().position(|prior| prior.kind() == kind);
+    let lobe = [PriorKind::SecondLobeWeight, PriorKind::SecondLobeG].map(prior_index);
     let (mut rows, mut growth) = (Vec::new(), Vec::new());
     let mut of_lobes = Vec::new();
     for (i, refined) in refined.iter().enumerate() {

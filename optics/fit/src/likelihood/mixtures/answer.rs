@@ -73,11 +73,11 @@ impl<'a, 'b> Solution<'a, 'b> {
             .iter()
             .map(|(channel, inks)| self.channel(*channel, inks, common.g_interval))
             .collect();
-        let of_ink = |(i, name): (usize, &str)| InkFit {
+        let ink_fit = |(i, name): (usize, &str)| InkFit {
             material: name.to_owned(),
             channels: by_channel.iter().map(|(_, inks)| inks[i].clone()).collect(),
         };
-        let inks = self.request.mixtures.inks().into_iter().enumerate().map(of_ink).collect();
+        let inks = self.request.mixtures.inks().into_iter().enumerate().map(ink_fit).collect();
         Unmixed { common, inks, mixtures }
     }
 
@@ -164,15 +164,15 @@ impl<'a, 'b> Solution<'a, 'b> {
     /// Factor on the rise of −2 ln L that intervals allow: more than 1 if slabs of a channel contradict one another by
     /// more than their noise.
     fn disagreement(&self, channel: usize) -> f64 {
-        let of_channel = || self.members().filter(|(slab, _)| slab.data.channel == channel);
+        let channel_slabs = || self.members().filter(|(slab, _)| slab.data.channel == channel);
         let inks = self.request.mixtures.inks().len();
-        let freedom = 2.0 * (of_channel().count() as f64 - inks as f64);
-        let pulls: f64 = of_channel().map(|(_, members)| self.pull(members)).sum();
+        let freedom = 2.0 * (channel_slabs().count() as f64 - inks as f64);
+        let pulls: f64 = channel_slabs().map(|(_, members)| self.pull(members)).sum();
         let ratio = |chi2: f64, freedom: f64| {
             let more = freedom > 0.0 && exceedance(chi2, freedom) < UNLIKELY;
             if more { chi2 / freedom } else { 1.0 }
         };
-        let (chi2, pixels) = of_channel()
+        let (chi2, pixels) = channel_slabs()
             .map(|(_, members)| self.chi2(members))
             .fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         ratio(pulls, freedom).max(ratio(chi2, pixels - 2.0 * inks as f64))

@@ -13,8 +13,8 @@ const INKS: [(&str, [f64; 2]); 3] = [("white", [3.0, 0.06]), ("grey", [1.2, 1.4]
 
 /// A slab of inks in these volume fractions, in channel G, with 1 % of noise.
 fn slabs(material: &str, parts: &[(&str, f64)], seed: u64) -> Measurement {
-    let of_ink = |ink: &str| INKS.iter().find(|(name, _)| *name == ink).unwrap().1;
-    let sum = |which: usize| parts.iter().map(|(ink, f)| f * of_ink(ink)[which]).sum::<f64>();
+    let coefficients = |ink: &str| INKS.iter().find(|(name, _)| *name == ink).unwrap().1;
+    let sum = |which: usize| parts.iter().map(|(ink, f)| f * coefficients(ink)[which]).sum::<f64>();
     let sigma_t = sum(0) + sum(1);
     let profile = |(k, thickness): (u64, f64)| {
         let exact = |x| profile_value(x, sigma_t, sum(0) / sigma_t, G, thickness, 1.0);
@@ -50,7 +50,7 @@ const LIGHT: &[(&str, f64)] = &[("white", 0.8), ("black", 0.2)];
 
 /// σ_t, α, σ_s (1 − g) and σ_a, found and true, of every ink.
 fn against_truth(found: &Unmixed) -> Vec<(String, Interval, f64)> {
-    let of_ink = |(name, [s, a]): &(&str, [f64; 2])| {
+    let quantities = |(name, [s, a]): &(&str, [f64; 2])| {
         let ink = found.inks.iter().find(|i| i.material == *name)?;
         let c = &ink.channels[0];
         let named = |what: &str, interval, truth| (format!("{name} {what}"), interval, truth);
@@ -61,7 +61,7 @@ fn against_truth(found: &Unmixed) -> Vec<(String, Interval, f64)> {
             named("absorption", c.absorption_per_mm, *a),
         ])
     };
-    INKS.iter().filter_map(of_ink).flatten().collect()
+    INKS.iter().filter_map(quantities).flatten().collect()
 }
 
 /// The intervals of inks contain the truth as often as they should.

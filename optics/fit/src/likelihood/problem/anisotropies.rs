@@ -115,12 +115,12 @@ mod tests {
         let mut anisotropies = Anisotropies { own, spread: 0.2, change: 0.1, nm, mean, of_materials };
         let mut unknowns = Unknowns::default();
         let unknown = Unknown { prior: None, about: None, limits: (-2.0, 0.0), held: false };
-        let mut of_material = |m| {
+        let mut material_slots = |m| {
             ["400", "500", "600", "625 nm"]
                 .map(|name| anisotropies.slot((m, name), &mut unknowns, unknown, -0.5))
         };
-        let slots = [of_material(0), of_material(1)];
-        assert_eq!(slots[0], of_material(0));
+        let slots = [material_slots(0), material_slots(1)];
+        assert_eq!(slots[0], material_slots(0));
         for slots in slots {
             let about = slots.map(|slot| unknowns.all[slot].about);
             assert_eq!(about, [Some(slots[1]), Some(slots[2]), Some(0), Some(slots[2])]);

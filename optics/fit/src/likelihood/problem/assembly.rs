@@ -202,8 +202,8 @@ pub(crate) fn assemble<'a>(
     for (((data, surrogate), medium), at_start) in channels.iter().zip(surrogates).zip(media).zip(at_start) {
         let limits = surrogate.limits_within(&data.options);
         let held = held(data.dictionary.grid(), &data.options);
-        let mut of_medium = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
-        let (s, a) = (of_medium(0), of_medium(1));
+        let mut medium_slot = |i: usize| builder.unknowns.add(None, limits[i], held[i].is_some(), medium[i]);
+        let (s, a) = (medium_slot(0), medium_slot(1));
         let own_g = Unknown { prior: None, about: None, limits: limits[2], held: held[2].is_some() };
         let g = anisotropies.slot((data.material, data.name), &mut builder.unknowns, own_g, medium[2]);
         let first = profiles.len();

@@ -33,13 +33,13 @@ impl System<'_> {
 
     /// The unknowns that some profiles share, and the means that the priors of these are about, in ascending order.
     pub(crate) fn used_by(&self, terms: &[usize]) -> Vec<usize> {
-        let of_term = |i: &usize| -> Vec<usize> {
+        let term_slots = |i: &usize| -> Vec<usize> {
             match &self.terms[*i].blend {
                 None => self.slots[*i].clone(),
                 Some(blend) => blend.slots().chain(self.slots[*i][LN_SCALE..].iter().copied()).collect(),
             }
         };
-        let mut used: Vec<usize> = terms.iter().flat_map(of_term).collect();
+        let mut used: Vec<usize> = terms.iter().flat_map(term_slots).collect();
         let mut means = used.clone();
         while !means.is_empty() {
             means = means.iter().filter_map(|slot| self.unknowns[*slot].about).collect();

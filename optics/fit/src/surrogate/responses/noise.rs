@@ -40,12 +40,12 @@ impl ResponseNoise {
     /// better. A fit's own standard error of u is not used, since the noise itself makes it too small.
     pub(crate) fn factors(&self, prior: usize, u: f64) -> Vec<Vec<f64>> {
         let PriorNoise { in_channel, parts } = &self.each[prior];
-        let of_part = |(curve, factors): &(ResponseCurve, Vec<Vec<f64>>)| {
+        let part_factors = |(curve, factors): &(ResponseCurve, Vec<Vec<f64>>)| {
             let (height, slope) = curve.at(in_channel + u);
             let size = libm::hypot(height, curve.reach(in_channel + u) * slope);
             factors.iter().map(|f| f.iter().map(|v| size * v).collect()).collect::<Vec<_>>()
         };
-        parts.iter().flat_map(of_part).collect()
+        parts.iter().flat_map(part_factors).collect()
     }
 }
 
@@ -91,11 +91,11 @@ impl Surrogate<'_> {
         let records = self.dictionary.responses(self.channel)?;
         let (thickness, at) = self.response_place(thickness_mm, x);
         let stencil = self.response_stencil(thickness, at);
-        let of_prior = |prior: usize| PriorNoise {
+        let prior_noise = |prior: usize| PriorNoise {
             in_channel: self.in_channel(prior),
             parts: self.scatter(records, prior, &stencil, at[ALBEDO]),
         };
-        let each = (0..grid.scene().priors().len()).map(of_prior).collect();
+        let each = (0..grid.scene().priors().len()).map(prior_noise).collect();
         let depth = |i: &usize| (grid.sigma_t_per_mm()[*i] * grid.thickness_mm()[thickness]) as f32;
         let depths = responses.sigma_t().iter().map(depth).collect();
         let directions = [Direction::of(&stencil.sigma_t), Direction::of(&stencil.g)];
@@ -133,11 +133,11 @@ impl Surrogate<'_> {
                 sums.push(rows);
             }
         }
-        let of_part = |(curve, linear): &(ResponseCurve, LinearResponse)| {
+        let scaled_part = |(curve, linear): &(ResponseCurve, LinearResponse)| {
             let factors = sums.iter().flat_map(|rows| linear.sums(rows)).collect();
             (curve.clone(), factors)
         };
-        records.parts(prior).iter().map(of_part).collect()
+        records.parts(prior).iter().map(scaled_part).collect()
     }
 
     /// The weights of the nodes at coordinates.

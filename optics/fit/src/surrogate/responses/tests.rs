@@ -194,10 +194,10 @@ impl ResponseErrors {
     fn add(&mut self, plain: &[f64], changed: &[f64], found: &[f64], noise: &[Vec<f64>]) {
         let n = plain.len();
         let error = |i: usize| found[i] - (changed[i] - plain[i]);
-        let of_records = |i: usize| noise.iter().map(|f| (f[i] / plain[i]).powi(2)).sum::<f64>().sqrt();
+        let noise_at = |i: usize| noise.iter().map(|f| (f[i] / plain[i]).powi(2)).sum::<f64>().sqrt();
         let off = root_mean_square((0..n).map(|i| error(i) / plain[i]));
         self.effects.push(100.0 * root_mean_square((0..n).map(|i| changed[i] / plain[i] - 1.0)));
-        self.over_noise.push(off / root_mean_square((0..n).map(of_records)));
+        self.over_noise.push(off / root_mean_square((0..n).map(noise_at)));
         self.levels.push(100.0 * ((0..n).map(error).sum::<f64>() / plain.iter().sum::<f64>()).abs());
     }
 }
@@ -229,10 +229,10 @@ fn check_responses(chosen: impl Fn(&Prior) -> bool) {
     let (surrogate, base) = (Surrogate::new(&dictionary, 0, 0), SeenBase::of(&scene));
     let slab_mm = |m: usize| SLABS_MM[m % SLABS_MM.len()];
     let all = |scene: &Scene| -> Vec<Vec<f64>> {
-        let of = |(m, medium): (usize, &Medium)| {
+        let profile = |(m, medium): (usize, &Medium)| {
             traced_profile(scene.clone(), medium, slab_mm(m), walks, m as u64)
         };
-        media.iter().enumerate().map(of).collect()
+        media.iter().enumerate().map(profile).collect()
     };
     let plain = all(&scene);
     println!("| quantity | u | effect % | error over noise: median | 95 % | of the level %: median | 95 % |");

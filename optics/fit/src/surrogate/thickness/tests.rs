@@ -162,14 +162,14 @@ fn sigma_t_limits_follow_optical_thickness() {
 /// is far enough from it, if there is one.
 #[test]
 fn basis_thicknesses_are_neighbours_or_well_separated() {
-    let of = |axis: &[f64], mm: f64| ThicknessBasis::of(dictionary(axis).grid(), mm);
-    assert_eq!(of(&[0.5, 1.0], 0.7), ThicknessBasis::Two { thin: 0, thick: 1 });
-    assert_eq!(of(&[0.5, 0.8, 1.0], 0.9), ThicknessBasis::Two { thin: 1, thick: 2 });
-    assert_eq!(of(&[0.5, 0.8, 1.0], 1.1), ThicknessBasis::Two { thin: 0, thick: 2 });
-    assert_eq!(of(&[0.5, 0.52], 0.47), ThicknessBasis::One(0));
-    assert_eq!(of(&[0.5, 0.52], 0.51), ThicknessBasis::Two { thin: 0, thick: 1 });
-    assert_eq!(of(&[0.5, 1.5], 0.54), ThicknessBasis::Two { thin: 0, thick: 1 });
-    assert_eq!(of(&[0.5, 5.0], 0.54), ThicknessBasis::One(0));
+    let basis = |axis: &[f64], mm: f64| ThicknessBasis::of(dictionary(axis).grid(), mm);
+    assert_eq!(basis(&[0.5, 1.0], 0.7), ThicknessBasis::Two { thin: 0, thick: 1 });
+    assert_eq!(basis(&[0.5, 0.8, 1.0], 0.9), ThicknessBasis::Two { thin: 1, thick: 2 });
+    assert_eq!(basis(&[0.5, 0.8, 1.0], 1.1), ThicknessBasis::Two { thin: 0, thick: 2 });
+    assert_eq!(basis(&[0.5, 0.52], 0.47), ThicknessBasis::One(0));
+    assert_eq!(basis(&[0.5, 0.52], 0.51), ThicknessBasis::Two { thin: 0, thick: 1 });
+    assert_eq!(basis(&[0.5, 1.5], 0.54), ThicknessBasis::Two { thin: 0, thick: 1 });
+    assert_eq!(basis(&[0.5, 5.0], 0.54), ThicknessBasis::One(0));
 }
 
 /// Profiles of slabs that differ in their thickness alone, traced with the same walks: their differences contain no

@@ -214,8 +214,9 @@ mod tests {
             });
             let size = sharp[at];
             let difference = |k: usize| (sharp[at + k] - sharp[at - 1 - k]) / size;
-            let of = |basis: [f64; 4]| basis.iter().enumerate().map(|(k, w)| w * difference(k)).sum::<f64>();
-            (WITHOUT_CUBICS.map(of), dot / norm / size)
+            let weighted_sum =
+                |basis: [f64; 4]| basis.iter().enumerate().map(|(k, w)| w * difference(k)).sum::<f64>();
+            (WITHOUT_CUBICS.map(weighted_sum), dot / norm / size)
         };
         let rows: Vec<([f64; 2], f64)> = (0..100).into_par_iter().map(row).collect();
         let differences = DMatrix::from_fn(rows.len(), 2, |i, k| rows[i].0[k]);
