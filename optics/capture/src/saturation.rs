@@ -58,6 +58,9 @@ fn counts(frame: &Frame, site: Site) -> Vec<u32> {
 /// Widths of a pile: of a single number with the rounding of a scale, and of saturated pixels that differ a little.
 const WIDTHS: [f64; 2] = [0.002, 0.005];
 
+/// Least number at which a camera can saturate: those of 8 bits end at 255. Tails of the noise of dark frames lie below.
+const LEAST: usize = 200;
+
 /// Number at which samples pile up; infinite if they do not.
 fn shown(counts: &[u32]) -> f64 {
     let total: u32 = counts.iter().sum();
@@ -77,11 +80,10 @@ fn shown(counts: &[u32]) -> f64 {
     let pile = |(top, width): (usize, f64)| {
         let [far, near] = [7.5, 1.0].map(|widths| (1.0 - widths * width) * top as f64);
         let (piled, below) = (between(near, counts.len() as f64), between(far, near));
-        // There are fewer samples above any brightness than below, except where they pile up. Below small numbers, as of
-        // a dark frame, there is none to compare with.
-        (far.ceil() < near.ceil() && piled > few && piled > 2 * below).then_some(near)
+        // There are fewer samples above any brightness than below, except where they pile up.
+        (piled > few && piled > 2 * below).then_some(near)
     };
-    let tops = [Some(highest), most].into_iter().flatten();
+    let tops = [Some(highest), most].into_iter().flatten().filter(|top| *top >= LEAST);
     let piles = tops.flat_map(|top| WIDTHS.map(|width| (top, width)));
     piles.filter_map(pile).fold(f64::INFINITY, f64::min)
 }
@@ -129,7 +131,7 @@ mod tests {
     /// Numbers of a dark frame whose black level is subtracted are no pile.
     #[test]
     fn dark_frames_are_not_saturated() {
-        for spread in [0.4, 2.0, 8.0, 25.0] {
+        for spread in [0.4, 2.0, 8.0, 25.0, 40.0] {
             let mut state = 5;
             let samples = (0..200 * 150).map(|_| (spread * normal(&mut state)).max(0.0).round() as u16);
             let frame = Frame::new(200, 150, Pattern::One([true; 4]), samples.collect()).unwrap();
