@@ -3,17 +3,19 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use farm_lab::measurement_file::Note;
 use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::record::SessionRecord;
 use farm_lab::research_object::{ANSWER_FILE, ResearchObject};
 use farm_lab::session_folder::{ReportedAnswer, SessionFolder};
 use farm_lab::uncertainty::UNCERTAINTY_FILE;
 use optics_model::Grid;
+use optics_model::fit::{Common, MaterialFit, ScaleCurve, Unmixed};
 use serde::Serialize;
 
 use crate::answers::{
-    FitsReport, MeasureAnswer, common_text, fits_text, inks_text, low_scale, media_files, medium_rows,
-    verdict,
+    FitsReport, MeasureAnswer, UsedOptions, common_text, fits_text, inks_text, low_scale, media_files,
+    medium_rows, verdict,
 };
 use crate::output::{envelope, now_unix_s, utc, warning, wrapped, write_whole};
 
@@ -84,6 +86,45 @@ pub(crate) fn write_media(
     write_whole(&folder.join(MEDIA_FILE), media.as_bytes()).context(MEDIA_FILE)?;
     let page = found.uncertainty(dictionary, grid, record);
     write_whole(&folder.join(UNCERTAINTY_FILE), page.as_bytes()).context(UNCERTAINTY_FILE)
+}
+
+/// The answer as `--json` prints it.
+pub(crate) fn data<'a>(
+    options: UsedOptions<'a>,
+    found: &'a MeasureAnswer,
+    notes: &'a [Note],
+) -> impl Serialize {
+    #[derive(Serialize)]
+    struct MeasureJson<'a> {
+        #[serde(flatten)]
+        options: UsedOptions<'a>,
+        /// Null if every channel has a separate anisotropy.
+        common_g: Option<f64>,
+        common: &'a Common,
+        /// Null if the scale factor was given or the likelihood was maximised.
+        scale: Option<&'a ScaleCurve>,
+        materials: &'a [MaterialFit],
+        /// Assumptions made in reading the file, and suspicious data in it.
+        notes: &'a [Note],
+        #[serde(skip_serializing_if = "Option::is_none")]
+        unmixed: Option<&'a Unmixed>,
+        /// Id of the kept measurement.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        kept: Option<&'a str>,
+        #[serde(skip_serializing_if = "Option::is_none")]
+        not_kept: Option<&'a str>,
+    }
+    MeasureJson {
+        options,
+        common_g: found.common.g,
+        common: &found.common,
+        scale: found.scale.as_ref(),
+        materials: &found.materials,
+        notes,
+        unmixed: found.unmixed.as_ref(),
+        kept: found.kept.as_deref(),
+        not_kept: found.not_kept.as_deref(),
+    }
 }
 
 /// Writes the answer as `--json` prints it.

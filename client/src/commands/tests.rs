@@ -22,7 +22,7 @@ use serde::Serialize;
 use super::dictionaries::{list, show};
 use super::farm::{status, workers};
 use super::fits::similar::{self, SimilarArgs};
-use super::fits::{design, fit, map, measure, profile, scale};
+use super::fits::{design, fit, map, profile, scale};
 use super::measurements::{kept, simulate};
 use crate::answers::{MeasureAnswer, MeasurementAnswer, UsedOptions};
 use crate::output::envelope;
@@ -60,12 +60,12 @@ fn answers() -> Vec<String> {
         line("fit", &about(used(&free), fit::FitJson { materials: &fits }, &notes())),
         line("fit", &about(used(&bound), fit::FitJson { materials: &fits[..1] }, &[])),
         line("scale", &about(used(&bound), scaled, &notes())),
-        line("measure", &measure::data(used(&free), &found(0, Some(scale_curve.clone())), &notes())),
+        line("measure", &crate::measured::data(used(&free), &found(0, Some(scale_curve.clone())), &notes())),
         line(
             "profile",
             &profile::ProfileJson { dictionary: "paper", x_mm: vec![-1.0, 1.0], profiles: &predicted() },
         ),
-        line("measure", &measure::data(used(&bound), &found(1, None), &[])),
+        line("measure", &crate::measured::data(used(&bound), &found(1, None), &[])),
         line("map", &about(used(&free), map::MapJson { maps: &[material_map()] }, &notes())),
         line("similar", &similar::data(&similar_args()).unwrap()),
         simulated(false),
@@ -78,7 +78,7 @@ fn answers() -> Vec<String> {
         line("workers", &workers::data(&[worker()])),
         line("fit", &about(used(&likely), fit::FitJson { materials: &[with_likelihood()] }, &[])),
         line("design", &design::data("paper", &design_question(likely), &assumed, &testing::design())),
-        line("measure", &measure::data(used(&likely), &with_inks(fits[..1].to_vec()), &[])),
+        line("measure", &crate::measured::data(used(&likely), &with_inks(fits[..1].to_vec()), &[])),
         line("measurements", &kept::KeptListJson { measurements: vec![kept_measurement().into()] }),
     ]
 }

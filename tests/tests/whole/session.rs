@@ -134,6 +134,8 @@ fn captured_folder_is_measured_and_reported() {
     // The answer is kept whole in a file of its own.
     let answer = read_json(&folder.path().join("out/answer.json"));
     assert_eq!((&answer["kind"], &answer["data"]["materials"]), (&"measure".into(), &data["materials"]));
+    let described = std::fs::read_to_string(folder.path().join("out/ro-crate-metadata.json")).unwrap();
+    assert!(described.contains("answer.json"), "{described}");
     assert!(!report.contains("<script") && !report.contains("http://") || report.contains("www.w3.org"));
     // A second measurement uses the existing dictionary.
     assert_eq!(measured(folder.path(), &[])["materials"], data["materials"]);

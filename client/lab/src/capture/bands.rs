@@ -160,8 +160,8 @@ impl Band {
         };
         let steps = ((to - from) / step).ceil().max(1.0) as usize;
         let even = (0..=steps).map(|i| from + (to - from) * i as f64 / steps as f64);
-        let of_tables = filter.into_iter().chain(light).flat_map(Spectrum::wavelengths_nm);
-        let mut places: Vec<f64> = even.chain(of_tables.filter(|nm| (from..=to).contains(nm))).collect();
+        let rows = filter.into_iter().chain(light).flat_map(Spectrum::wavelengths_nm);
+        let mut places: Vec<f64> = even.chain(rows.filter(|nm| (from..=to).contains(nm))).collect();
         places.sort_by(f64::total_cmp);
         places.dedup();
         places

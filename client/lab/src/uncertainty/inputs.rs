@@ -75,8 +75,8 @@ pub(super) fn input_quantities(fits: &[MaterialFit], is_captured: bool) -> Vec<I
             };
             let entry = entry(&mut gathered, name, unit);
             entry.add(value, n.prior_std_error, n.std_error);
-            let of_photographs = matches!(n.nuisance, Nuisance::BlurVariance | Nuisance::Origin);
-            entry.is_observed |= is_captured && of_photographs || !n.prior_std_error.is_finite();
+            let is_photographed = matches!(n.nuisance, Nuisance::BlurVariance | Nuisance::Origin);
+            entry.is_observed |= is_captured && is_photographed || !n.prior_std_error.is_finite();
         }
         for e in &r.likelihood.scene {
             let of_slab = e.slab_mm.map(|mm| mm.to_string()).unwrap_or_default();

@@ -9,21 +9,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::measurement_file::{MeasurementFile, Note};
+use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::mixture_file::read_mixtures;
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_proto::DictionaryName;
 use farm_proto::wire::{Keep, MeasureRequest};
-use optics_model::fit::{
-    Common, FitOptions, FitSettings, MaterialFit, Mixtures, MuRange, Objective, ScaleCurve, Unmixed,
-};
-use serde::Serialize;
+use optics_model::fit::{FitOptions, FitSettings, Mixtures, MuRange, Objective};
 
 use super::chosen_dictionary::{self, WantedDictionary};
-use crate::answers::{
-    FitsReport, MeasureAnswer, UsedOptions, budget_text, set_up_notes, verdict, verdict_text,
-};
+use crate::answers::{FitsReport, UsedOptions, budget_text, set_up_notes, verdict, verdict_text};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::figure_files::{self, FigureSize};
@@ -290,15 +285,16 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     // With --output, a session's folder keeps its report and media. The report has tables of the scene's estimates and of
     // the budget, so its text omits them.
     let completed = inputs.folder.as_ref().filter(|_| inputs.output.is_none());
+    let data = measured::data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
+    let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
+    // The description of a session's folder lists it.
+    if let Some(folder) = folder {
+        measured::write_answer(folder, &data)?;
+    }
     let report = match completed {
         Some(folder) => measured::complete(folder, &found, (&dictionary, &grid), &answer(false))?,
         None => None,
     };
-    let data = data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
-    let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
-    if let Some(folder) = folder {
-        measured::write_answer(folder, &data)?;
-    }
     output.print("measure", &data, || {
         let mut text = answer(true);
         if inputs.folder.is_some() {
@@ -320,41 +316,3 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
 #[derive(Debug, thiserror::Error)]
 #[error("this answer is not kept: {0}")]
 pub(crate) struct NotKept(String);
-
-pub(crate) fn data<'a>(
-    options: UsedOptions<'a>,
-    found: &'a MeasureAnswer,
-    notes: &'a [Note],
-) -> impl Serialize {
-    #[derive(Serialize)]
-    struct MeasureJson<'a> {
-        #[serde(flatten)]
-        options: UsedOptions<'a>,
-        /// Null if every channel has a separate anisotropy.
-        common_g: Option<f64>,
-        common: &'a Common,
-        /// Null if the scale factor was given or the likelihood was maximised.
-        scale: Option<&'a ScaleCurve>,
-        materials: &'a [MaterialFit],
-        /// Assumptions made in reading the file, and suspicious data in it.
-        notes: &'a [Note],
-        #[serde(skip_serializing_if = "Option::is_none")]
-        unmixed: Option<&'a Unmixed>,
-        /// Id of the kept measurement.
-        #[serde(skip_serializing_if = "Option::is_none")]
-        kept: Option<&'a str>,
-        #[serde(skip_serializing_if = "Option::is_none")]
-        not_kept: Option<&'a str>,
-    }
-    MeasureJson {
-        options,
-        common_g: found.common.g,
-        common: &found.common,
-        scale: found.scale.as_ref(),
-        materials: &found.materials,
-        notes,
-        unmixed: found.unmixed.as_ref(),
-        kept: found.kept.as_deref(),
-        not_kept: found.not_kept.as_deref(),
-    }
-}

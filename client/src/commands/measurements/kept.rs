@@ -16,7 +16,6 @@ use serde_json::json;
 
 use crate::answers::{FitsReport, MeasureAnswer, UsedOptions};
 use crate::cli::Global;
-use crate::commands::fits::measure;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::measured;
 use crate::output::{Output, table, utc};
@@ -223,7 +222,7 @@ fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result
             .with_context(|| format!("writing {}", folder.display()))?;
     }
     let used = UsedOptions::new(&summary.dictionary, &options, &assumed);
-    let data = measure::data(used, &found, &[]);
+    let data = measured::data(used, &found, &[]);
     if let Some(folder) = folder {
         measured::write_answer(folder, &data)?;
     }

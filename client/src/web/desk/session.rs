@@ -12,7 +12,7 @@ use optics_model::{Invalid, Measurement, Scene};
 use super::api::{CompleteCaptureRequest, CompleteCaptureResponse, OpenCaptureResponse};
 use super::note;
 use super::prints::measured;
-use crate::answers::FitsReport;
+use crate::answers::{FitsReport, UsedOptions};
 
 /// The set-up of a folder's session.
 pub(super) fn set_up(folder: &Path) -> Result<SetUp> {
@@ -52,14 +52,17 @@ pub(super) fn complete(folder: &Path, request: CompleteCaptureRequest) -> Result
     let options = FitOptions::try_from(request.options.unwrap_or_default())?;
     let materials: Vec<Measurement> =
         request.materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
-    let given = set_up(folder)?.with_given(options.settings());
+    let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
+    let assumed = set_up(folder)?.with_given(options.settings()).assumed(&materials);
     let report = FitsReport {
         fits: &found.materials,
-        assumed: given.assumed(&materials).text(options.settings()),
+        assumed: assumed.text(options.settings()),
         bound: false,
         scene: false,
     };
     let text = crate::measured::text(&found, &report);
+    let used = UsedOptions::new(&name, &options, &assumed);
+    crate::measured::write_answer(folder, &crate::measured::data(used, &found, &[]))?;
     crate::measured::complete(&SessionFolder::open(folder)?, &found, (&name, &grid), &text)?;
     Ok(CompleteCaptureResponse {})
 }

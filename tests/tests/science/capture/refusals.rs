@@ -262,6 +262,10 @@ fn nonsense_is_refused_without_a_panic() {
         assert!(refused, "as patches: {k}");
         let mut flats = optics_capture::Flats::new(calibration.black());
         let _ = flats.add(photo.clone()).and_then(|()| flats.finish().map(|_| ()));
-        let _ = optics_capture::check_shot(&photo, optics_capture::Darks::new());
+        let checked = optics_capture::check_shot(&photo, optics_capture::Darks::new());
+        if k == 0 {
+            let warnings = checked.unwrap().warnings;
+            assert!(matches!(&warnings[..], [optics_capture::Warning::DarkShot { .. }]), "{warnings:?}");
+        }
     }
 }
