@@ -120,7 +120,7 @@ fn measurands() -> String {
      coefficient σ<sub>a</sub>, per mm, of a homogeneous, isotropic material without fluorescence.</p>\n\
      <p>The estimates maximise the likelihood of all photographs of the session together: the measured profiles across \
      a black–white edge are those of a Monte Carlo simulation of the stack, transformed by the input quantities below. \
-     Input quantities of type B have normal priors with the stated standard uncertainties (those of the scene have wider \
+     Input quantities other than noise have normal priors with the stated standard uncertainties (those of the scene have wider \
      tails beyond two of them) and are estimated with the measurands, so their correlations are included (GUM 5.2). Gain, \
      zero and slope of a slab have a correlation of ½ between channels. \
      Combined standard uncertainties u<sub>c</sub> follow from the inverse of the information at the maximum, times the \
