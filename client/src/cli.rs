@@ -2,6 +2,7 @@
 
 mod bounds;
 mod figure;
+pub(crate) mod help;
 mod options;
 pub(crate) mod set_up;
 mod whole;

@@ -11,12 +11,13 @@ mod slurm;
 #[cfg(test)]
 mod tests;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
-use crate::cli::Global;
+use crate::cli::{Global, help};
 use crate::output::Output;
 use crate::web;
 pub(crate) use dictionaries::DictionaryDeleted;
@@ -71,6 +72,12 @@ enum Command {
 }
 
 impl Cli {
+    /// The command whose help is that for these arguments.
+    pub fn with_help(mut arguments: impl Iterator<Item = OsString>) -> clap::Command {
+        let all = arguments.any(|argument| argument == help::HELP_ALL);
+        help::with_help(<Self as CommandFactory>::command(), all)
+    }
+
     pub(crate) async fn run(self, output: &Output) -> Result<ExitCode> {
         let global = &self.global;
         match self.command {

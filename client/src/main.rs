@@ -8,7 +8,7 @@ use farm_link::arguments;
 use farm_link::logs::{self, LogFormat};
 
 fn main() -> ExitCode {
-    let cli: farmctl::Cli = arguments::parse();
+    let cli: farmctl::Cli = arguments::parse_as(farmctl::Cli::with_help(std::env::args_os()));
     if let Err(error) = logs::init(LogFormat::Text, "error") {
         logs::to_stderr(format_args!("farmctl: {error}"));
         return ExitCode::FAILURE;

@@ -8,7 +8,7 @@ use optics_model::{Invalid, Result};
 use crate::figure_files::{FigureSize, check_path};
 
 /// Heading of the help.
-const FIGURES: &str = "Figures";
+pub(super) const FIGURES: &str = "Figures";
 
 /// The size of the figures of --plot.
 #[derive(Debug, Default, Clone, Args)]

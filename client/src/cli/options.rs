@@ -43,8 +43,8 @@ pub(crate) struct OptionArgs {
 
 /// Headings of the help.
 const MEDIUM: &str = "Bounds of the medium";
-const OBJECTIVE: &str = "Objective of the fit";
-const SEARCH: &str = "Search of the scale factor";
+pub(super) const OBJECTIVE: &str = "Objective of the fit";
+pub(super) const SEARCH: &str = "Search of the scale factor";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ObjectiveArg {

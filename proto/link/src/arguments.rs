@@ -3,12 +3,30 @@
 use std::net::{SocketAddr, ToSocketAddrs as _};
 
 use clap::builder::Resettable;
+use clap::error::{ContextKind, ContextValue};
 use clap::{Command, Parser};
 
 /// The arguments of this process. An empty environment variable counts as not set, so that scripts and units can clear it.
 pub fn parse<A: Parser>() -> A {
-    let matches = without_empty_variables(A::command()).get_matches();
+    parse_as(A::command())
+}
+
+/// The arguments of this process as those of a command with the same arguments.
+pub fn parse_as<A: Parser>(command: Command) -> A {
+    let matches = without_empty_variables(command).try_get_matches();
+    let matches = matches.unwrap_or_else(|error| with_nearest(error).exit());
     A::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+/// The error with the nearest of the subcommands that it suggests: clap lists all that are alike, the nearest last.
+fn with_nearest(mut error: clap::Error) -> clap::Error {
+    let suggested = error.get(ContextKind::SuggestedSubcommand);
+    if let Some(ContextValue::Strings(names)) = suggested
+        && let Some(nearest) = names.last().cloned()
+    {
+        error.insert(ContextKind::SuggestedSubcommand, ContextValue::Strings(vec![nearest]));
+    }
+    error
 }
 
 fn without_empty_variables(command: Command) -> Command {
@@ -71,6 +89,15 @@ mod tests {
         assert_eq!(read(&["program"]).number, 7);
         assert!(matches!(read(&["program", "look"]).verb, Some(Verb::Look { number: None })));
         assert_eq!(read(&["program", "--number", "8"]).number, 8);
+    }
+
+    /// Of the verbs that are like a mistyped one, the nearest is suggested.
+    #[test]
+    fn nearest_verb_is_suggested() {
+        let verbs = ["slurm", "serve", "restore", "resume", "measurements", "measure"];
+        let command = Command::new("program").subcommands(verbs.map(Command::new));
+        let error = with_nearest(command.try_get_matches_from(["program", "mesure"]).unwrap_err());
+        assert!(error.to_string().contains("a similar subcommand exists: 'measure'"), "{error}");
     }
 
     /// The address to listen at may be a name.
