@@ -6,6 +6,7 @@ use std::process::ExitCode;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_lab::grid_file::{named_grid, read_grid, with_responses};
+use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
@@ -13,6 +14,7 @@ use optics_model::Grid;
 use optics_model::grid::NoiseLevel;
 
 use super::following::{self, follow};
+use super::forecast::Forecast;
 use super::list;
 use super::watch::line;
 use crate::cli::Global;
@@ -137,11 +139,15 @@ async fn submit(
     args: &SubmitArgs,
     quiet: bool,
 ) -> Result<(DictionaryStatus, SubmitEnd)> {
+    let forecast = (connection.is_embedded() && !quiet).then(|| Forecast::new(grid));
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
     let mut status = DictionaryStatus::try_from(submitted)?;
     if !args.wait && connection.is_server() {
         return Ok((status, SubmitEnd::Submitted));
+    }
+    if let Some(forecast) = forecast.filter(|_| status.state() == DictionaryState::Running) {
+        to_stderr(format_args!("farmctl: {}", forecast.text(&status)));
     }
     match follow(connection, &mut status, quiet).await? {
         following::FollowEnd::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),

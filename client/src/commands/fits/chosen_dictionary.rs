@@ -56,12 +56,11 @@ fn names(dictionaries: &[DictionaryStatus]) -> Vec<String> {
 pub(crate) struct WantedDictionary {
     pub name: DictionaryName,
     pub grid: Grid,
-    pub records_done: usize,
 }
 
 impl WantedDictionary {
     pub fn new(name: DictionaryName, grid: Grid) -> Self {
-        Self { name, grid, records_done: 0 }
+        Self { name, grid }
     }
 }
 
@@ -97,8 +96,7 @@ pub(crate) async fn or_lacking(connection: &Connection, given: Option<&String>) 
     let running = dictionaries.into_iter().find(|d| d.name.as_str() == name && is_running(d));
     Ok(match running {
         Some(d) if given.is_none() || built_in(&name).is_some() => {
-            let records_done = d.records_done();
-            Chosen::Lacking(WantedDictionary { name: d.name, grid: d.grid, records_done })
+            Chosen::Lacking(WantedDictionary::new(d.name, d.grid))
         }
         _ => Chosen::Complete(name),
     })

@@ -33,7 +33,8 @@ impl Plan {
             })
             .collect();
         let mut rank = 0;
-        for set in sets_longest_first(grid) {
+        // The longest come first, so that none of them is left over at the end.
+        for set in grid.walk_sets() {
             let places = [rank, rank + set.len() as u32];
             for (job, rank) in set.into_iter().zip(rank..) {
                 (jobs[job as usize].rank, jobs[job as usize].set) = (rank, places);
@@ -74,19 +75,4 @@ pub(super) fn parts_of(walks: Walks, too_large: Option<&Invalid>) -> u32 {
 /// points in `docs/measured.md`.
 pub(super) fn cost_per_walk(point: &TransportPoint) -> f64 {
     80.0 + 9.4 * point.optical_thickness()
-}
-
-/// Jobs of a grid, grouped by the walks that they share, the costliest first, so that none of the long ones is left over
-/// at the end.
-pub(super) fn sets_longest_first(grid: &Grid) -> Vec<Vec<u32>> {
-    let walks = |job: u32| {
-        let slab = grid.point(job as usize).walked_slab();
-        // Variants of the scene have walks of their own, and so has the baseline.
-        let variant = grid.response_of(job as usize).map(|response| response.variant);
-        (-slab.optical_thickness, slab, variant)
-    };
-    let mut jobs: Vec<_> = (0..grid.job_count() as u32).map(|job| (walks(job), job)).collect();
-    jobs.sort_by(|a, b| a.partial_cmp(b).expect("numbers of points are finite"));
-    let sets = jobs.chunk_by(|a, b| a.0 == b.0);
-    sets.map(|set| set.iter().map(|(_, job)| *job).collect()).collect()
 }

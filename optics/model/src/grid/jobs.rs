@@ -85,6 +85,20 @@ impl Grid {
         }
     }
 
+    /// The jobs, grouped by the walks that they share, the costliest first.
+    pub fn walk_sets(&self) -> Vec<Vec<u32>> {
+        let walks = |job: u32| {
+            let slab = self.point(job as usize).walked_slab();
+            // Variants of the scene have walks of their own, and so has the baseline.
+            let variant = self.response_of(job as usize).map(|response| response.variant);
+            (-slab.optical_thickness, slab, variant)
+        };
+        let mut jobs: Vec<_> = (0..self.job_count() as u32).map(|job| (walks(job), job)).collect();
+        jobs.sort_by(|a, b| a.partial_cmp(b).expect("numbers of points are finite"));
+        let sets = jobs.chunk_by(|a, b| a.0 == b.0);
+        sets.map(|set| set.iter().map(|(_, job)| *job).collect()).collect()
+    }
+
     /// Lengths of the axes that number the jobs of a variant, as [`Self::axis_lengths`].
     fn response_lengths(&self) -> [usize; 4] {
         let [n_ior, .., n_t] = self.axis_lengths();

@@ -2,7 +2,6 @@
 
 use anyhow::{Result, bail};
 use farm_lab::measurement_file::Note;
-use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::{GetRequest, MeasureRequest};
 use optics_model::fit::FitOptions;
@@ -16,7 +15,6 @@ use crate::commands::fits::chosen_dictionary::{self, Chosen, WantedDictionary};
 use crate::commands::fits::dictionary_notes;
 use crate::connection::{Purpose, patient, with_farm};
 use crate::interrupt::{Interrupted, interrupted};
-use crate::output::grouped;
 
 /// A measurement to fit, and the dictionary it is fitted with.
 pub(super) struct Question<'a> {
@@ -60,16 +58,12 @@ pub(super) async fn ask(
 ) -> Result<Answer> {
     let mut wanted = own;
     if wanted.is_none() {
-        wanted = chosen_dictionary::of_an_empty_folder(global, question.given)
-            .inspect(|wanted| announce(global, wanted));
+        wanted = chosen_dictionary::of_an_empty_folder(global, question.given);
     }
     loop {
         match ask_once(global, wanted.as_ref(), question).await? {
             Asked::Answered(answer) => return Ok(answer),
-            Asked::Lacks(lacking) => {
-                announce(global, &lacking);
-                wanted = Some(lacking);
-            }
+            Asked::Lacks(lacking) => wanted = Some(lacking),
         }
     }
 }
@@ -121,17 +115,4 @@ async fn ask_once(
         Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), notes }))
     })
     .await
-}
-
-fn announce(global: &Global, wanted: &WantedDictionary) {
-    let WantedDictionary { name, grid, records_done } = wanted;
-    let total = grid.stored_records();
-    if !global.quiet {
-        to_stderr(format_args!(
-            "farmctl: dictionary {name} is not complete in {}: {} of its {} records are computed first",
-            global.data.display(),
-            grouped(total.saturating_sub(*records_done) as u64),
-            grouped(total as u64)
-        ));
-    }
 }

@@ -1,0 +1,91 @@
+//! Forecasts time and room that the dictionary of a grid takes on this machine, by tracing a few of its jobs.
+
+use std::sync::atomic::AtomicBool;
+use std::time::Duration;
+
+use farm_proto::status::DictionaryStatus;
+use optics_model::job::JobSpec;
+use optics_model::{Grid, PackedRecords, Walks};
+use tokio::time::Instant;
+
+use crate::output::{duration, grouped};
+
+/// Time after which no more jobs are traced.
+const ENOUGH: Duration = Duration::from_millis(500);
+/// Walks of a job that are traced: those of a chunk.
+const WALKS: u64 = 12_500;
+/// Most sets of jobs that are traced.
+const MOST: usize = 32;
+
+/// What a dictionary takes on this machine.
+#[derive(Debug)]
+pub(super) struct Forecast {
+    time: Duration,
+    bytes: u64,
+}
+
+impl Forecast {
+    /// Traces sets of jobs that are spread evenly over their costs.
+    pub(super) fn new(grid: &Grid) -> Self {
+        let sets = grid.walk_sets();
+        let start = Instant::now();
+        let mut times = Vec::new();
+        for set in evenly(MOST.min(sets.len())).map(|place| &sets[(place * sets.len() as f64) as usize]) {
+            times.push(set_time(grid, set));
+            if start.elapsed() > ENOUGH {
+                break;
+            }
+        }
+        let mean = times.iter().sum::<f64>() / times.len().max(1) as f64;
+        let jobs = 0..grid.job_count();
+        let bytes = jobs.map(|job| PackedRecords::bytes_of(&JobSpec::of(grid, job)) as u64).sum();
+        Self { time: Duration::from_secs_f64(mean * sets.len() as f64), bytes }
+    }
+
+    /// A sentence about a dictionary, of which a part may be there.
+    pub(super) fn text(&self, status: &DictionaryStatus) -> String {
+        let (done, total) = (status.records_done() as u64, status.records_total() as u64);
+        format!(
+            "{}: {} of its {} records are computed, in about {} on this machine, and kept: {:.0} MB in all",
+            status.name,
+            grouped(total.saturating_sub(done)),
+            grouped(total),
+            duration(self.time.mul_f64((1.0 - status.work_done).clamp(0.0, 1.0))),
+            (self.bytes as f64 / 1e6).max(1.0),
+        )
+    }
+}
+
+/// Places between 0 and 1 after van der Corput: any first few of them are spread evenly.
+fn evenly(count: usize) -> impl Iterator<Item = f64> {
+    (1..=count as u32).map(|i| f64::from(i.reverse_bits()) / (f64::from(u32::MAX) + 1.0))
+}
+
+/// Seconds that all walks of jobs that share them take.
+fn set_time(grid: &Grid, set: &[u32]) -> f64 {
+    let walks = set.iter().map(|job| grid.walks_of(*job as usize).get()).max().unwrap_or(WALKS);
+    let traced = walks.min(WALKS);
+    let shortened = |job: &u32| {
+        let scene = grid.scene_of(*job as usize).clone();
+        let job = JobSpec::of(grid, *job as usize);
+        let albedo = job.albedo().to_vec();
+        JobSpec::new(scene, job.point(), albedo, Walks::new(traced)?, job.seed(), job.derivatives())
+    };
+    let Ok(jobs) = set.iter().map(shortened).collect::<Result<Vec<_>, _>>() else { return 0.0 };
+    let start = Instant::now();
+    let _ = optics_layers::records_of_set(&jobs, &AtomicBool::new(false));
+    start.elapsed().as_secs_f64() * walks as f64 / traced as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The first places are spread evenly, whatever their number.
+    #[test]
+    fn first_places_are_spread_evenly() {
+        assert_eq!(evenly(4).collect::<Vec<_>>(), [0.5, 0.25, 0.75, 0.125]);
+        let mean = evenly(32).sum::<f64>() / 32.0;
+        assert!((mean - 0.5).abs() < 0.02, "{mean}");
+    }
+}
