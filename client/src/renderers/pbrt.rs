@@ -20,7 +20,9 @@ use super::{RENDERED_NM, Values, blocks};
 /// Statements that are valid before and after `WorldBegin`.
 pub(crate) fn pbrt(fits: &[MaterialFit]) -> String {
     let mut text = "# Measured media for pbrt-v4.\n\
-        # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.\n"
+        # Coefficients are per mm, for a scene in mm; for one in metres set each scale to 1000.\n\
+        # Light is scattered hundreds of times: Integrator \"volpath\" \"integer maxdepth\" 10000 \
+        loses none.\n"
         .to_owned();
     for block in blocks(fits) {
         text += &block.notes.iter().map(|note| format!("# {note}\n")).collect::<String>();
