@@ -9,6 +9,7 @@ use optics_tracer::SeenBase;
 use toml::de::DeTable;
 
 use crate::bounded_file;
+use crate::file_kind::or_other_kind;
 use crate::measurement_file::plain;
 
 /// Largest grid or scene file that is read, in bytes.
@@ -101,16 +102,16 @@ pub fn named_grid(name: &str) -> Option<Grid> {
 
 pub fn read_text(path: &Path, what: &str) -> Result<String> {
     let place = || format!("{what} {}", path.display());
-    plain(&bounded_file::read(path, LARGEST).with_context(place)?).with_context(place)
+    let bytes = bounded_file::read(path, LARGEST).with_context(place)?;
+    or_other_kind(plain(&bytes), &bytes, what).with_context(place)
 }
 
 pub fn from_toml<T: serde::de::DeserializeOwned>(text: &str, path: &Path, what: &str) -> Result<T> {
-    toml::from_str(text).map_err(|error| {
-        let place = format!("{what} {}", path.display());
-        match error.span().and_then(|span| decimal_comma(text, span.start)) {
-            Some(hint) => anyhow::Error::new(error).context(format!("{place}, {hint}")),
-            None => anyhow::Error::new(error).context(place),
-        }
+    toml::from_str(text).or_else(|error| {
+        let hint = error.span().and_then(|span| decimal_comma(text, span.start));
+        let hint = hint.map_or_else(String::new, |hint| format!(", {hint}"));
+        let read = or_other_kind(Err(error.into()), text.as_bytes(), what);
+        read.with_context(|| format!("{what} {}{hint}", path.display()))
     })
 }
 

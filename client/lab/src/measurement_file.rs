@@ -16,6 +16,7 @@ mod write;
 
 use std::path::Path;
 
+use crate::file_kind::or_other_kind;
 use anyhow::{Context, Result};
 use optics_model::Measurement;
 
@@ -23,6 +24,7 @@ pub use columns::names as column_names;
 pub use names::normal;
 pub use note::Note;
 use number::Decimal;
+pub(crate) use number::is_missing;
 use rows::ProfileDraft;
 pub use suspicions::beyond_limits;
 use table::Table;
@@ -50,11 +52,18 @@ pub fn read_measurements(path: &Path) -> Result<MeasurementFile> {
 
 /// Reads and checks the measurements of a file's bytes.
 pub fn read(bytes: &[u8]) -> Result<MeasurementFile> {
+    or_other_kind(parsed(bytes), bytes, "measurement")
+}
+
+fn parsed(bytes: &[u8]) -> Result<MeasurementFile> {
     let mut notes = Vec::new();
     let bytes = text::unpacked(bytes, &mut notes)?;
     let text = text::decode(&bytes, &mut notes)?;
-    let mut drafts =
-        if cgats::is(&text) { cgats::drafts(&text, &mut notes)? } else { of_table(&text, &mut notes)? };
+    let is_cgats = cgats::is(&text);
+    if !is_cgats {
+        cgats::refuse_other_spectra(&text)?;
+    }
+    let mut drafts = if is_cgats { cgats::drafts(&text, &mut notes)? } else { of_table(&text, &mut notes)? };
     rows::name_colours(&mut drafts, &mut notes)?;
     rows::look_alike(&drafts, &mut notes);
     rows::sort(&mut drafts, &mut notes)?;

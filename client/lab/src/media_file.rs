@@ -12,12 +12,14 @@ use optics_model::{Digest, Medium, SceneFile};
 use serde::{Deserialize, Serialize};
 
 use crate::bounded_file;
+use crate::file_kind::or_other_kind;
 
 /// Name of the file in the folder of a session or of media.
 pub const MEDIA_FILE: &str = "media.json";
 const FORMAT: &str = "farmctl-media/1";
 /// Largest file that is read, in bytes.
 const LARGEST: u64 = 64 << 20;
+const MOST_MATERIALS: usize = 2000;
 
 /// Materials that were measured together.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -162,6 +164,14 @@ impl MediaFile {
         }
     }
 
+    fn parse(bytes: &[u8]) -> Result<Self> {
+        let json: serde_json::Value = serde_json::from_slice(bytes)?;
+        if json["format"] != FORMAT {
+            bail!("its format is {}, not {FORMAT:?}", json["format"]);
+        }
+        Ok(serde_json::from_value(json)?)
+    }
+
     /// The file of this path, or that in the folder of this path.
     pub fn read(path: &Path) -> Result<Self> {
         let path = if path.is_dir() { path.join(MEDIA_FILE) } else { PathBuf::from(path) };
@@ -169,15 +179,15 @@ impl MediaFile {
         let bytes = bounded_file::read(&path, LARGEST).with_context(|| {
             format!("{}: `farmctl measure` writes it into the session's folder, or that of -o", place())
         })?;
-        let json: serde_json::Value = serde_json::from_slice(&bytes).with_context(place)?;
-        if json["format"] != FORMAT {
-            bail!("{}: its format is {}, not {FORMAT:?}", place(), json["format"]);
-        }
-        let file: Self = serde_json::from_value(json).with_context(place)?;
+        let file = or_other_kind(Self::parse(&bytes), &bytes, "media file").with_context(place)?;
         let sources = file.sources();
         if let Some(other) = file.set_up.iter().find(|s| s.shared.len() != sources) {
             let found = other.shared.len();
             bail!("{}: set_up {}: it has {found} shared errors, others {sources}", place(), other.quantity);
+        }
+        if file.materials.len() > MOST_MATERIALS {
+            let found = file.materials.len();
+            bail!("{}: it has {found} materials, {MOST_MATERIALS} are allowed", place());
         }
         for (i, material) in file.materials.iter().enumerate() {
             if file.materials[..i].iter().any(|other| other.material == material.material) {

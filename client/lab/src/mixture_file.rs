@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use optics_model::Invalid;
 use optics_model::fit::{Mixture, Mixtures};
 use optics_model::invalid::each;
 use serde::Deserialize;
@@ -12,6 +13,7 @@ use crate::grid_file::{from_toml, read_text};
 use crate::measurement_file::{normal, plain};
 
 const WHAT: &str = "mixture file";
+const MOST_MIXTURES: usize = 2000;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -49,6 +51,10 @@ fn mixtures(file: File) -> optics_model::Result<Mixtures> {
         let parts = entry.parts.into_iter().map(|(ink, share)| (normal(&ink).into_owned(), share));
         Mixture::new(normal(&entry.material), parts)
     };
+    if file.mixture.len() > MOST_MIXTURES {
+        let given = format!("{} entries", file.mixture.len());
+        return Err(Invalid::new("mixture", given, format!("at most {MOST_MIXTURES} are allowed")));
+    }
     Mixtures::new(each("mixture", file.mixture, mixture)?)
 }
 

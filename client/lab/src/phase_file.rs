@@ -6,6 +6,7 @@ use anyhow::{Context, Result, bail};
 use optics_model::phase::PhaseTable;
 
 use crate::grid_file::read_text;
+use crate::number_table::NumberTable;
 
 /// Names of the columns.
 const COLUMNS: [&str; 2] = ["angle_deg", "value"];
@@ -18,20 +19,15 @@ pub fn read_phase_table(path: &Path) -> Result<PhaseTable> {
 }
 
 fn phase_table(text: &str) -> Result<PhaseTable> {
-    let mut reader =
-        csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
-    let columns = reader.headers()?;
-    if columns.iter().collect::<Vec<_>>() != COLUMNS {
-        let found = columns.iter().collect::<Vec<_>>().join(",");
-        bail!("the first line is {found:?}: the columns {} are needed", COLUMNS.join(","));
+    let needed = format!("the columns {}", COLUMNS.join(","));
+    let table = NumberTable::parse(text, |name| name == COLUMNS[0], &needed)?;
+    if table.names != COLUMNS {
+        bail!("the columns are {:?}: {needed} are needed", table.names.join(","));
     }
     let (mut angle_deg, mut value) = (Vec::new(), Vec::new());
-    for row in reader.records() {
-        let row = row?;
-        let line = row.position().map_or(0, csv::Position::line);
-        let number = |i: usize| -> Result<f64> {
-            let cell = &row[i];
-            cell.parse().with_context(|| format!("line {line}: {} = {cell:?} is no number", COLUMNS[i]))
+    for row in &table.rows {
+        let number = |i: usize| {
+            row.numbers[i].with_context(|| format!("line {}: {} is missing", row.line, COLUMNS[i]))
         };
         angle_deg.push(number(0)?);
         value.push(number(1)?);

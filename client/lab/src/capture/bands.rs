@@ -116,18 +116,20 @@ impl Band {
         Ok(weights.iter().map(product).sum::<Result<f64, Invalid>>()? / whole)
     }
 
-    /// Share of the light that a filter passes outside of its passband, which ends where the table falls below
-    /// [`PASSBAND`]; 0 of a filter without table.
+    /// Share of the light that a filter passes far from its passband, which ends where the table falls below [`PASSBAND`]:
+    /// more than twice as far from its wavelength. 0 of a filter without table.
     pub(super) fn stray_share(&self, light: Option<&Spectrum>) -> Result<f64, Invalid> {
         let Filter::Table(table) = &self.filter else { return Ok(0.0) };
         let weights = self.weights(light)?;
-        let least = PASSBAND * table.greatest();
-        let middle = weights.partition_point(|(nm, _)| *nm < self.wavelength_nm);
+        let (least, middle) = (PASSBAND * table.greatest(), self.wavelength_nm);
         let passes = |(nm, _): &&(f64, f64)| table.at(*nm) >= least;
-        let (below, above) = weights.split_at(middle);
-        let passed = below.iter().rev().take_while(passes).chain(above.iter().take_while(passes));
-        let whole: f64 = weights.iter().map(|(_, weight)| weight).sum();
-        Ok((1.0 - passed.map(|(_, weight)| weight).sum::<f64>() / whole).max(0.0))
+        let (below, above) = weights.split_at(weights.partition_point(|(nm, _)| *nm < middle));
+        let low = below.iter().rev().take_while(passes).last().map_or(middle, |(nm, _)| *nm);
+        let high = above.iter().take_while(passes).last().map_or(middle, |(nm, _)| *nm);
+        let skirts = middle - 2.0 * (middle - low)..=middle + 2.0 * (high - middle);
+        let total = |weights: &mut dyn Iterator<Item = &(f64, f64)>| weights.map(|(_, w)| w).sum::<f64>();
+        let far = total(&mut weights.iter().filter(|(nm, _)| !skirts.contains(nm)));
+        Ok(far / total(&mut weights.iter()))
     }
 
     /// Wavelengths of the band and their weights by filter and light, without ends that do not count.
@@ -299,6 +301,10 @@ mod tests {
         let stray = band.stray_share(None).unwrap();
         assert!((stray / (2.9 / 12.9) - 1.0).abs() < 0.05, "{stray}");
         assert_eq!(gaussian().stray_share(None).unwrap(), 0.0);
+        // Neither do the skirts of a table of the same Gaussian.
+        let value = |nm: i32| libm::exp(-0.5 * (f64::from(nm - 550) * FWHM / 10.0).powi(2));
+        let pairs: Vec<String> = (500..=600).map(|nm| format!("{nm},{:.6}", value(nm))).collect();
+        assert!(filter(&pairs.join(" ")).stray_share(None).unwrap() < 1e-4);
         assert!((40.0..60.0).contains(&band.std_dev_nm()), "{}", band.std_dev_nm());
         let leaked = 1.0 / (10.0 + 2.9);
         let found = band.mean("rho", &step, None).unwrap();

@@ -1,4 +1,4 @@
-//! Reads quantities over wavelength from CSV files: `wavelength_nm` and one column for each quantity.
+//! Reads quantities over wavelength from tables: a column of wavelengths, and one for each quantity.
 
 use std::path::Path;
 
@@ -6,9 +6,10 @@ use anyhow::{Context, Result, bail};
 use optics_model::Invalid;
 
 use crate::grid_file::read_text;
+use crate::number_table::{NumberRow, NumberTable};
 
-/// Name of the first column.
-const WAVELENGTH: &str = "wavelength_nm";
+/// Negative values of a larger share of the greatest one are errors; smaller ones are noise.
+const NOISE: f64 = 0.01;
 
 /// A quantity over wavelength, linear between its rows.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,32 +43,42 @@ impl Spectrum {
     }
 
     pub fn parse(text: &str) -> Result<Vec<Self>> {
-        let mut reader =
-            csv::ReaderBuilder::new().comment(Some(b'#')).trim(csv::Trim::All).from_reader(text.as_bytes());
-        let columns: Vec<String> = reader.headers()?.iter().map(str::to_owned).collect();
-        if columns.first().is_none_or(|first| first != WAVELENGTH) || columns.len() < 2 {
-            let found = columns.join(",");
-            bail!("the first line is {found:?}: {WAVELENGTH} and at least one column of values are needed");
+        let needed = "wavelength_nm and at least one column of values";
+        let mut table = NumberTable::parse(text, is_wavelength, needed)?;
+        // Instruments scan from long wavelengths to short ones.
+        let ends = [table.rows.first(), table.rows.last()].map(|row| row.and_then(|row| row.numbers[0]));
+        if let [Some(first), Some(last)] = ends
+            && first > last
+        {
+            table.rows.reverse();
         }
-        let mut spectra = vec![Self { rows: Vec::new() }; columns.len() - 1];
-        for row in reader.records() {
-            let row = row?;
-            let line = row.position().map_or(0, csv::Position::line);
-            let number = |i: usize| -> Result<f64> {
-                let cell = &row[i];
-                let number = cell.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0);
-                number.with_context(|| format!("line {line}: {} = {cell:?} is no number from 0", columns[i]))
-            };
-            let nm = number(0)?;
+        let mut spectra = vec![Self { rows: Vec::new() }; table.names.len() - 1];
+        for NumberRow { line, numbers } in &table.rows {
+            let nm = numbers[0].with_context(|| format!("line {line}: the wavelength is missing"))?;
+            if nm < 100.0 {
+                bail!("line {line}: {} = {nm}: wavelengths in nm are needed", table.names[0]);
+            }
+            if numbers[1..].iter().all(Option::is_none) {
+                continue;
+            }
             if spectra[0].rows.last().is_some_and(|(before, _)| *before >= nm) {
-                bail!("line {line}: {WAVELENGTH} = {nm}: wavelengths must rise");
+                bail!("line {line}: {} = {nm}: wavelengths must rise", table.names[0]);
             }
             for (i, spectrum) in spectra.iter_mut().enumerate() {
-                spectrum.rows.push((nm, number(i + 1)?));
+                let name = &table.names[i + 1];
+                let value = numbers[i + 1].with_context(|| format!("line {line}: {name} is missing"))?;
+                spectrum.rows.push((nm, if name.contains('%') { 0.01 * value } else { value }));
             }
         }
         if spectra[0].rows.len() < 2 {
             bail!("at least two wavelengths are needed");
+        }
+        for (spectrum, name) in spectra.iter_mut().zip(&table.names[1..]) {
+            let least = -NOISE * spectrum.greatest();
+            if let Some((nm, value)) = spectrum.rows.iter().find(|(_, value)| *value < least) {
+                bail!("{name} = {value} at {nm} nm is no number from 0");
+            }
+            spectrum.rows.iter_mut().for_each(|(_, value)| *value = value.max(0.0));
         }
         Ok(spectra)
     }
@@ -134,9 +145,28 @@ impl Spectrum {
     }
 }
 
+/// Whether a column is called like wavelengths in nm.
+fn is_wavelength(name: &str) -> bool {
+    let name = name.to_lowercase();
+    ["wavelength", "lambda", "λ", "nm", "wl"].iter().any(|begin| name.starts_with(begin))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Falling wavelengths, per cent, noise below 0 and missing numbers are read as they are meant.
+    #[test]
+    fn spectra_of_instruments_are_read() {
+        let expected = Spectrum::parse("wavelength_nm,a\n400,0\n500,0.5\n600,0.25\n").unwrap();
+        for text in [
+            "Wavelength (nm),% Transmission\n600,25\n500,50\n450,\n400,-0.02\n",
+            "nm;T\n400;-2e-5\n500;0,5\n600;0,25\n",
+            "Sample 1,\nWavelength (nm),%T,\n600,25,\n500,50,\n400,0,\n",
+        ] {
+            assert_eq!(Spectrum::parse(text).unwrap(), expected, "{text}");
+        }
+    }
 
     #[test]
     fn spectra_are_linear_between_rows() {
@@ -157,11 +187,11 @@ mod tests {
     fn wrong_spectra_are_refused() {
         for (text, message) in [
             (
-                "nm,a\n400,1\n",
-                "the first line is \"nm,a\": wavelength_nm and at least one column of values are needed",
+                "angle,a\n400,1\n",
+                "the first line is \"angle,a\": wavelength_nm and at least one column of values are needed",
             ),
             ("wavelength_nm,a\n400,1\n400,1\n", "line 3: wavelength_nm = 400: wavelengths must rise"),
-            ("wavelength_nm,a\n400,-1\n", "line 2: a = \"-1\" is no number from 0"),
+            ("wavelength_nm,a\n400,-1\n500,1\n", "a = -1 at 400 nm is no number from 0"),
             ("wavelength_nm,a\n400,1\n", "at least two wavelengths are needed"),
         ] {
             assert_eq!(Spectrum::parse(text).unwrap_err().to_string(), message);

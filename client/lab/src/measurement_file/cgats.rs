@@ -1,6 +1,8 @@
 //! Reads patches from tables of spectrophotometers in CGATS.17 (ISO 28178): one row for a patch, with a reflectance for
 //! each wavelength.
 
+use std::collections::HashMap;
+
 use anyhow::{Context, Result, bail};
 
 use super::names::normal;
@@ -10,16 +12,31 @@ use super::rows::ProfileDraft;
 
 /// Standard error of a reflectance where the file has no `STD_ERROR`: the repeatability of common instruments.
 const REPEATABILITY: f64 = 0.001;
-/// Reflectances above this are per cent.
-const GREATEST_FACTOR: f64 = 1.5;
-/// Beginnings of the names of columns that continue with a wavelength in nm, longest first.
-const SPECTRAL: [&str; 8] = ["SPECTRAL_NM", "SPECTRAL_", "SPECTRAL", "SPEC_", "NM_", "NM", "R_", "R"];
+/// Where no white is stated, reflectances above this are per cent: fluorescent papers have up to twice the light of a
+/// white.
+const GREATEST_FACTOR: f64 = 3.0;
+/// Most that the brightest patch reflects of a white in the middle of its wavelengths.
+const GREATEST_MEDIAN: f64 = 1.05;
+/// Beginnings of the names of columns that continue with a wavelength in nm, without separators.
+const SPECTRAL: [&str; 8] = ["", "SPECTRALNM", "SPECTRAL", "SPECNM", "SPEC", "NM", "R", "REFLECTANCE"];
+/// Most sets of a table: those of the largest charts are a tenth of it.
+const MOST_SETS: usize = 50_000;
 /// Wavelengths of such columns in nm.
 const NM: std::ops::RangeInclusive<f64> = 200.0..=2500.0;
 
 /// Whether a text is a CGATS table.
 pub(super) fn is(text: &str) -> bool {
-    text.lines().any(|line| line.trim() == "BEGIN_DATA_FORMAT")
+    text.lines().any(|line| line.trim().trim_matches('"') == "BEGIN_DATA_FORMAT")
+}
+
+/// Refuses a table of spectra without the keywords of CGATS, as some programs write it by default.
+pub(super) fn refuse_other_spectra(text: &str) -> Result<()> {
+    let is_head =
+        |line: &str| words(line).iter().enumerate().filter_map(|(i, name)| band((i, name))).count() >= 5;
+    if text.lines().take(100).any(|line| is_head(&line.replace([',', ';'], " "))) {
+        bail!("this is a table of spectra without the keywords of CGATS: export it as CGATS (ISO 28178)");
+    }
+    Ok(())
 }
 
 /// The patches of a table, one for each row and wavelength.
@@ -34,16 +51,11 @@ pub(super) fn drafts(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDra
             "the CGATS table has no reflectances: columns such as SPECTRAL_NM460, SPEC_460 or NM_460 are needed"
         );
     }
-    let greatest = table.greatest(&bands)?;
-    let white = match table.number("SPECTRAL_NORM")? {
-        Some(white) if white > 0.0 => white,
-        Some(white) => bail!("SPECTRAL_NORM = {white} is not valid: allowed are numbers above 0"),
-        None if greatest > GREATEST_FACTOR => 100.0,
-        None => 1.0,
-    };
+    table.refuse_other_quantities()?;
+    let white = table.white(&bands)?;
     let of_file = [table.number("THICKNESS_MM")?, table.number("STD_ERROR")?];
     let columns = [table.column("THICKNESS_MM"), table.column("STD_ERROR")];
-    let mut drafts = Vec::new();
+    let (mut patches, mut places) = (Vec::<MeasuredPatch>::new(), HashMap::new());
     for row in &table.rows {
         let given = |which: usize| match columns[which] {
             Some(column) => row.number(&table.columns, column).map(Some),
@@ -52,31 +64,73 @@ pub(super) fn drafts(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDra
         let thickness_mm = given(0)?.context(
             "the CGATS table has no thickness: add a column THICKNESS_MM, or a line such as THICKNESS_MM 2 before it",
         )?;
-        let std_error = Some(given(1)?.unwrap_or(REPEATABILITY));
-        for (column, nm) in &bands {
-            let value = Some(row.number(&table.columns, *column)? / white);
-            let patch = FileRow { line: row.line, x_mm: None, value, std_error };
-            drafts.push(ProfileDraft::patch_of(
-                &normal(&row.cells[name]),
-                &nm.to_string(),
-                thickness_mm,
-                patch,
-            ));
+        let value = |(column, _): &(usize, f64)| Ok(row.number(&table.columns, *column)? / white);
+        let reading = PatchReading {
+            values: bands.iter().map(value).collect::<Result<_>>()?,
+            std_error: given(1)?.unwrap_or(REPEATABILITY),
+        };
+        let name = normal(&row.cells[name]).into_owned();
+        let place = *places.entry((name.clone(), thickness_mm.to_bits())).or_insert(patches.len());
+        if place == patches.len() {
+            patches.push(MeasuredPatch { name, thickness_mm, line: row.line, readings: Vec::new() });
         }
+        patches[place].readings.push(reading);
     }
-    notes.push(Note::new(
-        "CGATS",
-        described(&table, &bands, white, columns[1].is_some() || of_file[1].is_some()),
-    ));
-    Ok(drafts)
+    let has_errors = columns[1].is_some() || of_file[1].is_some();
+    notes.push(Note::new("CGATS", described(&table, &patches, &bands, white, has_errors)));
+    let draft = |patch: &MeasuredPatch, i: usize| {
+        let (value, std_error) = patch.mean(i);
+        let row = FileRow { line: patch.line, x_mm: None, value: Some(value), std_error: Some(std_error) };
+        ProfileDraft::patch_of(&patch.name, &bands[i].1.to_string(), patch.thickness_mm, row)
+    };
+    Ok(patches.iter().flat_map(|patch| (0..bands.len()).map(move |i| draft(patch, i))).collect())
 }
 
-fn described(table: &CgatsTable, bands: &[(usize, f64)], white: f64, has_errors: bool) -> String {
+/// A patch with all of its readings.
+struct MeasuredPatch {
+    name: String,
+    thickness_mm: f64,
+    /// Line of its first reading.
+    line: u64,
+    readings: Vec<PatchReading>,
+}
+
+struct PatchReading {
+    /// Reflectances, one for each wavelength.
+    values: Vec<f64>,
+    std_error: f64,
+}
+
+impl MeasuredPatch {
+    /// The mean of the readings at a wavelength, with its standard error: that of the readings, or of their scatter if
+    /// that is larger.
+    fn mean(&self, wavelength: usize) -> (f64, f64) {
+        let n = self.readings.len() as f64;
+        let values = || self.readings.iter().map(|reading| reading.values[wavelength]);
+        let mean = values().sum::<f64>() / n;
+        let stated = self.readings.iter().map(|reading| reading.std_error.powi(2)).sum::<f64>() / n;
+        let scatter = values().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+        (mean, (stated.max(scatter) / n).sqrt())
+    }
+}
+
+fn described(
+    table: &CgatsTable,
+    patches: &[MeasuredPatch],
+    bands: &[(usize, f64)],
+    white: f64,
+    has_errors: bool,
+) -> String {
     let errors = if has_errors { "" } else { ", standard errors assumed as 0.001" };
+    let repeated = match table.rows.len() - patches.len() {
+        0 => String::new(),
+        _ => format!(" ({} readings, whose means are taken)", table.rows.len()),
+    };
     let (first, last) = (bands[0].1, bands[bands.len() - 1].1);
     format!(
-        "a CGATS table of {} patches, with reflectances at {} wavelengths from {first} to {last} nm, of {white} for white{errors}",
-        table.rows.len(),
+        "a CGATS table of {} patches{repeated}, with reflectances at {} wavelengths from {first} to {last} nm, of {white} \
+         for white{errors}",
+        patches.len(),
         bands.len()
     )
 }
@@ -85,9 +139,10 @@ fn described(table: &CgatsTable, bands: &[(usize, f64)], white: f64, has_errors:
 fn band((column, name): (usize, &String)) -> Option<(usize, f64)> {
     let name = name.to_ascii_uppercase();
     let name = name.strip_suffix("NM").unwrap_or(&name);
-    let rest = SPECTRAL.iter().find_map(|start| name.strip_prefix(start)).unwrap_or(name);
-    let nm: f64 = rest.parse().ok()?;
-    NM.contains(&nm).then_some((column, nm))
+    let start = name.find(|c: char| c.is_ascii_digit())?;
+    let letters = name[..start].replace(['_', ' ', '-', '.'], "");
+    let nm: f64 = name[start..].parse().ok()?;
+    (SPECTRAL.contains(&letters.as_str()) && NM.contains(&nm)).then_some((column, nm))
 }
 
 /// A table, with the keywords before it.
@@ -97,7 +152,9 @@ struct CgatsTable {
     rows: Vec<CgatsRow>,
 }
 
+/// A set of values.
 struct CgatsRow {
+    /// Its first line.
     line: u64,
     cells: Vec<String>,
 }
@@ -115,7 +172,7 @@ impl CgatsTable {
         let mut table = Self { keywords: Vec::new(), columns: Vec::new(), rows: Vec::new() };
         let mut section = Section::Keywords;
         for (line, text) in (1..).zip(text.lines()) {
-            let cells = words(text);
+            let cells = if section == Section::Data { table.cells(text) } else { words(text) };
             let Some(first) = cells.first() else { continue };
             section = match (first.as_str(), section) {
                 ("BEGIN_DATA_FORMAT", Section::Keywords) if table.rows.is_empty() => Section::Format,
@@ -140,21 +197,37 @@ impl CgatsTable {
             };
         }
         let expected = table.number("NUMBER_OF_SETS")?.unwrap_or(table.rows.len() as f64);
+        let is_whole = |row: &CgatsRow| row.cells.len() == table.columns.len();
+        if let Some(row) = table.rows.last().filter(|row| !is_whole(row)) {
+            bail!("{}", row.too_long_or_short(table.columns.len()));
+        }
         if section != Section::Keywords || table.rows.is_empty() || expected != table.rows.len() as f64 {
             bail!("the CGATS table is not complete: {} of {expected} rows are there", table.rows.len());
         }
         Ok(table)
     }
 
+    /// The values of a line: between tabs where these give as many as the table has columns, else between blanks.
+    fn cells(&self, line: &str) -> Vec<String> {
+        let between_tabs = line.trim_end().split('\t').map(|cell| cell.trim().trim_matches('"').to_owned());
+        let between_tabs: Vec<String> = between_tabs.collect();
+        if between_tabs.len() == self.columns.len() { between_tabs } else { words(line) }
+    }
+
+    /// Adds the values of a line to the last set if that is not complete: sets may have several lines.
     fn add(&mut self, line: u64, cells: Vec<String>) -> Result<()> {
-        if cells.len() != self.columns.len() {
-            bail!(
-                "line {line} has {} values, but the CGATS table has {} columns",
-                cells.len(),
-                self.columns.len()
-            );
+        let columns = self.columns.len();
+        if self.rows.last().is_none_or(|row| row.cells.len() >= columns) {
+            if self.rows.len() == MOST_SETS {
+                bail!("line {line}: the CGATS table has more than {MOST_SETS} sets");
+            }
+            self.rows.push(CgatsRow { line, cells: Vec::new() });
         }
-        self.rows.push(CgatsRow { line, cells });
+        let Some(row) = self.rows.last_mut() else { return Ok(()) };
+        row.cells.extend(cells);
+        if row.cells.len() > columns {
+            bail!("{}", row.too_long_or_short(columns));
+        }
         Ok(())
     }
 
@@ -167,18 +240,52 @@ impl CgatsTable {
         found.map(|(name, value)| number(value).with_context(|| name.clone())).transpose()
     }
 
-    fn greatest(&self, bands: &[(usize, f64)]) -> Result<f64> {
-        let mut greatest = f64::NEG_INFINITY;
-        for row in &self.rows {
-            for (column, _) in bands {
-                greatest = greatest.max(row.number(&self.columns, *column)?);
-            }
+    /// Refuses transmittances, densities and the like, if the table says what it holds.
+    fn refuse_other_quantities(&self) -> Result<()> {
+        let other = |(_, value): &&(String, String)| {
+            let value = value.to_ascii_uppercase();
+            ["TRANSMI", "ABSORB", "EMISSI"].iter().any(|quantity| value.starts_with(quantity))
+        };
+        let kinds = ["QUANTITY", "MEASUREMENT_MODE", "MEASUREMENT_TYPE"];
+        let mut stated = self.keywords.iter().filter(|(name, _)| kinds.contains(&name.as_str()));
+        match stated.find(other) {
+            Some((name, value)) => bail!("{name} is {value:?}: reflectances are needed"),
+            None => Ok(()),
         }
-        Ok(greatest)
+    }
+
+    /// The number for a perfect white: that of `SPECTRAL_NORM`, or 1 or 100 as the values tell.
+    fn white(&self, bands: &[(usize, f64)]) -> Result<f64> {
+        match self.number("SPECTRAL_NORM")? {
+            Some(white) if white > 0.0 => return Ok(white),
+            Some(white) => bail!("SPECTRAL_NORM = {white} is not valid: allowed are numbers above 0"),
+            None => {}
+        }
+        let (mut greatest, mut brightest) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        for row in &self.rows {
+            let values = bands.iter().map(|(column, _)| row.number(&self.columns, *column));
+            let mut values: Vec<f64> = values.collect::<Result<_>>()?;
+            values.sort_by(f64::total_cmp);
+            greatest = greatest.max(values[values.len() - 1]);
+            brightest = brightest.max(values[values.len() / 2]);
+        }
+        match () {
+            () if greatest > GREATEST_FACTOR => Ok(100.0),
+            () if brightest <= GREATEST_MEDIAN => Ok(1.0),
+            () => bail!(
+                "the brightest patch reflects {brightest}: per cent of a dark print, or of 1 for white? Add the line \
+                 SPECTRAL_NORM 100 or SPECTRAL_NORM 1"
+            ),
+        }
     }
 }
 
 impl CgatsRow {
+    fn too_long_or_short(&self, columns: usize) -> String {
+        let (line, values) = (self.line, self.cells.len());
+        format!("the set of line {line} has {values} values, but the CGATS table has {columns} columns")
+    }
+
     fn number(&self, columns: &[String], column: usize) -> Result<f64> {
         number(&self.cells[column]).with_context(|| format!("line {}, {}", self.line, columns[column]))
     }
@@ -189,8 +296,18 @@ fn number(text: &str) -> Result<f64> {
     value.filter(|v| v.is_finite()).with_context(|| format!("{text:?} is not a number"))
 }
 
-/// The words of a line, without a comment; blanks within quotes are part of a word.
+/// The words of a line, without a comment; blanks within quotes are part of a word. Spreadsheets put lines with quotes into
+/// quotes.
 fn words(line: &str) -> Vec<String> {
+    let line = line.trim();
+    let inner = line.strip_prefix('"').and_then(|rest| rest.strip_suffix('"'));
+    match inner.filter(|inner| inner.contains("\"\"") && !inner.replace("\"\"", "").contains('"')) {
+        Some(quoted) => plain_words(&quoted.replace("\"\"", "\"")),
+        None => plain_words(line),
+    }
+}
+
+fn plain_words(line: &str) -> Vec<String> {
     let (mut words, mut word, mut quoted, mut begun) = (Vec::new(), String::new(), false, false);
     for c in line.chars() {
         match c {

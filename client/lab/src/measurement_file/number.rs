@@ -83,8 +83,8 @@ impl Decimal {
 }
 
 /// Whether a cell denotes a missing number, in the words of common programs.
-pub(super) fn is_missing(text: &str) -> bool {
-    ["", "nan", "na", "n/a", "null", "none", "--", "masked"]
+pub(crate) fn is_missing(text: &str) -> bool {
+    ["", "nan", "-nan", "na", "n/a", "<na>", "#n/a", "null", "none", "--", "masked", "missing"]
         .iter()
         .any(|word| text.eq_ignore_ascii_case(word))
 }

@@ -148,12 +148,6 @@ impl Inputs {
     /// Validates the arguments. A session's folder gives a scale factor of 1, with the standard error of its white
     /// reference, and a dictionary.
     pub(crate) fn of(args: MeasureArgs) -> Result<Self> {
-        if args.measurements.extension().is_some_and(|e| e == "toml") {
-            let session = args.measurements.display();
-            bail!(
-                "{session} is no measurement: `farmctl capture {session} --measure` makes one from photographs"
-            );
-        }
         let folder =
             args.measurements.is_dir().then(|| SessionFolder::open(&args.measurements)).transpose()?;
         let session = folder.as_ref().and_then(SessionFolder::session);

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
 use farm_lab::colour::{Colorimetry, delta_e_2000};
+use farm_lab::grid_file::read_text;
 use farm_lab::media_file::MediaFile;
 use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
@@ -182,9 +183,9 @@ impl ColourTarget {
             }
             return Ok(Self::Lab(lab));
         }
-        let path = Path::new(text);
         let place = || format!("target {text}: it is neither L*,a*,b* nor a file with channel,value");
-        let mut reader = csv::Reader::from_path(path).with_context(place)?;
+        let table = read_text(Path::new(text), "target").with_context(place)?;
+        let mut reader = csv::Reader::from_reader(table.as_bytes());
         let row = |row: Result<(String, f64), csv::Error>| row.with_context(place);
         Ok(Self::Values(reader.deserialize().map(row).collect::<Result<_>>()?))
     }

@@ -26,6 +26,7 @@ use crate::figure_files;
 use crate::output::{Output, table, wrapped};
 use crate::prints::bases::PrintBase;
 use crate::prints::errors::{ErrorKey, changes, sum_std_error};
+use crate::prints::geometry::Geometry;
 use crate::prints::slabs::NamedSlab;
 use crate::prints::view::{PrintView, materials_of};
 
@@ -37,7 +38,7 @@ Examples:
 
 The chart has the columns of a measurement, a row for a patch and channel, with an empty x_mm:
 material, channel, thickness_mm, x_mm, value, std_error. Tables of spectrophotometers in CGATS.17 are read as well;
-they need a line such as THICKNESS_MM 2. Its materials are those of the media, or mixtures of them.")]
+they need a line such as THICKNESS_MM 2, and are predicted for 45:0 unless --geometry is given. Its materials are those of the media, or mixtures of them.")]
 pub(crate) struct ValidateArgs {
     /// Measured media: media.json, or the folder that contains it.
     media: PathBuf,
@@ -117,6 +118,12 @@ struct PatchColourJson {
 
 #[derive(Debug, Serialize)]
 pub(crate) struct ValidateJson {
+    /// Lamps and sensor of the prediction.
+    geometry: &'static str,
+    /// Channels of the media that are compared.
+    channels: Vec<String>,
+    /// Channels of the chart that the media lack.
+    left_out: Vec<String>,
     patches: Vec<PatchJson>,
     chi2: f64,
     inks: Vec<InkJson>,
@@ -128,8 +135,8 @@ pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
     args.figure.check(args.plot.as_deref())?;
     let media = MediaFile::read(&args.media)?;
     let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
-    let MeasurementFile { materials, .. } = output.read_measurements(&args.chart)?;
-    let data = validated(args, &media, mixtures.as_ref(), &materials)?;
+    let chart = output.read_measurements(&args.chart)?;
+    let data = validated(args, &media, mixtures.as_ref(), &chart)?;
     let point = |p: &PatchJson| ChartPoint {
         predicted: p.predicted,
         measured: p.measured,
@@ -154,7 +161,7 @@ fn validated(
     args: &ValidateArgs,
     media: &MediaFile,
     mixtures: Option<&Mixtures>,
-    chart: &[Measurement],
+    chart: &MeasurementFile,
 ) -> Result<ValidateJson> {
     for (field, value) in
         [("gain_std_error", args.gain_std_error), ("thickness_std_error", args.thickness_std_error)]
@@ -163,11 +170,15 @@ fn validated(
             bail!("--{} {value}: allowed are 0 to 1", field.replace('_', "-"));
         }
     }
-    let of_each = chart.iter().map(|m| of_material(m, media, mixtures)).collect::<Result<Vec<_>>>()?;
+    let of_each =
+        chart.materials.iter().map(|m| of_material(m, media, mixtures)).collect::<Result<Vec<_>>>()?;
     let patches: Vec<ChartPatch> = of_each.into_iter().flatten().collect();
     let slabs: Vec<NamedSlab> = patches.iter().map(|patch| patch.slab.clone()).collect();
     let materials = materials_of(&slabs);
-    let view = PrintView::new(media, &slabs, &[PrintBase::parsed(&args.over)?], &args.view.options())?;
+    let is_of_instrument = chart.notes.iter().any(|note| note.code == "CGATS");
+    let usual = if is_of_instrument { Geometry::FortyFiveZero } else { Geometry::Session };
+    let options = args.view.options_or(usual);
+    let view = PrintView::new(media, &slabs, &[PrintBase::parsed(&args.over)?], &options)?;
     let (mut of_patches, mut colours) = (Vec::new(), Vec::new());
     for (number, patch) in patches.iter().enumerate() {
         let found = compared(args, &view, number, patch)?;
@@ -179,7 +190,12 @@ fn validated(
     }
     let chi2 = chi2(&of_patches);
     let inks = materials.iter().map(|name| ink(name, &patches, &of_patches)).collect();
-    Ok(ValidateJson { patches: of_patches.into_iter().flatten().collect(), chi2, inks, colours })
+    let compared: BTreeSet<&str> = of_patches.iter().flatten().map(|p| p.channel.as_str()).collect();
+    let channels = view.names().into_iter().filter(|name| compared.contains(name)).map(str::to_owned);
+    let channels: Vec<String> = channels.collect();
+    let left_out = left_out(&patches, &channels);
+    let patches = of_patches.into_iter().flatten().collect();
+    Ok(ValidateJson { geometry: options.geometry.name(), channels, left_out, patches, chi2, inks, colours })
 }
 
 /// The patches of a material, by thickness.
@@ -216,6 +232,11 @@ fn of_material<'a>(
     Ok(patches)
 }
 
+/// Widest gap between two wavelengths of a chart within which values are interpolated.
+const WIDEST_GAP_NM: f64 = 20.0;
+/// Wavelengths this near to those that are compared take part in the interpolation.
+const SPACING_NM: f64 = 10.0;
+
 /// Value and standard error of a patch, whose pixels all have its value.
 fn value_of(profile: &MeasuredProfile, material: &str) -> Result<(f64, f64)> {
     let values = profile.values();
@@ -240,28 +261,67 @@ fn compared(
     let found = view.predicted(std::slice::from_ref(slab))?;
     let [thin, thick] = [slab, &thicker].map(|slab| view.values(std::slice::from_ref(slab)));
     let (thin, thick) = (thin?, thick?);
-    let comparison = |(channel, value, error): &(&str, f64, f64)| {
-        let at = view.names().iter().position(|name| name == channel)?;
+    let names = view.names();
+    let comparison = |at: usize| {
+        let (value, error) = measured_at(names[at], &patch.values)?;
         let predicted = &found[at][0];
         let gain = (ErrorKey::Gain(number), args.gain_std_error * value);
         let thickness = (ErrorKey::Thickness(number), thick[at][0] - thin[at][0]);
         let parts = DifferenceParts {
-            own: *error,
+            own: error,
             shared: [gain, thickness].into_iter().chain(changes(at, predicted)).collect(),
         };
         let expected = parts.std_error();
         Some(PatchJson {
             material: patch.material.to_owned(),
             thickness_mm: slab.thickness_mm,
-            channel: (*channel).to_owned(),
-            measured: *value,
+            channel: names[at].to_owned(),
+            measured: value,
             predicted: predicted.value,
             expected_std_error: expected,
             z: (value - predicted.value) / expected,
             parts,
         })
     };
-    Ok(patch.values.iter().filter_map(comparison).collect())
+    Ok((0..names.len()).filter_map(comparison).collect())
+}
+
+/// Value and standard error in a channel of the media: that of the same channel, or between two wavelengths. None if the
+/// chart has neither.
+fn measured_at(name: &str, measured: &[(&str, f64, f64)]) -> Option<(f64, f64)> {
+    if let Some((_, value, error)) = measured.iter().find(|(channel, ..)| *channel == name) {
+        return Some((*value, *error));
+    }
+    let nm = wavelength_nm(name)?;
+    let places = || measured.iter().filter_map(|m| Some((wavelength_nm(m.0)?, m.1, m.2)));
+    let below = places().filter(|(at, ..)| *at <= nm).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let above = places().filter(|(at, ..)| *at >= nm).min_by(|a, b| a.0.total_cmp(&b.0))?;
+    let gap = above.0 - below.0;
+    if gap > WIDEST_GAP_NM {
+        return None;
+    }
+    let share = if gap > 0.0 { (nm - below.0) / gap } else { 0.0 };
+    let mean = |a: f64, b: f64| a + share * (b - a);
+    Some((mean(below.1, above.1), libm::hypot((1.0 - share) * below.2, share * above.2)))
+}
+
+/// Channels of the chart beyond those that are compared.
+fn left_out(patches: &[ChartPatch], compared: &[String]) -> Vec<String> {
+    let nm: Vec<f64> = compared.iter().filter_map(|name| wavelength_nm(name)).collect();
+    let (first, last) =
+        (nm.iter().copied().fold(f64::INFINITY, f64::min), nm.iter().copied().fold(0.0, f64::max));
+    let is_used = |channel: &str| {
+        let is_between =
+            wavelength_nm(channel).is_some_and(|nm| nm > first - SPACING_NM && nm < last + SPACING_NM);
+        is_between || compared.iter().any(|name| name == channel)
+    };
+    let mut names: Vec<String> = Vec::new();
+    for (channel, ..) in patches.iter().flat_map(|patch| &patch.values) {
+        if !is_used(channel) && !names.iter().any(|name| name == channel) {
+            names.push((*channel).to_owned());
+        }
+    }
+    names
 }
 
 /// The difference of measured and predicted colour; None unless the channels are wavelengths of the visible range.
@@ -355,6 +415,11 @@ fn text(data: &ValidateJson) -> String {
     let mut text = table(&head, &[1, 3, 4, 5, 6], data.patches.iter().map(row));
     let (n, far) = (data.patches.len(), data.patches.iter().filter(|p| p.z.abs() >= FAR).count());
     text += &format!("\nχ² {} of {n} values, {far} beyond {FAR} standard errors", significant(data.chi2, 3));
+    let mut seen = format!("predicted for the geometry {}", data.geometry);
+    if !data.left_out.is_empty() {
+        seen += &format!("; the media have no channel for {} of the chart", data.left_out.join(", "));
+    }
+    text += &format!("\n{}", wrapped(&seen));
     let off: Vec<String> = data
         .inks
         .iter()

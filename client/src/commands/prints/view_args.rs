@@ -8,9 +8,9 @@ use crate::prints::view::ViewOptions;
 
 #[derive(Debug, Clone, Args)]
 pub(super) struct ViewArgs {
-    /// Lamps and sensor.
-    #[arg(long, value_enum, default_value = "session")]
-    geometry: Geometry,
+    /// Lamps and sensor [default: session; 45:0 for a chart of a spectrophotometer].
+    #[arg(long, value_enum)]
+    geometry: Option<Geometry>,
     /// GGX roughness of a bare print's faces; 0 is polished [default: that of the measured samples].
     #[arg(long, value_name = "ALPHA", allow_negative_numbers = true)]
     roughness: Option<f64>,
@@ -38,7 +38,13 @@ enum ObserverArg {
 
 impl ViewArgs {
     pub(super) fn options(&self) -> ViewOptions {
-        ViewOptions { geometry: self.geometry, roughness: self.roughness, viewing: self.viewing() }
+        self.options_or(Geometry::Session)
+    }
+
+    /// The options with a geometry where none is given.
+    pub(super) fn options_or(&self, geometry: Geometry) -> ViewOptions {
+        let geometry = self.geometry.unwrap_or(geometry);
+        ViewOptions { geometry, roughness: self.roughness, viewing: self.viewing() }
     }
 
     fn viewing(&self) -> Viewing {

@@ -55,7 +55,10 @@ fn same(first: &MeasuredProfile, second: &MeasuredProfile) -> Option<Seen> {
 pub(super) fn across(materials: &[Measurement]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for (m, material) in materials.iter().enumerate() {
-        for (p, profile) in material.profiles().iter().enumerate() {
+        // A patch is one number, which two materials may share.
+        let is_one_number = |values: &[f64]| values.iter().all(|v| *v == values[0]);
+        for (p, profile) in material.profiles().iter().enumerate().filter(|(_, p)| !is_one_number(p.values()))
+        {
             let twin = materials[..m]
                 .iter()
                 .find(|other| other.profiles().iter().any(|o| o.values() == profile.values()));
