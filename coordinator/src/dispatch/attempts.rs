@@ -109,7 +109,7 @@ impl Dispatcher {
     }
 
     /// Handles a result that differs from the records of another job with the same walks: the coordinator computes its job
-    /// itself. The blocks of a divided job are merged and cannot be told apart: they and the other job's records are gone
+    /// itself. The blocks of a divided job are merged and cannot be separated: they and the other job's records are gone
     /// and computed again, and it counts as a failed attempt, so that this cannot repeat for ever.
     pub fn contradict(&mut self, now: Duration, arrived: &Arrived) {
         let key = arrived.key;

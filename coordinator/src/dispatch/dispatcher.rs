@@ -217,8 +217,8 @@ impl Dispatcher {
         Some((part, workable(part)?.spec(part.job, part.part)))
     }
 
-    /// What it shows that the coordinator has computed this result of a part; none if the part is no longer checked, or
-    /// has other walks now.
+    /// The verdict if the coordinator has computed this result of a part; none if the part is no longer checked, or has
+    /// other walks now.
     pub fn verdict(&self, part: PartId, job: &JobSpec, right: Digest) -> Option<Verdict> {
         let dictionary = self.schedule.by_id(part.dictionary).filter(|d| d.job(part).is_some())?;
         let is_same = dictionary.spec(part.job, part.part).identity() == job.identity();

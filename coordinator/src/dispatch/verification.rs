@@ -34,7 +34,7 @@ struct Check {
     rank: u32,
 }
 
-/// What the coordinator's own computation of a part has shown.
+/// The consequences of the coordinator's own computation of a part.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Verdict {
     /// Machines with another result.
@@ -154,14 +154,14 @@ impl Verification {
         open.min_by_key(|(_, check)| (!check.is_disputed, check.rank)).map(|(part, _)| *part)
     }
 
-    /// What it shows that the coordinator has computed this result of a part; none if the part is no longer checked.
+    /// The verdict if the coordinator has computed this result of a part; none if the part is no longer checked.
     pub fn verdict(&self, part: PartId, right: Digest, schedule: &Schedule) -> Option<Verdict> {
         let (check, dictionary) = (self.checks.get(&part)?, schedule.by_id(part.dictionary)?);
         let job = dictionary.job(part)?;
         let mut wrong: Vec<Origin> =
             check.claims.iter().filter(|claim| claim.digest != right).filter_map(|claim| claim.by).collect();
         let stored_is_wrong = match &job.stage {
-            // Of a block nothing is known but the claim of the machine that computed it.
+            // Nothing is known of a block but the claim of the machine that computed it.
             _ if job.is_divided() => check.claims.iter().any(|claim| claim.digest != right),
             Stage::Done(done) if done.records != right => {
                 wrong.extend(done.by);
@@ -249,9 +249,9 @@ impl Verification {
         let OpenCheck { dictionary, job, block, claims } = check;
         let part = PartId { dictionary, job, part: block };
         // After a restart a job with a target error begins with fewer walks, so that claims do not apply to it.
-        let begins_anew =
+        let begins_again =
             schedule.by_id(dictionary).is_some_and(|d| d.grid().quality().is_some() && !d.is_done(job));
-        let known = schedule.job(part).filter(|_| !begins_anew);
+        let known = schedule.job(part).filter(|_| !begins_again);
         let (Some(known), Some(first)) = (known, claims.first()) else {
             self.changed.insert(part);
             return;

@@ -100,7 +100,7 @@ impl Farm {
     }
 
     /// Handles a result that differs from the stored records of another dictionary's job for the same walks: one of two
-    /// machines has computed a wrong result. Blocks that were merged cannot be told apart, so with them the other records
+    /// machines has computed a wrong result. Blocks that were merged cannot be separated, so with them the other records
     /// go, too.
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let exclusive = self.store.ledger().exclusive().await;

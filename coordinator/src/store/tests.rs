@@ -306,7 +306,8 @@ async fn second_schema_blocks_are_recomputed() {
 /// Votes of the seventh schema become claims, and what was set aside is computed again.
 #[tokio::test]
 async fn seventh_schema_votes_become_claims() {
-    let rows = "INSERT INTO dictionaries VALUES (1, 'd', x'', zeroblob(32), 0, 0, 'run', '', ''); \
+    let rows = "DROP TABLE records_of_dictionaries; \
+                INSERT INTO dictionaries VALUES (1, 'd', x'', zeroblob(32), 0, 0, 'run', '', ''); \
                 INSERT INTO workers (id, identity, label) VALUES (1, 'a', 'a'), (2, 'b', 'b'); \
                 INSERT INTO points VALUES (1, zeroblob(32)), (2, randomblob(32)); \
                 INSERT INTO records VALUES (1, 1, 0.5, x'00'), (2, 2, 0.5, x'00'); \

@@ -57,7 +57,7 @@ pub struct World {
     /// Walks of jobs that were begun again with more.
     pub walks: BTreeMap<(DictionaryId, u32), Walks>,
     pub arriving: Vec<Arriving>,
-    /// What the coordinator computes itself at present.
+    /// The part that the coordinator computes itself at present.
     pub judging: Option<(PartId, JobSpec)>,
     pub chance: Counted,
     pub tokens: BTreeSet<Token>,

@@ -60,7 +60,7 @@ impl Schedule {
     }
 
     /// The next part to be given out to a machine: parts at which it has failed go to others first, and those of disputed
-    /// jobs to nobody.
+    /// jobs to no machine.
     pub(super) fn next_part_for(
         &mut self,
         now: Duration,

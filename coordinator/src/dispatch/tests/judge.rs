@@ -27,7 +27,7 @@ fn notes(bench: &mut Bench) -> Vec<OpenCheck> {
     bench.farm.take_outbox().effects.into_iter().filter_map(noted).collect()
 }
 
-/// Of two machines that disagree the wrong one is fenced off, whichever came first, and the job has the right records.
+/// The wrong one of two machines that disagree is fenced off, whichever came first, and the job has the right records.
 #[test]
 fn wrong_machine_is_fenced_whichever_came_first() {
     for (first, second, wrong) in [(DIGEST, WRONG, "b"), (WRONG, DIGEST, "a")] {
@@ -180,16 +180,16 @@ fn conflicting_shared_records_go_to_the_coordinator() {
     let mut restarted = Bench::new(&[]);
     restarted.farm.remember_check(check);
     for mut bench in [bench, restarted] {
-        assert!(!bench.jobs(1, "b", 9).contains(&lease.key.job), "nobody else gets it");
+        assert!(!bench.jobs(1, "b", 9).contains(&lease.key.job), "no machine gets it");
         assert_eq!(bench.status().jobs_disputed, 1);
         assert_eq!(bench.judge(DIGEST).1.wrong, []);
         assert_eq!(bench.farm.job_states(FIRST)[lease.key.job as usize], JobState::Checked);
     }
 }
 
-/// A result that was compared with records that have been replaced since, or are not noted yet, accuses nobody by itself.
+/// A result that was compared with records that have been replaced since, or are not noted yet, accuses no machine.
 #[test]
-fn comparison_with_other_records_accuses_nobody() {
+fn comparison_with_other_records_accuses_no_machine() {
     for (before, wrong) in [(true, vec![origin("a")]), (false, vec![])] {
         let mut bench = Bench::new(&[]);
         let lease = bench.one(0, "a");

@@ -117,8 +117,8 @@ async fn dispute_is_settled_after_a_restart() {
     assert!(is_fenced(&farm, "liar").await);
 }
 
-/// Of records of two dictionaries for the same walks that differ, the wrong ones are replaced and their machine fenced
-/// off, whichever came first.
+/// If records of two dictionaries for the same walks differ, the wrong ones are replaced and their machine is fenced off,
+/// whichever came first.
 #[tokio::test]
 async fn conflicting_shared_records_are_settled() {
     for wrong_first in [true, false] {
