@@ -82,10 +82,12 @@ impl Dispatcher {
         self.roster.delivered(arrived.worker, arrived.by);
     }
 
-    /// Compares a result with the one that is stored.
+    /// Compares a result with the one that is stored: if they differ the coordinator computes the job itself.
     pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest) {
-        let known = (&self.schedule, &self.roster);
-        self.verification.compare(arrived, stored, known, &mut self.outbox);
+        if arrived.digest != stored {
+            let known = (&self.schedule, &self.roster);
+            self.verification.dispute(arrived, Some(stored), known, &mut self.outbox);
+        }
     }
 
     /// Notes that the store has ended a job with records that came for another dictionary.
@@ -116,7 +118,7 @@ impl Dispatcher {
         self.schedule.hand_back(&[*key], &mut self.outbox);
         if arrived.walks.blocks() == 1 {
             let known = (&self.schedule, &self.roster);
-            self.verification.contradict(arrived, known, &mut self.outbox);
+            self.verification.dispute(arrived, None, known, &mut self.outbox);
             return;
         }
         let reason = format!(

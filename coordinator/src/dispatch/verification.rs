@@ -93,35 +93,12 @@ impl Verification {
         outbox.changed = true;
     }
 
-    /// Compares a result with the one that is stored. If they differ the coordinator computes the job itself.
-    pub fn compare(
+    /// Notes a result that differs from the stored one, or from the records of another job with the same walks (`stored` is
+    /// none): the coordinator computes the job itself.
+    pub fn dispute(
         &mut self,
         arrived: &Arrived,
-        stored: Digest,
-        (schedule, roster): (&Schedule, &Roster),
-        outbox: &mut Outbox,
-    ) {
-        if arrived.digest == stored {
-            return;
-        }
-        // The stored result may have been replaced since the other one was admitted, or may not be noted yet.
-        let first = match schedule.job(arrived.part()).map(|job| &job.stage) {
-            Some(Stage::Done(done)) if done.records == stored => Some(Claim { by: done.by, digest: stored }),
-            _ => None,
-        };
-        self.dispute(arrived, first, (schedule, roster), outbox);
-    }
-
-    /// Notes a result that differs from the records of another job with the same walks: the coordinator computes its job
-    /// itself.
-    pub fn contradict(&mut self, arrived: &Arrived, known: (&Schedule, &Roster), outbox: &mut Outbox) {
-        self.dispute(arrived, None, known, outbox);
-    }
-
-    fn dispute(
-        &mut self,
-        arrived: &Arrived,
-        first: Option<Claim>,
+        stored: Option<Digest>,
         (schedule, roster): (&Schedule, &Roster),
         outbox: &mut Outbox,
     ) {
@@ -129,6 +106,13 @@ impl Verification {
         // Records of other walks cannot be compared.
         let is_comparable = schedule.has_walks(arrived.job(), arrived.walks) && !roster.is_fenced(by);
         let Some(dictionary) = schedule.by_id(part.dictionary).filter(|_| is_comparable) else { return };
+        // The stored result may have been replaced since the other one was admitted, or may not be noted yet.
+        let first = match schedule.job(part).map(|job| &job.stage) {
+            Some(Stage::Done(done)) if Some(done.records) == stored => {
+                Some(Claim { by: done.by, digest: done.records })
+            }
+            _ => None,
+        };
         let check = self.checks.entry(part);
         let check = check.or_insert(Check { claims: Vec::new(), is_disputed: true, rank: 0 });
         let new = Claim { by: Some(by), digest: arrived.digest };

@@ -21,7 +21,7 @@ impl Reason {
 }
 
 impl Schedule {
-    /// The reasons why a dictionary is not done, the most important first. `disputes`: the reason that concerns its disputes.
+    /// The reasons why a dictionary is not done, the most important first. `disputes`: the one that concerns its disputes.
     pub fn explain(
         &self,
         now: Duration,

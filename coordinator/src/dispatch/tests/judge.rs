@@ -55,19 +55,6 @@ fn colluding_machines_do_not_outvote_honest_ones() {
     assert_eq!(bench.farm.schedule.records_of((FIRST, lease.key.job)), Some(DIGEST));
 }
 
-/// A wrong result that another machine repeats is found if it is sampled. Equal results decide nothing.
-#[test]
-fn sampled_result_of_colluding_machines_is_found() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    let lease = bench.one(0, "a");
-    bench.finish_with(1, "a", &lease, WRONG);
-    bench.compare("b", &lease, WRONG, WRONG);
-    assert_eq!((bench.farm.verification.counts(), bench.status().jobs_disputed), ((0, 0, 1), 0));
-    let verdict = bench.judge(DIGEST).1;
-    assert!(verdict.wrong == [origin("a")] && verdict.stored_is_wrong, "{verdict:?}");
-    assert_eq!(bench.farm.schedule.records_of((FIRST, lease.key.job)), Some(DIGEST));
-}
-
 /// A right result that is sampled is confirmed, and a machine that contradicts itself later is found.
 #[test]
 fn confirmed_result_is_not_undone() {
@@ -184,24 +171,6 @@ fn conflicting_shared_records_go_to_the_coordinator() {
         assert_eq!(bench.status().jobs_disputed, 1);
         assert_eq!(bench.judge(DIGEST).1.wrong, []);
         assert_eq!(bench.farm.job_states(FIRST)[lease.key.job as usize], JobState::Checked);
-    }
-}
-
-/// A result that was compared with records that have been replaced since, or are not noted yet, accuses no machine.
-#[test]
-fn comparison_with_other_records_accuses_no_machine() {
-    for (before, wrong) in [(true, vec![origin("a")]), (false, vec![])] {
-        let mut bench = Bench::new(&[]);
-        let lease = bench.one(0, "a");
-        let own = if before { WRONG } else { DIGEST };
-        if before {
-            bench.compare("b", &lease, own, DIGEST);
-        }
-        bench.finish_with(1, "a", &lease, own);
-        if !before {
-            bench.compare("b", &lease, WRONG, DIGEST);
-        }
-        assert_eq!(bench.judge(DIGEST).1.wrong, wrong);
     }
 }
 

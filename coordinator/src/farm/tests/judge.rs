@@ -61,26 +61,6 @@ async fn coordinator_replaces_wrong_records() {
     }
 }
 
-/// All other results of a machine that is fenced off are computed again.
-#[tokio::test]
-async fn results_of_a_fenced_machine_are_recomputed() {
-    let (farm, _, _dir) = begun(0.0).await;
-    let liar = worker(&farm, "liar").await;
-    for _ in 0..3 {
-        let lease = lease(&farm, &liar).unwrap();
-        deliver(&farm, &liar, &lease, 0.75).await;
-    }
-    assert_eq!(jobs_done(&farm), 3);
-    contradicted(&farm, ("liar", 0.5), ("honest", 0.0)).await;
-    settled(&farm).await;
-    assert_eq!(jobs_done(&farm), 1, "the one that the coordinator has computed");
-    let honest = worker(&farm, "honest").await;
-    while let Some(lease) = lease(&farm, &honest) {
-        deliver(&farm, &honest, &lease, value(lease.key.job)).await;
-    }
-    assert_eq!(jobs_done(&farm), JOBS);
-}
-
 /// Wrong results on which all workers agree are found if they are sampled.
 #[tokio::test]
 async fn collusion_is_found_by_the_sample() {

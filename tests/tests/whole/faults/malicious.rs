@@ -24,6 +24,7 @@ async fn coordinator_decides_between_two_machines() {
     let mut liar = farm.test_worker_with("liar", "liar").await.unwrap();
     let mut wrong = Vec::new();
     while wrong.len() < late.len() {
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
         wrong.extend(liar.acquire(JOBS as u32).await.unwrap().into_iter().filter(is_late));
     }
     for lease in &wrong {
