@@ -109,7 +109,8 @@ impl Verification {
         // The stored result may have been replaced since the other one was admitted, or may not be noted yet.
         let first = match schedule.job(part).map(|job| &job.stage) {
             Some(Stage::Done(done)) if Some(done.records) == stored => {
-                Some(Claim { by: done.by, digest: done.records })
+                // For verified records no machine answers any more.
+                Some(Claim { by: done.by.filter(|_| !done.verified), digest: done.records })
             }
             _ => None,
         };
