@@ -129,7 +129,8 @@ fn pace() -> Duration {
 /// Settings of the embedded coordinator.
 fn coordinator(data: &Path) -> Result<Config> {
     // No limit on a question's pixels: it would protect other users.
-    let mut config = Config { question_pixels: usize::MAX, ..Config::new(data) };
+    // Its one worker is this process: a check would compare it with itself.
+    let mut config = Config { question_pixels: usize::MAX, check_share: 0.0, ..Config::new(data) };
     if let Some(given) = std::env::var_os("FARM_FIT_MEMORY").filter(|given| !given.is_empty()) {
         let mib = given.to_str().and_then(|given| given.parse::<usize>().ok());
         let mib = mib

@@ -29,7 +29,7 @@ pub struct Args {
     /// Failed attempts after which a job is given up.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub max_attempts: u32,
-    /// Share of the results, 0 to 1, that a second worker computes again for comparison.
+    /// Share of the results, 0 to 1, that the coordinator computes again on one thread for comparison.
     #[arg(long, value_name = "SHARE", default_value_t = 0.01, value_parser = share)]
     pub verify_share: f64,
     /// Largest number of connections; further ones are refused.

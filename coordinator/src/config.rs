@@ -7,6 +7,8 @@ use farm_link::memory::usable_bytes;
 use optics_model::limits::FitLimits;
 use ureq::http::Uri;
 
+use crate::recompute::{Recompute, recompute};
+
 /// The interval of backups, and the number of those that are kept.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BackupSchedule {
@@ -24,8 +26,10 @@ pub struct Config {
     pub lease: Duration,
     /// Attempts after which a job is given up.
     pub max_attempts: u32,
-    /// Share of the results that a second worker computes too, for comparison; 0 to 1.
+    /// Share of the results that the coordinator computes too, for comparison; 0 to 1.
     pub check_share: f64,
+    /// How the coordinator computes a job.
+    pub recompute: Recompute,
     /// Connections beyond this many are refused.
     pub max_connections: usize,
     /// Memory for the dictionaries that are fitted with, in bytes.
@@ -56,6 +60,7 @@ impl Config {
             lease: Duration::from_secs(30),
             max_attempts: 3,
             check_share: 0.01,
+            recompute,
             max_connections: 4096,
             fit_memory_bytes: Self::fit_memory_bytes(usable_bytes()),
             question_pixels: FitLimits::QUESTION_PIXELS,

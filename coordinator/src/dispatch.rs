@@ -4,9 +4,9 @@
 //! tokens from a [`TokenSource`], results as calls. What must be made durable, recorded, counted or woken is in the
 //! [`Outbox`].
 //!
-//! Three modules own the state: `schedule` the jobs and leases, `verification` the comparison of results between
-//! machines, `roster` the workers and machines. Verification uses the schedule and the roster, and the schedule reads
-//! the roster.
+//! Three modules own the state: `schedule` the jobs and leases, `verification` the results that the coordinator is to
+//! compute itself, `roster` the workers and machines. Verification reads the schedule and the roster, and the schedule
+//! reads the roster.
 
 mod admission;
 mod attempts;
@@ -31,9 +31,10 @@ use crate::stored::Secret;
 pub use admission::{Admission, Arrived};
 pub use dispatcher::Dispatcher;
 pub use outbox::{Count, Effect, Event, EventKind, Outbox};
-pub use part::{JobRef, Purpose};
+pub use part::{JobRef, PartId, Purpose};
 pub use roster::Registration;
 pub use schedule::{Dictionary, LeaseRequest, PERIOD, Period, Plan, Reason};
+pub use verification::Verdict;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Settings {
@@ -41,7 +42,7 @@ pub struct Settings {
     pub lease: Duration,
     /// Failed attempts after which a job is given up.
     pub max_attempts: u32,
-    /// Share of the results that a second worker computes too, for comparison.
+    /// Share of the results that the coordinator computes too, for comparison.
     pub check_share: f64,
     /// Key for the sampling of these results, and for the tokens of leases and workers.
     pub secret: Secret,

@@ -9,6 +9,7 @@ mod events;
 mod export;
 mod fit_cache;
 mod inspection;
+mod judge;
 mod leasing;
 mod manage;
 mod measurements;
@@ -40,6 +41,7 @@ use crate::config::Config;
 use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Period, Settings};
 use crate::metrics::Metrics;
 use crate::store::{Store, StoreError};
+use crate::stored::Machine;
 pub(crate) use backup::{Backup, BackupPart};
 use events::Recorder;
 pub(crate) use export::Export;
@@ -143,7 +145,7 @@ pub(crate) struct Overview {
     pub threads: u64,
     pub uptime_ms: u64,
     pub database_bytes: u64,
-    /// Numbers of comparisons between machines: equal, unequal, and waiting.
+    /// Numbers of results that the coordinator has computed too: equal, unequal, and waiting.
     pub checks: (u64, u64, usize),
     pub store_fault: Option<String>,
 }
@@ -169,6 +171,8 @@ impl Farm {
     ) -> Result<Arc<Self>, StoreError> {
         let dispatcher = dispatcher_of(&store, config).await?;
         let ids: Vec<_> = dispatcher.schedule().dictionaries().map(Dictionary::id).collect();
+        // The coordinator's own machine, as the author of the records that it computes itself.
+        let own = store.register_worker(&Machine::default(), "coordinator").await?;
         let (scheduler, orders) =
             Scheduler::new(dispatcher, Recorder::start(store.clone(), config.webhook.clone()), metrics);
         let farm = Arc::new(Self {
@@ -182,6 +186,7 @@ impl Farm {
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
         tokio::spawn(upkeep::keep(Arc::downgrade(&farm)));
+        tokio::spawn(judge::judge(Arc::downgrade(&farm), config.recompute, own));
         let shared = farm.store.ledger().shared().await;
         for id in ids {
             farm.find_blocks(&shared, id).await?;

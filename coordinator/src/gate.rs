@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use farm_link::{CoordinatorAccess, LocalSocket, Role, Tokens};
+use farm_link::{CoordinatorAccess, LocalSocket, Tokens};
 use tokio::net::{TcpListener, TcpSocket};
 use tonic::transport::ServerTlsConfig;
 
@@ -77,11 +77,6 @@ impl Gate {
     /// Whether a connection may be unauthenticated.
     pub(crate) fn has_unauthenticated_peers(&self) -> bool {
         !matches!(self, Self::Everybody)
-    }
-
-    /// Whether each worker's token has one vote on results. With a single token for all workers, each machine has one.
-    pub(crate) fn votes_by_token(&self) -> bool {
-        self.tokens().is_some_and(|tokens| tokens.count(Role::Worker) > 1)
     }
 
     /// The advice to callers that are not admitted.

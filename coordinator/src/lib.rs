@@ -17,6 +17,7 @@ pub mod dispatch;
 mod farm;
 mod gate;
 mod metrics;
+mod recompute;
 mod rpc;
 pub mod store;
 pub mod stored;

@@ -68,7 +68,6 @@ struct Context {
     question_pixels: usize,
     /// Largest answer to one, in bytes: half of the budget of one token's calls.
     answer_bytes: usize,
-    gate: Gate,
 }
 
 impl Context {
@@ -106,7 +105,6 @@ pub(crate) async fn serve(
         limits: Limits::default(),
         question_pixels: config.question_pixels,
         answer_bytes: held / 2,
-        gate: gate.clone(),
     };
     let unauthenticated = gate.has_unauthenticated_peers().then(UnauthenticatedLimits::default);
     let connections =

@@ -6,7 +6,6 @@
 #[macro_use]
 mod row;
 
-mod aside;
 pub mod backup;
 mod batch;
 mod checks;

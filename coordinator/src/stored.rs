@@ -51,8 +51,8 @@ pub enum EndedJob {
         records: Digest,
         /// The machine that computed it, if one did it alone.
         by: Option<Origin>,
-        /// Machines that have confirmed the records in a check.
-        confirmed: Vec<Origin>,
+        /// The coordinator has computed the same records.
+        verified: bool,
         /// Its records were stored before, for another dictionary.
         reused: bool,
     },
@@ -119,18 +119,18 @@ pub struct KnownMachine {
 /// One machine's result, as its digest. The machine is unknown if there were several, or if a former version did not note
 /// it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Vote {
+pub struct Claim {
     pub by: Option<Origin>,
     pub digest: Digest,
 }
 
-/// A check that is not settled: of a job, or of one block of it.
+/// A part that the coordinator is to compute: a job, or one block of it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OpenCheck {
     pub dictionary: DictionaryId,
     pub job: u32,
     pub block: u32,
-    pub votes: Vec<Vote>,
+    pub claims: Vec<Claim>,
 }
 
 /// Random bytes of this database, which are secret.

@@ -48,7 +48,7 @@ pub(crate) fn stored(id: i64, of: &str, grid: Grid) -> StoredDictionary {
 
 /// A finished job of a machine, or of several.
 pub(crate) fn done(job: u32, walks: Walks, records: Digest, by: Option<Origin>, reused: bool) -> EndedJob {
-    EndedJob::Done { job, walks, records, by, confirmed: vec![], reused }
+    EndedJob::Done { job, walks, records, by, verified: false, reused }
 }
 
 /// A process of this name on a machine.

@@ -21,7 +21,7 @@ const SLOPES: &str = "e055f3e4960318c9b5d568cdde3e97e0a16d22a2f871f97b8cf2ff86ce
 const BYTES: &str = "630a8a7c9bde119ced73150c6695e6d1cc69c2c8d619476218de3e1cbae79755";
 
 /// Version of the physics of the program that wrote the fixture of each schema.
-const PHYSICS_VERSIONS: [u32; 7] = [2, 3, 3, 3, 3, 3, 3];
+const PHYSICS_VERSIONS: [u32; 8] = [2, 3, 3, 3, 3, 3, 3, 3];
 
 /// The digest that a grid had in the program that wrote a fixture.
 fn grid_digest(grid: &Grid, schema: i64) -> Digest {
@@ -187,6 +187,24 @@ async fn shared_points_and_desires_are_read() {
     }
 }
 
+/// From the eighth schema on the results are marked that the coordinator has computed, and those that it is to compute.
+#[tokio::test]
+async fn checks_of_every_schema_are_read() {
+    for schema in 1..=newest_schema() {
+        let (_dir, store) = store_of(schema).await;
+        let tiny = dictionary(&store, "tiny").await;
+        let verified = |end: &EndedJob| matches!(end, EndedJob::Done { verified: true, .. });
+        let expected = [schema >= 8, false, false];
+        assert_eq!(
+            ended(&store, &tiny).await.0.iter().map(verified).collect::<Vec<_>>(),
+            expected,
+            "{schema}"
+        );
+        let checks: Vec<u32> = store.open_checks().await.unwrap().iter().map(|check| check.job).collect();
+        assert_eq!(checks, if schema >= 8 { vec![1] } else { vec![] }, "schema {schema}");
+    }
+}
+
 /// Nothing is left of a deleted dictionary and its points, whatever the schema that it came from.
 #[tokio::test]
 async fn dictionaries_of_every_schema_are_deleted_whole() {
@@ -196,7 +214,7 @@ async fn dictionaries_of_every_schema_are_deleted_whole() {
         for stored in store.dictionaries().await.unwrap() {
             records += store.ledger().exclusive().await.delete_dictionary(stored.id, &[]).await.unwrap();
         }
-        assert_eq!(records, [10, 11, 11, 11, 11, 13, 13][schema as usize - 1], "schema {schema}");
+        assert_eq!(records, [10, 11, 11, 11, 11, 13, 13, 13][schema as usize - 1], "schema {schema}");
         assert!(store.faults().await.unwrap().is_empty(), "schema {schema}");
         store.close().await;
         let file = dir.path().join("farm.db");

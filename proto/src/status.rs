@@ -48,7 +48,7 @@ pub enum JobState {
     /// A worker has leased it, or a part of it.
     Computing,
     Done,
-    /// Done, and confirmed by another machine.
+    /// Done, and the coordinator has computed the same.
     Checked,
     Failed,
 }

@@ -7,10 +7,9 @@ use farm_proto::lease::LeaseKey;
 use optics_model::{Digest, Walks};
 
 use super::admission::{Admission, Arrived};
-use super::part::{JobRef, Purpose};
+use super::part::JobRef;
 use super::roster::Process;
-use super::schedule::{OpenLease, Strike};
-use super::verification::Context;
+use super::schedule::{Done, OpenLease, Strike};
 use super::{DispatchError, Dispatcher};
 use crate::stored::{Origin, Outcome};
 
@@ -27,8 +26,7 @@ impl Dispatcher {
     ) -> Result<Admission, DispatchError> {
         let by = self.seen(now, worker)?;
         let holder = self.roster.access_token(by);
-        let checked = |part| self.verification.subject(part);
-        let admitted = self.schedule.admit(key, identity, by, holder, checked);
+        let admitted = self.schedule.admit(key, identity, by, holder);
         let unused = matches!(admitted, Err(_) | Ok(Admission::Repeated { .. }));
         if unused && self.schedule.leases().held_by(key, worker).is_some() {
             // The worker drops the result and the lease, whose end must not count as silence.
@@ -43,7 +41,7 @@ impl Dispatcher {
             Outcome::Finished { records } => self.finished(now, arrived, records),
             Outcome::Part => self.part_finished(now, arrived),
             Outcome::MoreWalks(walks) => self.prolong(now, arrived, walks),
-            Outcome::Before { records, new } => self.compare_with_stored(arrived, records, new),
+            Outcome::Before { records, .. } => self.compare_with_stored(arrived, records),
             Outcome::Unwanted | Outcome::Repeated | Outcome::Differs => {}
         }
     }
@@ -84,30 +82,49 @@ impl Dispatcher {
         self.roster.delivered(arrived.worker, arrived.by);
     }
 
-    /// Compares a result with the one that is stored.
-    pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest, new: Digest) {
-        let (schedule, roster, outbox) = (&mut self.schedule, &mut self.roster, &mut self.outbox);
-        self.verification.compare(arrived, stored, new, Context { schedule, roster, outbox });
+    /// Compares a result with the one that is stored: if they differ the coordinator computes the job itself.
+    pub(super) fn compare_with_stored(&mut self, arrived: &Arrived, stored: Digest) {
+        if arrived.digest != stored {
+            let known = (&self.schedule, &self.roster);
+            self.verification.dispute(arrived, Some(stored), known, &mut self.outbox);
+        }
     }
 
-    /// Notes that the store has ended a job with records that came for another dictionary, or were set aside.
+    /// Notes that the store has ended a job with records that came for another dictionary.
     pub fn taken_over(&mut self, job: JobRef, walks: Walks, records: Digest, by: Option<Origin>) {
-        if self.schedule.take_over(job, walks, records, by) {
-            self.verification.job_taken_over(job);
+        self.end_open(job, walks, Done { records, by, reused: true, verified: false });
+    }
+
+    /// Notes that the stored records of a job are those that the coordinator itself has computed; `own` is its machine.
+    pub fn verified(&mut self, job: JobRef, walks: Walks, records: Digest, own: Origin) {
+        self.end_open(job, walks, Done { records, by: Some(own), reused: false, verified: true });
+        self.schedule.set_verified(job);
+        self.outbox.changed = true;
+    }
+
+    /// Ends a job, if it is open.
+    fn end_open(&mut self, job: JobRef, walks: Walks, done: Done) {
+        if self.schedule.take_over(job, walks, done) {
             self.outbox.work_came();
             self.schedule.note_end(job.0, &mut self.outbox);
         }
     }
 
-    /// Handles a result that differs from the records of other jobs with the same walks. The records of the jobs in
-    /// `again` were set aside and are computed again; `None` if several machines have confirmed them. The result counts
-    /// as a failed attempt, so that this cannot repeat for ever.
-    pub fn contradict(&mut self, now: Duration, arrived: &Arrived, again: Option<&[JobRef]>) {
+    /// Handles a result that differs from the records of another job with the same walks: the coordinator computes its job
+    /// itself. The blocks of a divided job are merged and cannot be separated: they and the other job's records are gone
+    /// and computed again, and it counts as a failed attempt, so that this cannot repeat for ever.
+    pub fn contradict(&mut self, now: Duration, arrived: &Arrived) {
         let key = arrived.key;
         self.schedule.hand_back(&[*key], &mut self.outbox);
-        let (schedule, roster, outbox) = (&mut self.schedule, &mut self.roster, &mut self.outbox);
-        let what = self.verification.contradict(arrived, again, Context { schedule, roster, outbox });
-        let reason = format!("attempt {}: {what}", key.attempt);
+        if arrived.walks.blocks() == 1 {
+            let known = (&self.schedule, &self.roster);
+            self.verification.dispute(arrived, None, known, &mut self.outbox);
+            return;
+        }
+        let reason = format!(
+            "attempt {}: other records than those of the same walks in another dictionary: both are computed again",
+            key.attempt
+        );
         self.strike(now, arrived.job(), Strike { machine: arrived.by, silent: None, reason });
     }
 
@@ -129,15 +146,13 @@ impl Dispatcher {
         Ok(())
     }
 
-    /// Counts a failed lease against its worker's machine and, unless it was a check, against its job.
+    /// Counts a failed lease against its worker's machine and its job.
     pub(super) fn blame(&mut self, now: Duration, held: &OpenLease, silent: Option<Process>, what: &str) {
         let Ok(worker) = self.roster.get(&held.worker) else { return };
         let (machine, job) = (worker.origin, (held.key.dictionary, held.key.job));
         let reason = format!("attempt {}: {what}{}", held.key.attempt, worker.log_note());
         self.roster.failed(now, machine, job, &reason, &mut self.outbox);
-        if held.purpose != Purpose::Check {
-            self.strike(now, job, Strike { machine, silent, reason });
-        }
+        self.strike(now, job, Strike { machine, silent, reason });
     }
 
     fn strike(&mut self, now: Duration, job: JobRef, strike: Strike) {

@@ -6,13 +6,14 @@ use std::time::Duration;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::lease::{HeldLease, LeaseKey};
 use farm_proto::status::{DictionaryStatus, JobState, WorkerStatus};
-use optics_model::Walks;
+use optics_model::job::JobSpec;
+use optics_model::{Digest, Walks};
 
 use super::outbox::{Count, Effect, EventKind, Outbox};
-use super::part::{JobRef, PartId, Purpose};
+use super::part::{JobRef, PartId};
 use super::roster::{Registration, Roster};
 use super::schedule::{Dictionary, LeaseRequest, Reason, Requester, Schedule};
-use super::verification::Verification;
+use super::verification::{Verdict, Verification};
 use super::{DispatchError, Grant, Settings, TokenSource};
 use crate::stored::{DesiredState, OpenCheck, Origin};
 
@@ -58,21 +59,19 @@ impl Dispatcher {
     }
 
     pub fn status_of(&self, now: Duration, dictionary: &Dictionary) -> DictionaryStatus {
-        let disputed = self.verification.disputed(dictionary.id());
+        let disputed = self.verification.disputed(dictionary.id()).len();
         self.schedule.status_of(now, dictionary, &self.roster, disputed)
     }
 
     /// The reasons why a dictionary is not done, the most important first.
     pub fn explain(&self, now: Duration, dictionary: &Dictionary) -> Vec<Reason> {
-        let checks = self.verification.explain(now, dictionary.id(), &self.roster);
-        self.schedule.explain(now, dictionary, &self.roster, checks)
+        let disputes = self.verification.explain(dictionary.id());
+        self.schedule.explain(now, dictionary, &self.roster, disputes)
     }
 
     /// The states of all jobs of a dictionary, in their order; none if there is no such dictionary.
     pub fn job_states(&self, id: DictionaryId) -> Vec<JobState> {
-        let mut states = self.schedule.job_states(id);
-        self.verification.mark_checked(id, &mut states);
-        states
+        self.schedule.job_states(id)
     }
 
     /// Workers in the order of their ids, from the one after `after` on.
@@ -104,10 +103,8 @@ impl Dispatcher {
         self.schedule.note(id, job, kind, message, &mut self.outbox);
     }
 
-    pub fn add_dictionary(&mut self, mut dictionary: Dictionary) {
-        let (id, confirmed) = (dictionary.id(), dictionary.take_confirmed());
+    pub fn add_dictionary(&mut self, dictionary: Dictionary) {
         self.schedule.add(dictionary);
-        self.verification.add_dictionary(id, confirmed, &self.schedule);
         self.outbox.work_came();
     }
 
@@ -119,10 +116,7 @@ impl Dispatcher {
 
     pub fn remove_dictionary(&mut self, id: DictionaryId) {
         self.verification.hand_over(id, &self.schedule, &mut self.outbox);
-        if self.schedule.remove(id) {
-            self.verification.forget_dictionary(id);
-            self.outbox.changed = true;
-        }
+        self.outbox.changed |= self.schedule.remove(id);
     }
 
     /// Sets the desired state of a dictionary; the store holds it already.
@@ -165,8 +159,7 @@ impl Dispatcher {
         }
         for part in (0..walks.blocks()).map(|part| PartId { dictionary, job, part }) {
             if stored.contains(&part.part) {
-                let is_news = self.schedule.part_found(part, &mut self.outbox);
-                self.outbox.work |= is_news && self.verification.block_found(part);
+                self.schedule.part_found(part, &mut self.outbox);
             } else {
                 self.schedule.part_missing(part, &mut self.outbox);
                 self.verification.forget_block(part);
@@ -216,12 +209,36 @@ impl Dispatcher {
         self.roster.drain(which, &mut self.outbox)
     }
 
-    /// Readmits a machine that was fenced off.
-    pub fn lift_fence(&mut self, which: &str) -> Result<Origin, String> {
-        self.roster.lift_fence(which, &mut self.outbox)
+    /// The part that the coordinator is to compute next for a check, except these; none if there is nothing to check.
+    pub fn next_check(&self, except: &BTreeSet<PartId>) -> Option<(PartId, JobSpec)> {
+        let workable = |part: PartId| self.schedule.by_id(part.dictionary).filter(|d| d.is_workable());
+        let is_due = |part| !except.contains(&part) && workable(part).is_some_and(|d| d.job(part).is_some());
+        let part = self.verification.next(is_due)?;
+        Some((part, workable(part)?.spec(part.job, part.part)))
     }
 
-    /// Grants as many parts as requested: checks first, then the costliest jobs, then copies of late parts.
+    /// The verdict if the coordinator has computed this result of a part; none if the part is no longer checked, or has
+    /// other walks now.
+    pub fn verdict(&self, part: PartId, job: &JobSpec, right: Digest) -> Option<Verdict> {
+        let dictionary = self.schedule.by_id(part.dictionary).filter(|d| d.job(part).is_some())?;
+        let is_same = dictionary.spec(part.job, part.part).identity() == job.identity();
+        self.verification.verdict(part, right, &self.schedule).filter(|_| is_same)
+    }
+
+    /// Ends a check with its verdict, which the store has noted: machines with another result are fenced off.
+    pub fn settle(&mut self, part: PartId, right: Digest, verdict: &Verdict) {
+        for machine in &verdict.wrong {
+            if self.roster.fence(*machine, &verdict.reason, &mut self.outbox) {
+                let workers: Vec<WorkerId> = self.roster.ids_of(*machine).cloned().collect();
+                for worker in workers {
+                    self.schedule.free_worker(&worker, &mut self.outbox);
+                }
+            }
+        }
+        self.verification.settle(part, right, &verdict.wrong, &mut self.outbox);
+    }
+
+    /// Grants as many parts as requested: the costliest jobs first, then copies of late parts.
     pub fn acquire(
         &mut self,
         now: Duration,
@@ -240,9 +257,9 @@ impl Dispatcher {
             return Ok(Grant::default());
         }
         let request = if trial { LeaseRequest::from(request.into().parts.min(1)) } else { request.into() };
-        let checks = self.verification.open_to(|other| roster.share_a_vote(machine, other));
-        let requester = Requester { worker, machine, roster };
-        let leases = schedule.grant(now, requester, request, checks, tokens, &mut self.outbox);
+        let disputed: BTreeSet<JobRef> = self.verification.disputes().collect();
+        let requester = Requester { worker, machine, roster, disputed: &disputed };
+        let leases = schedule.grant(now, requester, request, tokens, &mut self.outbox);
         Ok(Grant { leases, drain: false })
     }
 
@@ -284,12 +301,10 @@ impl Dispatcher {
     fn try_effects_again(&mut self) {
         let schedule = &self.schedule;
         let holds = |effect: &Effect| match effect {
-            Effect::GiveUp { dictionary, job, .. } | Effect::Agreed { dictionary, job, .. } => {
+            Effect::GiveUp { dictionary, job, .. } => {
                 schedule.by_id(*dictionary).is_some_and(|d| !d.is_open(*job))
             }
-            Effect::Recompute { dictionary, .. } => schedule.by_id(*dictionary).is_some(),
             Effect::NoteCheck(check) => schedule.by_id(check.dictionary).is_some(),
-            Effect::Fence { .. } | Effect::LiftFence { .. } => true,
         };
         self.outbox.effects.extend(self.put_off.drain(..).filter(holds));
     }
@@ -301,7 +316,7 @@ impl Dispatcher {
         for token in &expired {
             let Some(held) = self.schedule.free(*token, &mut self.outbox) else { continue };
             let Ok(worker) = self.roster.get(&held.worker) else { continue };
-            if !held.running || held.purpose == Purpose::Check || worker.stopping {
+            if !held.running || worker.stopping {
                 continue;
             }
             let (label, process) = (self.roster.label_of(worker.origin), worker.about.instance.clone());

@@ -5,7 +5,7 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
 
 use super::part::Purpose;
-use crate::stored::{OpenCheck, Origin};
+use crate::stored::OpenCheck;
 
 /// Everything that was produced since the outbox was last emptied.
 #[derive(Debug, Default)]
@@ -36,9 +36,9 @@ pub enum Count {
     GivenUp {
         quarantined: bool,
     },
-    /// A comparison between machines with equal results.
+    /// The coordinator has found the same result as all machines.
     Agreed,
-    /// A comparison between machines with different results.
+    /// The coordinator has found another result than some machine.
     Disputed,
 }
 
@@ -51,28 +51,8 @@ pub enum Effect {
         reason: String,
         quarantined: bool,
     },
-    /// Set a job's records aside, until it has been computed again.
-    Recompute {
-        dictionary: DictionaryId,
-        job: u32,
-    },
-    /// Note that a machine has confirmed a job's records: after a restart they need no other check.
-    Agreed {
-        dictionary: DictionaryId,
-        job: u32,
-        machine: Origin,
-    },
-    /// Note the votes of a check; a check without votes is over.
+    /// Note the claims of a check; a check without claims is over.
     NoteCheck(OpenCheck),
-    /// Set the results of a machine aside, except those that others have confirmed.
-    Fence {
-        machine: Origin,
-        reason: String,
-    },
-    /// Readmit a machine, and restore the results that were set aside with it.
-    LiftFence {
-        machine: Origin,
-    },
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -97,7 +77,6 @@ pub enum EventKind {
     WorkerGone,
     WorkerDraining,
     WorkerFenced,
-    WorkerReadmitted,
     WorkerSuspended,
     BackupMade,
     BackupFailed,
@@ -127,7 +106,6 @@ impl EventKind {
             Self::WorkerGone => "WORKER_GONE",
             Self::WorkerDraining => "WORKER_DRAINING",
             Self::WorkerFenced => "WORKER_FENCED",
-            Self::WorkerReadmitted => "WORKER_READMITTED",
             Self::WorkerSuspended => "WORKER_SUSPENDED",
             Self::BackupMade => "BACKUP_MADE",
             Self::BackupFailed => "BACKUP_FAILED",

@@ -45,6 +45,4 @@ pub enum Purpose {
     Retry,
     /// A second copy of a part whose first takes too long.
     Copy,
-    /// A repetition, to compare with a stored result.
-    Check,
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use farm_proto::ids::WorkerId;
 use farm_proto::status::{MachineFacts, WorkerState, WorkerStatus};
 
-use super::outbox::{Effect, Event, EventKind, Outbox};
+use super::outbox::{Event, EventKind, Outbox};
 use super::part::JobRef;
 use super::{DispatchError, Settings};
 use crate::stored::{KnownMachine, Machine, Origin};
@@ -225,11 +225,6 @@ impl Roster {
         }
     }
 
-    /// Notes that a machine has confirmed a stored result.
-    pub fn succeeded(&mut self, machine: Origin) {
-        self.machines.succeeded(machine);
-    }
-
     /// Removes a job from the failures of all machines, since several of them have failed at it. True if that ends a pause.
     pub fn exonerate(&mut self, now: Duration, job: JobRef) -> bool {
         self.machines.exonerate(now, job)
@@ -246,46 +241,9 @@ impl Roster {
         true
     }
 
-    /// Readmits a machine that was fenced off, found by the label of its worker, or by token and address. Its results
-    /// that were set aside are restored, unless they were computed again.
-    pub fn lift_fence(&mut self, which: &str, outbox: &mut Outbox) -> Result<Origin, String> {
-        let named = |known: &&KnownMachine| known.label == which || known.machine.identity() == which;
-        let found: Vec<Origin> = self.machines.fenced().filter(named).map(|known| known.origin).collect();
-        let [machine] = found[..] else { return Err(self.fenced_by_name(found.len())) };
-        self.machines.lift(machine);
-        let (label, message) = (self.label_of(machine), "an admin lets it in again");
-        outbox.events.push(Event::of_worker(EventKind::WorkerReadmitted, label, message));
-        outbox.effects.push(Effect::LiftFence { machine });
-        outbox.work_came();
-        Ok(machine)
-    }
-
-    fn fenced_by_name(&self, found: usize) -> String {
-        let name = |known: &KnownMachine| format!("{} ({})", known.machine.identity(), known.label);
-        let fenced: Vec<String> = self.machines.fenced().map(name).collect();
-        match (found, fenced.is_empty()) {
-            (_, true) => "no machine is fenced off".to_owned(),
-            (0, _) => format!("no machine of this name is fenced off: there are {}", fenced.join(", ")),
-            _ => format!(
-                "several machines have this label: name one as TOKEN@ADDRESS of {}",
-                fenced.join(", ")
-            ),
-        }
-    }
-
     /// Adds a machine from the store.
     pub fn remember_machine(&mut self, known: KnownMachine) {
         self.machines.remember(known);
-    }
-
-    /// Sets whether each token has one vote, or each machine: each token, if there are several for workers.
-    pub fn set_votes_by_token(&mut self, by_token: bool) {
-        self.machines.set_votes_by_token(by_token);
-    }
-
-    /// Whether two machines have one vote together.
-    pub fn share_a_vote(&self, a: Origin, b: Origin) -> bool {
-        self.machines.share_a_vote(a, b)
     }
 
     pub fn is_fenced(&self, machine: Origin) -> bool {

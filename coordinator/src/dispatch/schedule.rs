@@ -29,7 +29,7 @@ use farm_proto::status::DictionaryStatus;
 
 use super::Settings;
 use super::outbox::{Count, Effect, Event, EventKind, Outbox};
-use super::part::{JobRef, PartId, Purpose};
+use super::part::{JobRef, PartId};
 use super::roster::Roster;
 use crate::stored::{DesiredState, Origin};
 pub use dictionary::Dictionary;
@@ -37,7 +37,7 @@ pub use explain::Reason;
 pub use grant::{LeaseRequest, Requester};
 #[cfg(test)]
 pub use job::Part;
-pub use job::{Job, Stage, Strike};
+pub use job::{Done, Job, Stage, Strike};
 #[cfg(test)]
 pub use late::STALL;
 pub use leases::{Leases, OpenLease};
@@ -120,17 +120,19 @@ impl Schedule {
         self.by_id(part.dictionary)?.job(part)
     }
 
-    /// The machine that computed the stored result of a job, if it is known.
-    pub fn producer(&self, job: JobRef) -> Option<Origin> {
-        match self.job(PartId::first_of(job))?.stage {
-            Stage::Done { by, .. } => by,
+    /// The machines that computed the stored results of jobs, as far as they are known.
+    pub fn producers(&self, jobs: &[JobRef]) -> Vec<Origin> {
+        let producer = |job: &JobRef| match self.job(PartId::first_of(*job))?.stage {
+            Stage::Done(done) => done.by,
             _ => None,
-        }
+        };
+        jobs.iter().filter_map(producer).collect()
     }
 
-    pub fn set_producer(&mut self, job: JobRef, machine: Origin) {
-        if let Some(dictionary) = self.dictionaries.get_mut(&job.0) {
-            dictionary.set_producer(job.1, machine);
+    /// Notes that the stored records of a job are those that the coordinator has computed.
+    pub fn set_verified(&mut self, (id, job): JobRef) {
+        if let Some(dictionary) = self.dictionaries.get_mut(&id) {
+            dictionary.set_verified(job);
         }
     }
 
@@ -275,11 +277,6 @@ impl Schedule {
     /// Ends one lease; its part waits again if no other lease holds it.
     pub fn free(&mut self, token: Token, outbox: &mut Outbox) -> Option<OpenLease> {
         let held = self.leases.remove(token)?;
-        if held.purpose == Purpose::Check {
-            // Another worker may take it.
-            outbox.work_came();
-            return Some(held);
-        }
         let part = PartId::from(&held.key);
         if let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
             && !self.leases.is_part_held(part)
@@ -298,13 +295,9 @@ impl Schedule {
         }
     }
 
-    /// Ends the leases of a part that is no longer to be computed, except those of checks.
+    /// Ends the leases of a part that is no longer to be computed.
     fn end_leases(&mut self, part: PartId) -> Vec<OpenLease> {
         let ended = self.leases.remove_part(part);
-        let (checks, ended): (Vec<_>, Vec<_>) = ended.into_iter().partition(|h| h.purpose == Purpose::Check);
-        for check in checks {
-            self.leases.insert(check);
-        }
         if !ended.is_empty()
             && let Some(dictionary) = self.dictionaries.get_mut(&part.dictionary)
         {

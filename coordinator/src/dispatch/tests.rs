@@ -1,12 +1,12 @@
 mod bad_machines;
 mod blame;
 mod blocks;
+mod judge;
 mod leases;
 mod sets;
 mod shared;
 mod states;
 mod trust;
-mod votes;
 mod wake_ups;
 
 use std::ops::Range;
@@ -18,7 +18,8 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use optics_model::{Digest, Grid, Scene, Walks};
 
 use super::{
-    Admission, Arrived, Dictionary, DispatchError, Dispatcher, Effect, Registration, Settings, TokenSource,
+    Admission, Arrived, Dictionary, DispatchError, Dispatcher, Effect, PartId, Registration, Settings,
+    TokenSource, Verdict,
 };
 use crate::stored::{DesiredState, EndedJob, Machine, Origin, Secret};
 use crate::testing;
@@ -27,6 +28,8 @@ pub(super) const DIGEST: Digest = Digest::from_bytes([7; 32]);
 const WRONG: Digest = Digest::from_bytes([9; 32]);
 const FIRST: DictionaryId = DictionaryId(1);
 const SECOND: DictionaryId = DictionaryId(2);
+/// The coordinator's own machine.
+const OWN: Origin = Origin(100);
 
 pub(super) fn seconds(s: u64) -> Duration {
     Duration::from_secs(s)
@@ -191,7 +194,23 @@ impl Bench {
 
     /// Compares a result with what is stored.
     fn compare(&mut self, name: &str, lease: &Lease, stored: Digest, new: Digest) {
-        arrive(name, lease, |arrived| self.farm.compare_with_stored(arrived, stored, new));
+        arrive(name, lease, |arrived| {
+            self.farm.compare_with_stored(&Arrived { digest: new, ..*arrived }, stored);
+        });
+    }
+
+    /// The coordinator finds this result of what is to be checked next; returns the part and the verdict.
+    fn judge(&mut self, right: Digest) -> (PartId, Verdict) {
+        let (part, job) = self.farm.next_check(&[].into()).unwrap();
+        let verdict = self.farm.verdict(part, &job, right).unwrap();
+        if verdict.stored_is_wrong {
+            self.farm.reopen(part.dictionary, &[part.job]);
+        }
+        if job.block().is_none() {
+            self.farm.verified(part.job_ref(), job.walks(), right, OWN);
+        }
+        self.farm.settle(part, right, &verdict);
+        (part, verdict)
     }
 
     /// The effects, except notes about checks.

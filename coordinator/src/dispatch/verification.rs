@@ -1,278 +1,306 @@
-//! Verifies results: a share of them is computed by a second machine too, a third decides when two differ, and a machine
-//! that is outvoted is fenced off.
+//! Verifies results: the coordinator itself computes a share of them once more, and each about which machines disagree.
 //!
-//! Only a machine that was given a check has a vote. Any other result that differs from the stored one opens a check, and
-//! decides nothing: a worker that once held a lease could deliver for it any number of times.
+//! Results are deterministic, so of two that differ one is wrong, and what the coordinator computes decides which: no
+//! number of machines outvotes it. This module keeps what is to be computed, and what machines claim to have found.
 
-mod checks;
 mod sampling;
-mod verdicts;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::time::Duration;
 
 use farm_proto::ids::DictionaryId;
-use farm_proto::status::JobState;
 use optics_model::Digest;
 
 use super::Settings;
 use super::admission::Arrived;
-use super::outbox::{Effect, Event, EventKind, Outbox};
+use super::outbox::{Count, Effect, Event, EventKind, Outbox};
 use super::part::{JobRef, PartId};
 use super::roster::Roster;
-use super::schedule::{Dictionary, Reason, Schedule, Stage};
-use crate::stored::{OpenCheck, Origin, Vote};
-use checks::{Checks, is_disputed};
+use super::schedule::{Reason, Schedule, Stage};
+use crate::stored::{Claim, OpenCheck, Origin};
 
-/// The checks that are open, and the results that have passed one.
+/// Sampled results that may wait. If the coordinator does not keep up, those with the lowest ranks stay, so that the
+/// selection is still random.
+const MOST: usize = 1000;
+/// Claims of one machine about a part: the result that is stored, and another one.
+const CLAIMS_OF_ONE: usize = 2;
+
+/// A part that the coordinator is to compute.
+#[derive(Debug)]
+struct Check {
+    claims: Vec<Claim>,
+    /// Some result differs from the stored one.
+    is_disputed: bool,
+    /// Its place among those that are sampled.
+    rank: u32,
+}
+
+/// The consequences of the coordinator's own computation of a part.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Verdict {
+    /// Machines with another result.
+    pub wrong: Vec<Origin>,
+    /// Why they are fenced off.
+    pub reason: String,
+    /// The stored result is not the coordinator's.
+    pub stored_is_wrong: bool,
+}
+
+/// The parts that the coordinator is to compute.
 #[derive(Debug)]
 pub struct Verification {
     settings: Settings,
-    checks: Checks,
-    /// Jobs whose next result is checked in any case.
-    suspects: BTreeSet<JobRef>,
-    /// Machines that have confirmed the stored result of a job, besides the one that computed it.
-    confirmed: BTreeMap<JobRef, Vec<Origin>>,
-}
-
-/// The state that verification acts on: the jobs, the machines, and the decisions to be published.
-#[derive(Debug)]
-pub struct Context<'a> {
-    pub schedule: &'a mut Schedule,
-    pub roster: &'a mut Roster,
-    pub outbox: &'a mut Outbox,
-}
-
-impl Context<'_> {
-    fn note_difference(&mut self, by: Origin, part: PartId, message: impl Into<String>) {
-        if let Some(dictionary) = self.schedule.by_id(part.dictionary) {
-            let event = Event::of_job(EventKind::ResultsDiffer, dictionary.name(), part.job, message);
-            self.outbox.events.push(event.by(self.roster.label_of(by)));
-        }
-    }
+    checks: BTreeMap<PartId, Check>,
+    /// Checks that the store has yet to note.
+    changed: BTreeSet<PartId>,
+    agreed: u64,
+    disputed: u64,
 }
 
 impl Verification {
     pub fn new(settings: Settings) -> Self {
-        Self { settings, checks: Checks::default(), suspects: BTreeSet::new(), confirmed: BTreeMap::new() }
+        let (checks, changed) = (BTreeMap::new(), BTreeSet::new());
+        Self { settings, checks, changed, agreed: 0, disputed: 0 }
     }
 
-    /// Samples the results that a dictionary begins with, and records which of them were confirmed.
-    pub fn add_dictionary(
-        &mut self,
-        id: DictionaryId,
-        confirmed: Vec<(u32, Vec<Origin>)>,
-        schedule: &Schedule,
-    ) {
-        self.confirmed.extend(confirmed.into_iter().map(|(job, by)| ((id, job), by)));
-        let unchecked = schedule.unchecked(id, |part, digest| {
-            self.is_sampled(part, digest) && !self.confirmed.contains_key(&part.job_ref())
-        });
-        for (part, first) in unchecked {
-            self.checks.want(part, vec![first], false);
-        }
-    }
-
-    /// Hands the open checks of a removed dictionary over to another one that shares the records of its jobs.
-    pub fn hand_over(&mut self, id: DictionaryId, schedule: &Schedule, outbox: &mut Outbox) {
-        let open: Vec<_> =
-            self.checks.of_dictionary(id).map(|(part, votes)| (part, votes.to_vec())).collect();
-        for (part, votes) in open {
-            let Some((heir, records)) = schedule.heir(part) else { continue };
-            let first = votes[0];
-            // If the heir holds other albedos of the same walks, the votes of others do not apply to its records.
-            let same = first.digest == records;
-            let votes = if same { votes } else { vec![Vote { by: first.by, digest: records }] };
-            self.checks.want(heir, votes, true);
-            outbox.work = true;
-        }
-    }
-
-    pub fn forget_dictionary(&mut self, id: DictionaryId) {
-        self.checks.forget_dictionary(id);
-        self.confirmed.retain(|(dictionary, _), _| *dictionary != id);
-        self.suspects.retain(|(dictionary, _)| *dictionary != id);
-    }
-
-    /// Drops the checks and confirmations of jobs whose records are gone.
-    pub fn forget_jobs(&mut self, id: DictionaryId, jobs: &[u32]) {
-        self.checks.retain(|part| part.dictionary != id || !jobs.contains(&part.job));
-        for job in jobs {
-            self.checks.forget_aside((id, *job));
-            self.confirmed.remove(&(id, *job));
-        }
-    }
-
-    /// Drops the checks of the blocks of a job that is begun again with more walks.
-    pub fn forget_blocks(&mut self, job: JobRef) {
-        self.checks.retain(|part| part.job_ref() != job);
-    }
-
-    /// Drops the check of a block that is no longer stored.
-    pub fn forget_block(&mut self, part: PartId) {
-        self.checks.settle(part);
-    }
-
-    /// Resumes the check of a block that is stored again; false if the store holds no such check.
-    pub fn block_found(&mut self, part: PartId) -> bool {
-        self.checks.take_up(part)
-    }
-
-    /// Requests a check of a stored block if it is sampled, or if its job is suspect.
+    /// Requests a check of a block that is stored, if it is sampled.
     pub fn block_stored(&mut self, arrived: &Arrived, outbox: &mut Outbox) {
-        let is_suspect = self.suspects.contains(&arrived.job());
-        self.want_check_of_block(arrived, is_suspect, outbox);
+        self.sample(arrived.part(), Claim { by: Some(arrived.by), digest: arrived.digest }, outbox);
     }
 
-    /// Requests a check of a finished job if its result is sampled, or if the job is suspect.
+    /// Requests a check of a finished job if its result is sampled. Of a divided job its last block is checked, as the
+    /// others were: merged sums cannot be taken apart.
     pub fn job_finished(&mut self, arrived: &Arrived, records: Digest, outbox: &mut Outbox) {
-        let (job, part) = (arrived.job(), arrived.part());
-        self.checks.forget_aside(job);
-        self.confirmed.remove(&job);
-        let is_suspect = self.suspects.remove(&job);
-        if arrived.walks.blocks() > 1 {
-            self.want_check_of_block(arrived, is_suspect, outbox);
-        } else if is_suspect || self.is_sampled(part, records) {
-            self.checks.want(part, vec![Vote { by: Some(arrived.by), digest: records }], is_suspect);
-            outbox.work = true;
+        let digest = if arrived.walks.blocks() > 1 { arrived.digest } else { records };
+        self.sample(arrived.part(), Claim { by: Some(arrived.by), digest }, outbox);
+    }
+
+    fn sample(&mut self, part: PartId, claim: Claim, outbox: &mut Outbox) {
+        let Settings { secret, check_share, .. } = &self.settings;
+        let Some(rank) = sampling::rank(secret, part, claim.digest, *check_share) else { return };
+        if self.checks.contains_key(&part) {
+            return;
         }
-    }
-
-    /// Notes that a job is done with the records of another one.
-    pub fn job_taken_over(&mut self, job: JobRef) {
-        self.suspects.remove(&job);
-        self.checks.forget_aside(job);
-    }
-
-    /// Requests a check of a block. Its sums are merged and cannot be recovered later, so the store keeps their digest.
-    fn want_check_of_block(&mut self, arrived: &Arrived, is_suspect: bool, outbox: &mut Outbox) {
-        let Arrived { by, digest, .. } = *arrived;
-        if is_suspect || self.is_sampled(arrived.part(), digest) {
-            self.checks.want(arrived.part(), vec![Vote { by: Some(by), digest }], true);
-            outbox.work = true;
-        }
-    }
-
-    fn is_sampled(&self, part: PartId, digest: Digest) -> bool {
-        sampling::is_sampled(&self.settings.secret, part, digest, self.settings.check_share)
-    }
-
-    /// Marks jobs whose next results are checked in any case.
-    pub fn suspect(&mut self, jobs: impl IntoIterator<Item = JobRef>) {
-        self.suspects.extend(jobs);
-    }
-
-    /// Whether several machines agree on the records of one of these jobs.
-    pub fn is_confirmed(&self, jobs: &[JobRef]) -> bool {
-        jobs.iter().any(|job| self.confirmed.contains_key(job))
-    }
-
-    /// Parts that a machine may check: those about which it has no vote yet. `is_own` is true for machines that share its
-    /// vote.
-    pub fn open_to(&self, is_own: impl Fn(Origin) -> bool) -> impl Iterator<Item = PartId> {
-        self.checks.open_to(is_own)
-    }
-
-    /// The digest of the stored result of a part that is being checked.
-    pub fn subject(&self, part: PartId) -> Option<Digest> {
-        self.checks.subject(part)
-    }
-
-    /// Numbers of comparisons between machines: equal, unequal, and waiting for a worker.
-    pub fn counts(&self) -> (u64, u64, usize) {
-        (self.checks.agreed, self.checks.disputed, self.checks.waiting())
-    }
-
-    /// The checks of a dictionary that are open, with their votes.
-    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, &[Vote])> {
-        self.checks.of_dictionary(id)
-    }
-
-    /// Jobs of a dictionary about which machines disagree.
-    pub fn disputed(&self, id: DictionaryId) -> usize {
-        let mut jobs: Vec<u32> = self.checks.disputed_in(id).map(|part| part.job).collect();
-        jobs.dedup();
-        jobs.len()
-    }
-
-    /// Marks the jobs of a dictionary that are done and were confirmed.
-    pub fn mark_checked(&self, id: DictionaryId, states: &mut [JobState]) {
-        for ((_, job), by) in self.confirmed.range((id, 0)..=(id, u32::MAX)) {
-            if !by.is_empty()
-                && let Some(state @ JobState::Done) = states.get_mut(*job as usize)
-            {
-                *state = JobState::Checked;
+        if self.checks.len() >= MOST {
+            let sampled = self.checks.iter().filter(|(_, check)| !check.is_disputed);
+            let last = sampled.max_by_key(|(_, check)| check.rank).map(|(part, check)| (*part, check.rank));
+            match last {
+                Some((last, its_rank)) if its_rank > rank => self.drop_if(|part| part == last),
+                _ => return,
             }
         }
+        self.checks.insert(part, Check { claims: vec![claim], is_disputed: false, rank });
+        self.changed.insert(part);
+        outbox.changed = true;
     }
 
-    /// The reasons that concern the checks of a dictionary: disputes, and checks that no machine can take.
-    pub fn explain(&self, now: Duration, id: DictionaryId, roster: &Roster) -> Vec<Reason> {
-        let mut reasons = Vec::new();
-        if let Some(PartId { job, .. }) = self.checks.disputed_in(id).next() {
-            let count = self.disputed(id);
-            let text = format!(
-                "machines disagree about {count} jobs, the first is job {job}: one that has not computed it must decide"
-            );
-            reasons.push(Reason::new("DISPUTED", text));
-        }
-        let able: Vec<Origin> = roster.able(now).collect();
-        let has_voted = |machine: Origin, votes: &[Vote]| {
-            votes.iter().any(|vote| vote.by.is_some_and(|by| roster.share_a_vote(machine, by)))
+    /// Notes a result that differs from the stored one, or from the records of another job with the same walks (`stored` is
+    /// none): the coordinator computes the job itself.
+    pub fn dispute(
+        &mut self,
+        arrived: &Arrived,
+        stored: Option<Digest>,
+        (schedule, roster): (&Schedule, &Roster),
+        outbox: &mut Outbox,
+    ) {
+        let (by, part) = (arrived.by, arrived.part());
+        // Records of other walks cannot be compared.
+        let is_comparable = schedule.has_walks(arrived.job(), arrived.walks) && !roster.is_fenced(by);
+        let Some(dictionary) = schedule.by_id(part.dictionary).filter(|_| is_comparable) else { return };
+        // The stored result may have been replaced since the other one was admitted, or may not be noted yet.
+        let first = match schedule.job(part).map(|job| &job.stage) {
+            Some(Stage::Done(done)) if Some(done.records) == stored => {
+                // For verified records no machine answers any more.
+                Some(Claim { by: done.by.filter(|_| !done.verified), digest: done.records })
+            }
+            _ => None,
         };
-        let stuck =
-            |votes: &[Vote]| !is_disputed(votes) && able.iter().all(|machine| has_voted(*machine, votes));
-        let count = self.checks.of_dictionary(id).filter(|(_, votes)| stuck(votes)).count();
-        if count > 0 {
-            let results = if count == 1 { "1 result is".to_owned() } else { format!("{count} results are") };
-            let text = format!(
-                "{results} not checked: a check needs a second machine, and nothing else waits for it"
-            );
-            reasons.push(Reason::new("CHECKS_WAIT", text));
-        }
-        reasons
-    }
-
-    /// Verifies the invariants of the checks, of which there are a thousand at most.
-    #[cfg(debug_assertions)]
-    pub fn check(&self, schedule: &Schedule) -> Result<(), String> {
-        for (part, votes) in self.checks.all() {
-            let by: Vec<Origin> = votes.iter().filter_map(|vote| vote.by).collect();
-            let is_one_each = by.iter().collect::<BTreeSet<_>>().len() == by.len();
-            if votes.is_empty() || !is_one_each || schedule.by_id(part.dictionary).is_none() {
-                return Err(format!("{part:?} is checked with the votes {votes:?}"));
+        let check = self.checks.entry(part);
+        let check = check.or_insert(Check { claims: Vec::new(), is_disputed: true, rank: 0 });
+        let new = Claim { by: Some(by), digest: arrived.digest };
+        for claim in first.into_iter().chain([new]) {
+            let of_one = check.claims.iter().filter(|known| known.by == claim.by).count();
+            if of_one < CLAIMS_OF_ONE && !check.claims.contains(&claim) {
+                check.claims.push(claim);
+                self.changed.insert(part);
             }
         }
-        let gone =
-            self.confirmed.iter().find(|(job, by)| schedule.records_of(**job).is_none() || by.is_empty());
-        gone.map_or(Ok(()), |(job, by)| Err(format!("{job:?} has no records, and {by:?} confirm them")))
-    }
-
-    /// Orders the store to note the checks that have changed.
-    pub fn publish(&mut self, outbox: &mut Outbox) {
-        for (PartId { dictionary, job, part }, votes) in self.checks.take_changed() {
-            outbox.effects.push(Effect::NoteCheck(OpenCheck { dictionary, job, block: part, votes }));
+        check.is_disputed = true;
+        if self.changed.contains(&part) {
+            let message = "other records than those that are stored: the coordinator computes the job itself";
+            let event = Event::of_job(EventKind::ResultsDiffer, dictionary.name(), part.job, message);
+            outbox.events.push(event.by(roster.label_of(by)));
             outbox.changed = true;
         }
     }
 
-    /// Restores a check from the store, if it still concerns the stored result.
+    /// The part that the coordinator is to compute next, among those that `may` allows: disputes first.
+    pub fn next(&self, may: impl Fn(PartId) -> bool) -> Option<PartId> {
+        let open = self.checks.iter().filter(|(part, _)| may(**part));
+        open.min_by_key(|(_, check)| (!check.is_disputed, check.rank)).map(|(part, _)| *part)
+    }
+
+    /// The verdict if the coordinator has computed this result of a part; none if the part is no longer checked.
+    pub fn verdict(&self, part: PartId, right: Digest, schedule: &Schedule) -> Option<Verdict> {
+        let (check, dictionary) = (self.checks.get(&part)?, schedule.by_id(part.dictionary)?);
+        let job = dictionary.job(part)?;
+        let mut wrong: Vec<Origin> =
+            check.claims.iter().filter(|claim| claim.digest != right).filter_map(|claim| claim.by).collect();
+        let stored_is_wrong = match &job.stage {
+            // Nothing is known of a block but the claim of the machine that computed it.
+            _ if job.is_divided() => check.claims.iter().any(|claim| claim.digest != right),
+            Stage::Done(done) if done.records != right => {
+                wrong.extend(done.by);
+                true
+            }
+            _ => false,
+        };
+        wrong.sort_unstable();
+        wrong.dedup();
+        let reason = format!(
+            "its records of job {} of {} are wrong: the coordinator has computed others; once the cause is gone, a new token \
+             (farmctl access add) lets its machine in again",
+            part.job,
+            dictionary.name()
+        );
+        Some(Verdict { wrong, reason, stored_is_wrong })
+    }
+
+    /// Ends a check, unless another result has come that the verdict does not concern. The claims of the machines that are
+    /// fenced off are dropped everywhere.
+    pub fn settle(&mut self, part: PartId, right: Digest, wrong: &[Origin], outbox: &mut Outbox) {
+        let is_fenced = |claim: &Claim| claim.by.is_some_and(|by| wrong.contains(&by));
+        for (place, check) in &mut self.checks {
+            let before = check.claims.len();
+            let is_over = |claim: &Claim| *place == part && (claim.digest == right || claim.by.is_none());
+            check.claims.retain(|claim| !is_fenced(claim) && !is_over(claim));
+            if check.claims.len() < before {
+                self.changed.insert(*place);
+            }
+        }
+        self.checks.retain(|_, check| !check.claims.is_empty());
+        let (number, count) = match wrong {
+            [] => (&mut self.agreed, Count::Agreed),
+            _ => (&mut self.disputed, Count::Disputed),
+        };
+        *number += 1;
+        outbox.counts.push(count);
+        // A job that was disputed may be given out again.
+        outbox.work_came();
+    }
+
+    /// Hands the open checks of a removed dictionary over to another one that shares the records of its jobs.
+    pub fn hand_over(&mut self, id: DictionaryId, schedule: &Schedule, outbox: &mut Outbox) {
+        let own = self.checks.iter().filter(|(part, _)| part.dictionary == id);
+        let heirs: Vec<_> = own
+            .filter_map(|(part, check)| {
+                let (heir, digest) = schedule.heir(*part)?;
+                let claims = vec![Claim { by: check.claims[0].by, digest }];
+                Some((heir, Check { claims, ..*check }))
+            })
+            .collect();
+        for (heir, check) in heirs {
+            self.checks.entry(heir).or_insert(check);
+            self.changed.insert(heir);
+            outbox.changed = true;
+        }
+        self.drop_if(|part| part.dictionary == id);
+    }
+
+    /// Drops the checks of jobs whose records are gone.
+    pub fn forget_jobs(&mut self, id: DictionaryId, jobs: &[u32]) {
+        self.drop_if(|part| part.dictionary == id && jobs.contains(&part.job));
+    }
+
+    /// Drops the checks of the blocks of a job that is begun again with more walks.
+    pub fn forget_blocks(&mut self, job: JobRef) {
+        self.drop_if(|part| part.job_ref() == job);
+    }
+
+    /// Drops the check of a block that is no longer stored.
+    pub fn forget_block(&mut self, block: PartId) {
+        self.drop_if(|part| part == block);
+    }
+
+    fn drop_if(&mut self, is_over: impl Fn(PartId) -> bool) {
+        let over: Vec<PartId> = self.checks.keys().filter(|part| is_over(**part)).copied().collect();
+        for part in over {
+            self.checks.remove(&part);
+            self.changed.insert(part);
+        }
+    }
+
+    /// Restores a check from the store.
     pub fn remember(&mut self, check: OpenCheck, schedule: &Schedule) {
-        let part = PartId { dictionary: check.dictionary, job: check.job, part: check.block };
-        let first = check.votes.first().map(|first| first.digest);
-        let holds = schedule.job(part).is_some_and(|job| {
-            job.is_divided() || matches!(job.stage, Stage::Done { records, .. } if first == Some(records))
-        });
-        let goes_on = |d: &Dictionary| d.grid().quality().is_some() && !d.is_done(part.job);
-        if !holds && schedule.by_id(part.dictionary).is_some_and(goes_on) {
-            // With more walks the job may have this block again.
-            self.checks.put_aside(part, check.votes);
+        let OpenCheck { dictionary, job, block, claims } = check;
+        let part = PartId { dictionary, job, part: block };
+        // After a restart a job with a target error begins with fewer walks, so that claims do not apply to it.
+        let begins_again =
+            schedule.by_id(dictionary).is_some_and(|d| d.grid().quality().is_some() && !d.is_done(job));
+        let known = schedule.job(part).filter(|_| !begins_again);
+        let (Some(known), Some(first)) = (known, claims.first()) else {
+            self.changed.insert(part);
             return;
+        };
+        let stored = match known.stage {
+            Stage::Done(done) if !known.is_divided() => done.records,
+            _ => first.digest,
+        };
+        let is_disputed = claims.iter().any(|claim| claim.digest != stored)
+            || (!known.is_divided() && schedule.is_open(part.job_ref()));
+        self.checks.insert(part, Check { claims, is_disputed, rank: 0 });
+    }
+
+    /// Orders the store to note the checks that have changed.
+    pub fn publish(&mut self, outbox: &mut Outbox) {
+        for part in std::mem::take(&mut self.changed) {
+            let PartId { dictionary, job, part: block } = part;
+            let claims = self.checks.get(&part).map(|check| check.claims.clone()).unwrap_or_default();
+            outbox.effects.push(Effect::NoteCheck(OpenCheck { dictionary, job, block, claims }));
+            outbox.changed = true;
         }
-        self.checks.remember(part, check.votes);
-        if !holds {
-            // The store notes that it is over.
-            self.checks.settle(part);
+    }
+
+    /// Numbers of results that the coordinator has computed too: equal, unequal, and those that wait for it.
+    pub fn counts(&self) -> (u64, u64, usize) {
+        (self.agreed, self.disputed, self.checks.len())
+    }
+
+    #[cfg(test)]
+    pub fn parts(&self) -> impl Iterator<Item = PartId> {
+        self.checks.keys().copied()
+    }
+
+    /// Jobs about which machines disagree.
+    pub fn disputes(&self) -> impl Iterator<Item = JobRef> {
+        self.checks.iter().filter(|(_, check)| check.is_disputed).map(|(part, _)| part.job_ref())
+    }
+
+    /// Jobs of a dictionary about which machines disagree.
+    pub fn disputed(&self, id: DictionaryId) -> BTreeSet<u32> {
+        self.disputes().filter(|job| job.0 == id).map(|(_, job)| job).collect()
+    }
+
+    /// The reason that concerns the disputes of a dictionary.
+    pub fn explain(&self, id: DictionaryId) -> Option<Reason> {
+        let disputed = self.disputed(id);
+        let first = disputed.first()?;
+        let count = disputed.len();
+        let text = format!(
+            "machines disagree about {count} jobs, the first is job {first}: the coordinator computes them itself"
+        );
+        Some(Reason::new("DISPUTED", text))
+    }
+
+    /// Verifies the invariants of the checks.
+    #[cfg(debug_assertions)]
+    pub fn check(&self, schedule: &Schedule) -> Result<(), String> {
+        for (part, Check { claims, .. }) in &self.checks {
+            let of_one = |by| claims.iter().filter(|claim| claim.by == by).count();
+            let is_bounded = claims.iter().all(|claim| of_one(claim.by) <= CLAIMS_OF_ONE);
+            if claims.is_empty() || !is_bounded || schedule.by_id(part.dictionary).is_none() {
+                return Err(format!("{part:?} is checked with the claims {claims:?}"));
+            }
         }
+        Ok(())
     }
 }

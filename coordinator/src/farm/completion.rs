@@ -100,20 +100,16 @@ impl Farm {
     }
 
     /// Handles a result that differs from the stored records of another dictionary's job for the same walks: one of two
-    /// machines has computed a wrong result. Both jobs are done again, and then checked by others; but a single result
-    /// does not undo records on which several machines agree.
+    /// machines has computed a wrong result. Blocks that were merged cannot be separated, so with them the other records
+    /// go, too.
     async fn distrust(&self, arrived: &Arrived<'_>, job: &JobSpec) -> Result<(), StoreError> {
         let exclusive = self.store.ledger().exclusive().await;
-        // Blocks that were merged with this one are gone anyway.
-        exclusive.delete_blocks(job).await?;
-        let others = self.store.jobs_of_point(job.identity()).await?;
-        if self.scheduler.query(|dispatcher, _| dispatcher.verification().is_confirmed(&others)) {
-            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived, None));
-        } else {
-            let again = exclusive.set_point_aside(job.identity()).await?;
-            self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived, Some(&again)));
+        if job.block().is_some() {
+            exclusive.delete_blocks(job).await?;
+            let again = exclusive.delete_point(job.identity()).await?;
             self.begin_again(&exclusive, again);
         }
+        self.scheduler.transition(|dispatcher, now| dispatcher.contradict(now, arrived));
         self.find_blocks_of(&exclusive, arrived.key).await
     }
 

@@ -1,6 +1,5 @@
 //! Makes the dispatcher's decisions durable, one effect after the other. An effect that fails is deferred and retried.
 
-use std::collections::BTreeSet;
 use std::sync::Weak;
 
 use farm_proto::ids::DictionaryId;
@@ -8,9 +7,8 @@ use tokio::sync::mpsc;
 
 use super::Farm;
 use super::scheduler::Order;
-use crate::dispatch::{Dictionary, Effect};
+use crate::dispatch::Effect;
 use crate::store::{Exclusive, StoreError};
-use crate::stored::{EndedJob, Origin};
 
 /// Performs orders as long as the farm exists. An effect that cannot be stored now is retried at the next look.
 pub(super) async fn perform(farm: Weak<Farm>, mut orders: mpsc::UnboundedReceiver<Order>) {
@@ -44,51 +42,11 @@ impl Farm {
             Effect::GiveUp { dictionary, job, reason, quarantined } => {
                 self.store.give_up_job(*dictionary, *job, reason, *quarantined).await
             }
-            Effect::Agreed { dictionary, job, machine } => {
-                self.store.note_agreement(*dictionary, *job, *machine).await
-            }
             Effect::NoteCheck(check) => self.store.note_check(check).await,
-            Effect::Recompute { dictionary, job } => {
-                let exclusive = self.store.ledger().exclusive().await;
-                self.begin_again(&exclusive, exclusive.set_job_aside(*dictionary, *job).await?);
-                Ok(())
-            }
-            Effect::Fence { machine, reason } => {
-                let exclusive = self.store.ledger().exclusive().await;
-                self.begin_again(&exclusive, exclusive.fence(*machine, reason).await?);
-                // Blocks of jobs that had not ended are gone too.
-                let all = self
-                    .scheduler
-                    .query(|d, _| d.schedule().dictionaries().map(Dictionary::id).collect::<Vec<_>>());
-                for id in all {
-                    self.find_blocks(&exclusive, id).await?;
-                }
-                Ok(())
-            }
-            Effect::LiftFence { machine } => self.take_back(*machine).await,
         }
     }
 
-    /// Readmits a machine, and ends jobs with its records that were set aside.
-    async fn take_back(&self, machine: Origin) -> Result<(), StoreError> {
-        let exclusive = self.store.ledger().exclusive().await;
-        let restored = exclusive.lift_fence(machine).await?;
-        let ids: BTreeSet<DictionaryId> = restored.iter().map(|(id, _)| *id).collect();
-        self.scheduler.transition(|dispatcher, _| {
-            for (id, ended) in restored {
-                if let EndedJob::Done { job, walks, records, by, .. } = ended {
-                    dispatcher.taken_over((id, job), walks, records, by);
-                }
-            }
-        });
-        for id in ids {
-            self.fits.forget(id);
-            self.take_over_done(&exclusive, id).await?;
-        }
-        Ok(())
-    }
-
-    /// Begins jobs again whose records the store has deleted or set aside, under the guard that is still held.
+    /// Begins jobs again whose records the store has deleted, under the guard that is still held.
     pub(super) fn begin_again(&self, _held: &Exclusive<'_>, mut jobs: Vec<(DictionaryId, u32)>) {
         jobs.sort_unstable();
         for of_one in jobs.chunk_by(|a, b| a.0 == b.0) {

@@ -51,21 +51,18 @@ impl Farm {
         self.scheduler.query(|dispatcher, _| dispatcher.roster().worker_token(worker))
     }
 
-    /// Registers a worker; returns its id and the duration of its leases. `votes_by_token`: each token has one vote about
-    /// results, or else each machine.
+    /// Registers a worker; returns its id and the duration of its leases.
     pub(crate) async fn register(
         &self,
         about: Registration,
         versions: Versions,
-        votes_by_token: bool,
     ) -> Result<(WorkerId, Duration)> {
         versions.check()?;
         let origin = self.store.register_worker(&about.machine, &about.label).await?;
         let id = WorkerId(random_token());
-        let lease = self.scheduler.transition(|dispatcher, now| {
-            dispatcher.roster_mut().set_votes_by_token(votes_by_token);
-            dispatcher.register(now, id.clone(), origin, about)
-        })?;
+        let lease = self
+            .scheduler
+            .transition(|dispatcher, now| dispatcher.register(now, id.clone(), origin, about))?;
         Ok((id, lease))
     }
 

@@ -273,13 +273,6 @@ impl Farm {
         drained.map_err(|why| FarmError::Worker { which: which.to_owned(), why })
     }
 
-    /// Readmits a machine that was fenced off.
-    pub(crate) async fn readmit(&self, by: &Actor, which: &str) -> Result<()> {
-        let lifted = self.scheduler.transition_by(by, |dispatcher, _| dispatcher.lift_fence(which));
-        self.scheduler.settled().await;
-        lifted.map(drop).map_err(|why| FarmError::Worker { which: which.to_owned(), why })
-    }
-
     /// Jobs of a dictionary that were given up, from the index `from` on.
     pub(crate) fn failed_jobs(
         &self,

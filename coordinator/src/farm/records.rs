@@ -1,6 +1,6 @@
 //! Reads records, and has them computed again when the disk returns others than were stored.
 //!
-//! Records are set aside only if two readings differ from what was stored: a read that fails is no evidence about them,
+//! Records are deleted only if two readings differ from what was stored: a read that fails is no evidence about them,
 //! and a difference at one reading alone stems from memory, a cable or a cache.
 
 use std::ops::Range;
@@ -75,8 +75,8 @@ impl Farm {
     ) -> Result<Option<String>, StoreError> {
         let exclusive = self.store.ledger().exclusive().await;
         let Some(what) = self.damage_of(id, grid, job).await? else { return Ok(None) };
-        let mut again = exclusive.set_job_aside(id, job).await?;
-        // A job that has lost its end has no records to be set aside.
+        let mut again = exclusive.delete_job(id, job).await?;
+        // A job that has lost its end has no records to be deleted.
         again.push((id, job));
         self.begin_again(&exclusive, again);
         drop(exclusive);

@@ -160,7 +160,6 @@ impl Scheduler {
             Count::Granted(Purpose::First) => metrics.leases_granted(LeaseKind::First, 1),
             Count::Granted(Purpose::Retry) => metrics.leases_granted(LeaseKind::Retry, 1),
             Count::Granted(Purpose::Copy) => metrics.leases_granted(LeaseKind::Speculative, 1),
-            Count::Granted(Purpose::Check) => metrics.leases_granted(LeaseKind::Verification, 1),
             Count::Expired(leases) => metrics.leases_expired(leases as u64),
             Count::GivenUp { quarantined: false } => metrics.job_failed(JobFailure::Failed),
             Count::GivenUp { quarantined: true } => metrics.job_failed(JobFailure::Quarantined),

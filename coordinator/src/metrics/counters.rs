@@ -72,7 +72,7 @@ label! {
 }
 label! {
     /// Reason for which a lease was granted.
-    LeaseKind { First = "first", Retry = "retry", Speculative = "speculative", Verification = "verification" }
+    LeaseKind { First = "first", Retry = "retry", Speculative = "speculative" }
 }
 label! {
     /// Whether a second worker had the same result.

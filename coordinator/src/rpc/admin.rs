@@ -4,7 +4,7 @@ use farm_proto::wire::admin_server::Admin;
 use farm_proto::wire::backup_piece::Content;
 use farm_proto::wire::{
     BackupHeader, BackupPiece, BackupRequest, DamagedJob, DrainWorkerRequest, DrainWorkerResponse,
-    InspectRequest, InspectResponse, ReadmitWorkerRequest, ReadmitWorkerResponse, UnreadableJobs,
+    InspectRequest, InspectResponse, UnreadableJobs,
 };
 use tonic::{Request, Response, Status};
 
@@ -22,16 +22,6 @@ impl Admin for Context {
         let by = actor(request.extensions());
         let worker_id = self.farm.drain(&by, &request.into_inner().worker)?.0;
         Ok(Response::new(DrainWorkerResponse { worker_id }))
-    }
-
-    async fn readmit_worker(
-        &self,
-        request: Request<ReadmitWorkerRequest>,
-    ) -> Result<Response<ReadmitWorkerResponse>, Status> {
-        let by = actor(request.extensions());
-        let (farm, worker) = (self.farm.clone(), request.into_inner().worker);
-        detached(async move { farm.readmit(&by, &worker).await }).await?;
-        Ok(Response::new(ReadmitWorkerResponse {}))
     }
 
     type BackupStream = Outgoing<BackupPiece>;

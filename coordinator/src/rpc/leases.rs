@@ -55,7 +55,7 @@ impl Leases for Context {
             facts: facts(request.facts.unwrap_or_default()),
         };
         let versions = Versions { physics: request.physics_version, protocol: request.protocol_version };
-        let (id, lease) = self.farm.register(about, versions, self.gate.votes_by_token()).await?;
+        let (id, lease) = self.farm.register(about, versions).await?;
         let worker_token = self.farm.worker_token(&id);
         Ok(Response::new(RegisterResponse { worker_token, lease_ms: lease.as_millis() as u64 }))
     }

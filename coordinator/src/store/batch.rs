@@ -16,7 +16,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use self::facts::{Ended, Facts};
 use self::script::Script;
-use super::{Result, aside, doing, points, sums};
+use super::{Result, doing, points, sums};
 use crate::stored::{Completion, JobResult, Outcome};
 
 /// Most values of one query that are looked up or written.
@@ -73,7 +73,7 @@ pub(super) async fn store(tx: &mut SqliteConnection, completions: &[Completion])
     let mut script = Script::new(tx);
     known.points.write(&mut script, known.facts.last_point).await?;
     write_ends(&mut script, &ends, &known.points).await?;
-    clear_up(&mut script, &ends, &known).await?;
+    clear_up(&mut script, &ends, &known.points).await?;
     script.commit().await?;
     Ok(outcomes)
 }
@@ -262,20 +262,14 @@ impl Points {
     }
 }
 
-/// Deletes the blocks that were gathered and what was set aside, now that their jobs are done.
-async fn clear_up(script: &mut Script<'_>, ends: &[End<'_>], known: &Known) -> Result<()> {
+/// Deletes the blocks that were gathered, now that their jobs are done.
+async fn clear_up(script: &mut Script<'_>, ends: &[End<'_>], points: &Points) -> Result<()> {
     for End { gathered, point, .. } in ends {
         if let Some(gathered) = gathered {
             let tx = script.written().await?;
-            points::credit(tx, *gathered, known.points.id(*point)).await?;
+            points::credit(tx, *gathered, points.id(*point)).await?;
             points::delete_points(tx, &[*gathered]).await?;
         }
-    }
-    if !ends.is_empty() && known.facts.has_set_aside {
-        let jobs = ends.iter().map(|end| (end.completion.dictionary, end.completion.job_number));
-        let gathered = ends.iter().filter(|end| end.gathered.is_some());
-        let gathered = gathered.map(|end| end.completion.job.sums_identity());
-        aside::done_again(script.written().await?, jobs, gathered).await?;
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use optics_model::Digest;
 use optics_model::job::JobSpec;
 
 use super::points::{self, delete_points};
-use super::{Exclusive, LedgerGuard, Result, Store, aside, doing};
+use super::{Exclusive, LedgerGuard, Result, Store, doing};
 
 impl LedgerGuard<'_> {
     /// Deletes the blocks that were gathered for a divided job. No job has ended with them.
@@ -16,9 +16,25 @@ impl LedgerGuard<'_> {
 
 impl Exclusive<'_> {
     /// Deletes the records of a point; returns the jobs to be computed again.
-    #[cfg(test)]
     pub async fn delete_point(&self, identity: Digest) -> Result<Vec<(DictionaryId, u32)>> {
         delete_point(self.store, identity).await
+    }
+
+    /// Deletes the records of a job, in all dictionaries that share them; returns the jobs to be computed again.
+    pub async fn delete_job(&self, dictionary: DictionaryId, job: u32) -> Result<Vec<(DictionaryId, u32)>> {
+        let what = "deleting a job's records";
+        let mut tx = self.store.begin().await?;
+        let point: Vec<i64> = sqlx::query_scalar(
+            "SELECT point_id FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
+        )
+        .bind(dictionary.0)
+        .bind(job)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        let deleted = delete_points(&mut tx, &point).await?;
+        tx.commit().await.map_err(doing(what))?;
+        Ok(deleted.jobs)
     }
 
     /// Deletes a dictionary, the records that no other one uses, and the blocks that some points gather; returns the
@@ -36,15 +52,13 @@ impl Exclusive<'_> {
         .map_err(doing(what))?;
         unused.extend(points::find(&mut tx, gathered).await?.into_iter().map(|(_, point)| point));
         for delete in [
-            "DELETE FROM votes WHERE dictionary_id = ?",
-            "DELETE FROM jobs_set_aside WHERE dictionary_id = ?",
+            "DELETE FROM claims WHERE dictionary_id = ?",
             "DELETE FROM jobs WHERE dictionary_id = ?",
             "DELETE FROM dictionaries WHERE id = ?",
         ] {
             sqlx::query(delete).bind(id.0).execute(&mut *tx).await.map_err(doing(what))?;
         }
         let deleted = delete_points(&mut tx, &unused).await?;
-        aside::done_again(&mut tx, std::iter::empty(), gathered.iter().copied()).await?;
         tx.commit().await.map_err(doing(what))?;
         Ok(deleted.records)
     }

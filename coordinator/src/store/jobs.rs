@@ -14,11 +14,10 @@ struct JobRow {
     failure: Option<String>,
     quarantined: bool,
     worker: Option<i64>,
-    /// Numbers of machines, separated by commas.
-    confirmed: Option<String>,
+    verified: bool,
 }
 
-from_row!(JobRow { job, walks, records_digest, reused, failure, quarantined, worker, confirmed });
+from_row!(JobRow { job, walks, records_digest, reused, failure, quarantined, worker, verified });
 
 impl JobRow {
     fn decode(self, grid: &Grid) -> Result<EndedJob> {
@@ -31,10 +30,8 @@ impl JobRow {
                     |walks| Walks::new(walks as u64).map_err(|e| corrupt(self.job, "walks", e.to_string())),
                 )?;
                 let records = decode_digest(self.job, &digest)?;
-                let confirmed = self.confirmed.iter().flat_map(|numbers| numbers.split(','));
-                let confirmed = confirmed.filter_map(|number| number.parse().ok()).map(Origin).collect();
-                let (by, reused) = (self.worker.map(Origin), self.reused);
-                Ok(EndedJob::Done { job, walks, records, by, confirmed, reused })
+                let Self { reused, verified, .. } = self;
+                Ok(EndedJob::Done { job, walks, records, by: self.worker.map(Origin), verified, reused })
             }
             (None, Some(reason)) => Ok(EndedJob::GivenUp { job, reason, quarantined: self.quarantined }),
             _ => Err(corrupt(self.job, "records_digest", "neither done nor failed".to_owned())),
@@ -68,18 +65,26 @@ impl Store {
     /// Jobs of a dictionary that have ended.
     pub async fn ended_jobs(&self, dictionary: DictionaryId, grid: &Grid) -> Result<Vec<EndedJob>> {
         let rows: Vec<JobRow> = sqlx::query_as(
-            "SELECT job, walks, records_digest, reused, failure, quarantined, \
+            "SELECT job, walks, records_digest, reused, failure, quarantined, verified, \
              (SELECT CASE count(*) WHEN 1 THEN min(worker_id) END FROM contributions \
-              WHERE contributions.point_id = jobs.point_id AND confirmed = 0) AS worker, \
-             (SELECT group_concat(worker_id) FROM contributions \
-              WHERE contributions.point_id = jobs.point_id AND confirmed = 1) AS confirmed \
-             FROM jobs WHERE dictionary_id = ? ORDER BY job",
+              WHERE contributions.point_id = jobs.point_id) AS worker FROM jobs WHERE dictionary_id = ? ORDER BY job",
         )
         .bind(dictionary.0)
         .fetch_all(&self.read)
         .await
         .map_err(doing("reading the jobs"))?;
         rows.into_iter().map(|row| row.decode(grid)).collect()
+    }
+
+    /// Notes that the records of a job are those that the coordinator itself has computed.
+    pub async fn note_verified(&self, dictionary: DictionaryId, job: u32) -> Result<()> {
+        sqlx::query("UPDATE jobs SET verified = 1 WHERE dictionary_id = ? AND job = ? AND failure IS NULL")
+            .bind(dictionary.0)
+            .bind(job)
+            .execute(self.writer()?)
+            .await
+            .map_err(doing("noting that a result was checked"))?;
+        Ok(())
     }
 
     pub async fn give_up_job(

@@ -1,7 +1,7 @@
 //! Provides the lock between results that are being stored and records that are being deleted.
 //!
 //! It is held shared from the moment a result is handed to the store until the dispatcher has noted it, and exclusively
-//! while records are deleted or set aside. So the dispatcher never counts a record as stored that was deleted in between.
+//! while records are deleted or replaced. So the dispatcher never counts a record as stored that was deleted in between.
 //! The operations are methods of the guards: a caller without the right guard does not compile.
 
 use std::ops::Deref;
@@ -27,7 +27,7 @@ pub struct Shared<'a> {
     _guard: RwLockReadGuard<'a, ()>,
 }
 
-/// The lock held alone, while records are deleted, set aside or restored.
+/// The lock held alone, while records are deleted or replaced.
 #[derive(Debug)]
 pub struct Exclusive<'a> {
     held: LedgerGuard<'a>,

@@ -19,7 +19,7 @@ macro_rules! migration {
 }
 
 /// All files of `migrations`, in order: `NUMBER_DESCRIPTION` and its SQL.
-const MIGRATIONS: [(&str, &str); 7] = [
+const MIGRATIONS: [(&str, &str); 8] = [
     migration!("0001_dictionaries_jobs_records"),
     migration!("0002_points_workers_events"),
     migration!("0003_digests_of_sums"),
@@ -27,6 +27,7 @@ const MIGRATIONS: [(&str, &str); 7] = [
     migration!("0005_owners_and_who_did_what"),
     migration!("0006_errors_in_bytes"),
     migration!("0007_measurements"),
+    migration!("0008_one_judge"),
 ];
 
 const WHAT: &str = "moving records to the present schema";

@@ -99,7 +99,7 @@ pub(super) fn rows_of(points: &[i64]) -> String {
     format!("[{}]", points.iter().map(ToString::to_string).collect::<Vec<_>>().join(","))
 }
 
-/// Deletes points by their rows, with their records, sums and contributions, and the jobs that they ended.
+/// Deletes points by their rows, with their records, sums and contributions, and the ends of their jobs.
 pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> Result<Deleted> {
     let what = "deleting points";
     if points.is_empty() {
@@ -115,8 +115,6 @@ pub(super) async fn delete_points(tx: &mut SqliteConnection, points: &[i64]) -> 
         .rows_affected();
     // The points come last, since the other rows refer to them.
     for delete in [
-        "DELETE FROM jobs_set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
-        "DELETE FROM set_aside WHERE point_id IN (SELECT value FROM json_each(?))",
         "DELETE FROM sums WHERE point_id IN (SELECT value FROM json_each(?))",
         "DELETE FROM contributions WHERE point_id IN (SELECT value FROM json_each(?))",
         "DELETE FROM points WHERE id IN (SELECT value FROM json_each(?))",

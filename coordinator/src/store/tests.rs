@@ -1,8 +1,8 @@
-mod aside;
 mod blocks;
 mod checks;
 mod damage;
 mod damaged_backup;
+mod fences;
 mod measurements;
 
 use std::sync::mpsc::Receiver;
@@ -15,8 +15,8 @@ use tempfile::TempDir;
 
 use super::{Commit, DataDir, Store, StoreError, StoredEvent};
 use crate::stored::{
-    Completion, DesiredState, EndedJob, JobResult, Machine, OpenCheck, Origin, Outcome, Secret,
-    StoredDictionary, Vote,
+    Claim, Completion, DesiredState, EndedJob, JobResult, Machine, OpenCheck, Origin, Outcome, Secret,
+    StoredDictionary,
 };
 use crate::testing::{self, name};
 
@@ -87,7 +87,7 @@ async fn delete(store: &Store, dictionary: DictionaryId) -> u64 {
 }
 
 async fn fence(store: &Store, worker: Origin) -> Vec<(DictionaryId, u32)> {
-    store.ledger().exclusive().await.fence(worker, "wrong").await.unwrap()
+    store.ledger().exclusive().await.fence(&[worker], "wrong", &[]).await.unwrap()
 }
 
 /// A result of a job by worker 1 of the table.
@@ -277,22 +277,51 @@ async fn data_folder_has_one_coordinator() {
     assert!(error.contains("in use by another coordinator (at 127.0.0.1:7)"), "{error}");
 }
 
-/// Blocks in the format of the second schema are computed again.
-#[tokio::test]
-async fn second_schema_blocks_are_recomputed() {
+/// A store whose database has had only the first migrations, with these rows.
+async fn migrated(migrations: usize, rows: &'static str) -> (TempDir, Store) {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("farm.db");
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(file).create_if_missing(true);
     let pool = SqlitePool::connect_with(options).await.unwrap();
     let mut past = crate::store::migration::migrator();
-    past.migrations.to_mut().truncate(2);
+    past.migrations.to_mut().truncate(migrations);
     past.run(&pool).await.unwrap();
-    let rows = "INSERT INTO points VALUES (1, zeroblob(32)); \
-                INSERT INTO workers VALUES (1, 'instance', 'label', NULL); \
-                INSERT INTO contributions VALUES (1, 1); INSERT INTO sums VALUES (1, 0, x'00')";
     sqlx::raw_sql(rows).execute(&pool).await.unwrap();
     pool.close().await;
     let store = open(dir.path()).await;
-    assert_eq!(count(&store, "sums").await + count(&store, "points").await, 0);
     assert!(store.faults().await.unwrap().is_empty());
+    (dir, store)
+}
+
+/// Blocks in the format of the second schema are computed again.
+#[tokio::test]
+async fn second_schema_blocks_are_recomputed() {
+    let rows = "INSERT INTO points VALUES (1, zeroblob(32)); \
+                INSERT INTO workers VALUES (1, 'instance', 'label', NULL); \
+                INSERT INTO contributions VALUES (1, 1); INSERT INTO sums VALUES (1, 0, x'00')";
+    let (_dir, store) = migrated(2, rows).await;
+    assert_eq!(count(&store, "sums").await + count(&store, "points").await, 0);
+}
+
+/// Votes of the seventh schema become claims, and what was set aside is computed again.
+#[tokio::test]
+async fn seventh_schema_votes_become_claims() {
+    let rows = "DROP TABLE records_of_dictionaries; \
+                INSERT INTO dictionaries VALUES (1, 'd', x'', zeroblob(32), 0, 0, 'run', '', ''); \
+                INSERT INTO workers (id, identity, label) VALUES (1, 'a', 'a'), (2, 'b', 'b'); \
+                INSERT INTO points VALUES (1, zeroblob(32)), (2, randomblob(32)); \
+                INSERT INTO records VALUES (1, 1, 0.5, x'00'), (2, 2, 0.5, x'00'); \
+                INSERT INTO contributions VALUES (1, 1, 0), (1, 2, 1), (2, 2, 0); \
+                INSERT INTO jobs (dictionary_id, job, point_id, walks, records_digest) VALUES (1, 0, 1, 9, zeroblob(32)); \
+                INSERT INTO set_aside VALUES (2, zeroblob(32), 2); \
+                INSERT INTO jobs_set_aside VALUES (2, 1, 1, 9, zeroblob(32)); \
+                INSERT INTO votes VALUES (1, 0, 0, 0, 1, zeroblob(32)), (1, 0, 0, 1, 2, zeroblob(32))";
+    let (_dir, store) = migrated(7, rows).await;
+    let claims = [1, 2].map(|by| Claim { by: Some(Origin(by)), digest: Digest::from_bytes([0; 32]) });
+    let check = OpenCheck { dictionary: DictionaryId(1), job: 0, block: 0, claims: claims.to_vec() };
+    assert_eq!(store.open_checks().await.unwrap(), [check]);
+    let left = [("points", 1), ("records", 1), ("contributions", 1), ("jobs", 1), ("workers", 2)];
+    for (table, rows) in left {
+        assert_eq!(count(&store, table).await, rows, "{table}");
+    }
 }

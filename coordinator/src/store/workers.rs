@@ -1,8 +1,10 @@
 //! Stores and reads the machines of workers, and which of them are fenced off (table `workers`).
 
 use farm_proto::ids::DictionaryId;
+use optics_model::Digest;
 
-use super::{Result, Store, doing};
+use super::points::{self, delete_points, rows_of};
+use super::{Exclusive, Result, Store, doing};
 use crate::stored::{KnownMachine, Machine, Origin};
 
 struct MachineRow {
@@ -53,31 +55,49 @@ impl Store {
         Ok(rows.into_iter().map(Into::into).collect())
     }
 
-    /// Notes that a machine has confirmed the records of a job.
-    pub async fn note_agreement(&self, dictionary: DictionaryId, job: u32, machine: Origin) -> Result<()> {
-        sqlx::query(
-            "INSERT OR IGNORE INTO contributions (point_id, worker_id, confirmed) \
-             SELECT point_id, ?, 1 FROM jobs WHERE dictionary_id = ? AND job = ? AND point_id IS NOT NULL",
-        )
-        .bind(machine.0)
-        .bind(dictionary.0)
-        .bind(job)
-        .execute(self.writer()?)
-        .await
-        .map_err(doing("noting that a result was checked"))?;
-        Ok(())
-    }
-
-    /// Deletes machines to which no record, vote or fence refers. One that still exists registers again under a new number.
+    /// Deletes machines to which no record, claim or fence refers. One that still exists registers again under a new number.
     pub(super) async fn forget_useless_workers(&self) -> Result<()> {
         sqlx::query(
             "DELETE FROM workers WHERE fenced IS NULL AND id NOT IN (SELECT worker_id FROM contributions) \
-             AND id NOT IN (SELECT worker_id FROM votes WHERE worker_id IS NOT NULL) \
-             AND id NOT IN (SELECT worker_id FROM set_aside WHERE worker_id IS NOT NULL)",
+             AND id NOT IN (SELECT worker_id FROM claims WHERE worker_id IS NOT NULL)",
         )
         .execute(self.writer()?)
         .await
         .map_err(doing("forgetting workers of which nothing is left"))?;
         Ok(())
+    }
+}
+
+impl Exclusive<'_> {
+    /// Fences machines off, and deletes the points with these identities and all points to which the machines have
+    /// contributed, except those whose jobs are all verified; returns the jobs to be computed again.
+    pub async fn fence(
+        &self,
+        machines: &[Origin],
+        reason: &str,
+        wrong: &[Digest],
+    ) -> Result<Vec<(DictionaryId, u32)>> {
+        let what = "fencing a machine off";
+        let machines = rows_of(&machines.iter().map(|machine| machine.0).collect::<Vec<_>>());
+        let mut tx = self.store.begin().await?;
+        sqlx::query("UPDATE workers SET fenced = ? WHERE id IN (SELECT value FROM json_each(?))")
+            .bind(reason)
+            .bind(&machines)
+            .execute(&mut *tx)
+            .await
+            .map_err(doing(what))?;
+        let mut points: Vec<i64> = sqlx::query_scalar(
+            "SELECT DISTINCT point_id FROM contributions WHERE worker_id IN (SELECT value FROM json_each(?)) \
+             AND point_id NOT IN (SELECT point_id FROM jobs WHERE point_id IS NOT NULL \
+                                  GROUP BY point_id HAVING min(verified) = 1)",
+        )
+        .bind(&machines)
+        .fetch_all(&mut *tx)
+        .await
+        .map_err(doing(what))?;
+        points.extend(points::find(&mut tx, wrong).await?.into_iter().map(|(_, point)| point));
+        let deleted = delete_points(&mut tx, &points).await?;
+        tx.commit().await.map_err(doing(what))?;
+        Ok(deleted.jobs)
     }
 }

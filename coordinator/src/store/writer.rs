@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
 
-use super::{Place, Result, Shared, StoreError, batch, doing};
+use super::{LedgerGuard, Place, Result, StoreError, batch, doing};
 use crate::stored::{Completion, Outcome};
 
 /// Most results of one transaction.
@@ -32,7 +32,7 @@ pub struct Commit {
 
 pub(super) type Request = (Completion, oneshot::Sender<Result<Outcome>>);
 
-impl Shared<'_> {
+impl LedgerGuard<'_> {
     /// Stores a result durably: when this returns it is on the disk.
     pub async fn complete(&self, completion: Completion) -> Result<Outcome> {
         let (sender, receiver) = oneshot::channel();

@@ -55,11 +55,6 @@ impl Tokens {
         self.0.iter().any(|token| token.hash == *hash && token.role == role)
     }
 
-    /// Number of tokens with a role.
-    pub fn count(&self, role: Role) -> usize {
-        self.0.iter().filter(|token| token.role == role).count()
-    }
-
     /// Roles and names, in their order.
     pub fn names(&self) -> impl Iterator<Item = (Role, &str)> {
         self.0.iter().map(|token| (token.role, token.name.as_str()))

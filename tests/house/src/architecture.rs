@@ -38,7 +38,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
     ("optics/capture", &["optics-model"]),
     ("proto", &["optics-model"]),
     ("proto/link", &[]),
-    ("coordinator", &["optics-model", "optics-fit", "farm-proto", "farm-link"]),
+    ("coordinator", &["optics-model", "optics-fit", "optics-layers", "farm-proto", "farm-link"]),
     ("worker", &["optics-model", "optics-tracer", "optics-layers", "farm-proto", "farm-link"]),
     ("client/figures", &["optics-model"]),
     ("client/lab", &["optics-model", "optics-tracer", "optics-layers", "optics-capture", "farm-figures"]),

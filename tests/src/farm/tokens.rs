@@ -1,4 +1,4 @@
-//! Runs farms whose workers have separate tokens, so that each has its own vote on results.
+//! Runs farms whose workers have separate tokens, so that each can be fenced off by itself.
 
 use super::Farm;
 use crate::process::{Process, run};

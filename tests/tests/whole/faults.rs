@@ -18,12 +18,12 @@ mod links;
 mod logs;
 mod loopback;
 mod lost;
+mod malicious;
 mod owners;
 mod poison;
 mod refused;
 mod slow;
 mod trust;
-mod votes;
 mod waiting;
 
 use std::time::Duration;

@@ -4,7 +4,7 @@ import type { Event as FarmEvent } from '../gen/farm/v1/farm_pb';
 // All other kinds need attention, those that the page has no word for among them.
 const ROUTINE = new Set([
   'COORDINATOR_STARTED', 'SUBMITTED', 'DONE', 'PAUSED', 'RESUMED', 'CANCELLED', 'RETRIED', 'PRIORITY_CHANGED', 'DELETED',
-  'WORKER_JOINED', 'WORKER_LEFT', 'WORKER_DRAINING', 'WORKER_READMITTED', 'BACKUP_MADE',
+  'WORKER_JOINED', 'WORKER_LEFT', 'WORKER_DRAINING', 'BACKUP_MADE',
 ]);
 
 // The newest of equal events, and their number.

@@ -7,7 +7,7 @@ export const JOB_STATES: readonly { state: JobState; name: string; color: string
   { state: JobState.WAITING, name: 'waiting', color: '--waiting' },
   { state: JobState.COMPUTING, name: 'computing', color: '--computing' },
   { state: JobState.DONE, name: 'done', color: '--done' },
-  { state: JobState.CHECKED, name: 'checked by another machine', color: '--checked' },
+  { state: JobState.CHECKED, name: 'checked by the coordinator', color: '--checked' },
   { state: JobState.FAILED, name: 'failed', color: '--failed' },
 ];
 

@@ -71,7 +71,7 @@ pub(crate) async fn run(global: &Global, args: &DoctorArgs, output: &Output) -> 
                 finding(
                     "workers",
                     false,
-                    format!("{} is fenced off: others found other results; check its machine, then `farmctl workers readmit`", w.label),
+                    format!("{} is fenced off: the coordinator found other results; check its machine, then give it a new token (`farmctl access add`)", w.label),
                 )
             }));
         }
@@ -120,7 +120,7 @@ fn about_coordinator(status: &StatusResponse) -> Vec<DoctorFinding> {
         fault => finding("store", false, format!("results cannot be stored: {fault}")),
     };
     let checks = format!(
-        "{} results compared between workers: {} unequal; {} comparisons wait for another worker",
+        "{} results computed by the coordinator, too: {} unequal; {} wait for it",
         grouped(status.checks_agreed + status.checks_disputed),
         grouped(status.checks_disputed),
         grouped(status.checks_waiting)

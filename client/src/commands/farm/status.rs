@@ -91,7 +91,7 @@ fn text(
         0 => String::new(),
         waiting => {
             format!(
-                "\n{} not checked, since a check needs a second machine (nothing else waits for it)",
+                "\n{} to be checked: the coordinator computes them once more (nothing else waits for it)",
                 counted(waiting, "result")
             )
         }

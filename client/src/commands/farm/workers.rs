@@ -1,9 +1,9 @@
-//! Implements `farmctl workers`: lists the workers, lets one leave, and readmits a machine that was fenced off.
+//! Implements `farmctl workers`: lists the workers, and lets one leave.
 
 use anyhow::Result;
 use clap::{Args, Subcommand};
 use farm_proto::status::{MachineFacts, WorkerStatus};
-use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest, ReadmitWorkerRequest};
+use farm_proto::wire::{DrainWorkerRequest, ListWorkersRequest};
 use serde::Serialize;
 
 use crate::cli::Global;
@@ -26,12 +26,6 @@ pub(crate) enum WorkersCommand {
     List,
     /// Let a worker finish its jobs and leave.
     Drain(DrainArgs),
-    /// Readmit a machine that was fenced off, once the cause of its wrong results is found.
-    #[command(after_help = "\
-Examples:
-  farmctl workers readmit node7:4711
-  farmctl workers readmit worker@10.0.0.7")]
-    Readmit(ReadmitArgs),
 }
 
 #[derive(Debug, Args)]
@@ -40,12 +34,6 @@ Example:
   farmctl workers drain node7:4711")]
 pub(crate) struct DrainArgs {
     /// Id or label of the worker, as `farmctl workers` shows them.
-    worker: String,
-}
-
-#[derive(Debug, Args)]
-pub(crate) struct ReadmitArgs {
-    /// The name of its worker, as `farmctl events` shows it, or TOKEN@ADDRESS: the name of its token and its address.
     worker: String,
 }
 
@@ -59,16 +47,10 @@ struct DrainJson {
     worker_id: String,
 }
 
-#[derive(Debug, Serialize)]
-struct ReadmitJson {
-    worker: String,
-}
-
 pub(crate) async fn run(global: &Global, args: WorkersArgs, output: &Output) -> Result<()> {
     match args.command {
         None | Some(WorkersCommand::List) => list(global, output).await,
         Some(WorkersCommand::Drain(args)) => drain(global, &args.worker, output).await,
-        Some(WorkersCommand::Readmit(args)) => readmit(global, &args.worker, output).await,
     }
 }
 
@@ -88,17 +70,6 @@ async fn drain(global: &Global, worker: &str, output: &Output) -> Result<()> {
     })
     .await?;
     output.print("drain", &DrainJson { worker_id }, || format!("{worker} finishes what it has and ends"))
-}
-
-async fn readmit(global: &Global, worker: &str, output: &Output) -> Result<()> {
-    with_farm(global, Purpose::Ask, async |connection| {
-        let request = ReadmitWorkerRequest { worker: worker.to_owned() };
-        connection.admin().readmit_worker(request).await?;
-        Ok(())
-    })
-    .await?;
-    let data = ReadmitJson { worker: worker.to_owned() };
-    output.print("readmit", &data, || format!("{worker} may come again: start its workers"))
 }
 
 pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<WorkerStatus>> {

@@ -22,23 +22,7 @@ impl World {
                     self.walks.insert((dictionary, job), walks);
                     self.store.given_up.insert((dictionary, job), (reason, quarantined));
                 }
-                Effect::Recompute { dictionary, job } => self.recompute(dictionary, job),
-                Effect::Agreed { dictionary, job, machine } => {
-                    for place in self.same_walks(dictionary, job) {
-                        let done = self.store.done.get_mut(&place).expect("it was just found");
-                        if !done.by.contains(&machine) {
-                            done.confirmed.insert(machine);
-                        }
-                    }
-                }
                 Effect::NoteCheck(check) => self.store.note_check(check),
-                Effect::Fence { machine, reason } => {
-                    for (id, job) in self.store.fence(machine, reason) {
-                        self.reopen(id, job);
-                    }
-                    self.find_blocks();
-                }
-                Effect::LiftFence { .. } => unreachable!("no test asks for that"),
             }
             // Applies the effects that this one has caused.
             self.settle();

@@ -44,6 +44,8 @@ pub enum Op {
     Submit(usize),
     /// The disk damages the records of a job.
     Damage(usize, u32),
+    /// The coordinator begins to compute something itself, or ends it.
+    Judge,
     Restart,
 }
 
@@ -78,6 +80,7 @@ pub fn any() -> impl Strategy<Value = Op> {
         1 => d().prop_map(Op::Delete),
         3 => d().prop_map(Op::Submit),
         2 => (d(), 0_u32..3).prop_map(|(dictionary, job)| Op::Damage(dictionary, job)),
+        8 => Just(Op::Judge),
         1 => Just(Op::Restart),
     ]
 }

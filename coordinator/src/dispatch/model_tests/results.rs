@@ -37,7 +37,7 @@ impl World {
                 self.find_blocks();
             }
             Some(Outcome::Before { records, .. }) => {
-                self.farm.compare_with_stored(&arrived, records, arrived.digest);
+                self.farm.compare_with_stored(&arrived, records);
             }
             Some(Outcome::Differs | Outcome::Repeated) => {
                 unreachable!("the model's store compares neither points nor blocks")
@@ -55,14 +55,14 @@ impl World {
         }
         let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
         let arrived = Arrived { worker: &worker, by, key: &key, walks: job.walks(), digest };
-        if self.farm.schedule.by_id(key.dictionary).unwrap().is_open(key.job) {
-            self.strike(key.dictionary, key.job, by, None);
+        if job.block().is_some() {
+            self.store.blocks.retain(|(id, job, _), _| (*id, *job) != (key.dictionary, key.job));
+            self.recompute(other.0, other.1);
+            if self.farm.schedule.is_open((key.dictionary, key.job)) {
+                self.strike(key.dictionary, key.job, by, None);
+            }
         }
-        if self.farm.verification.is_confirmed(&[other]) {
-            self.farm.contradict(self.now, &arrived, None);
-            return;
-        }
-        self.farm.contradict(self.now, &arrived, Some(&[other]));
-        self.recompute(other.0, other.1);
+        self.farm.contradict(self.now, &arrived);
+        self.find_blocks();
     }
 }

@@ -17,8 +17,7 @@ pub struct DoneJob {
     pub walks: Walks,
     pub records: Digest,
     pub by: BTreeSet<Origin>,
-    /// Machines that have confirmed the records.
-    pub confirmed: BTreeSet<Origin>,
+    pub verified: bool,
 }
 
 #[derive(Debug, Default)]
@@ -77,7 +76,7 @@ impl ModelStore {
 
     pub fn note_check(&mut self, check: OpenCheck) {
         let place = (check.dictionary, check.job, check.block);
-        if check.votes.is_empty() || !self.dictionaries.contains_key(&check.dictionary) {
+        if check.claims.is_empty() || !self.dictionaries.contains_key(&check.dictionary) {
             self.checks.remove(&place);
         } else {
             self.checks.insert(place, check);
@@ -98,15 +97,8 @@ impl ModelStore {
         let is_own = |job: &(DictionaryId, u32)| job.0 == id;
         let done = self.done.iter().filter(|(job, _)| is_own(job)).map(|((_, job), done)| {
             let by = if done.by.len() == 1 { done.by.first().copied() } else { None };
-            let confirmed = done.confirmed.iter().copied().collect();
-            EndedJob::Done {
-                job: *job,
-                walks: done.walks,
-                records: done.records,
-                by,
-                confirmed,
-                reused: false,
-            }
+            let (records, verified) = (done.records, done.verified);
+            EndedJob::Done { job: *job, walks: done.walks, records, by, verified, reused: false }
         });
         let given_up =
             self.given_up.iter().filter(|(job, _)| is_own(job)).map(|((_, job), (reason, quarantined))| {
@@ -115,9 +107,9 @@ impl ModelStore {
         done.chain(given_up).collect()
     }
 
-    /// The digest of a result to which these machines have contributed.
+    /// The digest of a result to which these machines have contributed: all wrong ones find the same.
     pub fn digest(&self, id: DictionaryId, job: u32, spec: &JobSpec, by: &BTreeSet<Origin>) -> Digest {
-        let wrong: Vec<_> = by.iter().filter(|o| self.wrong.contains(o)).collect();
+        let wrong = by.iter().any(|by| self.wrong.contains(by));
         let (walks, kind) = (spec.walks().get(), self.kind(id));
         Digest::of_bytes(format!("{kind:?} {job} {walks} {wrong:?}").as_bytes())
     }
@@ -131,7 +123,7 @@ impl ModelStore {
 
     /// Ends a job with the records of another one.
     pub fn take_over(&mut self, place: (DictionaryId, u32), from: (DictionaryId, u32)) -> Option<DoneJob> {
-        let done = self.done.get(&from)?.clone();
+        let done = DoneJob { verified: false, ..self.done.get(&from)?.clone() };
         self.blocks.retain(|(id, job, _), _| (*id, *job) != place);
         self.done.insert(place, done.clone());
         Some(done)
@@ -168,24 +160,16 @@ impl ModelStore {
         }
         let records = self.digest(id, job, spec, &by);
         self.given_up.remove(&(id, job));
-        self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by, confirmed: BTreeSet::new() });
+        self.done.insert((id, job), DoneJob { walks: spec.walks(), records, by, verified: false });
         Some(Outcome::Finished { records })
     }
 
-    /// Removes the results of a machine, except those that others have confirmed. Returns the jobs to be computed again.
+    /// Removes the results of a machine, except those that are verified. Returns the jobs to be computed again.
     pub fn fence(&mut self, machine: Origin, reason: String) -> Vec<(DictionaryId, u32)> {
         self.fenced.insert(machine, reason);
         self.blocks.retain(|_, blocks| !blocks.values().any(|by| *by == machine));
-        let mut forgotten = Vec::new();
-        for (job, done) in &mut self.done {
-            done.confirmed.remove(&machine);
-            if done.by.contains(&machine) {
-                match done.confirmed.pop_first() {
-                    Some(other) => done.by = BTreeSet::from([other]),
-                    None => forgotten.push(*job),
-                }
-            }
-        }
+        let own = self.done.iter().filter(|(_, done)| done.by.contains(&machine) && !done.verified);
+        let forgotten: Vec<_> = own.map(|(job, _)| *job).collect();
         for job in &forgotten {
             self.done.remove(job);
         }

@@ -7,8 +7,7 @@ use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 use optics_model::Digest;
 
 use super::world::{Arriving, LEASE, Process, WORKERS, World};
-use crate::dispatch::part::PartId;
-use crate::dispatch::{Admission, Arrived, DispatchError, Purpose, Registration};
+use crate::dispatch::{Admission, Arrived, Dictionary, DispatchError, Purpose, Registration};
 use crate::stored::Origin;
 use crate::testing::process;
 
@@ -66,8 +65,9 @@ impl World {
         let paused = self.farm.roster.pause_left(self.now, origin).is_some();
         // The remaining parts of a divided job may be granted if it was under way before the other job.
         let place = |key: &LeaseKey| (key.dictionary, key.job);
-        let held = self.farm.schedule.leases().iter().filter(|held| held.purpose != Purpose::Check);
+        let held = self.farm.schedule.leases().iter();
         let under_way: BTreeSet<_> = held.map(|held| place(&held.key)).collect();
+        let disputed: BTreeSet<_> = self.farm.verification.disputes().collect();
         let answer = self.farm.acquire(self.now, &id, max, &mut self.chance);
         let Some(grant) = self.answer(worker, answer) else { return };
         self.insist(grant.leases.len() <= max, || "too many leases".to_owned());
@@ -82,16 +82,11 @@ impl World {
             let new = self.tokens.insert(key.token);
             self.insist(new, || format!("{key:?} has a token that was used before"));
             let dictionary = self.farm.schedule.by_id(key.dictionary);
-            let serves =
-                dictionary.is_some_and(|d| d.is_active() || purpose == Purpose::Check && d.is_complete());
+            let serves = dictionary.is_some_and(Dictionary::is_active);
             self.insist(serves, || format!("{key:?} is of a dictionary that is not served"));
-            if purpose == Purpose::Check {
-                let part = PartId::from(&key);
-                let votes = self.farm.verification.of_dictionary(key.dictionary).find(|(of, _)| *of == part);
-                let own = votes.is_none_or(|(_, votes)| votes.iter().any(|vote| vote.by == Some(origin)));
-                self.insist(!own, || format!("{key:?} lets a machine check itself, or nothing"));
-            }
             if matches!(purpose, Purpose::First | Purpose::Retry) {
+                let decided = !disputed.contains(&place(&key));
+                self.insist(decided, || format!("{key:?} is disputed and given to a worker"));
                 self.check_struck(&key, origin);
                 let twice = self.computed_elsewhere(&key).filter(|_| !under_way.contains(&place(&key)));
                 self.insist(twice.is_none(), || {
@@ -179,10 +174,11 @@ impl World {
                 self.farm.hand_back(&[key]);
             }
         }
+        // The worker may be another process by now.
+        let id = self.processes[worker].id.clone();
         let answer = self.farm.admit(self.now, &id, &key, job.identity());
         self.insist(answer.is_err() || how == 0, || format!("{key:?} was forged and its result is taken"));
         self.answer(worker, answer);
-        // The worker may be another process by now.
         let id = self.processes[worker].id.clone();
         let answer = self.farm.failed(self.now, &id, &key, "sabotage");
         self.insist(answer.is_err(), || format!("{key:?} was forged and has failed"));
@@ -227,7 +223,7 @@ impl World {
             Some(Admission::Compare { job, by, stored }) => {
                 let digest = self.store.digest(key.dictionary, key.job, &job, &BTreeSet::from([by]));
                 let arrived = Arrived { worker: &id, by, key: &key, walks: job.walks(), digest };
-                self.farm.compare_with_stored(&arrived, stored, digest);
+                self.farm.compare_with_stored(&arrived, stored);
             }
             Some(Admission::Repeated { .. }) | None => {}
         }
@@ -236,10 +232,10 @@ impl World {
     pub fn fail(&mut self, worker: usize, lease: usize) {
         let Some(Lease { key, .. }) = self.take_lease(worker, lease) else { return };
         let Process { id, origin, .. } = self.processes[worker].clone();
-        let held = self.farm.schedule.leases().get(&key).filter(|h| h.worker == id).map(|h| h.purpose);
+        let held = self.farm.schedule.leases().held_by(&key, &id).is_some();
         let answer = self.farm.failed(self.now, &id, &key, "boom");
-        self.insist(answer.is_err() || held.is_some(), || format!("{key:?} fails and is not held"));
-        if self.answer(worker, answer).is_some() && held != Some(Purpose::Check) {
+        self.insist(answer.is_err() || held, || format!("{key:?} fails and is not held"));
+        if self.answer(worker, answer).is_some() {
             self.strike(key.dictionary, key.job, origin, None);
         }
     }

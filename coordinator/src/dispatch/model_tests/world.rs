@@ -13,7 +13,7 @@ use super::ops::Op;
 use super::store::ModelStore;
 use crate::dispatch::schedule::STALL;
 use crate::dispatch::tests::Counted;
-use crate::dispatch::{Dictionary, Dispatcher, Purpose, Settings};
+use crate::dispatch::{Dictionary, Dispatcher, JobRef, PartId, Settings};
 use crate::stored::{DesiredState, Machine, Origin, Secret};
 
 pub const LEASE: Duration = Duration::from_secs(8);
@@ -57,6 +57,8 @@ pub struct World {
     /// Walks of jobs that were begun again with more.
     pub walks: BTreeMap<(DictionaryId, u32), Walks>,
     pub arriving: Vec<Arriving>,
+    /// The part that the coordinator computes itself at present.
+    pub judging: Option<(PartId, JobSpec)>,
     pub chance: Counted,
     pub tokens: BTreeSet<Token>,
     pub origins: BTreeMap<WorkerId, Origin>,
@@ -83,6 +85,7 @@ impl World {
             strikes: BTreeMap::new(),
             walks: BTreeMap::new(),
             arriving: Vec::new(),
+            judging: None,
             chance: Counted { tokens: 0 },
             tokens: BTreeSet::new(),
             origins: BTreeMap::new(),
@@ -123,11 +126,15 @@ impl World {
         }
     }
 
-    /// The numbers of parts and of checks that a waiting worker could get.
+    /// The numbers of parts that a waiting worker could get, and of checks for the coordinator.
     fn offers(&self) -> (usize, usize) {
-        let checks =
-            self.farm.verification.open_to(|_| false).filter(|part| self.farm.schedule.may_check(*part));
-        (self.farm.schedule.load().0, checks.count())
+        let disputed: BTreeSet<JobRef> = self.farm.verification.disputes().collect();
+        let active = self.farm.schedule.dictionaries().filter(|d| d.is_active());
+        let jobs = active.flat_map(|d| (0..d.jobs() as u32).map(move |job| (d, job)));
+        let parts = jobs.filter(|(d, job)| !disputed.contains(&(d.id(), *job)));
+        let parts = parts.flat_map(|(d, job)| d.open_parts(job).into_iter().map(move |part| (d, job, part)));
+        let parts = parts.filter(|(d, job, part)| d.waits(*job, *part)).count();
+        (parts, self.farm.verification.counts().2)
     }
 
     /// The states of the dictionaries as clients see them.
@@ -143,7 +150,7 @@ impl World {
         self.perform(op);
         self.settle();
         let (now, woken) = (self.offers(), self.woken);
-        self.insist(woken.0 || now.0 <= offers.0 && now.1 <= offers.1, || {
+        self.insist((woken.0 || now.0 <= offers.0) && (woken.1 || now.1 <= offers.1), || {
             format!("new work is not signalled: {offers:?} before, now {now:?}")
         });
         let same = seen == self.seen();
@@ -181,6 +188,7 @@ impl World {
             Op::Die(worker) => self.begin_anew(worker),
             Op::Expire(tenths) => self.expire(Duration::from_millis(100 * tenths)),
             Op::Stall(seconds) => self.expire(Duration::from_secs(seconds)),
+            Op::Judge => self.judge(),
             Op::Restart => self.restart(),
             Op::Submit(kind) => self.submit(kind),
             Op::Pause(at) => self.set_desire(at, DesiredState::Pause),
@@ -236,7 +244,7 @@ impl World {
         due.sort_by_key(|held| (held.deadline, held.key.token));
         let freed = self.farm.look_over(self.now);
         self.insist(freed == due.len(), || format!("{freed} leases are freed, not {}", due.len()));
-        for held in due.iter().filter(|h| h.running && h.purpose != Purpose::Check) {
+        for held in due.iter().filter(|h| h.running) {
             let (id, job) = (held.key.dictionary, held.key.job);
             let (origin, instance) = (self.origins[&held.worker], self.instances[&held.worker].clone());
             self.strike(id, job, origin, Some(instance));
@@ -291,6 +299,7 @@ impl World {
             self.farm.remember_check(check.clone());
         }
         self.arriving.clear();
+        self.judging = None;
         self.strikes.clear();
         self.draining.clear();
         self.last_look = None;
@@ -323,6 +332,9 @@ impl World {
                 self.step(&Op::Renew(worker, 255, 255));
                 self.step(&Op::Acquire(worker, 2));
                 self.step(&Op::Deliver(worker, 0));
+            }
+            for _ in 0..6 {
+                self.step(&Op::Judge);
             }
             self.check()?;
             // The model has the same dictionaries.

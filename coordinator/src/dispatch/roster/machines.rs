@@ -1,5 +1,5 @@
-//! Keeps the machines that workers run on: which of them share a vote, which are fenced off, and which are suspended
-//! because they fail one job after the other.
+//! Keeps the machines that workers run on: which of them are fenced off, and which are suspended because they fail one
+//! job after the other.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -25,8 +25,6 @@ struct Failures {
 pub(super) struct Machines {
     known: BTreeMap<Origin, KnownMachine>,
     failures: BTreeMap<Origin, Failures>,
-    /// Each access token has one vote, however many machines present it.
-    votes_by_token: bool,
 }
 
 impl Machines {
@@ -39,20 +37,6 @@ impl Machines {
     pub fn met(&mut self, origin: Origin, machine: Machine, label: &str) {
         let fenced = self.known.remove(&origin).and_then(|known| known.fenced);
         self.known.insert(origin, KnownMachine { origin, machine, label: label.to_owned(), fenced });
-    }
-
-    pub fn set_votes_by_token(&mut self, by_token: bool) {
-        self.votes_by_token = by_token;
-    }
-
-    /// Whether two machines have one vote together.
-    pub fn share_a_vote(&self, a: Origin, b: Origin) -> bool {
-        if a == b {
-            return true;
-        }
-        let (Some(a), Some(b)) = (self.known.get(&a), self.known.get(&b)) else { return false };
-        let (a, b) = (&a.machine, &b.machine);
-        if self.votes_by_token && !a.token.is_empty() { a.token == b.token } else { a.is_same(b) }
     }
 
     pub fn label(&self, origin: Origin) -> &str {
@@ -70,20 +54,10 @@ impl Machines {
         }
     }
 
-    pub fn lift(&mut self, origin: Origin) {
-        if let Some(known) = self.known.get_mut(&origin) {
-            known.fenced = None;
-        }
-    }
-
-    pub fn fenced(&self) -> impl Iterator<Item = &KnownMachine> {
-        self.known.values().filter(|known| known.fenced.is_some())
-    }
-
     /// The reason why a machine is fenced off, itself or under another address; None if it is not.
     pub fn fence_of(&self, machine: &Machine) -> Option<&str> {
-        let fenced = self.fenced().find(|known| known.machine.is_same(machine))?;
-        fenced.fenced.as_deref()
+        let mut same = self.known.values().filter(|known| known.machine.is_same(machine));
+        same.find_map(|known| known.fenced.as_deref())
     }
 
     pub fn is_fenced(&self, origin: Origin) -> bool {
@@ -181,26 +155,9 @@ mod tests {
         assert_eq!((machines.is_on_trial(A), machines.pause_left(at(2_000_000), A)), (false, None));
     }
 
-    /// A vote belongs to a machine, by address and host, or to a token if votes are counted by token.
+    /// A fence binds the machine, by address or host name, for all of its processes.
     #[test]
-    fn votes_are_per_machine_or_token() {
-        let mut machines = Machines::default();
-        let places =
-            [("t", "::1", ""), ("t", "::2", ""), ("t", "::3", "h"), ("t", "::4", "h"), ("u", "::1", "")];
-        for (origin, (token, address, host)) in (1..).zip(places) {
-            machines.met(Origin(origin), machine(token, address, host), "");
-        }
-        let shared = |machines: &Machines| {
-            (2..=5).map(|other| machines.share_a_vote(Origin(other), Origin(3))).collect::<Vec<_>>()
-        };
-        assert_eq!(shared(&machines), [false, true, true, false]);
-        machines.set_votes_by_token(true);
-        assert_eq!(shared(&machines), [true, true, true, false]);
-    }
-
-    /// A fence binds the machine, by address or host name, until it is lifted.
-    #[test]
-    fn fence_binds_the_machine_until_lifted() {
+    fn fence_binds_the_machine() {
         let mut machines = Machines::default();
         machines.met(A, machine("t", "::1", "h"), "a");
         machines.fence(A, "wrong".to_owned());
@@ -211,7 +168,5 @@ mod tests {
         }
         machines.met(A, machine("t", "::1", "h"), "b");
         assert!(machines.is_fenced(A), "another process is the same machine");
-        machines.lift(A);
-        assert_eq!(machines.fence_of(&machine("t", "::1", "h")), None);
     }
 }

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::job::{Job, Stage};
 use super::{Dictionary, OpenLease, Schedule};
-use crate::dispatch::part::{PartId, Purpose};
+use crate::dispatch::part::PartId;
 use crate::dispatch::roster::Roster;
 
 /// Dictionaries with more jobs or parts are skipped, and so are the leases if there are more: a check after every
@@ -50,12 +50,9 @@ impl Schedule {
             must!(held.deadline <= now + self.settings.lease, "{held:?} ends too late");
         }
         for (part, holders) in of_parts {
-            let (checks, computing): (Vec<&OpenLease>, Vec<&OpenLease>) =
-                holders.iter().partition(|held| held.purpose == Purpose::Check);
-            must!(checks.len() <= 1, "{part:?} has {} checks", checks.len());
-            must!(computing.len() <= 2, "{part:?} has {} holders", computing.len());
-            let workers: BTreeSet<_> = computing.iter().map(|held| &held.worker).collect();
-            must!(workers.len() == computing.len(), "{part:?} is twice with one worker");
+            must!(holders.len() <= 2, "{part:?} has {} holders", holders.len());
+            let workers: BTreeSet<_> = holders.iter().map(|held| &held.worker).collect();
+            must!(workers.len() == holders.len(), "{part:?} is twice with one worker");
             must!(self.leases.of_part(part).count() == holders.len(), "{part:?} is indexed wrongly");
         }
         for (worker, count) in of_workers {
@@ -67,11 +64,10 @@ impl Schedule {
     /// Checks that a part waits if it is open and not leased, and that all counts agree with the states of the jobs.
     fn check_parts(&self, dictionary: &Dictionary) -> Result<(), String> {
         let id = dictionary.id();
-        let leased = self.leases.of_dictionary(id).filter(|(_, purpose)| *purpose != Purpose::Check);
-        let leased: BTreeSet<PartId> = leased.map(|(part, _)| part).collect();
+        let leased: BTreeSet<PartId> = self.leases.of_dictionary(id).collect();
         let (mut pending, mut done, mut given_up) = (0, 0, 0);
         for (job, index) in dictionary.jobs.iter().zip(0..) {
-            done += usize::from(matches!(job.stage, Stage::Done { .. }));
+            done += usize::from(matches!(job.stage, Stage::Done(_)));
             given_up += usize::from(matches!(job.stage, Stage::GivenUp { .. }));
             let open: BTreeSet<u32> = job.open_parts().collect();
             for part in 0..job.walks.blocks() {

@@ -9,10 +9,10 @@ use farm_proto::status::DictionaryState;
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Invalid, Walks};
 
-use super::job::{Job, Part, Stage, Strike};
+use super::job::{Done, Job, Part, Stage, Strike};
 use super::plan::{self, Plan};
 use crate::dispatch::part::PartId;
-use crate::stored::{DesiredState, EndedJob, Origin, StoredDictionary, Vote};
+use crate::stored::{DesiredState, EndedJob, StoredDictionary};
 
 /// Counts that change with every job, kept so that they are not recomputed.
 #[derive(Debug, Default, Clone, Copy, PartialEq)]
@@ -41,8 +41,6 @@ pub struct Dictionary {
     pub(super) counts: Counts,
     /// Number of leased parts; the schedule keeps the leases.
     leased: usize,
-    /// The machines that have confirmed stored results, until they are taken out.
-    confirmed: Vec<(u32, Vec<Origin>)>,
 }
 
 impl Dictionary {
@@ -64,13 +62,7 @@ impl Dictionary {
         }
         let outdated = stored.grid_digest != Digest::of_grid(&stored.grid);
         let (family, counts) = (plan::family(&stored.grid), Counts::default());
-        let confirmed = ended.iter().filter_map(|end| match end {
-            EndedJob::Done { job, confirmed, .. } if !confirmed.is_empty() => Some((*job, confirmed.clone())),
-            _ => None,
-        });
-        let confirmed = confirmed.collect();
-        let mut dictionary =
-            Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0, confirmed };
+        let mut dictionary = Self { stored, outdated, too_large, family, jobs, pending, counts, leased: 0 };
         dictionary.count();
         if let Some(why) = &dictionary.too_large {
             dictionary.stored.reason = format!("its grid is too large: {why}; delete it");
@@ -84,16 +76,11 @@ impl Dictionary {
         for job in &self.jobs {
             self.counts.cost += job.cost;
             match &job.stage {
-                Stage::Done { reused, .. } => self.counts.add_done(job, *reused),
+                Stage::Done(done) => self.counts.add_done(job, done.reused),
                 Stage::GivenUp { .. } => self.counts.given_up += 1,
                 Stage::Open { .. } => {}
             }
         }
-    }
-
-    /// Takes out the machines that have confirmed the result of each job, as recorded in the store.
-    pub fn take_confirmed(&mut self) -> Vec<(u32, Vec<Origin>)> {
-        std::mem::take(&mut self.confirmed)
     }
 
     pub fn id(&self) -> DictionaryId {
@@ -170,7 +157,7 @@ impl Dictionary {
     }
 
     /// Whether its jobs could be worked on, whatever its desired state.
-    pub(super) fn is_workable(&self) -> bool {
+    pub fn is_workable(&self) -> bool {
         !self.outdated && self.too_large.is_none()
     }
 
@@ -186,18 +173,6 @@ impl Dictionary {
 
     pub fn open_parts(&self, index: u32) -> Vec<u32> {
         self.jobs.get(index as usize).map(|job| job.open_parts().collect()).unwrap_or_default()
-    }
-
-    /// Jobs that one machine has done alone, each with its result, and whether its records came for another dictionary.
-    /// Blocks are checked one by one.
-    pub(super) fn unchecked(&self) -> impl Iterator<Item = (u32, Vote, bool)> {
-        let wanted = |(job, index): (&Job, u32)| match job.stage {
-            Stage::Done { records, by: Some(by), reused } if !job.is_divided() && !self.outdated => {
-                Some((index, Vote { by: Some(by), digest: records }, reused))
-            }
-            _ => None,
-        };
-        self.jobs.iter().zip(0..).filter_map(wanted)
     }
 
     /// Jobs that are divided and open, whose blocks may be in the store already.
@@ -224,7 +199,7 @@ impl Dictionary {
             }
             // The block is available when the job is tried again.
             Stage::GivenUp { .. } => true,
-            Stage::Done { .. } => false,
+            Stage::Done(_) => false,
         }
     }
 
@@ -237,19 +212,11 @@ impl Dictionary {
         !held && self.pending.insert((job.rank, index, part))
     }
 
-    /// Notes that a job's records, of this many walks, are stored. `reused`: they came for another dictionary, or had
-    /// been set aside.
-    pub(super) fn finish(
-        &mut self,
-        index: u32,
-        walks: Walks,
-        records: Digest,
-        by: Option<Origin>,
-        reused: bool,
-    ) {
+    /// Notes that a job's records, of this many walks, are stored.
+    pub(super) fn finish(&mut self, index: u32, walks: Walks, done: Done) {
         let job = &mut self.jobs[index as usize];
         match job.stage {
-            Stage::Done { .. } => return,
+            Stage::Done(_) => return,
             Stage::GivenUp { .. } => self.counts.given_up -= 1,
             Stage::Open { .. } => {}
         }
@@ -259,8 +226,8 @@ impl Dictionary {
         for part in job.open_parts() {
             self.pending.remove(&(job.rank, index, part));
         }
-        job.stage = Stage::Done { records, by, reused };
-        self.counts.add_done(job, reused);
+        job.stage = Stage::Done(done);
+        self.counts.add_done(job, done.reused);
     }
 
     /// Begins jobs again, with the walks of the grid.
@@ -299,13 +266,13 @@ impl Dictionary {
     /// The digest of a job's records, if it is done.
     pub(super) fn records_of(&self, index: u32) -> Option<Digest> {
         match self.jobs.get(index as usize)?.stage {
-            Stage::Done { records, .. } => Some(records),
+            Stage::Done(done) => Some(done.records),
             _ => None,
         }
     }
 
     pub fn is_done(&self, index: u32) -> bool {
-        self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done { .. }))
+        self.jobs.get(index as usize).is_some_and(|job| matches!(job.stage, Stage::Done(_)))
     }
 
     /// Counts a failed attempt at a job. The job is given up if `max` machines have failed at it, or if as many attempts
@@ -343,10 +310,10 @@ impl Dictionary {
         }
     }
 
-    /// Credits the stored result of a job to another machine, which has confirmed it.
-    pub(super) fn set_producer(&mut self, index: u32, machine: Origin) {
-        if let Some(Job { stage: Stage::Done { by, .. }, .. }) = self.jobs.get_mut(index as usize) {
-            *by = Some(machine);
+    /// Notes that the stored records of a job are those that the coordinator has computed.
+    pub(super) fn set_verified(&mut self, index: u32) {
+        if let Some(Job { stage: Stage::Done(done), .. }) = self.jobs.get_mut(index as usize) {
+            done.verified = true;
         }
     }
 

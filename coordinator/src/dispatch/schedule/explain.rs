@@ -5,7 +5,6 @@ use std::time::Duration;
 use farm_proto::status::DictionaryState;
 
 use super::{Dictionary, Schedule};
-use crate::dispatch::part::Purpose;
 use crate::dispatch::roster::Roster;
 
 /// A reason, with a code that programs can rely on.
@@ -22,16 +21,16 @@ impl Reason {
 }
 
 impl Schedule {
-    /// The reasons why a dictionary is not done, the most important first. `checks`: the reasons that concern its checks.
+    /// The reasons why a dictionary is not done, the most important first. `disputes`: the one that concerns its disputes.
     pub fn explain(
         &self,
         now: Duration,
         dictionary: &Dictionary,
         roster: &Roster,
-        checks: Vec<Reason>,
+        disputes: Option<Reason>,
     ) -> Vec<Reason> {
         let is_done = dictionary.is_complete();
-        let mut reasons = if is_done { checks.clone() } else { Vec::new() };
+        let mut reasons: Vec<Reason> = disputes.iter().filter(|_| is_done).cloned().collect();
         match dictionary.state() {
             DictionaryState::Done => reasons.push(Reason::new("DONE", "all of its jobs are done")),
             DictionaryState::Cancelled if dictionary.too_large.is_some() => {
@@ -57,7 +56,7 @@ impl Schedule {
             }
         }
         if !is_done {
-            reasons.extend(checks);
+            reasons.extend(disputes);
         }
         let (_, given_up) = dictionary.ended();
         if let Some(first) = dictionary.given_up(0, 1).first() {
@@ -111,8 +110,7 @@ impl Schedule {
             let text = format!("{waiting} jobs of {others} go first, {name} with priority {priority}");
             reasons.push(Reason::new("HIGHER_PRIORITY", text));
         }
-        let held =
-            self.leases.iter().filter(|h| h.key.dictionary == dictionary.id() && h.purpose != Purpose::Check);
+        let held = self.leases.iter().filter(|h| h.key.dictionary == dictionary.id());
         if let Some(oldest) = held.min_by_key(|h| h.since) {
             let label = roster.get(&oldest.worker).map_or("", |w| w.about.label.as_str());
             let (job, age) = (oldest.key.job, now.saturating_sub(oldest.since).as_secs_f64());

@@ -1,5 +1,6 @@
-//! Grants leases and renews them. The order of work is checks, costliest jobs first, then second copies of late parts.
+//! Grants leases and renews them. The order of work is costliest jobs first, then second copies of late parts.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use farm_proto::ids::{DictionaryId, Token, WorkerId};
@@ -7,7 +8,7 @@ use farm_proto::lease::{HeldLease, Lease, LeaseKey};
 
 use super::{Dictionary, OpenLease, Schedule, lease_token};
 use crate::dispatch::outbox::{Count, Outbox};
-use crate::dispatch::part::{PartId, Purpose};
+use crate::dispatch::part::{JobRef, PartId, Purpose};
 use crate::dispatch::roster::Roster;
 use crate::dispatch::{Settings, TokenSource};
 use crate::stored::Origin;
@@ -40,6 +41,8 @@ pub struct Requester<'a> {
     pub machine: Origin,
     /// All workers, since parts that this machine has failed at go to others first.
     pub roster: &'a Roster,
+    /// Jobs that the coordinator computes itself.
+    pub disputed: &'a BTreeSet<JobRef>,
 }
 
 /// One answer to a request for leases.
@@ -53,34 +56,23 @@ struct Round<'a> {
 }
 
 impl Schedule {
-    /// Grants as many parts as requested: first `checks`, then the costliest of the dictionary that is served first, and
-    /// when nothing waits any more, second copies of those that take too long. With whole sets, parts that share their
-    /// walks with a granted one are added on top of that.
+    /// Grants as many parts as requested: the costliest of the dictionary that is served first, and when nothing waits any
+    /// more, second copies of those that take too long. With whole sets, parts that share their walks with a granted one
+    /// are added on top of that.
     pub fn grant(
         &mut self,
         now: Duration,
         requester: Requester<'_>,
         request: LeaseRequest,
-        checks: impl Iterator<Item = PartId>,
         tokens: &mut dyn TokenSource,
         outbox: &mut Outbox,
     ) -> Vec<Lease> {
-        let checks: Vec<PartId> = checks.filter(|part| self.may_check(*part)).take(request.parts).collect();
         let mut round = Round { schedule: self, now, requester, tokens, outbox, leases: Vec::new() };
-        for part in checks {
-            round.grant_besides(part, Purpose::Check);
-        }
         round.grant_waiting(request);
         let leases = round.leases;
         self.pace.working(now, self.leases.len() > 0);
         outbox.changed |= !leases.is_empty();
         leases
-    }
-
-    /// Whether a check of a part may be given out.
-    pub fn may_check(&self, part: PartId) -> bool {
-        let serves = |d: &Dictionary| d.job(part).is_some() && (d.is_active() || d.is_complete());
-        self.by_id(part.dictionary).is_some_and(serves) && !self.leases.is_checked(part)
     }
 
     /// Parts that are to be granted together with a part: they share its walks, and none of them was tried before, so
@@ -97,10 +89,9 @@ impl Schedule {
     /// Takes a part that takes too long, and that another worker holds.
     fn next_late(&mut self, worker: &WorkerId) -> Option<PartId> {
         let fits = |part: &PartId| {
-            // A part that is leased only for a check is not late.
             let mut holders = self.leases.of_part(*part);
             self.by_id(part.dictionary).is_some_and(Dictionary::is_active)
-                && matches!((holders.next(), holders.next()), (Some(held), None) if held.purpose != Purpose::Check && held.worker != *worker)
+                && matches!((holders.next(), holders.next()), (Some(held), None) if held.worker != *worker)
         };
         let place = self.late.iter().position(fits)?;
         Some(self.late.swap_remove(place))
@@ -159,7 +150,7 @@ impl Round<'_> {
         while self.leases.len() - companions < request.parts
             && let Some(part) = self.schedule.next_late(self.requester.worker)
         {
-            self.grant_besides(part, Purpose::Copy);
+            self.grant_copy(part);
         }
     }
 
@@ -172,18 +163,18 @@ impl Round<'_> {
         self.lease(part, attempt, purpose);
     }
 
-    /// Grants a part that does not wait: to check its result, or as a second copy.
-    fn grant_besides(&mut self, part: PartId, purpose: Purpose) {
+    /// Grants a second copy of a part that another worker holds.
+    fn grant_copy(&mut self, part: PartId) {
         if let Some(dictionary) = self.schedule.dictionaries.get_mut(&part.dictionary) {
             let attempt = dictionary.attempt(part.job);
-            self.lease(part, attempt, purpose);
+            self.lease(part, attempt, Purpose::Copy);
         }
     }
 
     fn lease(&mut self, part: PartId, attempt: u32, purpose: Purpose) {
         let PartId { dictionary, job, part } = part;
         let Settings { secret, lease, .. } = &self.schedule.settings;
-        let Requester { worker, machine, roster } = self.requester;
+        let Requester { worker, machine, roster, .. } = self.requester;
         let bare = LeaseKey { dictionary, job, attempt, token: Token(0), part };
         let nonce = self.tokens.token().0 as u64;
         let token = lease_token::issue(secret, &bare, nonce, roster.access_token(machine));

@@ -14,8 +14,20 @@ pub enum Part {
 #[derive(Debug)]
 pub enum Stage {
     Open { parts: Vec<Part> },
-    Done { records: Digest, by: Option<Origin>, reused: bool },
+    Done(Done),
     GivenUp { reason: String, quarantined: bool },
+}
+
+/// The records of a job that is done.
+#[derive(Debug, Clone, Copy)]
+pub struct Done {
+    pub records: Digest,
+    /// The machine that computed them, if it did so alone.
+    pub by: Option<Origin>,
+    /// They came for another dictionary.
+    pub reused: bool,
+    /// The coordinator has computed the same.
+    pub verified: bool,
 }
 
 /// A failed attempt, with its reason.
@@ -99,9 +111,9 @@ impl Job {
     /// Sets the end of the job, as recorded in the store.
     pub fn end(&mut self, end: &EndedJob) {
         self.stage = match end {
-            EndedJob::Done { walks, records, by, reused, .. } => {
+            EndedJob::Done { walks, records, by, reused, verified, .. } => {
                 self.set_walks(*walks);
-                Stage::Done { records: *records, by: *by, reused: *reused }
+                Stage::Done(Done { records: *records, by: *by, reused: *reused, verified: *verified })
             }
             EndedJob::GivenUp { reason, quarantined, .. } => {
                 Stage::GivenUp { reason: reason.clone(), quarantined: *quarantined }

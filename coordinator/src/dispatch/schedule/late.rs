@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use super::{Job, OpenLease, Schedule};
 use crate::dispatch::outbox::Outbox;
-use crate::dispatch::part::{PartId, Purpose};
+use crate::dispatch::part::PartId;
 
 /// If a look comes this much later than the last one, the coordinator itself was held up: no worker is to blame for that.
 pub const STALL: Duration = Duration::from_secs(5);
@@ -46,8 +46,7 @@ impl Schedule {
         }
         let late = self.leases.iter().filter(|held| {
             let cost = self.job(PartId::from(&held.key)).map(Job::part_cost);
-            held.purpose != Purpose::Check
-                && cost.is_some_and(|cost| self.pace.is_late(cost, now.saturating_sub(held.since)))
+            cost.is_some_and(|cost| self.pace.is_late(cost, now.saturating_sub(held.since)))
         });
         self.late = late.map(|held| PartId::from(&held.key)).collect();
         outbox.work |= !self.late.is_empty();

@@ -96,28 +96,19 @@ impl Leases {
         self.of_parts.range(PartId::range_of(job)).map(|(part, _)| *part).collect()
     }
 
-    /// Whether a part of a job is leased to be computed, not only to be checked.
+    /// Whether a part of a job is leased.
     pub fn is_held(&self, job: JobRef) -> bool {
-        let tokens = self.of_parts.range(PartId::range_of(job)).flat_map(|(_, tokens)| tokens);
-        tokens.filter_map(|token| self.all.get(token)).any(|held| held.purpose != Purpose::Check)
+        self.of_parts.range(PartId::range_of(job)).next().is_some()
     }
 
-    /// Whether a part is leased to be computed, not only to be checked.
     pub fn is_part_held(&self, part: PartId) -> bool {
-        self.of_part(part).any(|held| held.purpose != Purpose::Check)
+        self.of_parts.contains_key(&part)
     }
 
-    /// Whether a part is leased to be checked.
-    pub fn is_checked(&self, part: PartId) -> bool {
-        self.of_part(part).any(|held| held.purpose == Purpose::Check)
-    }
-
-    /// The leased parts of a dictionary, with the purposes of their leases.
-    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = (PartId, Purpose)> {
+    /// The leased parts of a dictionary.
+    pub fn of_dictionary(&self, id: DictionaryId) -> impl Iterator<Item = PartId> {
         let first = PartId { dictionary: id, job: 0, part: 0 };
-        let of_it = self.of_parts.range(first..).take_while(move |(part, _)| part.dictionary == id);
-        let purposes = |token| self.all.get(token).map(|held| held.purpose);
-        of_it.flat_map(move |(part, tokens)| tokens.iter().filter_map(purposes).map(|held| (*part, held)))
+        self.of_parts.range(first..).map(|(part, _)| *part).take_while(move |part| part.dictionary == id)
     }
 
     pub fn of_worker(&self, worker: &WorkerId) -> Vec<Token> {

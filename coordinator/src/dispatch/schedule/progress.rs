@@ -31,7 +31,7 @@ impl Dictionary {
     pub fn finished_records(&self, range: Range<usize>) -> usize {
         let albedos = self.grid().albedo().len();
         let finished = |job: usize| {
-            let done = self.jobs.get(job).is_some_and(|job| matches!(job.stage, Stage::Done { .. }));
+            let done = self.jobs.get(job).is_some_and(|job| matches!(job.stage, Stage::Done(_)));
             let of_job = range.start.max(job * albedos)..range.end.min((job + 1) * albedos);
             if done { of_job.len() } else { 0 }
         };
@@ -81,7 +81,7 @@ impl Dictionary {
             return None;
         }
         let digest = |job: &Job| match job.stage {
-            Stage::Done { records, .. } => Some(records),
+            Stage::Done(done) => Some(done.records),
             _ => None,
         };
         self.jobs.iter().map(digest).collect::<Option<Vec<_>>>().map(Digest::of_jobs)

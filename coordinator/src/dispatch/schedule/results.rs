@@ -6,26 +6,21 @@ use farm_proto::ids::DictionaryId;
 use farm_proto::lease::LeaseKey;
 use optics_model::{Digest, Walks};
 
-use super::{Dictionary, Job, Schedule, Stage, lease_token};
+use super::{Dictionary, Done, Job, Schedule, Stage, lease_token};
 use crate::dispatch::DispatchError;
 use crate::dispatch::admission::{Admission, Arrived};
 use crate::dispatch::outbox::{EventKind, Outbox};
-use crate::dispatch::part::{JobRef, PartId, Purpose};
+use crate::dispatch::part::{JobRef, PartId};
 use crate::stored::Origin;
 
-/// The machine that computed a stored result; None if that is not known.
-pub type Producer = Option<Origin>;
-
 impl Schedule {
-    /// Decides whether a result is accepted. `holder` is the access token of its worker, by name. `checked`: the stored
-    /// result of a part that is being checked.
+    /// Decides whether a result is accepted. `holder` is the access token of its worker, by name.
     pub fn admit(
         &self,
         key: &LeaseKey,
         identity: Digest,
         by: Origin,
         holder: &str,
-        checked: impl FnOnce(PartId) -> Option<Digest>,
     ) -> Result<Admission, DispatchError> {
         let part = PartId::from(key);
         let lost = DispatchError::LeaseLost { job: key.job, attempt: key.attempt };
@@ -39,16 +34,9 @@ impl Schedule {
         if spec.identity() != identity {
             return Err(lost);
         }
-        let is_check = self.leases.get(key).is_some_and(|held| held.purpose == Purpose::Check);
-        if is_check
-            && job.is_divided()
-            && let Some(stored) = checked(part)
-        {
-            return Ok(Admission::Compare { job: spec, by, stored });
-        }
         match &job.stage {
-            Stage::Done { .. } if job.is_divided() => Ok(Admission::Repeated { job: spec }),
-            Stage::Done { records, .. } => Ok(Admission::Compare { job: spec, by, stored: *records }),
+            Stage::Done(_) if job.is_divided() => Ok(Admission::Repeated { job: spec }),
+            Stage::Done(done) => Ok(Admission::Compare { job: spec, by, stored: done.records }),
             Stage::Open { .. } if !dictionary.open_parts(key.job).contains(&key.part) => {
                 Ok(Admission::Repeated { job: spec })
             }
@@ -71,11 +59,6 @@ impl Schedule {
                 self.pace_history.part_done(now, cost);
             }
         }
-        // The lease of a check, if the job was begun again in the meantime.
-        if self.leases.get(key).is_some() {
-            self.leases.remove(key.token);
-            outbox.work = true;
-        }
         self.pace.working(now, self.leases.len() > 0);
         outbox.changed = true;
     }
@@ -87,20 +70,20 @@ impl Schedule {
         self.pace_history.job_done(now);
         self.end_leases_of_job((id, job));
         let Some(dictionary) = self.dictionaries.get_mut(&id) else { return false };
-        dictionary.finish(job, arrived.walks, records, Some(arrived.by), false);
+        let by = Some(arrived.by);
+        dictionary.finish(job, arrived.walks, Done { records, by, reused: false, verified: false });
         true
     }
 
-    /// Notes that the store has ended a job with records that came for another dictionary; false if the job is not open.
-    pub fn take_over(&mut self, (id, job): JobRef, walks: Walks, records: Digest, by: Producer) -> bool {
-        let is_open = self.is_open((id, job));
-        if is_open {
-            self.end_leases_of_job((id, job));
-            if let Some(dictionary) = self.dictionaries.get_mut(&id) {
-                dictionary.finish(job, walks, records, by, true);
-            }
-        }
-        is_open
+    /// Notes that the store has ended a job with records that came for another dictionary, or from the coordinator; false
+    /// if the job is done already.
+    pub fn take_over(&mut self, (id, job): JobRef, walks: Walks, done: Done) -> bool {
+        self.end_leases_of_job((id, job));
+        let dictionary = self.dictionaries.get_mut(&id).filter(|dictionary| !dictionary.is_done(job));
+        dictionary.is_some_and(|dictionary| {
+            dictionary.finish(job, walks, done);
+            true
+        })
     }
 
     /// Records that a dictionary has ended, if none of its jobs is open.
@@ -121,12 +104,10 @@ impl Schedule {
         self.by_id(id).is_some_and(|d| d.too_large.is_none()) && self.has_walks((id, job), walks)
     }
 
-    /// Notes that the store holds a block; false if that was noted before.
-    pub fn part_found(&mut self, part: PartId, outbox: &mut Outbox) -> bool {
+    /// Notes that the store holds a block.
+    pub fn part_found(&mut self, part: PartId, outbox: &mut Outbox) {
         outbox.changed |= !self.end_leases(part).is_empty();
-        let is_news = self.part_stored(part);
-        outbox.changed |= is_news;
-        is_news
+        outbox.changed |= self.part_stored(part);
     }
 
     /// Notes that the store does not hold a block, or no longer holds it.
@@ -159,18 +140,6 @@ impl Schedule {
     /// Whether a job is open although all of its blocks are counted as stored.
     pub fn waits_for_nothing(&self, (id, job): JobRef) -> bool {
         self.by_id(id).is_some_and(|d| d.is_open(job) && d.open_parts(job).is_empty())
-    }
-
-    /// Ends the lease of a check. Returns whether the worker held such a lease for the result.
-    pub fn end_check(&mut self, arrived: &Arrived, outbox: &mut Outbox) -> bool {
-        let held = self.leases.held_by(arrived.key, arrived.worker);
-        let own = held.is_some_and(|held| held.purpose == Purpose::Check);
-        if own {
-            self.leases.remove(arrived.key.token);
-            // If this settles nothing another machine may check.
-            outbox.work = true;
-        }
-        own
     }
 
     /// The digest of a job's records, if it is done.

@@ -11,7 +11,6 @@ use optics_model::Digest;
 
 use super::{Dictionary, Requester, Schedule};
 use crate::dispatch::part::{JobRef, PartId};
-use crate::stored::Vote;
 
 /// Whether `all` contains all of `some`; both are in ascending order.
 fn holds(all: &[f64], some: &[f64]) -> bool {
@@ -60,7 +59,8 @@ impl Schedule {
         self.next_part_that(id, cheapest, |_| true)
     }
 
-    /// The next part to be given out to a machine: parts at which it has failed go to others first.
+    /// The next part to be given out to a machine: parts at which it has failed go to others first, and those of disputed
+    /// jobs to no machine.
     pub(super) fn next_part_for(
         &mut self,
         now: Duration,
@@ -75,7 +75,7 @@ impl Schedule {
                     && requester.roster.able(now).any(|other| !job.is_struck_by(other))
             });
             kept |= others;
-            !others
+            !others && !requester.disputed.contains(&part.job_ref())
         });
         self.kept_for_others |= kept;
         next
@@ -122,22 +122,6 @@ impl Schedule {
             .kin(place)
             .filter(|(other, job)| other.takes_results() && other.is_open(*job) && served(other));
         open.map(|(other, job)| (other.id(), job)).collect()
-    }
-
-    /// Results of a dictionary's jobs that one machine has found alone, as far as they are `sampled`. Records that came for
-    /// another dictionary are checked there, as long as it has them.
-    pub fn unchecked(
-        &self,
-        id: DictionaryId,
-        sampled: impl Fn(PartId, Digest) -> bool,
-    ) -> Vec<(PartId, Vote)> {
-        let elsewhere = |job: JobRef| self.kin(job).any(|(other, job)| other.is_done(job));
-        let unchecked = self.by_id(id).into_iter().flat_map(Dictionary::unchecked);
-        let parts = unchecked.map(|(job, first, reused)| (PartId::first_of((id, job)), first, reused));
-        let wanted = parts.filter(|(part, first, reused)| {
-            sampled(*part, first.digest) && !(*reused && elsewhere(part.job_ref()))
-        });
-        wanted.map(|(part, first, _)| (part, first)).collect()
     }
 
     /// A finished job of another dictionary with the same walks as an undivided job, and the digest of its records.

@@ -3,7 +3,7 @@
 use farm_proto::ids::WorkerId;
 use farm_proto::status::WorkerState;
 
-use super::{Bench, DIGEST, job_of, on, seconds, worker};
+use super::{Bench, job_of, on, seconds, worker};
 use crate::stored::Origin;
 
 impl Bench {
@@ -99,17 +99,4 @@ fn endless_renewal_loses_the_lease() {
     bench.join(day + 4, "b");
     assert_eq!(bench.acquire(day + 4, "b", 1)[0].key.job, lease[0].key.job);
     assert!(bench.reasons(day + 4).contains(&"RETRYING"), "it counts as a failure");
-}
-
-/// A suspended machine that confirms a stored result is no longer suspended.
-#[test]
-fn right_check_ends_a_suspension() {
-    let mut bench = Bench::with_checks(&[], 1.0);
-    bench.fail_all(0, "b");
-    let lease = bench.one(1, "a");
-    bench.finish(2, "a", &lease);
-    let check = bench.acquire(40, "b", 9);
-    assert_eq!(job_of(&check), [lease.key.job], "one at a time");
-    bench.compare("b", &check[0], DIGEST, DIGEST);
-    assert_eq!(bench.acquire(41, "b", 9).len(), 2);
 }

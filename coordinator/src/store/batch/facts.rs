@@ -20,8 +20,6 @@ pub(super) struct Facts {
     pub points: HashMap<Digest, i64>,
     /// The last row of any point.
     pub last_point: i64,
-    /// Whether anything is set aside.
-    pub has_set_aside: bool,
 }
 
 /// The end of a job, with its records and number of walks; without records if it was given up.
@@ -36,7 +34,6 @@ const FENCED: i64 = 1;
 const ENDED: i64 = 2;
 const POINT: i64 = 3;
 const LAST_POINT: i64 = 4;
-const SET_ASIDE: i64 = 5;
 
 /// One fact; the meaning of its columns depends on the kind.
 struct FactRow {
@@ -59,7 +56,6 @@ impl Facts {
                 "SELECT 0 AS kind, id, 0 AS job, NULL AS digest, NULL AS walks FROM dictionaries \
                  UNION ALL SELECT 1, id, 0, NULL, NULL FROM workers WHERE fenced IS NOT NULL \
                  UNION ALL SELECT 4, coalesce(max(id), 0), 0, NULL, NULL FROM points \
-                 UNION ALL SELECT 5, count(*), 0, NULL, NULL FROM (SELECT 1 FROM set_aside LIMIT 1) \
                  UNION ALL SELECT 2, dictionary_id, job, records_digest, walks FROM jobs \
                  WHERE (dictionary_id, job) IN (",
             );
@@ -92,7 +88,6 @@ impl Facts {
             }
             POINT => self.points.extend(points::identified((digest.unwrap_or_default(), id))),
             LAST_POINT => self.last_point = id,
-            SET_ASIDE => self.has_set_aside = id > 0,
             _ => unreachable!("the query has no other kinds"),
         }
         Ok(())

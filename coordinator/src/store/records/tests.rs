@@ -99,7 +99,7 @@ async fn changed_rows_are_damage() {
         }
         let what = damage(&store, &d).await;
         assert!(what.starts_with(&begins) && what.ends_with(ends), "{changes:?}: {what}");
-        assert_eq!(store.ledger().exclusive().await.set_job_aside(d.id, 0).await.unwrap(), [(d.id, 0)]);
+        assert_eq!(store.ledger().exclusive().await.delete_job(d.id, 0).await.unwrap(), [(d.id, 0)]);
         let again = complete(&store, &d, 0, 0.25).await;
         assert!(matches!(again, Outcome::Finished { .. }), "{changes:?}: it can be done again");
     }

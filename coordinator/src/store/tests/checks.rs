@@ -2,11 +2,11 @@
 
 use super::*;
 
-fn vote(by: Option<i64>, byte: u8) -> Vote {
-    Vote { by: by.map(Origin), digest: Digest::from_bytes([byte; 32]) }
+fn claim(by: Option<i64>, byte: u8) -> Claim {
+    Claim { by: by.map(Origin), digest: Digest::from_bytes([byte; 32]) }
 }
 
-/// Open checks survive a restart unchanged, with their votes.
+/// Open checks survive a restart unchanged, with their claims.
 #[tokio::test]
 async fn open_checks_survive_a_restart() {
     let (dir, store) = empty().await;
@@ -15,10 +15,10 @@ async fn open_checks_survive_a_restart() {
     }
     let d = dictionary(&store).await;
     let dictionary = d.id;
-    let check = |job, block, votes: &[Vote]| OpenCheck { dictionary, job, block, votes: votes.to_vec() };
-    let disputed = check(1, 0, &[vote(None, 1), vote(Some(2), 2)]);
-    let of_block = check(1, 7, &[vote(Some(1), 3)]);
-    for noted in [&check(1, 0, &[vote(None, 1)]), &disputed, &of_block, &check(0, 0, &[vote(Some(1), 4)])] {
+    let check = |job, block, claims: &[Claim]| OpenCheck { dictionary, job, block, claims: claims.to_vec() };
+    let disputed = check(1, 0, &[claim(None, 1), claim(Some(2), 2)]);
+    let of_block = check(1, 7, &[claim(Some(1), 3)]);
+    for noted in [&check(1, 0, &[claim(None, 1)]), &disputed, &of_block, &check(0, 0, &[claim(Some(1), 4)])] {
         store.note_check(noted).await.unwrap();
     }
     store.note_check(&check(0, 0, &[])).await.unwrap();

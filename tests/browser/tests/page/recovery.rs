@@ -83,7 +83,7 @@ async fn wait_for_jobs(browser: &Browser, least: u64) -> u64 {
             let label = cells.attr("aria-label").await.ok()??;
             let numbers = label.split([':', ';']).skip(1).filter_map(|part| part.trim().split_once(' '));
             let done: u64 = numbers
-                .filter(|(_, what)| ["done", "checked by another machine"].contains(what))
+                .filter(|(_, what)| ["done", "checked by the coordinator"].contains(what))
                 .filter_map(|(number, _)| number.parse::<u64>().ok())
                 .sum();
             (done >= least).then_some(done)

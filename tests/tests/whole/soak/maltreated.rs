@@ -69,7 +69,7 @@ impl FaultyFarm {
     pub fn start(workers: usize, lease_s: u64) -> Self {
         // There are many kills and few jobs, none of which should be given up.
         let options = ["--lease", &lease_s.to_string(), "--verify-share", "0.1", "--max-attempts", "100"];
-        // Separate tokens, so that workers verify each other's results.
+        // Separate tokens, so that a worker that is fenced off would be known.
         let names: Vec<String> = (0..=workers).map(|n| format!("machine-{n}")).collect();
         let tokens: Vec<&str> = names.iter().map(String::as_str).collect();
         let mut farm = Farm::with_tokens(&tokens, &options);
