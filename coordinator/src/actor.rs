@@ -19,6 +19,11 @@ impl Actor {
         self.token.as_ref().map_or("", |(_, name)| name)
     }
 
+    /// The key under which it is limited, whatever its role.
+    pub fn key(&self) -> &str {
+        if self.name().is_empty() { "callers without a token" } else { self.name() }
+    }
+
     /// The name under which limits per token apply to it. Empty for admins, to whom only the limits of all calls apply,
     /// and if there are no tokens.
     pub fn shares_as(&self) -> &str {

@@ -4,12 +4,8 @@
 //! guarded by default: methods without a rule are for admins.
 
 mod answer;
-mod budget;
-mod callers_body;
-mod message;
-mod open_call;
 mod permission;
-mod report;
+mod question;
 mod request_id;
 
 use std::fmt;
@@ -20,40 +16,41 @@ use std::time::Duration;
 
 use http::header::AUTHORIZATION;
 use http::{Request, Response};
-use tokio::sync::OwnedSemaphorePermit;
-use tonic::Status;
 use tonic::body::Body;
+use tonic::{Code, Status};
 use tower::{Layer, Service};
 use tracing::Instrument as _;
 
 use crate::clock::Clock;
-use crate::connections::Admission;
+use crate::connections::OpenConnection;
 use crate::gate::Gate;
+use crate::quota::{Held, Limit, Quota};
 use crate::throttle::Throttle;
 
 pub use permission::Caller;
 pub(crate) use permission::{actor, machine};
-pub use report::ObservedBody;
 pub use request_id::RequestId;
 
-use budget::{Account, Budget};
+use answer::Call;
 use permission::Admitted;
-use report::Report;
 
 /// The method name with which calls are observed that no service has answered: callers may choose any path.
 pub const OTHER_METHOD: &str = "other";
 
-/// The method whose calls stream many messages: each is passed on before the next.
+/// The method whose messages do not stay in memory: `farm/result_stream.rs` counts the results.
 const STREAMED: &str = "/farm.v1.Leases/Complete";
 
-/// Interval at which a waiting call checks whether its token is accepted, and whether it is overdue.
-const LOOK: Duration = Duration::from_secs(1);
+/// Largest number of calls without a token that are under way on a connection at a time.
+const OPEN_CALLS: u64 = 8;
+
+/// Ratio of the bytes that all calls may hold to those of one caller.
+const SHARES: u64 = 4;
 
 /// Refused calls are logged at most this often.
 const TELL_REFUSED: Duration = Duration::from_secs(10);
 
 /// Makes services [`Authorised`]: calls need the tokens of the gate, if it has any.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct AuthorisationLayer {
     shared: Arc<Shared>,
 }
@@ -66,7 +63,9 @@ struct Shared {
     observer: Box<Observer>,
     clock: Clock,
     refused: Throttle,
-    budget: Arc<Budget>,
+    open_calls: Arc<Quota>,
+    bytes: Arc<Quota>,
+    held_bytes: u64,
 }
 
 impl AuthorisationLayer {
@@ -78,16 +77,28 @@ impl AuthorisationLayer {
         held_bytes: usize,
         observer: impl Fn(&str, i32, Duration) + Send + Sync + 'static,
     ) -> Self {
-        let (observer, budget) = (Box::new(observer), Arc::new(Budget::of(held_bytes)));
-        let (clock, refused) = (Clock::start(), Throttle::new(TELL_REFUSED));
-        let shared = Shared { gate, observer, clock, refused, budget };
+        let shared = Shared {
+            gate,
+            observer: Box::new(observer),
+            clock: Clock::start(),
+            refused: Throttle::new(TELL_REFUSED),
+            open_calls: Quota::new(
+                "calls at a time without a token",
+                "wait for answers before the next call",
+            ),
+            bytes: Quota::new(
+                "bytes of questions and unread answers",
+                "wait for answers, and read them, before the next call",
+            ),
+            held_bytes: held_bytes as u64,
+        };
         Self { shared: Arc::new(shared) }
     }
 }
 
-impl fmt::Debug for AuthorisationLayer {
+impl fmt::Debug for Shared {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("AuthorisationLayer").field("gate", &self.shared.gate).finish_non_exhaustive()
+        f.debug_struct("Shared").field("gate", &self.gate).finish_non_exhaustive()
     }
 }
 
@@ -101,16 +112,10 @@ impl<S> Layer<S> for AuthorisationLayer {
 
 /// A service that only admitted calls reach. Handlers find [`RequestId`] and, where tokens are needed, [`Caller`] in
 /// the extensions of their request.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct Authorised<S> {
     inner: S,
     shared: Arc<Shared>,
-}
-
-impl<S: fmt::Debug> fmt::Debug for Authorised<S> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Authorised").field("inner", &self.inner).finish_non_exhaustive()
-    }
 }
 
 impl<S> Service<Request<Body>> for Authorised<S>
@@ -118,7 +123,7 @@ where
     S: Service<Request<Body>, Response = Response<Body>>,
     S::Future: Send + 'static,
 {
-    type Response = Response<ObservedBody>;
+    type Response = Response<Body>;
     type Error = S::Error;
     type Future = Pin<Box<dyn Future<Output = Result<Self::Response, S::Error>> + Send>>;
 
@@ -130,93 +135,91 @@ where
         let method = request.uri().path().to_owned();
         let id = RequestId::of(request.headers());
         let span = tracing::info_span!("call", %method, request_id = %id, caller = tracing::field::Empty);
+        let mut call = Call::start(self.shared.clone(), method);
         let admitted = permission::admit(&self.shared.gate, &request)
-            .and_then(|admitted| let_in(admitted, &self.shared, &mut request));
-        let caller = match &admitted {
-            Ok(_) => request.extensions().get::<Caller>().cloned(),
-            Err(_) => None,
-        };
-        let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
-        let report = Report::start(self.shared.clone(), method, span.clone(), caller, connection);
+            .and_then(|admitted| self.shared.let_in(admitted, &mut request));
         // Handlers do not need the token, and cannot log what they do not receive.
         request.headers_mut().remove(AUTHORIZATION);
-        match admitted {
-            Ok(means) => {
-                if let Some(caller) = request.extensions().get::<Caller>() {
-                    span.record("caller", caller.name());
-                }
-                request.extensions_mut().insert(id.clone());
-                // The call itself may do work before it returns its future.
-                let answer = span.in_scope(|| self.inner.call(request));
-                let answered = async move {
-                    let response = report.pass(answer.await, &id, means)?;
-                    let (head, body) = response.into_parts();
-                    Ok(Response::from_parts(head, body.fetched().await))
-                };
-                Box::pin(answered.instrument(span))
-            }
+        let mut means = match admitted {
+            Ok(means) => means,
             Err(status) => {
                 span.in_scope(|| self.shared.log_refused(&request, &status));
-                let response = report.refuse(status, &id);
-                Box::pin(async move { Ok(response) })
+                call.refuse(&status);
+                let mut response = status.into_http();
+                id.put_into(response.headers_mut());
+                return Box::pin(async move { Ok(response) });
             }
+        };
+        if let Some(caller) = request.extensions().get::<Caller>() {
+            span.record("caller", caller.name());
         }
+        request.extensions_mut().insert(id.clone());
+        // The call itself may do work before it returns its future.
+        let answer = span.in_scope(|| self.inner.call(request));
+        let answered = async move {
+            let answer = tokio::select! {
+                answer = answer => answer,
+                status = &mut means.revoked => {
+                    means.revoked = Box::pin(std::future::pending());
+                    Ok(status.into_http())
+                }
+            };
+            let mut response = answer.inspect_err(|_| call.end(Code::Unknown as i32))?;
+            // The question is answered, so its bytes are released.
+            means.bytes.give_back();
+            id.put_into(response.headers_mut());
+            Ok(answer::watched(response, means, call).await)
+        };
+        Box::pin(answered.instrument(span))
     }
 }
 
 /// The resources of a call, until it has ended.
 struct Means {
-    /// Its place among the open calls of its connection, if it is an open call.
-    _place: Option<OwnedSemaphorePermit>,
-    account: Account,
-}
-
-/// Prepares a call for its service: adds the caller, and limits the body.
-fn let_in(admitted: Admitted, shared: &Shared, request: &mut Request<Body>) -> Result<Means, Status> {
-    let connection = permission::connection(request.extensions()).map(|peer| peer.admission.clone());
-    if let (Some(connection), Admitted::Caller(_) | Admitted::Anybody | Admitted::Open { known: true }) =
-        (&connection, &admitted)
-    {
-        connection.admit();
-    }
-    let caller = match admitted {
-        Admitted::Caller(caller) => Some(caller),
-        Admitted::Anybody => None,
-        Admitted::Open { .. } => return open(connection, shared, request),
-    };
-    let name =
-        caller.as_ref().map_or_else(|| permission::machine(request.extensions()).address, Caller::label);
-    let account = Account::new(shared.budget.clone(), name);
-    let streamed = request.uri().path() == STREAMED;
-    let gate_and_caller = caller.clone().map(|caller| (shared.gate.clone(), caller));
-    if let (Some(connection), Some((gate, caller))) = (connection, gate_and_caller.clone()) {
-        connection.stays_while(caller.hash(), move || permission::is_let_in_still(&gate, &caller));
-    }
-    let body = std::mem::take(request.body_mut());
-    *request.body_mut() = callers_body::watched(body, gate_and_caller, account.clone(), streamed);
-    if let Some(caller) = caller {
-        request.extensions_mut().insert(caller);
-    }
-    Ok(Means { _place: None, account })
-}
-
-/// Prepares a call that needs no token.
-fn open(
-    connection: Option<Admission>,
-    shared: &Shared,
-    request: &mut Request<Body>,
-) -> Result<Means, Status> {
-    let account = Account::new(shared.budget.clone(), permission::machine(request.extensions()).address);
-    let body = std::mem::take(request.body_mut());
-    *request.body_mut() = open_call::limited(body);
-    let Some(connection) = connection else { return Ok(Means { _place: None, account }) };
-    let place = connection.open_call().ok_or_else(|| {
-        Status::resource_exhausted("too many calls without a token are under way on this connection")
-    })?;
-    Ok(Means { _place: Some(place), account })
+    /// Its place among the calls without a token of its connection, if it is one.
+    _place: Option<Held>,
+    /// Bytes of the question until it is answered, and then of the answer until it is read.
+    bytes: Arc<Held>,
+    connection: Option<Arc<OpenConnection>>,
+    /// Ends with a status when the token of the call is revoked.
+    revoked: Pin<Box<dyn Future<Output = Status> + Send>>,
 }
 
 impl Shared {
+    /// Prepares a call for its service: adds the caller, and limits the body.
+    fn let_in(
+        &self,
+        Admitted { caller, is_open }: Admitted,
+        request: &mut Request<Body>,
+    ) -> Result<Means, Status> {
+        let extensions = request.extensions();
+        let connection = permission::connection(extensions).map(|peer| peer.connection.clone());
+        let peer = permission::peer(extensions).unwrap_or_default();
+        let place = || self.open_calls.hold(vec![Limit::new(peer, OPEN_CALLS)], 1);
+        let place = is_open.then(place).transpose()?;
+        let key = caller.as_ref().map_or_else(|| permission::machine(extensions).address, Caller::label);
+        let limits =
+            vec![Limit::of_all(self.held_bytes.saturating_mul(SHARES)), Limit::new(key, self.held_bytes)];
+        let bytes = Arc::new(self.bytes.hold(limits, 0)?);
+        let held = (request.uri().path() != STREAMED).then(|| bytes.clone());
+        let body = std::mem::take(request.body_mut());
+        *request.body_mut() = question::watched(body, held);
+        let Some(caller) = caller else {
+            let revoked = Box::pin(std::future::pending());
+            return Ok(Means { _place: place, bytes, connection, revoked });
+        };
+        if let Some(connection) = &connection {
+            connection.admit(caller.hash(), self.gate.clone().revoked(caller.hash(), caller.role()));
+        }
+        request.extensions_mut().insert(caller.clone());
+        let ended = self.gate.clone().revoked(caller.hash(), caller.role());
+        let revoked = Box::pin(async move {
+            ended.await;
+            permission::revoked(&caller)
+        });
+        Ok(Means { _place: place, bytes, connection, revoked })
+    }
+
     fn log_refused<B>(&self, request: &Request<B>, status: &Status) {
         if let Some(calls) = self.refused.count(self.clock.now()) {
             let peer = permission::peer(request.extensions());

@@ -2,12 +2,10 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::Duration;
 
 use clap::Parser;
 use farm_link::arguments::listen_address;
 use farm_link::logs::LogFormat;
-use farm_link::walltime::parse_time_limit;
 use ureq::http::Uri;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
@@ -39,16 +37,6 @@ pub struct Args {
     /// memory that this process may use if that is less].
     #[arg(long, value_name = "MIB", env = "FARM_FIT_MEMORY")]
     pub fit_memory: Option<usize>,
-    /// Make a verified backup by itself, as in 6h or 1d [default: none].
-    #[arg(long, value_name = "DURATION", env = "FARM_BACKUP_EVERY", value_parser = parse_time_limit)]
-    pub backup_every: Option<Duration>,
-    /// Scheduled backups that are kept; older ones are deleted.
-    #[arg(long, value_name = "N", default_value_t = 7, env = "FARM_BACKUP_KEEP", value_parser = clap::value_parser!(u32).range(1..=100_000), requires = "backup_every")]
-    pub keep: u32,
-    /// Folder for scheduled backups, of this farm alone and best on another disk [default: backups, in the folder of the
-    /// database].
-    #[arg(long, value_name = "DIR", env = "FARM_BACKUPS", requires = "backup_every")]
-    pub backups: Option<PathBuf>,
     /// URL (http or https) that receives a JSON object when a dictionary has ended, results of machines differ, or a backup
     /// failed [default: none].
     #[arg(long, value_name = "URL", env = "FARM_WEBHOOK", hide_env_values = true, value_parser = webhook)]
@@ -71,8 +59,7 @@ themselves, and only those.
 
 Examples:
   farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
-  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm
-  farm-coordinator --backup-every 6h --keep 28 --backups /mnt/backup/farm";
+  farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm";
 
 fn webhook(text: &str) -> Result<Uri, String> {
     let uri = text.parse::<Uri>().ok().filter(|uri| uri.host().is_some());

@@ -9,15 +9,6 @@ use ureq::http::Uri;
 
 use crate::recompute::{Recompute, recompute};
 
-/// The interval of backups, and the number of those that are kept.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct BackupSchedule {
-    pub every: Duration,
-    /// At least 1.
-    pub keep: usize,
-    pub folder: PathBuf,
-}
-
 #[derive(Debug, Clone)]
 pub struct Config {
     /// Folder of the database and of the lock that keeps a second coordinator out.
@@ -38,8 +29,6 @@ pub struct Config {
     pub question_pixels: usize,
     /// Whether the start of the coordinator is recorded as an event.
     pub start_is_event: bool,
-    /// Schedule of automatic backups; None without.
-    pub backups: Option<BackupSchedule>,
     /// URL to which events that people wait for are posted; None without.
     pub webhook: Option<Uri>,
 }
@@ -65,7 +54,6 @@ impl Config {
             fit_memory_bytes: Self::fit_memory_bytes(usable_bytes()),
             question_pixels: FitLimits::QUESTION_PIXELS,
             start_is_event: true,
-            backups: None,
             webhook: None,
         }
     }

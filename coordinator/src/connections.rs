@@ -1,45 +1,39 @@
-//! Accepts connections within bounds.
+//! Accepts connections within bounds, and cuts those that are silent, unread, or without a token for too long.
 //!
-//! Excess connections are refused, silent ones time out, and unauthenticated ones must present a token within 30 s. The
-//! number of unauthenticated connections of one address is bounded, and one more evicts the oldest of them.
+//! The number of connections without a token of one address is bounded, and one more cuts the oldest of them: clients with
+//! a token present it soon, and idle connections do not lock them out.
 
-mod admission;
 mod guarded;
-mod lingering_close;
 
+use std::collections::VecDeque;
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::pin::Pin;
-use std::sync::Arc;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::task::{Context, Poll, ready};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use farm_link::LocalSocket;
-use tokio::net::{TcpListener, TcpStream, UnixStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::Sleep;
+use tokio::net::TcpListener;
+use tokio::time::MissedTickBehavior;
 use tokio_stream::Stream;
 use tokio_util::either::Either;
+use tonic::transport::server::TcpConnectInfo;
 
 use crate::clock::Clock;
 use crate::gate::Listener;
 use crate::throttle::Throttle;
 
-use admission::UnauthenticatedPeers;
-pub(crate) use admission::Unread;
-pub(crate) use admission::network;
-pub use admission::{Admission, Peer};
-pub use guarded::Guarded;
-pub use lingering_close::LingeringClose;
+pub use guarded::{Guarded, OpenConnection};
 
+/// Interval at which all connections are looked at.
+const LOOK: Duration = Duration::from_secs(1);
 /// Pause after an error that others will follow, as when there are no file descriptors left, so that some can be freed.
 const PAUSE: Duration = Duration::from_millis(100);
 /// Connections that are refused or cut, and errors, are logged at most this often.
 const LOG_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The address of programs that connect to the Unix socket.
-pub(super) const OWN_USER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
+const OWN_USER: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
 
 /// Limits of connections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,134 +69,82 @@ impl Limits {
     }
 }
 
-/// Numbers of open and refused connections, for metrics.
+/// The two ends of a connection, for the calls on it.
 #[derive(Debug, Clone)]
-pub struct Connections {
-    counts: Arc<Counts>,
+pub struct Peer {
+    pub tcp: TcpConnectInfo,
+    pub connection: Arc<OpenConnection>,
 }
 
+/// All open connections, the oldest first.
 #[derive(Debug)]
-struct Counts {
-    most: usize,
-    places: Arc<Semaphore>,
+struct OpenConnections {
+    limits: Limits,
+    connections: Mutex<VecDeque<Arc<OpenConnection>>>,
     refused: AtomicU64,
+    clock: Clock,
+    refusals: Throttle,
+    cuts: Throttle,
+    errors: Throttle,
 }
+
+/// Numbers of open and refused connections, for metrics.
+#[derive(Debug, Clone)]
+pub struct Connections(Arc<OpenConnections>);
 
 impl Connections {
     pub fn open(&self) -> usize {
-        self.counts.most - self.counts.places.available_permits()
+        self.0.lock().len()
     }
 
     /// Connections refused since the start because all places were taken.
     pub fn refused(&self) -> u64 {
-        self.counts.refused.load(Ordering::Relaxed)
+        self.0.refused.load(Ordering::Relaxed)
     }
 }
 
-/// The stream of connections, for `serve_with_incoming_shutdown`. It never ends and never fails.
-#[derive(Debug)]
-pub struct Incoming {
-    listener: TcpListener,
-    own_user: Option<LocalSocket>,
-    limits: Limits,
-    counts: Arc<Counts>,
-    unauthenticated: UnauthenticatedPeers,
-    pause: Option<Pin<Box<Sleep>>>,
-    clock: Clock,
-    refusals: Throttle,
-    cuts: Arc<Cuts>,
-    errors: Throttle,
-}
-
-/// Logs connections that are cut, at intervals.
-#[derive(Debug)]
-struct Cuts {
-    clock: Clock,
-    throttle: Throttle,
-}
-
-impl Cuts {
-    fn new() -> Arc<Self> {
-        Arc::new(Self { clock: Clock::start(), throttle: Throttle::new(LOG_INTERVAL) })
+impl OpenConnections {
+    fn lock(&self) -> MutexGuard<'_, VecDeque<Arc<OpenConnection>>> {
+        self.connections.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn log(&self, why: &str) {
-        if let Some(connections) = self.throttle.count(self.clock.now()) {
+    /// Takes a place for a connection; None if there is none. In the system's queue it would wait without an error, and
+    /// block the connections behind it.
+    fn enter(&self, peer: SocketAddr, is_own_user: bool) -> Option<Arc<OpenConnection>> {
+        let address = network(peer.ip());
+        let mut all = self.lock();
+        if all.len() >= self.limits.connections.max(1) {
+            self.refused.fetch_add(1, Ordering::Relaxed);
+            if let Some(connections) = self.refusals.count(self.clock.now()) {
+                let limit = self.limits.connections;
+                tracing::warn!(connections, limit, %peer, "connections have been refused: there are too many");
+            }
+            return None;
+        }
+        let unauthenticated = self.limits.unauthenticated.filter(|_| !is_own_user);
+        if let Some(limits) = unauthenticated {
+            let mut strangers = all.iter().filter(|other| other.is_stranger_of(&address));
+            if strangers.clone().count() >= limits.connections
+                && let Some(oldest) = strangers.next()
+            {
+                oldest.cut("others of this address wait, and the other end has shown no token");
+            }
+        }
+        let connection = Arc::new(OpenConnection::new(address, is_own_user, unauthenticated.is_none()));
+        all.push_back(connection.clone());
+        Some(connection)
+    }
+
+    fn leave(&self, connection: &Arc<OpenConnection>) {
+        self.lock().retain(|other| !Arc::ptr_eq(other, connection));
+        if let Some(why) = connection.reason()
+            && let Some(connections) = self.cuts.count(self.clock.now())
+        {
             tracing::info!(connections, "connections have been cut, the last one because {why}");
         }
     }
-}
 
-impl Incoming {
-    pub fn new(listener: impl Into<Listener>, limits: Limits) -> Self {
-        let Listener { port: listener, own_user } = listener.into();
-        let most = limits.connections.clamp(1, Semaphore::MAX_PERMITS);
-        let places = Arc::new(Semaphore::new(most));
-        let counts = Arc::new(Counts { most, places, refused: AtomicU64::new(0) });
-        Self {
-            listener,
-            own_user,
-            limits,
-            counts,
-            unauthenticated: UnauthenticatedPeers::default(),
-            pause: None,
-            clock: Clock::start(),
-            refusals: Throttle::new(LOG_INTERVAL),
-            cuts: Cuts::new(),
-            errors: Throttle::new(LOG_INTERVAL),
-        }
-    }
-
-    pub fn connections(&self) -> Connections {
-        Connections { counts: self.counts.clone() }
-    }
-
-    /// Takes a place for the connection, or closes it if there is none. In the system's queue it would wait without an
-    /// error, and block the connections behind it.
-    fn admit(&self, stream: TcpStream, peer: SocketAddr) -> Option<Guarded<LingeringClose>> {
-        let place = self.place(peer)?;
-        let admission = match self.limits.unauthenticated {
-            None => Admission::admitted(),
-            Some(limits) => self.unauthenticated.admission(peer.ip(), limits.connections),
-        };
-        if let Err(error) = stream.set_nodelay(true) {
-            // It has most likely been closed already, which its first read will report.
-            tracing::debug!(%error, %peer, "small messages on this connection may be delayed");
-        }
-        Some(self.guarded(Either::Left(stream), place, admission))
-    }
-
-    /// As `admit`, for a program of the coordinator's own user.
-    fn admit_own(&self, stream: UnixStream) -> Option<Guarded<LingeringClose>> {
-        let place = self.place(OWN_USER)?;
-        Some(self.guarded(Either::Right(stream), place, Admission::own_user()))
-    }
-
-    fn guarded(
-        &self,
-        stream: Either<TcpStream, UnixStream>,
-        place: OwnedSemaphorePermit,
-        admission: Admission,
-    ) -> Guarded<LingeringClose> {
-        Guarded::new(LingeringClose::new(stream, place), self.limits, admission, self.cuts.clone())
-    }
-
-    fn place(&self, peer: SocketAddr) -> Option<OwnedSemaphorePermit> {
-        let place = self.counts.places.clone().try_acquire_owned().ok();
-        if place.is_none() {
-            self.refuse(self.counts.most, peer, "there are too many");
-        }
-        place
-    }
-
-    fn refuse(&self, limit: usize, peer: SocketAddr, why: &str) {
-        self.counts.refused.fetch_add(1, Ordering::Relaxed);
-        if let Some(connections) = self.refusals.count(self.clock.now()) {
-            tracing::warn!(connections, limit, %peer, "connections have been refused: {why}");
-        }
-    }
-
-    fn failed(&mut self, error: &io::Error) {
+    async fn failed(&self, error: &io::Error) {
         use io::ErrorKind::{ConnectionAborted, ConnectionReset, Interrupted};
         // These concern one connection, which was closed before it was accepted.
         if matches!(error.kind(), ConnectionAborted | ConnectionReset | Interrupted) {
@@ -211,39 +153,102 @@ impl Incoming {
         if let Some(times) = self.errors.count(self.clock.now()) {
             tracing::error!(%error, times, "accepting connections fails; it is tried again");
         }
-        self.pause = Some(Box::pin(tokio::time::sleep(PAUSE)));
+        tokio::time::sleep(PAUSE).await;
     }
 }
 
-impl Stream for Incoming {
-    type Item = io::Result<Guarded<LingeringClose>>;
+/// Cuts overdue connections. Time is counted in looks: while this process is halted, no connection becomes overdue.
+async fn look_over(open: Weak<OpenConnections>) {
+    let mut tick = tokio::time::interval(LOOK);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tick.tick().await;
+        let Some(open) = open.upgrade() else { return };
+        open.lock().iter().for_each(|connection| connection.look(&open.limits));
+    }
+}
 
-    fn poll_next(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        let this = self.get_mut();
+/// Accepts connections on a port, and those of the coordinator's own user on its socket.
+#[derive(Debug)]
+pub struct Incoming {
+    port: TcpListener,
+    own_user: Option<LocalSocket>,
+    open: Arc<OpenConnections>,
+}
+
+impl Incoming {
+    pub fn new(listener: impl Into<Listener>, limits: Limits) -> Self {
+        let Listener { port, own_user } = listener.into();
+        let [refusals, cuts, errors] = [(); 3].map(|()| Throttle::new(LOG_INTERVAL));
+        let (connections, refused) = (Mutex::default(), AtomicU64::new(0));
+        let clock = Clock::start();
+        let open = Arc::new(OpenConnections { limits, connections, refused, clock, refusals, cuts, errors });
+        tokio::spawn(look_over(Arc::downgrade(&open)));
+        Self { port, own_user, open }
+    }
+
+    pub fn connections(&self) -> Connections {
+        Connections(self.open.clone())
+    }
+
+    /// The next connection that has a place.
+    pub async fn accept(&mut self) -> Guarded {
         loop {
-            if let Some(pause) = &mut this.pause {
-                ready!(pause.as_mut().poll(cx));
-                this.pause = None;
-            }
-            if let Some(Poll::Ready(accepted)) = this.own_user.as_mut().map(|socket| socket.poll_accept(cx)) {
-                match accepted.map(|stream| this.admit_own(stream)) {
-                    Ok(None) => continue,
-                    Ok(Some(connection)) => return Poll::Ready(Some(Ok(connection))),
-                    Err(error) => {
-                        this.failed(&error);
-                        continue;
-                    }
-                }
-            }
-            match ready!(this.listener.poll_accept(cx)) {
+            let accepted = tokio::select! {
+                accepted = self.port.accept() => accepted.map(|(stream, peer)| (Either::Left(stream), peer)),
+                accepted = accept_own(&mut self.own_user) => accepted.map(|stream| (Either::Right(stream), OWN_USER)),
+            };
+            match accepted {
                 Ok((stream, peer)) => {
-                    if let Some(connection) = this.admit(stream, peer) {
-                        return Poll::Ready(Some(Ok(connection)));
+                    if let Some(connection) = self.open.enter(peer, matches!(stream, Either::Right(_))) {
+                        return Guarded::new(stream, connection, self.open.clone());
                     }
                 }
-                Err(error) => this.failed(&error),
+                Err(error) => self.open.failed(&error).await,
             }
         }
+    }
+
+    /// The connections one after the other, for `serve_with_incoming_shutdown`. It never ends and never fails.
+    pub fn into_stream(self) -> impl Stream<Item = io::Result<Guarded>> {
+        futures_util::stream::unfold(self, |mut incoming| async move {
+            let next = incoming.accept().await;
+            Some((Ok(next), incoming))
+        })
+    }
+}
+
+async fn accept_own(socket: &mut Option<LocalSocket>) -> io::Result<tokio::net::UnixStream> {
+    match socket {
+        Some(socket) => std::future::poll_fn(|cx| socket.poll_accept(cx)).await,
+        None => std::future::pending().await,
+    }
+}
+
+impl axum::serve::Listener for Incoming {
+    type Io = Guarded;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Guarded, SocketAddr) {
+        let connection = self.accept().await;
+        let address = connection.remote_addr();
+        (connection, address)
+    }
+
+    fn local_addr(&self) -> io::Result<SocketAddr> {
+        self.port.local_addr()
+    }
+}
+
+/// Identifies a machine by its address. An IPv6 address counts by its /64 network, since a machine may use any address
+/// in it; loopback addresses count as they are.
+pub(crate) fn network(address: IpAddr) -> String {
+    match address.to_canonical() {
+        IpAddr::V6(address) if !address.is_loopback() => {
+            let [a, b, c, d, ..] = address.segments();
+            format!("{}/64", Ipv6Addr::new(a, b, c, d, 0, 0, 0, 0))
+        }
+        address => address.to_string(),
     }
 }
 

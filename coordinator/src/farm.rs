@@ -4,7 +4,6 @@ mod asked_grid;
 mod backup;
 mod completion;
 mod effects;
-mod event_shares;
 mod events;
 mod export;
 mod fit_cache;
@@ -14,9 +13,8 @@ mod leasing;
 mod manage;
 mod measurements;
 mod records;
-mod result_budget;
+mod result_room;
 mod result_stream;
-mod scheduled_backup;
 mod scheduler;
 mod shared;
 mod snapshot;
@@ -34,12 +32,14 @@ use farm_proto::DictionaryName;
 use farm_proto::ids::{DictionaryId, WorkerId};
 use farm_proto::status::{DictionaryStatus, WorkerStatus};
 use optics_model::{Grid, Invalid};
+use tokio::time::Instant;
 
 use crate::actor::Actor;
 use crate::clock::random_secret;
 use crate::config::Config;
 use crate::dispatch::{Dictionary, DispatchError, Dispatcher, EventKind, Period, Settings};
 use crate::metrics::Metrics;
+use crate::quota::Exhausted;
 use crate::store::{Store, StoreError};
 use crate::stored::Machine;
 pub(crate) use backup::{Backup, BackupPart};
@@ -49,9 +49,8 @@ use fit_cache::FitCache;
 pub use fit_cache::load_dictionary;
 pub(crate) use leasing::{Versions, WorkerEnd};
 pub(crate) use measurements::NewMeasurement;
-use result_budget::ResultBudget;
-pub(crate) use result_stream::{Header, Piece, Refusal};
-use scheduled_backup::LastBackup;
+use result_room::ResultRoom;
+pub(crate) use result_stream::{Header, MESSAGE_BYTES, Piece, Refusal};
 use scheduler::Scheduler;
 pub(crate) use watch::Watch;
 pub(crate) use watch_jobs::{JobRun, JobWatch};
@@ -87,15 +86,8 @@ pub enum FarmError {
     Broken,
     #[error("internal error: see the coordinator's log, and please report it with this request")]
     Defect,
-    #[error(
-        "{whose} would have {entries} jobs and waiting blocks, of which the coordinator keeps account in memory; {most} are \
-         allowed: delete some"
-    )]
-    TooMany { whose: &'static str, entries: usize, most: usize },
-    #[error("this token has {most} dictionaries already: delete some")]
-    ManyDictionaries { most: usize },
-    #[error("this token keeps {most} measurements already: delete some")]
-    ManyMeasurements { most: usize },
+    #[error(transparent)]
+    Quota(#[from] Exhausted),
     #[error("measurement {id} does not exist: it may have been deleted")]
     NoMeasurement { id: String },
     #[error("measurement {id} belongs to {}: only its owner and admins may change it", owner_of(owner))]
@@ -104,10 +96,6 @@ pub enum FarmError {
     Backup(std::io::Error),
     #[error("the coordinator is stopping")]
     Stopping,
-    #[error("the next piece of the result did not come within {0} s")]
-    Overdue(u64),
-    #[error("the result did not come whole within {0} s")]
-    Slow(u64),
     #[error("worker {which:?}: {why}")]
     Worker { which: String, why: String },
     #[error(
@@ -157,8 +145,9 @@ pub(crate) struct Farm {
     /// Keeps changes of one dictionary from racing.
     managing: tokio::sync::Mutex<()>,
     fits: FitCache,
-    result_budget: Arc<ResultBudget>,
-    last_backup: LastBackup,
+    results: ResultRoom,
+    /// The time of the last backup.
+    last_backup: Mutex<Option<Instant>>,
     /// The reason why the last result could not be stored.
     store_fault: Mutex<Option<String>>,
 }
@@ -180,8 +169,8 @@ impl Farm {
             scheduler,
             managing: tokio::sync::Mutex::new(()),
             fits: FitCache::new(config.fit_memory_bytes),
-            result_budget: Arc::default(),
-            last_backup: LastBackup::default(),
+            results: ResultRoom::default(),
+            last_backup: Mutex::default(),
             store_fault: Mutex::default(),
         });
         tokio::spawn(effects::perform(Arc::downgrade(&farm), orders));
@@ -217,17 +206,11 @@ impl Farm {
         self.scheduler.query(|d, now| Ok(d.status_of(now, named(d, name)?)))
     }
 
-    /// Dictionaries in the order of their numbers, from the one after `after` on, and the number of the last.
-    pub(crate) fn statuses(
-        &self,
-        after: DictionaryId,
-        most: usize,
-    ) -> (Vec<DictionaryStatus>, Option<DictionaryId>) {
+    /// Dictionaries in the order of their numbers, from the one after `after` on.
+    pub(crate) fn statuses(&self, after: DictionaryId, most: usize) -> Vec<(DictionaryId, DictionaryStatus)> {
         self.scheduler.query(|dispatcher, now| {
-            let mut rest = dispatcher.schedule().dictionaries().filter(|d| d.id() > after);
-            let page: Vec<&Dictionary> = rest.by_ref().take(most).collect();
-            let last = rest.next().and(page.last()).map(|d| d.id());
-            (page.into_iter().map(|d| dispatcher.status_of(now, d)).collect(), last)
+            let rest = dispatcher.schedule().dictionaries().filter(|d| d.id() > after);
+            rest.take(most).map(|d| (d.id(), dispatcher.status_of(now, d))).collect()
         })
     }
 

@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use farm_link::{CoordinatorAccess, LocalSocket, Tokens};
+use farm_link::{AccessError, CoordinatorAccess, LocalSocket, Tokens};
 use tokio::net::{TcpListener, TcpSocket};
 use tonic::transport::ServerTlsConfig;
 
@@ -90,22 +90,23 @@ impl Gate {
         }
     }
 
-    /// Reads tokens that were added or removed.
-    pub(crate) fn look_over(&self) {
+    /// Ends when a token is no longer accepted.
+    pub(crate) async fn revoked(self, token: blake3::Hash, role: Role) {
         match self {
-            Self::Everybody | Self::OwnUser => {}
-            Self::File(access) => match access.refresh() {
-                Ok(false) => {}
-                Ok(true) => {
-                    let tokens = access.tokens();
-                    let names: Vec<&str> = tokens.names().map(|(_, name)| name).collect();
-                    tracing::info!(tokens = names.join(", "), "the access file has changed: its members now");
-                }
-                Err(error) => {
-                    tracing::error!(%error, "the access file has changed and cannot be used: nothing is changed");
-                }
-            },
+            Self::File(access) => access.revoked(token, role).await,
+            Self::Everybody | Self::OwnUser => std::future::pending().await,
         }
+    }
+
+    /// Reads tokens that were added or removed.
+    pub(crate) fn look_over(&self) -> Result<(), AccessError> {
+        let Self::File(access) = self else { return Ok(()) };
+        if access.refresh()? {
+            let tokens = access.tokens();
+            let names: Vec<&str> = tokens.names().map(|(_, name)| name).collect();
+            tracing::info!(tokens = names.join(", "), "the access file has changed: its members now");
+        }
+        Ok(())
     }
 }
 

@@ -17,6 +17,7 @@ pub mod dispatch;
 mod farm;
 mod gate;
 mod metrics;
+mod quota;
 mod recompute;
 mod rpc;
 pub mod store;
@@ -24,7 +25,6 @@ pub mod stored;
 #[cfg(test)]
 mod testing;
 mod throttle;
-mod turns;
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -34,7 +34,8 @@ use farm_proto::METHODS;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-pub use config::{BackupSchedule, Config};
+use clock::Clock;
+pub use config::Config;
 use farm::Farm;
 pub use farm::{FarmError, load_dictionary};
 pub use gate::{Gate, Listener};
@@ -42,9 +43,13 @@ use metrics::{BuildInfo, Metrics, MetricsServer};
 use optics_model::PHYSICS_VERSION;
 pub use store::StoreError;
 use store::{Commit, DataDir, Store};
+use throttle::Throttle;
 
 /// Interval of the checks of everything that changes with time alone.
 const LOOK_OVER: Duration = Duration::from_secs(1);
+
+/// An access file that cannot be read is logged at most this often.
+const LOG_INTERVAL: Duration = Duration::from_mins(1);
 
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
@@ -117,17 +122,9 @@ impl Coordinator {
         let metrics = metrics
             .map(|listener| tokio::spawn(metrics::serve(listener, self.metrics_server(), shutdown.clone())));
         let overseer = tokio::spawn(look_over(self.farm.clone(), gate.clone(), shutdown.clone()));
-        let backups = self
-            .config
-            .backups
-            .clone()
-            .map(|schedule| tokio::spawn(self.farm.clone().keep_backups(schedule, shutdown.clone())));
         let served = rpc::serve(self.farm.clone(), &self.config, gate, listener, shutdown.clone()).await;
         shutdown.cancel();
         let _ = overseer.await;
-        if let Some(backups) = backups {
-            let _ = backups.await;
-        }
         if let Some(metrics) = metrics {
             let _ = metrics.await;
         }
@@ -144,6 +141,7 @@ impl Coordinator {
 }
 
 async fn look_over(farm: Arc<Farm>, gate: Gate, shutdown: CancellationToken) {
+    let (clock, errors) = (Clock::start(), Throttle::new(LOG_INTERVAL));
     let mut tick = tokio::time::interval(LOOK_OVER);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     loop {
@@ -155,7 +153,12 @@ async fn look_over(farm: Arc<Farm>, gate: Gate, shutdown: CancellationToken) {
             tracing::error!(%error, "stopping");
             return shutdown.cancel();
         }
-        gate.look_over();
+        if let Err(error) = gate.look_over() {
+            farm.metrics().access_file_unread();
+            if let Some(times) = errors.count(clock.now()) {
+                tracing::error!(%error, times, "the access file has changed and cannot be used: nothing is changed");
+            }
+        }
         let freed = farm.look_over();
         if freed > 0 {
             tracing::warn!(freed, "leases have expired: their workers were silent too long");

@@ -7,8 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use farm_coordinator::cli::Args;
-use farm_coordinator::store::DataDir;
-use farm_coordinator::{BackupSchedule, Config, Coordinator, Gate};
+use farm_coordinator::{Config, Coordinator, Gate};
 use farm_link::{CoordinatorAccess, arguments, logs, signals};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -32,11 +31,8 @@ async fn run(args: Args) -> anyhow::Result<()> {
          `farmctl access create` and name the coordinator's with --access, or add --insecure if you trust the network",
         args.listen
     );
-    let folder = args.backups.unwrap_or_else(|| args.data.join(DataDir::BACKUPS));
-    let schedule = |every| BackupSchedule { every, keep: args.keep as usize, folder: folder.clone() };
     let defaults = Config::new(args.data);
     let config = Config {
-        backups: args.backup_every.map(schedule),
         webhook: args.webhook,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,

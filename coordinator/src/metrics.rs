@@ -10,7 +10,6 @@ mod snapshot;
 #[cfg(test)]
 mod tests;
 
-use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,28 +20,24 @@ use axum::http::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
-use tokio::net::{TcpListener, TcpStream};
-use tokio::task::{AbortHandle, JoinError, JoinSet};
+use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+
+use crate::connections::{Incoming, Limits, UnauthenticatedLimits};
 
 use self::exposition::Format;
 
 pub use self::counters::{BuildInfo, JobFailure, LeaseKind, Metrics, VerificationOutcome};
 pub use self::snapshot::{DictionaryCounts, JobCounts, Snapshot, WorkerCounts};
 
-/// Time limit for a request to arrive. A connection carries one: places are few, and probes need one soon.
-const HEADER_TIMEOUT: Duration = Duration::from_secs(5);
-/// Time limit of a connection whose other side does not read the answer.
-const CONNECTION_TIMEOUT: Duration = Duration::from_secs(30);
+/// Time limit of a connection: places are few, and probes need one soon.
+const PATIENCE: Duration = Duration::from_secs(10);
 /// Time limit of a running answer after the signal to stop.
 const STOP_TIMEOUT: Duration = Duration::from_secs(1);
-/// Largest number of connections, beyond which the oldest is closed: a probe is answered whatever else is connected.
-const MOST_CONNECTIONS: usize = 64;
-const BUFFER_BYTES: usize = 16_384;
-const MOST_HEADERS: usize = 64;
+/// Largest number of connections. Of one address all but a few may be open: one more closes the oldest of them, so that a
+/// probe is answered whatever else is connected.
+const CONNECTIONS: usize = 1024;
+const CONNECTIONS_OF_ONE: usize = 1000;
 
 const PATHS: &str = "not found; there are:
 /metrics  metrics for Prometheus
@@ -80,32 +75,18 @@ impl fmt::Debug for MetricsServer {
 
 /// Serves until the token is cancelled, and then ends within two seconds, whatever is connected.
 pub async fn serve(listener: TcpListener, state: MetricsServer, shutdown: CancellationToken) {
-    let router = router(state);
-    let mut connections = JoinSet::new();
-    let mut oldest_first: VecDeque<AbortHandle> = VecDeque::new();
-    loop {
-        tokio::select! {
-            () = shutdown.cancelled() => break,
-            Some(ended) = connections.join_next() => report(ended),
-            stream = accept(&listener) => {
-                oldest_first.retain(|connection| !connection.is_finished());
-                if oldest_first.len() >= MOST_CONNECTIONS
-                    && let Some(oldest) = oldest_first.pop_front()
-                {
-                    oldest.abort();
-                }
-                oldest_first.push_back(connections.spawn(converse(stream, router.clone(), shutdown.clone())));
-            }
-        }
+    let strangers = UnauthenticatedLimits { connections: CONNECTIONS_OF_ONE, patience: PATIENCE };
+    let incoming = Incoming::new(listener, Limits::new(CONNECTIONS, Some(strangers)));
+    let served =
+        axum::serve(incoming, router(state)).with_graceful_shutdown(shutdown.clone().cancelled_owned());
+    tokio::select! {
+        _ = served => {}
+        // Answers that are still running are cut off. A closure of the caller that hangs ends with the process.
+        () = async {
+            shutdown.cancelled().await;
+            tokio::time::sleep(STOP_TIMEOUT).await;
+        } => {}
     }
-    drop(listener);
-    // Answers that are still running are cut off. A closure of the caller that hangs ends with the process.
-    let _ = tokio::time::timeout(STOP_TIMEOUT, async {
-        while let Some(ended) = connections.join_next().await {
-            report(ended);
-        }
-    })
-    .await;
 }
 
 fn router(state: MetricsServer) -> Router {
@@ -135,47 +116,5 @@ async fn ready(State(state): State<MetricsServer>) -> Response {
     match (state.ready)() {
         Ok(()) => "ok".into_response(),
         Err(reason) => (StatusCode::SERVICE_UNAVAILABLE, reason).into_response(),
-    }
-}
-
-async fn accept(listener: &TcpListener) -> TcpStream {
-    loop {
-        match listener.accept().await {
-            Ok((stream, _)) => return stream,
-            Err(error) => {
-                tracing::warn!(%error, "metrics port: a connection was not accepted");
-                // Without free file descriptors, for example, an immediate retry would only use processor time.
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        }
-    }
-}
-
-async fn converse(stream: TcpStream, router: Router, shutdown: CancellationToken) {
-    let connection = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .keep_alive(false)
-        .header_read_timeout(HEADER_TIMEOUT)
-        .max_buf_size(BUFFER_BYTES)
-        .max_headers(MOST_HEADERS)
-        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router));
-    let mut connection = std::pin::pin!(connection);
-    let ended = tokio::select! {
-        ended = tokio::time::timeout(CONNECTION_TIMEOUT, connection.as_mut()) => ended,
-        () = shutdown.cancelled() => {
-            connection.as_mut().graceful_shutdown();
-            Ok(connection.await)
-        }
-    };
-    if let Ok(Err(error)) = ended {
-        tracing::debug!(%error, "metrics port: a connection broke");
-    }
-}
-
-fn report(ended: Result<(), JoinError>) {
-    if let Err(error) = ended
-        && !error.is_cancelled()
-    {
-        tracing::error!(%error, "metrics port: an answer failed");
     }
 }

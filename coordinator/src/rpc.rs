@@ -28,12 +28,12 @@ use tonic::Status;
 use tonic::service::Routes;
 use tonic::transport::Server;
 
-use self::outgoing::{Outgoing, PATIENCE, Source, hand_on, outgoing};
+use self::outgoing::{Outgoing, Source, outgoing};
 use crate::actor::Actor;
 use crate::authorisation::AuthorisationLayer;
 use crate::config::Config;
 use crate::connections::{self, Connections, Incoming, UnauthenticatedLimits};
-use crate::farm::Farm;
+use crate::farm::{Farm, MESSAGE_BYTES};
 use crate::gate::{Gate, Listener};
 use crate::metrics::Metrics;
 use limits::Limits;
@@ -55,6 +55,9 @@ const STREAMS: u32 = 256;
 /// Smallest budget for the questions and unread answers of one token: several of the largest messages.
 const HELD_BYTES: usize = 128 << 20;
 
+/// Largest message of a call that needs no token: the names of a service or a few.
+const OPEN_BYTES: usize = 4 << 10;
+
 /// Largest HTTP/2 frame: results of some 100 kB are read in few pieces.
 const FRAME_BYTES: u32 = 64 << 10;
 
@@ -71,21 +74,15 @@ struct Context {
 }
 
 impl Context {
-    /// Streams the items of a source to a caller, with up to `queue` items in flight.
-    fn stream<S: Source, T: Send + 'static>(
+    /// Streams the items of a source to a caller.
+    fn stream<S: Source, T: 'static>(
         &self,
         caller: &Actor,
-        queue: usize,
         source: S,
         encode: impl Fn(S::Item) -> T + Send + 'static,
     ) -> Result<Outgoing<T>, Status> {
         let place = self.limits.stream(caller.shares_as())?;
-        let (outlet, stream) = outgoing(queue, PATIENCE, self.shutdown.clone());
-        tokio::spawn(async move {
-            hand_on(source, encode, outlet).await;
-            drop(place);
-        });
-        Ok(stream)
+        Ok(outgoing(source, encode, self.shutdown.clone(), place))
     }
 }
 
@@ -107,9 +104,8 @@ pub(crate) async fn serve(
         answer_bytes: held / 2,
     };
     let unauthenticated = gate.has_unauthenticated_peers().then(UnauthenticatedLimits::default);
-    let connections =
-        Incoming::new(listener, connections::Limits::new(config.max_connections, unauthenticated));
-    tokio::spawn(count_refused(connections.connections(), metrics.clone(), shutdown.clone()));
+    let incoming = Incoming::new(listener, connections::Limits::new(config.max_connections, unauthenticated));
+    tokio::spawn(count_refused(incoming.connections(), metrics.clone(), shutdown.clone()));
     let mut server = Server::builder()
         .http2_keepalive_interval(Some(PING))
         .http2_keepalive_timeout(Some(PONG))
@@ -123,7 +119,7 @@ pub(crate) async fn serve(
     }
     let server = server
         .add_routes(services(context, question_limit).await)
-        .serve_with_incoming_shutdown(connections, shutdown.clone().cancelled_owned());
+        .serve_with_incoming_shutdown(incoming.into_stream(), shutdown.clone().cancelled_owned());
     tokio::select! {
         served = server => served,
         () = async {
@@ -139,6 +135,7 @@ pub(crate) async fn serve(
 /// The services of `farm.v1`, with health and reflection.
 async fn services(context: Context, question_limit: usize) -> Routes {
     let (health, health_service) = tonic_health::server::health_reporter();
+    let health_service = health_service.max_decoding_message_size(OPEN_BYTES);
     health.set_serving::<DictionariesServer<Context>>().await;
     health.set_serving::<LeasesServer<Context>>().await;
     health.set_serving::<FitsServer<Context>>().await;
@@ -155,10 +152,10 @@ async fn services(context: Context, question_limit: usize) -> Routes {
     let older_reflection = descriptors().build_v1alpha().expect("the descriptors were made by the compiler");
     let limit = RequestLimits::MESSAGE_BYTES;
     Routes::new(health_service)
-        .add_service(reflection)
-        .add_service(older_reflection)
+        .add_service(reflection.max_decoding_message_size(OPEN_BYTES))
+        .add_service(older_reflection.max_decoding_message_size(OPEN_BYTES))
         .add_service(DictionariesServer::new(context.clone()).max_decoding_message_size(limit))
-        .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(limit))
+        .add_service(LeasesServer::new(context.clone()).max_decoding_message_size(MESSAGE_BYTES))
         .add_service(FitsServer::new(context.clone()).max_decoding_message_size(question_limit))
         .add_service(MeasurementsServer::new(context.clone()).max_decoding_message_size(limit))
         .add_service(AdminServer::new(context.clone()).max_decoding_message_size(limit))

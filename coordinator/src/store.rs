@@ -79,6 +79,11 @@ pub enum StoreError {
     Corrupt { table: &'static str, row: i64, column: &'static str, why: String },
     #[error("checking the database: not every page could be read: {0}")]
     PagesUnread(String),
+    #[error(
+        "the disk has {} MB left, and {} MB are kept for results and deletions: delete what is not needed, or enlarge it",
+        free / 1_000_000, floor / 1_000_000
+    )]
+    LittleRoom { free: u64, floor: u64 },
     #[error("a dictionary with this name exists already")]
     NameTaken,
     /// The common error of several results that were stored together.
@@ -151,7 +156,6 @@ impl Store {
             .run(&write)
             .await
             .map_err(|source| StoreError::Migrate { file: file.clone(), source })?;
-        room::convert(&write).await?;
         let read = SqlitePoolOptions::new()
             .max_connections(4)
             .connect_with(options.read_only(true))
@@ -198,6 +202,7 @@ impl Store {
 
     /// A verified copy of the database as it is now, in a new file.
     pub async fn backup(&self, destination: &Path) -> Result<backup::BackupReport> {
+        self.check_room(self.bytes())?;
         let report = backup::backup(&self.read, destination, newest_schema()).await?;
         // The log has grown meanwhile.
         if let Err(error) = self.empty_log().await {

@@ -75,21 +75,23 @@ fn needed(path: &str) -> Needed {
 
 /// The basis on which a call is admitted.
 #[derive(Debug)]
-pub(super) enum Admitted {
-    /// By a token.
-    Caller(Caller),
-    /// The gate admits all callers.
-    Anybody,
-    /// The method needs no token. `known`: the call carries a valid one, which authenticates the connection but gives
-    /// the call no further rights.
-    Open { known: bool },
+pub(super) struct Admitted {
+    pub caller: Option<Caller>,
+    /// Whether the call has no token, and needs none although others do.
+    pub is_open: bool,
+}
+
+impl Admitted {
+    fn by(caller: Option<Caller>) -> Self {
+        Self { is_open: caller.is_none(), caller }
+    }
 }
 
 /// The basis on which a call is admitted, or the reason for its refusal.
 pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, Status> {
     let path = request.uri().path();
     match gate {
-        Gate::Everybody => Ok(Admitted::Anybody),
+        Gate::Everybody => Ok(Admitted { caller: None, is_open: false }),
         Gate::OwnUser => admit_own_user(gate, path, request.extensions()),
         Gate::File(access) => admit_token(gate, &access.tokens(), path, request.headers()),
     }
@@ -97,46 +99,34 @@ pub(super) fn admit(gate: &Gate, request: &Request<Body>) -> Result<Admitted, St
 
 /// Admits programs of the coordinator's own user, which connect to its Unix socket.
 fn admit_own_user(gate: &Gate, path: &str, extensions: &Extensions) -> Result<Admitted, Status> {
-    let is_own = connection(extensions).is_some_and(|peer| peer.admission.is_own_user());
-    match needed(path) {
-        _ if is_own => {
-            let name = OWN_USER.to_owned();
-            Ok(Admitted::Caller(Caller { name, role: Role::Admin, hash: token_hash("") }))
-        }
-        Needed::Nothing => Ok(Admitted::Open { known: false }),
-        Needed::OneOf(_) => Err(Status::unauthenticated(gate.advice())),
+    let is_own = connection(extensions).is_some_and(|peer| peer.connection.is_own_user);
+    let caller =
+        is_own.then(|| Caller { name: OWN_USER.to_owned(), role: Role::Admin, hash: token_hash("") });
+    if caller.is_none() && needed(path) != Needed::Nothing {
+        return Err(Status::unauthenticated(gate.advice()));
     }
+    Ok(Admitted::by(caller))
 }
 
 fn admit_token(gate: &Gate, tokens: &Tokens, path: &str, headers: &HeaderMap) -> Result<Admitted, Status> {
-    let Needed::OneOf(roles) = needed(path) else {
-        let known = bearer_token(headers).is_some_and(|token| tokens.role_of(token).is_some());
-        return Ok(Admitted::Open { known });
-    };
+    let token = bearer_token(headers);
+    let known = token.and_then(|token| Some((token, tokens.role_of(token)?)));
+    let caller =
+        known.map(|(token, (role, name))| Caller { name: name.to_owned(), role, hash: token_hash(token) });
+    let Needed::OneOf(roles) = needed(path) else { return Ok(Admitted::by(caller)) };
     let wanted = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(" or ");
-    let Some(token) = bearer_token(headers) else {
-        return Err(Status::unauthenticated(format!(
-            "this call needs a token of role {wanted}, and there is none: {}",
-            gate.advice()
-        )));
+    let why = match &caller {
+        Some(caller) if roles.contains(&caller.role) => return Ok(Admitted::by(Some(caller.clone()))),
+        Some(Caller { name, role, .. }) => {
+            return Err(Status::permission_denied(format!(
+                "this call needs a token of role {wanted}, and the one given ({name}) has role {role}"
+            )));
+        }
+        None if token.is_none() => "there is none",
+        None => "this coordinator does not know the one given",
     };
-    let Some((role, name)) = tokens.role_of(token) else {
-        return Err(Status::unauthenticated(format!(
-            "this call needs a token of role {wanted}, and this coordinator does not know the one given: {}",
-            gate.advice()
-        )));
-    };
-    if !roles.contains(&role) {
-        return Err(Status::permission_denied(format!(
-            "this call needs a token of role {wanted}, and the one given ({name}) has role {role}"
-        )));
-    }
-    Ok(Admitted::Caller(Caller { name: name.to_owned(), role, hash: token_hash(token) }))
-}
-
-/// Whether a caller would still be admitted, as when the call began.
-pub(super) fn is_let_in_still(gate: &Gate, caller: &Caller) -> bool {
-    gate.tokens().is_none_or(|tokens| tokens.have(&caller.hash, caller.role))
+    let advice = gate.advice();
+    Err(Status::unauthenticated(format!("this call needs a token of role {wanted}, and {why}: {advice}")))
 }
 
 /// The status that ends a call whose caller is no longer admitted.
@@ -175,10 +165,12 @@ pub(crate) fn machine(extensions: &Extensions) -> Machine {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use tonic::transport::server::TcpConnectInfo;
 
     use super::*;
-    use crate::connections::Admission;
+    use crate::connections::OpenConnection;
 
     /// Each path is for its roles, and an unknown one for administrators only.
     #[test]
@@ -214,7 +206,8 @@ mod tests {
         ] {
             let tcp = TcpConnectInfo { local_addr: None, remote_addr: Some(address.parse().unwrap()) };
             let mut extensions = Extensions::new();
-            extensions.insert(Peer { tcp, admission: Admission::admitted() });
+            extensions
+                .insert(Peer { tcp, connection: Arc::new(OpenConnection::new(String::new(), false, true)) });
             assert_eq!(machine(&extensions).address, expected);
         }
         assert_eq!(machine(&Extensions::new()), Machine::default());

@@ -147,15 +147,16 @@ async fn answer_is_sent_in_pieces() {
 #[tokio::test(start_paused = true)]
 async fn unread_answer_ends_the_connection() {
     let (mut service, _) = guarded(answering(|_| answer(1000, Some("0"))));
-    let admission = Admission::admitted();
-    let mut request = request("/a");
-    let tcp = tonic::transport::server::TcpConnectInfo { local_addr: None, remote_addr: None };
-    request.extensions_mut().insert(crate::connections::Peer { tcp, admission: admission.clone() });
-    let mut body = service.call(request).await.unwrap().into_body();
-    let later = tokio::time::Instant::now() + Duration::from_secs(200);
-    assert!(admission.is_over(later).is_some(), "nothing was read");
-    body.frame().await.unwrap().unwrap();
-    assert!(admission.is_over(later).is_some(), "the end was not read");
-    body.frame().await.unwrap().unwrap();
-    assert!(admission.is_over(later).is_none());
+    for (frames, is_cut) in [(0, true), (1, true), (2, false)] {
+        let connection = Arc::new(OpenConnection::new(String::new(), false, true));
+        let mut request = request("/a");
+        let tcp = tonic::transport::server::TcpConnectInfo { local_addr: None, remote_addr: None };
+        request.extensions_mut().insert(crate::connections::Peer { tcp, connection: connection.clone() });
+        let mut body = service.call(request).await.unwrap().into_body();
+        for _ in 0..frames {
+            body.frame().await.unwrap().unwrap();
+        }
+        tokio::time::sleep(Duration::from_secs(200)).await;
+        assert_eq!(connection.reason().is_some(), is_cut, "{frames}");
+    }
 }

@@ -1,163 +1,215 @@
-//! A connection that ends when the peer is silent for too long, or stays unauthenticated for too long.
+//! A connection that can be cut: by its age, its silence, or a call on it.
 
 use std::io::{self, IoSlice};
+use std::net::SocketAddr;
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::time::{Instant, Sleep};
+use tokio::net::{TcpStream, UnixStream};
+use tokio::task::JoinSet;
+use tokio_util::either::Either;
+use tokio_util::sync::{CancellationToken, WaitForCancellationFutureOwned};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 
-use super::{Admission, Cuts, Limits, Peer};
+use super::{LOOK, Limits, OWN_USER, OpenConnections, Peer};
 
 /// Length of the greeting (preface) that begins every HTTP/2 connection; that of TLS is longer. A first byte alone
 /// would not suffice: it costs nothing to send.
 const GREETING_BYTES: usize = 24;
-/// Interval at which the admission of a connection is checked.
-const LOOK: Duration = Duration::from_secs(1);
+/// Largest number of bytes from a peer without a token: a handshake, and small calls.
+const STRANGER_BYTES: usize = 64 << 10;
+/// Time for the calls of a connection to report that its token is revoked, before the connection is cut.
+const LAST_WORDS: Duration = Duration::from_secs(3);
 
-/// A connection and its deadlines. An encrypted connection is guarded below TLS.
+/// By TCP, or of the Unix socket.
+type Stream = Either<TcpStream, UnixStream>;
+
+/// An open connection, as its calls and the others see it.
 #[derive(Debug)]
-pub struct Guarded<IO> {
-    io: IO,
-    watch: Watch,
-    admission: Admission,
+pub struct OpenConnection {
+    /// The machine at the other end.
+    address: String,
+    pub(crate) is_own_user: bool,
+    state: Mutex<State>,
+    cut: CancellationToken,
 }
 
+#[derive(Debug, Default)]
+struct State {
+    /// Whether a call has presented a token, or none is needed.
+    is_admitted: bool,
+    /// The token that was presented last, and the task that cuts the connection when it is revoked.
+    token: Option<(blake3::Hash, JoinSet<()>)>,
+    received: usize,
+    /// Number of looks since the beginning, and since the last bytes were received.
+    looks: u32,
+    quiet: u32,
+    /// Why it was cut.
+    why: Option<&'static str>,
+}
+
+impl OpenConnection {
+    pub(crate) fn new(address: String, is_own_user: bool, is_admitted: bool) -> Self {
+        let state = Mutex::new(State { is_admitted, ..State::default() });
+        Self { address, is_own_user, state, cut: CancellationToken::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it is of this machine, and has not presented a token.
+    pub(super) fn is_stranger_of(&self, address: &str) -> bool {
+        self.address == address && !self.lock().is_admitted && !self.cut.is_cancelled()
+    }
+
+    /// Ends the connection.
+    pub(super) fn cut(&self, why: &'static str) {
+        self.lock().why.get_or_insert(why);
+        self.cut.cancel();
+    }
+
+    /// The reason why it was cut; None if it was not.
+    pub(crate) fn reason(&self) -> Option<&'static str> {
+        self.lock().why
+    }
+
+    /// Notes that a call has presented a token. `revoked` ends when the token is no longer accepted.
+    pub(crate) fn admit(
+        self: &Arc<Self>,
+        token: blake3::Hash,
+        revoked: impl Future<Output = ()> + Send + 'static,
+    ) {
+        let mut state = self.lock();
+        state.is_admitted = true;
+        if state.token.as_ref().is_some_and(|(last, _)| *last == token) {
+            return;
+        }
+        let (mut task, connection) = (JoinSet::new(), Arc::downgrade(self));
+        task.spawn(async move {
+            revoked.await;
+            tokio::time::sleep(LAST_WORDS).await;
+            if let Some(connection) = connection.upgrade() {
+                connection.cut("the token was revoked");
+            }
+        });
+        state.token = Some((token, task));
+    }
+
+    /// Cuts the connection after this time unless the answer is dropped, which is when the answer has been read.
+    pub(crate) fn cut_unless_read(self: &Arc<Self>, time: Duration) -> JoinSet<()> {
+        let (mut answer, connection) = (JoinSet::new(), self.clone());
+        answer.spawn(async move {
+            tokio::time::sleep(time).await;
+            connection.cut("the other end does not read an answer");
+        });
+        answer
+    }
+
+    /// Counts received bytes; returns whether they are too many.
+    fn receives_too_much(&self, bytes: usize) -> bool {
+        let state = &mut *self.lock();
+        state.received = state.received.saturating_add(bytes);
+        if bytes > 0 && state.received >= GREETING_BYTES {
+            state.quiet = 0;
+        }
+        !state.is_admitted && state.received > STRANGER_BYTES
+    }
+
+    /// Cuts the connection if it is overdue.
+    pub(super) fn look(&self, limits: &Limits) {
+        let why = {
+            let state = &mut *self.lock();
+            // The first interval may have begun just before.
+            let [age, silence] = [state.looks, state.quiet].map(|looks| LOOK * looks);
+            (state.looks, state.quiet) = (state.looks + 1, state.quiet + 1);
+            if state.received < GREETING_BYTES && age >= limits.hello {
+                "the other end does not begin"
+            } else if silence >= limits.silence {
+                "the other end is silent"
+            } else if !state.is_admitted
+                && limits.unauthenticated.is_some_and(|limits| age >= limits.patience)
+            {
+                "the other end has shown no token"
+            } else {
+                return;
+            }
+        };
+        self.cut(why);
+    }
+}
+
+/// A connection and its place among the open ones. An encrypted connection is guarded below TLS.
 #[derive(Debug)]
-struct Watch {
-    /// Time of the last bytes from the other end, or the start while its greeting is incomplete.
-    heard: Instant,
-    greeting_left: usize,
-    hello: Duration,
-    silence: Duration,
-    /// The deadline for presenting a token.
-    token_deadline: Option<Instant>,
-    /// Time of the last check of the admission.
-    looked: Instant,
-    /// Where the end of the connection is logged, once.
-    cuts: Option<Arc<Cuts>>,
-    /// Wakes the reader. It may be early, since it is set again only after it has fired: reads are many, deadlines few.
-    alarm: Pin<Box<Sleep>>,
+pub struct Guarded {
+    pub(super) stream: Stream,
+    pub(super) connection: Arc<OpenConnection>,
+    open: Arc<OpenConnections>,
+    cut: Pin<Box<WaitForCancellationFutureOwned>>,
 }
 
-impl<IO> Guarded<IO> {
-    pub(super) fn new(io: IO, limits: Limits, admission: Admission, cuts: Arc<Cuts>) -> Self {
-        let Limits { hello, silence, unauthenticated, .. } = limits;
-        let alarm = Box::pin(tokio::time::sleep(hello.min(silence).min(LOOK)));
-        let heard = Instant::now();
-        let token_deadline = unauthenticated.map(|limits| heard + limits.patience);
-        let watch = Watch {
-            heard,
-            greeting_left: GREETING_BYTES,
-            hello,
-            silence,
-            token_deadline,
-            looked: heard,
-            cuts: Some(cuts),
-            alarm,
-        };
-        Self { io, watch, admission }
-    }
-}
-
-impl Watch {
-    fn hear(&mut self, bytes: usize) {
-        self.greeting_left = self.greeting_left.saturating_sub(bytes);
-        if bytes > 0 && self.greeting_left == 0 {
-            self.heard = Instant::now();
+impl Guarded {
+    pub(super) fn new(stream: Stream, connection: Arc<OpenConnection>, open: Arc<OpenConnections>) -> Self {
+        if let Either::Left(stream) = &stream
+            && let Err(error) = stream.set_nodelay(true)
+        {
+            // It has most likely been closed already, which its first read will report.
+            tracing::debug!(%error, "small messages on a connection may be delayed");
         }
+        let cut = Box::pin(connection.cut.clone().cancelled_owned());
+        Self { stream, connection, open, cut }
     }
 
-    /// Logs a reason, and returns the error with which the connection ends.
-    fn cut(&mut self, why: &'static str) -> io::Error {
-        if let Some(cuts) = self.cuts.take() {
-            cuts.log(why);
-        }
-        io::Error::new(io::ErrorKind::TimedOut, why)
+    pub(super) fn remote_addr(&self) -> SocketAddr {
+        self.connect_info().tcp.remote_addr.unwrap_or(OWN_USER)
     }
 
-    /// The reason why the admission has ended, checked at intervals, since reads are many.
-    fn look(&mut self, admission: &Admission) -> Option<io::Error> {
-        let now = Instant::now();
-        if now < self.looked + LOOK {
-            return None;
+    /// Polls the stream, unless the connection is cut.
+    fn uncut<T>(
+        &mut self,
+        cx: &mut Context<'_>,
+        poll: impl FnOnce(Pin<&mut Stream>, &mut Context<'_>) -> Poll<io::Result<T>>,
+    ) -> Poll<io::Result<T>> {
+        if self.cut.as_mut().poll(cx).is_ready() {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
         }
-        self.looked = now;
-        admission.is_over(now).map(|why| self.cut(why))
-    }
-
-    /// Ready when the other end has been silent for too long, or the admission has ended.
-    fn poll_overdue(&mut self, cx: &mut Context<'_>, admission: &Admission) -> Poll<io::Error> {
-        let (limit, mut what) = match self.greeting_left {
-            0 => (self.silence, "the other end is silent"),
-            _ => (self.hello, "the other end does not begin"),
-        };
-        let mut deadline = self.heard + limit;
-        if let Some(end) = self.token_deadline.filter(|end| *end < deadline && !admission.is_admitted()) {
-            (deadline, what) = (end, "the other end has shown no token");
-        }
-        loop {
-            if Instant::now() >= deadline {
-                return Poll::Ready(self.cut(what));
-            }
-            if let Some(error) = self.look(admission) {
-                return Poll::Ready(error);
-            }
-            ready!(self.alarm.as_mut().poll(cx));
-            self.alarm.as_mut().reset(deadline.min(Instant::now() + LOOK));
-        }
+        poll(Pin::new(&mut self.stream), cx)
     }
 }
 
-impl<IO: AsyncRead + Unpin> AsyncRead for Guarded<IO> {
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        self.open.leave(&self.connection);
+    }
+}
+
+impl AsyncRead for Guarded {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
-        if let Some(error) = this.watch.look(&this.admission) {
-            return Poll::Ready(Err(error));
-        }
         let before = buf.filled().len();
-        // Received bytes count even if they are read late: the delay was on this side.
-        match Pin::new(&mut this.io).poll_read(cx, buf) {
-            Poll::Ready(read) => {
-                this.watch.hear(buf.filled().len() - before);
-                Poll::Ready(read)
-            }
-            Poll::Pending => this.watch.poll_overdue(cx, &this.admission).map(Err),
+        ready!(this.uncut(cx, |stream, cx| stream.poll_read(cx, buf)))?;
+        let bytes = buf.filled().len() - before;
+        if this.connection.receives_too_much(bytes) {
+            this.connection.cut("the other end sends much, and has shown no token");
         }
+        Poll::Ready(Ok(()))
     }
 }
 
-impl<IO> Guarded<IO> {
-    /// Bounds a pending write as `poll_read` bounds a pending read: a peer that reads nothing is overdue, too. While
-    /// the answer to a ping is pending, nothing is read, so no bytes extend the deadline either.
-    fn or_overdue<T>(&mut self, cx: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
-        match polled {
-            Poll::Pending => self.watch.poll_overdue(cx, &self.admission).map(Err),
-            ready @ Poll::Ready(_) => ready,
-        }
-    }
-}
-
-impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
+impl AsyncWrite for Guarded {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
-        let this = self.get_mut();
-        let polled = Pin::new(&mut this.io).poll_write(cx, buf);
-        this.or_overdue(cx, polled)
+        self.get_mut().uncut(cx, |stream, cx| stream.poll_write(cx, buf))
     }
 
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let this = self.get_mut();
-        let polled = Pin::new(&mut this.io).poll_flush(cx);
-        this.or_overdue(cx, polled)
+        self.get_mut().uncut(cx, AsyncWrite::poll_flush)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let this = self.get_mut();
-        let polled = Pin::new(&mut this.io).poll_shutdown(cx);
-        this.or_overdue(cx, polled)
+        self.get_mut().uncut(cx, AsyncWrite::poll_shutdown)
     }
 
     fn poll_write_vectored(
@@ -165,156 +217,22 @@ impl<IO: AsyncWrite + Unpin> AsyncWrite for Guarded<IO> {
         cx: &mut Context<'_>,
         bufs: &[IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        let this = self.get_mut();
-        let polled = Pin::new(&mut this.io).poll_write_vectored(cx, bufs);
-        this.or_overdue(cx, polled)
+        self.get_mut().uncut(cx, |stream, cx| stream.poll_write_vectored(cx, bufs))
     }
 
     fn is_write_vectored(&self) -> bool {
-        self.io.is_write_vectored()
+        true
     }
 }
 
-impl<IO: Connected<ConnectInfo = TcpConnectInfo>> Connected for Guarded<IO> {
+impl Connected for Guarded {
     type ConnectInfo = Peer;
 
     fn connect_info(&self) -> Peer {
-        Peer { tcp: self.io.connect_info(), admission: self.admission.clone() }
-    }
-}
-
-#[cfg(test)]
-impl Guarded<super::LingeringClose> {
-    pub(super) fn nodelay(&self) -> bool {
-        self.io.nodelay()
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream};
-    use tokio::time::{advance, timeout};
-
-    use super::*;
-    use crate::connections::{UnauthenticatedLimits, UnauthenticatedPeers};
-
-    const LIMITS: Limits = Limits {
-        connections: 1,
-        hello: HELLO,
-        silence: SILENCE,
-        unauthenticated: Some(UnauthenticatedLimits { connections: 1, patience: PATIENCE }),
-    };
-    const HELLO: Duration = Duration::from_secs(10);
-    const SILENCE: Duration = Duration::from_mins(1);
-    const PATIENCE: Duration = Duration::from_secs(30);
-
-    fn pair() -> (Guarded<DuplexStream>, DuplexStream) {
-        with_admission(Admission::admitted())
-    }
-
-    fn with_admission(admission: Admission) -> (Guarded<DuplexStream>, DuplexStream) {
-        let (here, there) = tokio::io::duplex(1024);
-        (Guarded::new(here, LIMITS, admission, Cuts::new()), there)
-    }
-
-    /// A connection that has sent its greeting, with a token or without.
-    async fn greeted(admitted: bool) -> (Guarded<DuplexStream>, DuplexStream) {
-        let admission = UnauthenticatedPeers::default().admission([10, 0, 0, 7].into(), 1);
-        let (mut guarded, mut there) = with_admission(admission.clone());
-        there.write_all(&[0; GREETING_BYTES]).await.unwrap();
-        guarded.read_exact(&mut [0; GREETING_BYTES]).await.unwrap();
-        if admitted {
-            admission.admit();
-        }
-        (guarded, there)
-    }
-
-    /// Sends single bytes, each after a pause, and then keeps the connection.
-    fn chatter(mut there: DuplexStream, bytes: usize, pause: Duration) {
-        tokio::spawn(async move {
-            for _ in 0..bytes {
-                tokio::time::sleep(pause).await;
-                let _ = there.write_all(b".").await;
-            }
-            std::future::pending::<()>().await;
-        });
-    }
-
-    /// The time until a read fails because the connection is overdue.
-    async fn overdue_after(guarded: &mut Guarded<DuplexStream>) -> Duration {
-        let start = Instant::now();
-        let error = loop {
-            match timeout(SILENCE * 2, guarded.read(&mut [0; 64])).await.expect("it ends") {
-                Ok(bytes) => assert!(bytes > 0),
-                Err(error) => break error,
-            }
+        let tcp = match &self.stream {
+            Either::Left(stream) => stream.connect_info(),
+            Either::Right(_) => TcpConnectInfo { local_addr: None, remote_addr: Some(OWN_USER) },
         };
-        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
-        start.elapsed()
-    }
-
-    fn about(found: Duration, expected: Duration) {
-        assert!(found.abs_diff(expected) < Duration::from_millis(10), "{found:?} is not {expected:?}");
-    }
-
-    /// A peer that does not send the greeting is overdue after the hello time, also if it sends it byte by byte.
-    #[tokio::test(start_paused = true)]
-    async fn missing_greeting_is_overdue() {
-        for bytes in [0, GREETING_BYTES - 1] {
-            let (mut guarded, there) = pair();
-            chatter(there, bytes, Duration::from_secs(1));
-            about(overdue_after(&mut guarded).await, HELLO);
-            about(overdue_after(&mut guarded).await, Duration::ZERO);
-        }
-    }
-
-    /// After the greeting, silence counts from the last byte that was received.
-    #[tokio::test(start_paused = true)]
-    async fn silence_counts_from_the_last_byte() {
-        let (mut guarded, mut there) = greeted(true).await;
-        for _ in 0..5 {
-            let quiet = timeout(SILENCE.mul_f64(0.9), guarded.read_u8()).await;
-            assert!(quiet.is_err(), "it is not overdue yet");
-            there.write_all(&[0]).await.unwrap();
-            guarded.read_u8().await.unwrap();
-        }
-        about(overdue_after(&mut guarded).await, SILENCE);
-    }
-
-    /// A connection without a token ends, however much it sends. One with a token stays, unless it does not read an answer.
-    #[tokio::test(start_paused = true)]
-    async fn connection_without_token_ends() {
-        for (admitted, unread, end) in [
-            (true, false, Duration::from_secs(40) + SILENCE),
-            (false, false, PATIENCE),
-            (true, true, PATIENCE + LOOK),
-        ] {
-            let (mut guarded, there) = greeted(admitted).await;
-            let _unread = unread.then(|| guarded.admission.unread(Instant::now() + PATIENCE));
-            chatter(there, 20, Duration::from_secs(2));
-            let (found, most) = (overdue_after(&mut guarded).await, if unread { LOOK } else { LOOK / 100 });
-            assert!(found.abs_diff(end) <= most, "{admitted} {unread}: {found:?} is not {end:?}");
-        }
-    }
-
-    /// A write to a peer that reads nothing fails when the peer is overdue.
-    #[tokio::test(start_paused = true)]
-    async fn peer_that_never_reads_is_overdue() {
-        for (admitted, expected) in [(true, SILENCE), (false, PATIENCE)] {
-            let (mut guarded, _there) = greeted(admitted).await;
-            let start = Instant::now();
-            let written = timeout(SILENCE * 2, guarded.write_all(&[0; 4096])).await.expect("it ends");
-            assert_eq!(written.unwrap_err().kind(), io::ErrorKind::TimedOut);
-            about(start.elapsed(), expected);
-        }
-    }
-
-    /// Bytes that have arrived are read, even if the reader is late.
-    #[tokio::test(start_paused = true)]
-    async fn waiting_bytes_are_read_after_a_delay() {
-        let (mut guarded, mut there) = pair();
-        there.write_all(&[7; GREETING_BYTES]).await.unwrap();
-        advance(SILENCE * 2).await;
-        assert_eq!(guarded.read_u8().await.unwrap(), 7);
+        Peer { tcp, connection: self.connection.clone() }
     }
 }

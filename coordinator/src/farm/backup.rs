@@ -2,6 +2,9 @@
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::PathBuf;
+use std::sync::PoisonError;
+
+use tokio::time::Instant;
 
 use super::{Farm, FarmError, Result, blocking};
 use crate::actor::Actor;
@@ -61,7 +64,14 @@ impl Farm {
     pub(crate) async fn backup(&self, by: &Actor) -> Result<Backup> {
         let name = format!("{}{}.db", DataDir::BACKUP_PREFIX, &random_token()[..8]);
         let mut backup = Backup { file: self.store.dir().path().join(name), report: None, offset: 0 };
-        let report = self.store.backup(&backup.file).await?;
+        let report = match self.store.backup(&backup.file).await {
+            Ok(report) => report,
+            Err(error) => {
+                self.scheduler.note(by, EventKind::BackupFailed, error.to_string());
+                return Err(error.into());
+            }
+        };
+        *self.last_backup.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         let message = format!("{} records, {} bytes", report.counts.records, report.bytes);
         self.scheduler.note(by, EventKind::BackupMade, message);
         backup.report = Some(report);

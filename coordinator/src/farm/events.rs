@@ -1,7 +1,7 @@
 //! Writes events to the store in batches, and posts some to the webhook, so that no operation waits for them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
@@ -9,10 +9,10 @@ use tokio::task::JoinHandle;
 
 use ureq::http::Uri;
 
-use super::event_shares::EventShares;
 use super::webhook::Webhook;
 use crate::clock::Clock;
 use crate::dispatch::Event;
+use crate::quota::{Limit, Quota};
 use crate::store::{Store, StoredEvent};
 
 /// Events that may wait; more are dropped, and logged.
@@ -24,14 +24,18 @@ const PAUSE: Duration = Duration::from_millis(200);
 /// Most time that a question about events waits for those before it.
 const SETTLE: Duration = Duration::from_secs(2);
 
+/// Events of one actor that are kept if they come at once, and in each second after that: a tenth of all that are kept in
+/// nearly three hours. The oldest are deleted for the newest, so no actor must be able to write all of them.
+const AT_ONCE: u64 = 1000;
+const IN_A_SECOND: f64 = 1.0;
+
 #[derive(Debug)]
 pub(super) struct Recorder {
     queue: Mutex<Option<mpsc::Sender<StoredEvent>>>,
     /// Number of events that were queued, and of those that were stored or lost.
     queued: AtomicU64,
     settled: watch::Receiver<u64>,
-    clock: Clock,
-    shares: Mutex<EventShares>,
+    shares: Arc<Quota>,
     webhook: Option<Webhook>,
     writer: tokio::sync::Mutex<Option<JoinHandle<()>>>,
 }
@@ -45,8 +49,7 @@ impl Recorder {
             queue: Mutex::new(Some(queue)),
             queued: AtomicU64::new(0),
             settled,
-            clock: Clock::start(),
-            shares: Mutex::default(),
+            shares: Quota::refilled(IN_A_SECOND, "events", "cause fewer"),
             webhook: webhook.map(Webhook::start),
             writer: tokio::sync::Mutex::new(Some(writer)),
         }
@@ -59,8 +62,7 @@ impl Recorder {
         // Events that workers cause have no actor. Events of the farm itself are always kept.
         let whose = if actor.is_empty() && !worker.is_empty() { "workers" } else { actor.as_str() };
         let whose = whose.split_once(" at ").map_or(whose, |(token, _)| token);
-        let is_kept = |shares: &mut EventShares| whose.is_empty() || shares.take(whose, self.clock.now());
-        if !is_kept(&mut self.shares.lock().unwrap_or_else(PoisonError::into_inner)) {
+        if !whose.is_empty() && self.shares.spend(&[Limit::new(whose, AT_ONCE)], 1).is_err() {
             return;
         }
         let stored = StoredEvent {

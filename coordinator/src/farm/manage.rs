@@ -12,15 +12,16 @@ use super::{Farm, FarmError, Result, blocking, named};
 use crate::actor::Actor;
 use crate::clock::Clock;
 use crate::dispatch::{Dictionary, EventKind, Plan, Reason};
+use crate::quota::Limit;
 use crate::store::{LedgerGuard, StoreError, StoredEvent};
 use crate::stored::{DesiredState, StoredDictionary};
 
 /// Most jobs and waiting parts of all dictionaries together, and of those that one token has submitted. A million is
 /// some 100 MB.
-const ENTRIES: usize = 20_000_000;
-const ENTRIES_OF_ONE: usize = 8_000_000;
+const ENTRIES: u64 = 20_000_000;
+const ENTRIES_OF_ONE: u64 = 8_000_000;
 /// Most dictionaries of one token.
-const DICTIONARIES_OF_ONE: usize = 2000;
+const DICTIONARIES_OF_ONE: u64 = 2000;
 
 impl Farm {
     /// Creates a dictionary, or finds the one of the same name and grid. Records that exist already are used.
@@ -60,31 +61,26 @@ impl Farm {
     }
 
     /// Checks the limits for a new dictionary. The coordinator keeps account of every job of every dictionary: all
-    /// together have a limit, and those of one token leave room for others.
+    /// together have a limit, and those of one token leave room for others. The disk keeps room for results, too.
     fn check_room(&self, by: &Actor, plan: &Plan) -> Result<()> {
-        let of_one = self
-            .scheduler
-            .query(|d, _| d.schedule().dictionaries().filter(|d| d.owner() == by.name()).count());
-        if !by.shares_as().is_empty() && of_one >= DICTIONARIES_OF_ONE {
-            return Err(FarmError::ManyDictionaries { most: DICTIONARIES_OF_ONE });
-        }
-        let (own, all) = self.scheduler.query(|dispatcher, _| {
-            dispatcher.schedule().dictionaries().fold(
-                (plan.entries(), plan.entries()),
-                |(own, all), dictionary| {
-                    let is_own = dictionary.owner() == by.name();
-                    (own + if is_own { dictionary.entries() } else { 0 }, all + dictionary.entries())
-                },
-            )
+        let (what, delete) = ("jobs and waiting blocks, which take memory,", "delete dictionaries");
+        let (mut count, mut own, mut all) = (0, 0, 0);
+        self.scheduler.query(|dispatcher, _| {
+            for dictionary in dispatcher.schedule().dictionaries() {
+                let entries = dictionary.entries() as u64;
+                all += entries;
+                if dictionary.owner() == by.name() {
+                    (count, own) = (count + 1, own + entries);
+                }
+            }
         });
-        if all > ENTRIES {
-            return Err(FarmError::TooMany { whose: "all dictionaries", entries: all, most: ENTRIES });
+        let more = plan.entries() as u64;
+        Limit::of_all(ENTRIES).check(all, more, what, delete)?;
+        if !by.shares_as().is_empty() {
+            Limit::new(by.key(), ENTRIES_OF_ONE).check(own, more, what, delete)?;
+            Limit::new(by.key(), DICTIONARIES_OF_ONE).check(count, 1, "dictionaries", "delete some")?;
         }
-        if !by.shares_as().is_empty() && own > ENTRIES_OF_ONE {
-            let whose = "the dictionaries of this token";
-            return Err(FarmError::TooMany { whose, entries: own, most: ENTRIES_OF_ONE });
-        }
-        Ok(())
+        Ok(self.store.check_room(0)?)
     }
 
     /// Begins to serve a new dictionary; jobs whose records exist already are done.
@@ -262,7 +258,7 @@ impl Farm {
             let text = format!("results cannot be stored: {fault}; workers keep them and try again");
             reasons.insert(0, Reason { code: "STORE_FAULT", text });
         }
-        if let Some(text) = self.result_budget.shortage() {
+        if let Some(text) = self.results.shortage() {
             reasons.insert(0, Reason { code: "NO_ROOM", text });
         }
         Ok(reasons)

@@ -6,10 +6,12 @@ use optics_model::{Digest, Invalid};
 use super::{Farm, FarmError, Result};
 use crate::actor::Actor;
 use crate::clock::Clock;
+use crate::quota::Limit;
 use crate::store::StoredMeasurement;
 
-/// Most measurements of one token.
-const MEASUREMENTS_OF_ONE: usize = 10_000;
+/// Most measurements of one token, and most bytes of their contents.
+const MEASUREMENTS_OF_ONE: u64 = 10_000;
+const BYTES_OF_ONE: u64 = 1 << 30;
 /// Hexadecimal digits of an id.
 const ID_DIGITS: usize = 16;
 
@@ -35,9 +37,12 @@ impl Farm {
         let owner = by.name().to_owned();
         let id = id_of(&owner, new.question);
         let is_new = self.store.measurement(&id).await?.is_none();
-        if is_new && self.store.measurements_of(&owner).await? >= MEASUREMENTS_OF_ONE {
-            return Err(FarmError::ManyMeasurements { most: MEASUREMENTS_OF_ONE });
-        }
+        let (count, bytes) = self.store.measurements_of(&owner).await?;
+        let limit = |most| Limit::new(by.key(), most);
+        let (more, new_bytes) = (u64::from(is_new), new.content.len() as u64);
+        limit(MEASUREMENTS_OF_ONE).check(count, more, "kept measurements", "delete some")?;
+        limit(BYTES_OF_ONE).check(bytes, new_bytes, "bytes of kept measurements", "delete some")?;
+        self.store.check_room(new_bytes)?;
         let stored = StoredMeasurement {
             number: 0,
             id: id.clone(),

@@ -2,7 +2,6 @@
 //! is received.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use farm_proto::RequestLimits;
@@ -12,19 +11,16 @@ use optics_model::job::JobSpec;
 use optics_model::sums::{Sums, result_bytes};
 use optics_model::{Digest, Invalid, PackedRecords};
 use tokio::task::JoinHandle;
-use tokio::time::Instant;
 use tokio_stream::{Stream, StreamExt};
 
-use super::result_budget::{Reservation, ResultStream};
+use super::result_room::{ResultRoom, Taken};
 use super::{Farm, FarmError, Result};
 use crate::dispatch::DispatchError;
 use crate::store::StoreError;
 use crate::stored::{JobResult, Machine, Outcome};
 
-/// Longest time until a worker sends the next piece of a result.
-const PATIENCE: Duration = Duration::from_mins(1);
-/// Lowest rate of a result beyond that, in bytes per second.
-const SLOWEST: usize = 64 << 10;
+/// Largest message of a stream of results: a worker's pieces have 1 MiB.
+pub(crate) const MESSAGE_BYTES: usize = 2 << 20;
 
 /// A piece of a stream of results: each result is a header, and then its content.
 #[derive(Debug)]
@@ -67,8 +63,8 @@ impl Farm {
         S: Stream<Item = Result<Piece, E>> + Unpin,
         E: From<FarmError>,
     {
-        let mut pieces =
-            Pieces { stream, budget: self.result_budget.stream(&machine.token, machine.identity()) };
+        let _turn = self.results.call(machine).await;
+        let mut pieces = Pieces { stream, machine, room: &self.results };
         let mut tasks: Vec<Task> = Vec::new();
         let mut next = pieces.next().await?;
         if next.is_none() {
@@ -85,8 +81,8 @@ impl Farm {
             match self.admit(&worker, &key, identity) {
                 Ok(admission) => {
                     let result;
-                    let reservation;
-                    (result, reservation, next) = pieces.result(admission.job()).await?;
+                    let taken;
+                    (result, taken, next) = pieces.result(admission.job()).await?;
                     let result = match result {
                         Ok(result) => result,
                         Err(invalid) => {
@@ -96,7 +92,7 @@ impl Farm {
                     };
                     let farm = self.clone();
                     tasks.push(Ok(tokio::spawn(async move {
-                        let _reservation = reservation;
+                        let _taken = taken;
                         farm.complete(worker, key, admission, result).await
                     })));
                 }
@@ -143,55 +139,44 @@ fn refused<E: From<FarmError>>(field: &str, given: impl std::fmt::Display, allow
 }
 
 /// The pieces of a machine's stream.
-struct Pieces<S> {
+struct Pieces<'a, S> {
     stream: S,
-    budget: ResultStream,
+    machine: &'a Machine,
+    room: &'a ResultRoom,
 }
 
-/// Longest time that a result of `bytes` bytes may take from its header to its end.
-fn longest(bytes: usize) -> Duration {
-    PATIENCE + Duration::from_secs((bytes / SLOWEST) as u64)
-}
-
-impl<S, E> Pieces<S>
+impl<S, E> Pieces<'_, S>
 where
     S: Stream<Item = Result<Piece, E>> + Unpin,
     E: From<FarmError>,
 {
     async fn next(&mut self) -> Result<Option<Piece>, E> {
-        let next = tokio::time::timeout(PATIENCE, self.stream.next()).await;
-        next.map_err(|_| FarmError::Overdue(PATIENCE.as_secs()))?.transpose()
+        self.stream.next().await.transpose()
     }
 
     /// One result, checked, with the memory reserved for it and the piece that follows it.
     async fn result(
         &mut self,
         job: &JobSpec,
-    ) -> Result<(std::result::Result<JobResult, Invalid>, Reservation, Option<Piece>), E> {
-        let mut reservation = Reservation::default();
-        let (bytes, after) = self.gather(job, &mut reservation).await?;
+    ) -> Result<(std::result::Result<JobResult, Invalid>, Taken, Option<Piece>), E> {
+        let mut taken = Taken::default();
+        let (bytes, after) = self.gather(job, &mut taken).await?;
         let checked = if job.block().is_some() {
             // Invalid sums are refused here rather than when they are merged.
             Sums::from_le_bytes(job, 1, &bytes).map(|_| JobResult::Sums(bytes))
         } else {
             PackedRecords::new(job, bytes).map(JobResult::Records)
         };
-        Ok((checked, reservation, after))
+        Ok((checked, taken, after))
     }
 
     /// Joins the pieces of one result, up to its permitted length, and returns them with the piece that follows. They are
     /// copied to a buffer of exactly their size: otherwise each would keep the whole message in memory in which it arrived.
-    async fn gather(
-        &mut self,
-        job: &JobSpec,
-        reservation: &mut Reservation,
-    ) -> Result<(Bytes, Option<Piece>), E> {
+    async fn gather(&mut self, job: &JobSpec, taken: &mut Taken) -> Result<(Bytes, Option<Piece>), E> {
         let (wanted, what) = (result_bytes(job), if job.block().is_some() { "sums" } else { "records" });
-        let time = longest(wanted);
-        let (mut whole, mut end) = (BytesMut::new(), Instant::now() + time);
+        let mut whole = BytesMut::new();
         loop {
-            let next = tokio::time::timeout_at(end, self.next()).await;
-            let piece = match (next.map_err(|_| FarmError::Slow(time.as_secs()))??, job.block()) {
+            let piece = match (self.next().await?, job.block()) {
                 (Some(Piece::Records(piece)), None) | (Some(Piece::Sums(piece)), Some(_)) => piece,
                 (after @ (None | Some(Piece::Header(_))), _) => return Ok((whole.freeze(), after)),
                 (Some(Piece::Records(_)), Some(_)) => {
@@ -208,10 +193,7 @@ where
                 let given = format!("more than {wanted} bytes");
                 return Err(refused(what, given, format!("{wanted} are needed")));
             }
-            // A wait for the coordinator's own memory is no slowness of the worker.
-            let before = Instant::now();
-            self.budget.reserve(reservation, piece.len()).await;
-            end += before.elapsed();
+            self.room.take(self.machine, taken, piece.len()).await;
             // Reserved all at once, so that the buffer is never moved; the system provides the memory as it is written to.
             whole.reserve(wanted - whole.len());
             whole.extend_from_slice(&piece);

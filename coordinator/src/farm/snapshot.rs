@@ -1,5 +1,6 @@
 //! Collects states and counts at one moment, for the port of the metrics.
 
+use std::sync::PoisonError;
 use std::time::Duration;
 
 use farm_proto::status::{DictionaryState, WorkerState};
@@ -12,7 +13,8 @@ impl Farm {
     /// States and progress now.
     pub(crate) fn snapshot(&self) -> Snapshot {
         let database_bytes = self.store.bytes();
-        let backup_age_s = self.last_backup.age().map(|age| age.as_secs_f64());
+        let last_backup = *self.last_backup.lock().unwrap_or_else(PoisonError::into_inner);
+        let backup_age_s = last_backup.map(|made| made.elapsed().as_secs_f64());
         Snapshot { database_bytes, backup_age_s, ..self.scheduler.query(snapshot) }
     }
 

@@ -105,6 +105,7 @@ struct Inner {
     commit_seconds: Histogram,
     commit_jobs: Histogram,
     connections_refused: Counter,
+    access_file_errors: Counter,
     fit_seconds: Histogram,
     fits_stopped: Counter,
 }
@@ -151,6 +152,7 @@ impl Metrics {
             commit_seconds: Histogram::new(SECONDS),
             commit_jobs: Histogram::new(JOBS),
             connections_refused: Counter::default(),
+            access_file_errors: Counter::default(),
             fit_seconds: Histogram::new(SECONDS),
             fits_stopped: Counter::default(),
         };
@@ -198,6 +200,10 @@ impl Metrics {
 
     pub fn connection_refused(&self) {
         self.0.connections_refused.inc();
+    }
+
+    pub fn access_file_unread(&self) {
+        self.0.access_file_errors.inc();
     }
 
     pub fn fitted(&self, elapsed: Duration) {
@@ -265,6 +271,11 @@ impl Inner {
             "farm_connections_refused",
             "Connections refused because too many were open",
             self.connections_refused.clone(),
+        );
+        registry.register(
+            "farm_access_file_errors",
+            "Attempts to read the changed access file that failed, one per second",
+            self.access_file_errors.clone(),
         );
         registry.register("farm_fit_seconds", "Time to answer a fit", self.fit_seconds.clone());
         registry.register(

@@ -22,7 +22,7 @@ pub struct Snapshot {
     pub work_done: Vec<(String, f64)>,
     /// Size of the database with its log.
     pub database_bytes: u64,
-    /// Age of the last scheduled backup; None without one.
+    /// Age of the last backup since the start; None without one.
     pub backup_age_s: Option<f64>,
 }
 
@@ -79,7 +79,7 @@ impl Collector for Scrape {
         let bytes = self.snapshot.database_bytes;
         gauge(&mut encoder, "farm_database_bytes", "Size of the database with its log.", &bytes)?;
         if let Some(age) = self.snapshot.backup_age_s {
-            gauge(&mut encoder, "farm_backup_age_seconds", "Age of the last scheduled backup.", &age)?;
+            gauge(&mut encoder, "farm_backup_age_seconds", "Age of the last backup since the start.", &age)?;
         }
         process(&mut encoder, &self.process)
     }

@@ -29,7 +29,7 @@ impl Admin for Context {
     async fn backup(&self, request: Request<BackupRequest>) -> Result<Response<Self::BackupStream>, Status> {
         let by = actor(request.extensions());
         let backup = self.farm.backup(&by).await?;
-        Ok(Response::new(self.stream(&by, 2, backup, piece)?))
+        Ok(Response::new(self.stream(&by, backup, piece)?))
     }
 
     async fn inspect(&self, request: Request<InspectRequest>) -> Result<Response<InspectResponse>, Status> {

@@ -10,11 +10,12 @@ use farm_proto::wire::{
 };
 use farm_proto::{DictionaryName, RECORDS_PROMISED, RequestLimits, to_status};
 use optics_model::{Grid, Invalid};
+use prost::Message as _;
 use tonic::{Request, Response, Status};
 
 use super::Context;
 use super::outgoing::Outgoing;
-use super::page::{page_size, page_token};
+use super::page::{page, page_size, page_token};
 use super::status::{OrStatus, required};
 use super::text::one_line;
 use crate::authorisation::actor;
@@ -24,8 +25,8 @@ use crate::farm::detached;
 const DICTIONARIES: u32 = 100;
 /// Largest number of given-up jobs per page.
 const FAILED: u32 = 1000;
-/// Number of records in flight to a client that exports.
-const EXPORT_QUEUE: usize = 4;
+/// Largest encoded grid: the lists of all clients have it.
+const GRID_BYTES: usize = 64 << 10;
 
 #[tonic::async_trait]
 impl Dictionaries for Context {
@@ -33,8 +34,13 @@ impl Dictionaries for Context {
         let by = actor(request.extensions());
         let request = request.into_inner();
         let name = DictionaryName::new(request.name).or_status()?;
-        let grid =
-            Grid::try_from(required("grid", request.grid)?).map_err(|e| e.within("grid")).or_status()?;
+        let grid = required("grid", request.grid)?;
+        let bytes = grid.encoded_len();
+        if bytes > GRID_BYTES {
+            let allowed = format!("at most {GRID_BYTES} are allowed: give tables at fewer points");
+            return Err(to_status(&Invalid::new("grid", format!("{bytes} bytes"), allowed)));
+        }
+        let grid = Grid::try_from(grid).map_err(|e| e.within("grid")).or_status()?;
         let priority = priority(request.priority).or_status()?;
         let farm = self.farm.clone();
         let status = detached(async move { farm.submit(&by, name, grid, priority).await }).await?;
@@ -49,12 +55,11 @@ impl Dictionaries for Context {
     async fn list(&self, request: Request<ListRequest>) -> Result<Response<ListResponse>, Status> {
         let request = request.into_inner();
         let most = page_size(request.page_size, DICTIONARIES, DICTIONARIES);
-        let (page, last) =
-            self.farm.statuses(DictionaryId(page_token(&request.page_token).or_status()?), most);
-        Ok(Response::new(ListResponse {
-            dictionaries: page.iter().map(Into::into).collect(),
-            next_page_token: last.map(|id| id.0.to_string()).unwrap_or_default(),
-        }))
+        let after = DictionaryId(page_token(&request.page_token).or_status()?);
+        let statuses = self.farm.statuses(after, most + 1);
+        let encoded = statuses.iter().map(|(id, status)| (id.0, Dictionary::from(status)));
+        let (dictionaries, next_page_token) = page(encoded, most);
+        Ok(Response::new(ListResponse { dictionaries, next_page_token }))
     }
 
     async fn list_failed(
@@ -65,14 +70,9 @@ impl Dictionaries for Context {
         let name = DictionaryName::new(request.name).or_status()?;
         let most = page_size(request.page_size, 100, FAILED);
         let from = u32::try_from(page_token(&request.page_token).or_status()?).unwrap_or(u32::MAX);
-        // One additional job shows whether there are others.
-        let mut failed = self.farm.failed_jobs(&name, from, most + 1)?;
-        let next = failed.get(most).map(|failed| failed.job.to_string());
-        failed.truncate(most);
-        Ok(Response::new(ListFailedResponse {
-            failed: failed.into_iter().map(Into::into).collect(),
-            next_page_token: next.unwrap_or_default(),
-        }))
+        let failed = self.farm.failed_jobs(&name, from, most + 1)?;
+        let (failed, next_page_token) = page(failed.into_iter().map(|f| (f.job + 1, f.into())), most);
+        Ok(Response::new(ListFailedResponse { failed, next_page_token }))
     }
 
     async fn pause(&self, request: Request<PauseRequest>) -> Result<Response<Dictionary>, Status> {
@@ -148,7 +148,7 @@ impl Dictionaries for Context {
         let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let watch = self.farm.watch(name)?;
-        Ok(Response::new(self.stream(&by, 1, watch, |status| (&status).into())?))
+        Ok(Response::new(self.stream(&by, watch, |status| (&status).into())?))
     }
 
     type WatchJobsStream = Outgoing<JobStates>;
@@ -160,7 +160,7 @@ impl Dictionaries for Context {
         let by = actor(request.extensions());
         let name = DictionaryName::new(request.into_inner().name).or_status()?;
         let watch = self.farm.watch_jobs(&name)?;
-        Ok(Response::new(self.stream(&by, 1, watch, |run| JobStates::new(run.first, &run.states))?))
+        Ok(Response::new(self.stream(&by, watch, |run| JobStates::new(run.first, &run.states))?))
     }
 
     type ExportStream = Outgoing<Record>;
@@ -171,7 +171,7 @@ impl Dictionaries for Context {
         let name = DictionaryName::new(request.name).or_status()?;
         let export = self.farm.export(name, request.first as usize, &request.indices)?;
         let promised = export.promised;
-        let mut response = Response::new(self.stream(&by, EXPORT_QUEUE, export, Into::into)?);
+        let mut response = Response::new(self.stream(&by, export, Into::into)?);
         response.metadata_mut().insert(RECORDS_PROMISED, promised.into());
         Ok(response)
     }

@@ -11,7 +11,7 @@ use optics_model::{Invalid, PHYSICS_VERSION};
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use super::page::{page_size, page_token};
+use super::page::{page, page_size, page_token};
 use super::status::OrStatus;
 use crate::dispatch::PERIOD;
 use crate::store::StoredEvent;
@@ -63,10 +63,8 @@ impl Farm for Context {
             return Err(to_status(&Invalid::new("page_token", "a long text", allowed)));
         }
         let most = page_size(request.page_size, PAGE, PAGE);
-        let workers = self.farm.workers(&WorkerId(request.page_token), most);
-        let full = workers.len() == most;
-        let next_page_token = workers.last().filter(|_| full).map(|w| w.id.0.clone()).unwrap_or_default();
-        let workers = workers.into_iter().map(Into::into).collect();
+        let workers = self.farm.workers(&WorkerId(request.page_token), most + 1);
+        let (workers, next_page_token) = page(workers.into_iter().map(|w| (w.id.0.clone(), w.into())), most);
         Ok(Response::new(ListWorkersResponse { workers, next_page_token }))
     }
 

@@ -36,6 +36,7 @@ impl Leases for Context {
         request: Request<RegisterRequest>,
     ) -> Result<Response<RegisterResponse>, Status> {
         let machine = machine(request.extensions());
+        self.limits.register(&machine)?;
         let request = request.into_inner();
         if request.host.len() > HOST_BYTES {
             let given = format!("{} bytes", request.host.len());

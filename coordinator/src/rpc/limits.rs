@@ -1,80 +1,63 @@
-//! Limits the cores for fits, in [`turns`](crate::turns), and the streams of all calls together and of each caller.
+//! The quotas of calls: cores for fits, streams, and registrations of workers.
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tonic::Status;
 
-use crate::turns::{Core, Turns};
+use crate::quota::{Held, Limit, Quota};
+use crate::stored::Machine;
 
-/// Largest number of streams that are watched or exported.
-const STREAMS: usize = 1024;
-/// Largest number of streams of one client's token, so that others can open some, too.
-const STREAMS_OF_ONE: usize = 256;
+/// Largest number of fits that wait for a core, in addition to those that have one, and of those of one token.
+const WAITING: u64 = 256;
+const WAITING_OF_ONE: u64 = 64;
+/// Largest number of streams that are watched or exported, and of those of one token, so that others can open some, too.
+const STREAMS: u64 = 1024;
+const STREAMS_OF_ONE: u64 = 256;
+/// Workers that one machine may register at once, and in each second after that. Each registration is written to the disk.
+const REGISTRATIONS: u64 = 1000;
+const REGISTRATIONS_IN_A_SECOND: f64 = 10.0;
 
-/// Limits that all calls share.
+/// Limits that all calls share. Those of one token are for callers that share under this name, which is empty for those
+/// without a share.
 #[derive(Debug, Clone)]
 pub(super) struct Limits {
-    fits: Arc<Turns>,
-    streams: Arc<Semaphore>,
-    /// Number of streams by the name of the token.
-    streams_of: Arc<Mutex<HashMap<String, usize>>>,
-}
-
-/// The place of a stream, until it is dropped.
-#[derive(Debug)]
-pub(super) struct StreamPlace {
-    _place: OwnedSemaphorePermit,
-    caller: String,
-    streams_of: Arc<Mutex<HashMap<String, usize>>>,
-}
-
-impl Drop for StreamPlace {
-    fn drop(&mut self) {
-        let mut streams_of = self.streams_of.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = streams_of.get_mut(&self.caller) {
-            *count -= 1;
-            if *count == 0 {
-                streams_of.remove(&self.caller);
-            }
-        }
-    }
+    cores: Arc<Quota>,
+    /// Number of cores.
+    most: u64,
+    waiting: Arc<Quota>,
+    streams: Arc<Quota>,
+    registrations: Arc<Quota>,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let again = "try again later";
         Self {
-            fits: Arc::new(Turns::new(cores)),
-            streams: Arc::new(Semaphore::new(STREAMS)),
-            streams_of: Arc::default(),
+            cores: Quota::new("cores", again),
+            most: std::thread::available_parallelism().map_or(1, usize::from) as u64,
+            waiting: Quota::new("waiting fits", again),
+            streams: Quota::new("open streams", "end some"),
+            registrations: Quota::refilled(REGISTRATIONS_IN_A_SECOND, "registrations at once", again),
         }
     }
 }
 
 impl Limits {
-    /// Waits for a core for a fit, in the turn of the callers that share under this name (empty for those without a
-    /// share); refused if too many wait.
-    pub(super) async fn fit(&self, caller: &str) -> Result<Core, Status> {
-        self.fits.core(caller).await
+    /// Waits for a core for a fit; refused if too many wait. One token leaves a core to others, if there are several.
+    pub(super) async fn fit(&self, caller: &str) -> Result<Held, Status> {
+        let _waits = self.waiting.hold(Limit::shared(caller, WAITING_OF_ONE, WAITING), 1)?;
+        let own = self.most.saturating_sub(1).max(1);
+        Ok(self.cores.wait(Limit::shared(caller, own, self.most), 1).await)
     }
 
-    /// A place for a stream of the callers that share under this name (empty for those without a share); refused if
-    /// there are too many.
-    pub(super) fn stream(&self, caller: &str) -> Result<StreamPlace, Status> {
-        let place = self.streams.clone().try_acquire_owned().map_err(|_| {
-            Status::resource_exhausted(format!("{STREAMS} streams are open already: try again later"))
-        })?;
-        let mut streams_of = self.streams_of.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = streams_of.entry(caller.to_owned()).or_default();
-        if *count == STREAMS_OF_ONE && !caller.is_empty() {
-            let why = format!("{STREAMS_OF_ONE} streams of this token ({caller}) are open already: end some");
-            return Err(Status::resource_exhausted(why));
-        }
-        *count += 1;
-        let streams_of = self.streams_of.clone();
-        Ok(StreamPlace { _place: place, caller: caller.to_owned(), streams_of })
+    /// A place for a stream; refused if there are too many.
+    pub(super) fn stream(&self, caller: &str) -> Result<Held, Status> {
+        Ok(self.streams.hold(Limit::shared(caller, STREAMS_OF_ONE, STREAMS), 1)?)
+    }
+
+    /// Counts the registration of a worker.
+    pub(super) fn register(&self, machine: &Machine) -> Result<(), Status> {
+        Ok(self.registrations.spend(&[Limit::new(machine.identity(), REGISTRATIONS)], 1)?)
     }
 }
 
@@ -82,20 +65,41 @@ impl Limits {
 mod tests {
     use super::*;
 
-    /// One token may have a limited number of open streams, and a stream that ends makes room.
-    #[test]
-    fn one_token_leaves_streams_for_others() {
-        let limits = Limits::default();
-        let mut of_bob: Vec<_> = (0..STREAMS_OF_ONE).map(|_| limits.stream("bob").unwrap()).collect();
+    /// One token leaves streams, cores and places to others.
+    #[tokio::test]
+    async fn one_token_leaves_calls_for_others() {
+        let limits = Limits { most: 2, ..Limits::default() };
+        let of_bob: Vec<_> = (0..STREAMS_OF_ONE).map(|_| limits.stream("bob").unwrap()).collect();
         let refused = limits.stream("bob").unwrap_err();
-        assert_eq!(refused.message(), "256 streams of this token (bob) are open already: end some");
-        let of_alice = limits.stream("alice").unwrap();
-        of_bob.pop();
-        of_bob.push(limits.stream("bob").unwrap());
-        drop((of_bob, of_alice));
-        assert!(limits.streams_of.lock().unwrap().is_empty());
-        let all: Vec<_> = (0..STREAMS).map(|_| limits.stream("").unwrap()).collect();
-        assert!(limits.stream("alice").unwrap_err().message().starts_with("1024 streams are open"));
-        drop(all);
+        assert_eq!(refused.message(), "256 open streams are allowed for bob, of which 0 are left: end some");
+        let _of_alice = limits.stream("alice").unwrap();
+        drop(of_bob);
+        let _of_admins: Vec<_> = (1..STREAMS).map(|_| limits.stream("").unwrap()).collect();
+        assert!(limits.stream("alice").unwrap_err().message().contains("allowed for all callers"));
+
+        let _core = limits.fit("bob").await.unwrap();
+        let waits = || {
+            let limits = limits.clone();
+            tokio::spawn(async move { limits.fit("bob").await })
+        };
+        let waiting: Vec<_> = (0..WAITING_OF_ONE).map(|_| waits()).collect();
+        tokio::task::yield_now().await;
+        assert!(
+            limits.fit("bob").await.unwrap_err().message().contains("64 waiting fits are allowed for bob")
+        );
+        let _other = limits.fit("alice").await.unwrap();
+        assert!(waiting.iter().all(|fit| !fit.is_finished()));
+    }
+
+    /// One machine registers a thousand workers at once, and few after that; others are not affected.
+    #[tokio::test(start_paused = true)]
+    async fn registrations_of_a_machine_are_limited() {
+        let limits = Limits::default();
+        let [mallory, alice] = ["10.0.0.1", "10.0.0.2"].map(Machine::at);
+        let registered = |machine| (0..7000).filter(|_| limits.register(machine).is_ok()).count() as u64;
+        assert_eq!(registered(&mallory), REGISTRATIONS);
+        assert_eq!(registered(&alice), REGISTRATIONS);
+        tokio::time::advance(std::time::Duration::from_secs(20)).await;
+        assert_eq!(registered(&mallory), 200);
     }
 }

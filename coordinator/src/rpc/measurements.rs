@@ -11,7 +11,7 @@ use prost::Message as _;
 use tonic::{Request, Response, Status};
 
 use super::Context;
-use super::page::{page_size, page_token};
+use super::page::{page, page_size, page_token};
 use super::status::OrStatus;
 use super::text::{lines, one_line, short_line};
 use crate::actor::Actor;
@@ -35,10 +35,8 @@ impl Measurements for Context {
             before => before,
         };
         let most = page_size(request.page_size, USUAL_PAGE, PAGE);
-        let found = self.farm.measurements(before, most as u32).await?;
-        let last = found.last().filter(|_| found.len() == most);
-        let next_page_token = last.map(|last| last.number.to_string()).unwrap_or_default();
-        let measurements = found.into_iter().map(summary).collect();
+        let found = self.farm.measurements(before, most as u32 + 1).await?;
+        let (measurements, next_page_token) = page(found.into_iter().map(|m| (m.number, summary(m))), most);
         Ok(Response::new(ListMeasurementsResponse { measurements, next_page_token }))
     }
 

@@ -6,6 +6,7 @@ use tonic::{Code, Status};
 
 use crate::dispatch::DispatchError;
 use crate::farm::FarmError;
+use crate::store::StoreError;
 
 impl From<FarmError> for Status {
     fn from(error: FarmError) -> Self {
@@ -27,11 +28,9 @@ impl From<FarmError> for Status {
             | FarmError::WrongState { .. }
             | FarmError::OtherVersion { .. } => Code::FailedPrecondition,
             FarmError::Stopping => Code::Unavailable,
-            FarmError::Overdue(_) | FarmError::Slow(_) => Code::DeadlineExceeded,
             FarmError::TooLarge { .. }
-            | FarmError::TooMany { .. }
-            | FarmError::ManyDictionaries { .. }
-            | FarmError::ManyMeasurements { .. }
+            | FarmError::Quota(_)
+            | FarmError::Store(StoreError::LittleRoom { .. })
             | FarmError::Dispatch(DispatchError::ManyWorkers { .. }) => Code::ResourceExhausted,
             FarmError::Damaged { .. } => Code::DataLoss,
             FarmError::Unreadable { .. } => {

@@ -139,14 +139,12 @@ impl Store {
         content(&mut connection, id).await
     }
 
-    /// Number of measurements that an owner keeps.
-    pub async fn measurements_of(&self, owner: &str) -> Result<usize> {
-        let (count,): (i64,) = sqlx::query_as("SELECT count(*) FROM measurements WHERE owner = ?")
-            .bind(owner)
-            .fetch_one(&self.read)
-            .await
-            .map_err(doing(READING))?;
-        Ok(count as usize)
+    /// Number of measurements that an owner keeps, and the bytes of their contents.
+    pub async fn measurements_of(&self, owner: &str) -> Result<(u64, u64)> {
+        let select = "SELECT count(*), coalesce(sum(length(content)), 0) FROM measurements WHERE owner = ?";
+        let (count, bytes): (i64, i64) =
+            sqlx::query_as(select).bind(owner).fetch_one(&self.read).await.map_err(doing(READING))?;
+        Ok((count as u64, bytes as u64))
     }
 
     /// Replaces what is given.

@@ -4,14 +4,16 @@
 //! merged, SQLite reuses it from its beginning, and cuts it to [`LOG_BYTES`]. At a quiet time, it is emptied.
 //!
 //! The file keeps the pages of deleted rows for later rows. A `VACUUM` would return them in one operation of unknown
-//! length, which needs as much space again and blocks all writers meanwhile. So new databases use incremental
-//! auto-vacuum: SQLite moves the last pages to free places and cuts the file, a few pages at a time. Databases of earlier
-//! versions are converted by one `VACUUM` at a start, when no call is waiting, if more than half of them is free.
+//! length, which needs as much space again and blocks all writers meanwhile. So databases use incremental auto-vacuum:
+//! SQLite moves the last pages to free places and cuts the file, a few pages at a time.
 
 use sqlx::SqlitePool;
 
-use super::{Result, Store, doing};
+use super::{Result, Store, StoreError, doing};
 
+/// Room on the disk that is kept for results and deletions: this, or a part of a small disk.
+const FLOOR_BYTES: u64 = 1 << 30;
+const FLOOR_SHARE: u64 = 20;
 /// Size to which the log is cut when it begins again.
 pub(super) const LOG_BYTES: u64 = 64 << 20;
 /// Smaller logs are left as they are.
@@ -40,6 +42,18 @@ impl Store {
         Ok(())
     }
 
+    /// Refuses what would leave too little room on the disk after `more` bytes.
+    pub fn check_room(&self, more: u64) -> Result<()> {
+        let dir = self.dir.path();
+        let asked = rustix::fs::statvfs(dir).map_err(|error| StoreError::DataDir {
+            dir: dir.to_owned(),
+            what: "asking for the room on the disk",
+            source: error.into(),
+        })?;
+        let [free, all] = [asked.f_bavail, asked.f_blocks].map(|blocks| blocks * asked.f_frsize);
+        leaves_room(free, all, more)
+    }
+
     /// Merges the log into the file and empties it, if there is no reader at this moment.
     pub(super) async fn empty_log(&self) -> Result<()> {
         let what = doing("merging the log into the database");
@@ -62,20 +76,9 @@ impl Store {
     }
 }
 
-/// Converts a database of an earlier version to incremental auto-vacuum, if more than half of it is free.
-pub(super) async fn convert(writer: &SqlitePool) -> Result<()> {
-    let free = number(writer, "PRAGMA freelist_count").await?;
-    let pages = number(writer, "PRAGMA page_count").await?;
-    let can = number(writer, "PRAGMA auto_vacuum").await? == INCREMENTAL;
-    if can || free <= FEW || 2 * free <= pages {
-        return Ok(());
-    }
-    tracing::info!(free, pages, "giving back room on the disk");
-    // The file is cut when the log is merged.
-    if let Err(error) = sqlx::raw_sql("VACUUM; PRAGMA wal_checkpoint(TRUNCATE)").execute(writer).await {
-        tracing::warn!(%error, "the database could not be made smaller");
-    }
-    Ok(())
+fn leaves_room(free: u64, all: u64, more: u64) -> Result<()> {
+    let floor = FLOOR_BYTES.min(all / FLOOR_SHARE);
+    if free >= floor.saturating_add(more) { Ok(()) } else { Err(StoreError::LittleRoom { free, floor }) }
 }
 
 async fn number(pool: &SqlitePool, pragma: &'static str) -> Result<i64> {
@@ -89,9 +92,19 @@ mod tests {
     use tempfile::TempDir;
 
     use super::*;
-    use crate::store::tests::{empty, reopened, run};
+    use crate::store::tests::{empty, run};
 
     const MIB: u64 = 1 << 20;
+
+    /// Clients leave 1 GiB, or a twentieth of a small disk, to results and deletions.
+    #[test]
+    fn disk_keeps_room_for_results() {
+        let is_left = |free, all, more| leaves_room(free * MIB, all * MIB, more * MIB).is_ok();
+        assert!(is_left(1024, 1 << 20, 0) && !is_left(1023, 1 << 20, 0) && !is_left(1024, 1 << 20, 1));
+        assert!(is_left(60, 1000, 10) && !is_left(60, 1000, 11));
+        let refused = leaves_room(MIB, 100 * MIB, 0).unwrap_err().to_string();
+        assert!(refused.starts_with("the disk has 1 MB left, and 5 MB are kept"), "{refused}");
+    }
 
     /// A table of `mib` MiB.
     async fn fill(store: &Store, mib: u32) {
@@ -151,22 +164,6 @@ mod tests {
         run(&store, "CREATE TABLE one (a)").await;
         run(&store, "CREATE TABLE two (a)").await;
         assert!(size(&dir, "farm.db-wal") <= LOG_BYTES, "{} bytes", size(&dir, "farm.db-wal"));
-    }
-
-    /// A half-empty database of an earlier version is converted, so that it can shrink.
-    #[tokio::test]
-    async fn old_half_empty_file_is_converted() {
-        let (dir, store) = empty().await;
-        sqlx::raw_sql("PRAGMA auto_vacuum = 0; VACUUM").execute(&store.write).await.unwrap();
-        assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), 0);
-        fill(&store, 20).await;
-        run(&store, "DROP TABLE filler").await;
-        store.give_back_room().await.unwrap();
-        assert!(size(&dir, "farm.db") > 20 * MIB);
-        let store = reopened(store, &dir).await;
-        assert_eq!(number(&store.write, "PRAGMA auto_vacuum").await.unwrap(), INCREMENTAL);
-        store.give_back_room().await.unwrap();
-        assert!(size(&dir, "farm.db") < 5 * MIB, "{} bytes", size(&dir, "farm.db"));
     }
 
     /// A stop of the coordinator does not wait until a slow disk has taken the whole backup.

@@ -1,15 +1,16 @@
 //! Reads the coordinator's access file.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use secrecy::{ExposeSecret as _, SecretString};
 use serde::Deserialize;
+use tokio::sync::watch;
 use tonic::transport::{Certificate, Identity, Server, ServerTlsConfig};
 
 use crate::error::{AccessError, root_cause};
 use crate::tokens::{self, TokenTable, Tokens};
-use crate::{HANDSHAKE, file, pem};
+use crate::{HANDSHAKE, Role, file, pem};
 
 /// The coordinator's certificate, and the tokens that it accepts.
 ///
@@ -32,7 +33,7 @@ pub struct CoordinatorAccess {
     certificate: String,
     key: SecretString,
     client_ca: Option<String>,
-    tokens: RwLock<Arc<Tokens>>,
+    tokens: watch::Sender<Arc<Tokens>>,
     /// Digest of the file when it was last read. Times and sizes do not suffice: they can be set, and be the same.
     digest: Mutex<Option<blake3::Hash>>,
 }
@@ -68,7 +69,7 @@ impl CoordinatorAccess {
             certificate: fields.certificate,
             key: fields.key,
             client_ca: fields.client_ca,
-            tokens: RwLock::new(Arc::new(tokens)),
+            tokens: watch::Sender::new(Arc::new(tokens)),
             digest: Mutex::new(digest),
         };
         access.check_tls()?;
@@ -92,23 +93,32 @@ impl CoordinatorAccess {
 
     /// The tokens that it accepts now.
     pub fn tokens(&self) -> Arc<Tokens> {
-        self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.tokens.borrow().clone()
+    }
+
+    /// Ends when a token is not accepted for a role, or not any more.
+    pub async fn revoked(&self, token: blake3::Hash, role: Role) {
+        // The tokens exist as long as this does, so that the wait has no other end.
+        let _ = self.tokens.subscribe().wait_for(|tokens| !tokens.have(&token, role)).await;
     }
 
     /// Reads the file's tokens again, if it has changed since it was last read. Returns whether the tokens have
-    /// changed. A file that cannot be used changes nothing. Certificates are not read again: connections that were made
-    /// with them are open.
+    /// changed. A file that cannot be used changes nothing, and is an error as long as it is so. Certificates are not
+    /// read again: connections that were made with them are open.
     pub fn refresh(&self) -> Result<bool, AccessError> {
+        // Computed first, so that a file that changes meanwhile is read again; kept only once the file was read.
         let digest = file::digest(&self.path);
         let last = &mut *self.digest.lock().unwrap_or_else(PoisonError::into_inner);
-        if std::mem::replace(last, digest) == digest {
+        if digest.is_some() && *last == digest {
             return Ok(false);
         }
-        let tokens = read_fields(&self.path)?.1;
-        let mut current = self.tokens.write().unwrap_or_else(PoisonError::into_inner);
-        let changed = **current != tokens;
-        *current = Arc::new(tokens);
-        Ok(changed)
+        let tokens = Arc::new(read_fields(&self.path)?.1);
+        *last = digest;
+        Ok(self.tokens.send_if_modified(|current| {
+            let has_changed = *current != tokens;
+            *current = tokens;
+            has_changed
+        }))
     }
 
     fn check_tls(&self) -> Result<(), AccessError> {
@@ -206,9 +216,9 @@ mod tests {
         std::fs::write(file.path(), content(&format!("{first}{second}"))).unwrap();
         assert!(access.refresh().unwrap());
         assert_eq!(names(), ["a", "b"]);
-        // A file that is no access file changes nothing, and is reported once.
+        // A file that is no access file changes nothing, and is an error as long as it is there.
         std::fs::write(file.path(), "half a fi").unwrap();
-        assert!(access.refresh().is_err() && !access.refresh().unwrap());
+        assert!(access.refresh().is_err() && access.refresh().is_err());
         assert_eq!(names(), ["a", "b"]);
         std::fs::write(file.path(), content(&second)).unwrap();
         assert!(access.refresh().unwrap());
@@ -218,6 +228,25 @@ mod tests {
         file.as_file().set_modified(before).unwrap();
         assert!(access.refresh().unwrap());
         assert_eq!(names(), ["", "c"]);
+    }
+
+    /// A file that was refused for its mode is read once the mode is right: a revoked token does not stay.
+    #[tokio::test]
+    async fn revocation_counts_once_the_mode_is_right() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let (first, second) = (entry("worker", "a", TOKEN), entry("client", "b", &other(1)));
+        let file = private_file(&content(&format!("{first}{second}")));
+        let mode =
+            |mode| std::fs::set_permissions(file.path(), std::fs::Permissions::from_mode(mode)).unwrap();
+        let access = CoordinatorAccess::read(file.path()).unwrap();
+        let revoked = access.revoked(token_hash(TOKEN), Role::Worker);
+        mode(0o644);
+        std::fs::write(file.path(), content(&second)).unwrap();
+        assert!((0..3).all(|_| access.refresh().is_err()), "the error is repeated");
+        mode(0o600);
+        assert!(access.refresh().unwrap() && !access.refresh().unwrap());
+        assert_eq!(access.tokens().role_of(TOKEN), None);
+        revoked.await;
     }
 
     /// Files that other users can open are refused, with the remedy.

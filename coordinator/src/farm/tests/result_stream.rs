@@ -7,7 +7,7 @@ use farm_proto::lease::LeaseKey;
 use optics_model::Digest;
 
 use super::*;
-use crate::farm::result_budget::Reservation;
+use crate::farm::result_room::Taken;
 use crate::farm::{Header, Piece, Refusal};
 
 fn header(worker: &WorkerId, key: LeaseKey, identity: Digest) -> Piece {
@@ -53,17 +53,16 @@ async fn wait_for_memory_is_no_slowness() {
     let (farm, worker, _dir) = begun(0.0).await;
     let leases = farm.acquire_now(&worker, 1).unwrap().leases;
     let machine = Machine { token: "node1".to_owned(), address: "10.0.0.1".to_owned(), ..Machine::default() };
-    let others = farm.result_budget.stream(&machine.token, machine.identity());
-    let [mut share, mut overdraft] = [(); 2].map(|()| Reservation::default());
-    others.reserve(&mut share, 128 << 20).await;
-    others.reserve(&mut overdraft, 1).await;
+    let [mut share, mut overdraft] = [(); 2].map(|()| Taken::default());
+    farm.results.take(&machine, &mut share, 128 << 20).await;
+    farm.results.take(&machine, &mut overdraft, 1).await;
     tokio::time::pause();
     let (start, released) = (tokio::time::Instant::now(), tokio::sync::oneshot::channel());
     let (release, done) = released;
     tokio::spawn(async move {
         tokio::time::sleep(Duration::from_mins(10)).await;
         tokio::time::resume();
-        drop((share, overdraft, others));
+        drop((share, overdraft));
         release.send(()).unwrap();
     });
     let stream = tokio_stream::iter(pieces(&worker, &leases[0], 0.25).into_iter().map(Ok::<_, FarmError>));

@@ -34,7 +34,7 @@ async fn measurement_kept_again_is_the_newest() {
     assert_eq!(store.measurement_with_content("a").await.unwrap(), Some((all[0].clone(), b"3".to_vec())));
     store.keep_measurement(&kept("c", "", ""), b"").await.unwrap();
     assert_eq!(store.measurement("c").await.unwrap().unwrap().title, "white, cyan");
-    assert_eq!(store.measurements_of("alice").await.unwrap(), 3);
+    assert_eq!(store.measurements_of("alice").await.unwrap(), (3, 2));
     store.delete_measurement("a").await.unwrap();
     assert_eq!(store.measurement_content("a").await.unwrap(), None);
 }

@@ -150,19 +150,50 @@ fn integral(cosines: &[f64], values: &[f64], weight: impl Fn(f64) -> f64) -> f64
 /// Least angle in radians over which a peak falls to a third, on either side of it. Peaks below the value of isotropic
 /// scattering do not count.
 fn peak_width(angle_deg: &[f64], value: &[f64], isotropic: f64) -> f64 {
-    let falls = |i: usize| {
-        let low = |j: &usize| value[*j] < value[i] / 3.0;
-        let (before, after) = ((0..i).rfind(low), (i + 1..value.len()).find(low));
-        [before, after].into_iter().flatten().map(move |j| (angle_deg[j] - angle_deg[i]).abs())
+    let [back_angle, back_value] =
+        [angle_deg, value].map(|given| given.iter().rev().copied().collect::<Vec<_>>());
+    let sides = [(angle_deg, value), (&back_angle[..], &back_value[..])];
+    let widths = sides.into_iter().flat_map(|(angle, value)| {
+        let peaks = thirds(value).into_iter().enumerate().filter(move |(i, _)| value[*i] > isotropic);
+        peaks.filter_map(move |(i, low)| Some((angle[low?] - angle[i]).abs()))
+    });
+    widths.fold(180.0, f64::min).to_radians().min(1.0)
+}
+
+/// For each value the nearest of the earlier ones that is below a third of it.
+fn thirds(value: &[f64]) -> Vec<Option<usize>> {
+    // Indices of the values that are below all later ones: these rise.
+    let mut lows: Vec<usize> = Vec::new();
+    let nearest = |i: usize| {
+        let below = lows.partition_point(|low| value[*low] < value[i] / 3.0);
+        let nearest = below.checked_sub(1).map(|last| lows[last]);
+        while lows.pop_if(|low| value[*low] >= value[i]).is_some() {}
+        lows.push(i);
+        nearest
     };
-    let peaks = (0..value.len()).filter(|i| value[*i] > isotropic);
-    peaks.flat_map(falls).fold(180.0, f64::min).to_radians().min(1.0)
+    (0..value.len()).map(nearest).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::phase::PhaseFunction;
+
+    /// The nearest low value before each is the one that a search through all earlier ones finds, and the largest table is
+    /// made at once whatever its shape.
+    #[test]
+    fn largest_table_is_made_at_once() {
+        let ragged: Vec<f64> = (0..300_u64).map(|i| (i * i * 7919 % 1009) as f64).collect();
+        let low = |i: usize| (0..i).rfind(|j| ragged[*j] < ragged[i] / 3.0);
+        assert_eq!(thirds(&ragged), (0..ragged.len()).map(low).collect::<Vec<_>>());
+        let angles: Vec<f64> =
+            (0..MOST_ANGLES).map(|i| 180.0 * i as f64 / (MOST_ANGLES - 1) as f64).collect();
+        let values: Vec<f64> = (0..MOST_ANGLES).map(|i| 1.0 + 0.1 * (i % 2) as f64).collect();
+        // Searches through all values would take a hundred times as long as this test may.
+        for _ in 0..1000 {
+            PhaseTable::new(angles.clone(), values.clone()).unwrap();
+        }
+    }
 
     /// Henyey–Greenstein in steps of half a degree.
     fn tabulated(g: f64) -> PhaseTable {

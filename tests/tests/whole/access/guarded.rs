@@ -63,11 +63,13 @@ impl GuardedServer {
         }
         let stop = CancellationToken::new();
         let router = server
-            .add_service(tonic_health::server::health_reporter().1)
+            .add_service(tonic_health::server::health_reporter().1.max_decoding_message_size(4 << 10))
             .add_service(WhoCalled::<0>)
             .add_service(WhoCalled::<1>)
             .add_service(WhoCalled::<2>);
-        tokio::spawn(router.serve_with_incoming_shutdown(incoming, stop.clone().cancelled_owned()));
+        tokio::spawn(
+            router.serve_with_incoming_shutdown(incoming.into_stream(), stop.clone().cancelled_owned()),
+        );
         Self { address, connections, dir, _stop: stop.drop_guard() }
     }
 

@@ -96,3 +96,33 @@ async fn full_disk_acknowledges_nothing() {
     drop((worker, farm));
     drop(disk);
 }
+
+/// Clients leave room on the disk: dictionaries can be deleted, and results stored, when no more is taken.
+#[tokio::test(flavor = "multi_thread")]
+async fn clients_leave_room_on_the_disk() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let Some(disk) = Small::mount(data.clone(), "64m") else {
+        eprintln!("SKIPPED: only root may mount the small disk that this test needs");
+        return;
+    };
+    let farm = Farm::with_data(folder, data.clone(), &[]);
+    farm.submit("grid", crate::faults::GRID);
+    // Less than a twentieth of the disk is left.
+    std::fs::write(data.join("filler"), vec![7; 61 << 20]).unwrap();
+    std::fs::write(farm.path("grid.toml"), format!("{}seed = 2\n", crate::faults::GRID)).unwrap();
+    let (grid, copy) = (farm.path("grid.toml"), farm.path("copy.db"));
+    for refused in
+        [&["submit", grid.to_str().unwrap(), "--name", "more"], &["backup", copy.to_str().unwrap()][..]]
+    {
+        let ran = farm.farmctl(refused);
+        assert_eq!(ran.code, 1, "{refused:?}: {}", ran.stdout);
+        assert!(ran.stderr.contains("kept for results and deletions"), "{}", ran.stderr);
+    }
+    assert_eq!(farm.events("BACKUP_FAILED").len(), 1);
+    let worker = farm.worker("worker", &[]);
+    assert_eq!(farm.done("grid"), undisturbed(crate::faults::GRID));
+    assert_eq!(farm.farmctl(&["delete", "grid", "--yes"]).code, 0);
+    drop((worker, farm));
+    drop(disk);
+}

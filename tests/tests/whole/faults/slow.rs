@@ -12,6 +12,7 @@ use farm_tests::test_worker::on_wire;
 use http_body_util::StreamBody;
 use prost::Message;
 use tokio_stream::StreamExt;
+use tonic::{Code, Status};
 use tower::{Service, ServiceExt};
 
 use super::GRID;
@@ -26,8 +27,8 @@ walks = 5000
 derivatives = true
 ";
 
-/// A call that delivers a valid result byte by byte, and would take hours.
-async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
+/// A call that delivers a valid result byte by byte, and would take hours; returns its code.
+async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<Option<Code>> {
     let grid = farm_tests::grids::grid_of(GRID);
     let mut worker = farm.test_worker("slow").await.unwrap();
     let lease = worker.acquire(1).await.unwrap().remove(0);
@@ -48,12 +49,12 @@ async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<()> {
         .header("te", "trailers");
     let (mut link, request) = (farm.channel().await, request.body(body).unwrap());
     tokio::spawn(async move {
-        // The call ends with the coordinator.
-        let _ = link.ready().await.unwrap().call(request).await;
+        let answer = link.ready().await.unwrap().call(request).await.ok()?;
+        Status::from_header_map(answer.headers()).map(|status| status.code())
     })
 }
 
-/// Slow clients take little memory, and do not delay a stop.
+/// Slow clients take little memory, and do not delay a stop. A slow sender is not waited for, so that it holds no room.
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_clients_do_not_hinder_others() {
     let mut farm = Farm::start(&["--insecure", "--lease", "2"]);
@@ -82,6 +83,10 @@ async fn slow_clients_do_not_hinder_others() {
     let grown = farm.coordinator().usage().unwrap().peak_kib.saturating_sub(before);
     println!("36 slow clients: the coordinator grew by {} MiB at most", grown / 1024);
     assert!(grown < 512 << 10, "it grew by {grown} KiB");
+    for call in slow {
+        let ended = tokio::time::timeout(Duration::from_secs(20), call).await.expect("it is cut soon");
+        assert_eq!(ended.unwrap(), Some(Code::DeadlineExceeded));
+    }
     assert_eq!(farm.stop_coordinator(), 0, "it ends within 10 s");
-    drop((slow, unread, worker));
+    drop((unread, worker));
 }
