@@ -10,6 +10,7 @@ mod prints;
 mod slurm;
 #[cfg(test)]
 mod tests;
+mod web;
 
 use std::process::ExitCode;
 
@@ -18,7 +19,6 @@ use clap::{Parser, Subcommand};
 
 use crate::cli::Global;
 use crate::output::Output;
-use crate::web;
 pub(crate) use dictionaries::DictionaryDeleted;
 pub(crate) use fits::measure::NotKept;
 

@@ -170,23 +170,28 @@ impl MediaFile {
             format!("{}: `farmctl measure` writes it into the session's folder, or that of -o", place())
         })?;
         let json: serde_json::Value = serde_json::from_slice(&bytes).with_context(place)?;
+        Self::from_json(json).with_context(place)
+    }
+
+    /// The checked contents of a file.
+    pub fn from_json(json: serde_json::Value) -> Result<Self> {
         if json["format"] != FORMAT {
-            bail!("{}: its format is {}, not {FORMAT:?}", place(), json["format"]);
+            bail!("its format is {}, not {FORMAT:?}", json["format"]);
         }
-        let file: Self = serde_json::from_value(json).with_context(place)?;
+        let file: Self = serde_json::from_value(json)?;
         let sources = file.sources();
         if let Some(other) = file.set_up.iter().find(|s| s.shared.len() != sources) {
             let found = other.shared.len();
-            bail!("{}: set_up {}: it has {found} shared errors, others {sources}", place(), other.quantity);
+            bail!("set_up {}: it has {found} shared errors, others {sources}", other.quantity);
         }
         for (i, material) in file.materials.iter().enumerate() {
             if file.materials[..i].iter().any(|other| other.material == material.material) {
-                bail!("{}: material {:?} occurs twice", place(), material.material);
+                bail!("material {:?} occurs twice", material.material);
             }
             for channel in &material.channels {
                 channel
                     .check(sources)
-                    .with_context(|| format!("{}: {} {}", place(), material.material, channel.channel))?;
+                    .with_context(|| format!("{} {}", material.material, channel.channel))?;
             }
         }
         Ok(file)
