@@ -13,7 +13,8 @@ export type About = { farm: string; own: boolean; command: string; quantities: Q
 export type Board = { name: string; rho_light: number; rho_dark: number }[];
 
 export type Capture = { folder: string; report: string };
-export type OpenCapture = Checked & {
+export type OpenCapture = {
+  measurement: Checked;
   set_up: Record<string, number>;
   // Null without a white reference of known error.
   mu_std_error: number | null;

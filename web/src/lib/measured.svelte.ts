@@ -149,7 +149,7 @@ class Measured {
 
   #take(folder: string, capture: OpenCapture): void {
     [this.name, this.source, this.capture] = [folder, { capture: folder }, capture];
-    [this.materials, this.notes, this.board] = [capture.materials, capture.notes, capture.board];
+    [this.materials, this.notes, this.board] = [capture.measurement.materials, capture.measurement.notes, capture.board];
   }
 
   #openKept(id: string): Promise<void> {

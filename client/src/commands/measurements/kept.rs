@@ -206,7 +206,7 @@ fn head(kept: &KeptJson) -> String {
 }
 
 /// A kept measurement, checked.
-pub(crate) struct Kept {
+pub(crate) struct KeptAnswer {
     pub(crate) summary: KeptJson,
     pub(crate) request: MeasureRequest,
     pub(crate) materials: Vec<Measurement>,
@@ -216,7 +216,7 @@ pub(crate) struct Kept {
     pub(crate) grid: Grid,
 }
 
-impl TryFrom<KeptMeasurement> for Kept {
+impl TryFrom<KeptMeasurement> for KeptAnswer {
     type Error = anyhow::Error;
 
     fn try_from(kept: KeptMeasurement) -> Result<Self> {
@@ -233,7 +233,7 @@ impl TryFrom<KeptMeasurement> for Kept {
 }
 
 fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result<()> {
-    let Kept { summary, materials, found, options, grid, .. } = Kept::try_from(kept)?;
+    let KeptAnswer { summary, materials, found, options, grid, .. } = KeptAnswer::try_from(kept)?;
     let assumed = SetUp::default().with_given(options.settings()).assumed(&materials);
     if let Some(folder) = folder {
         measured::write_renderers(folder, &found)

@@ -1,6 +1,6 @@
 //! Answers `POST /ask/VERB`: the inputs of a verb as JSON give its answer as `--json` prints it.
 //!
-//! What the page alone needs has verbs here, too: lists of folders, the progress of a capture, files to save.
+//! Lists of folders, the progress of a capture and files to save are for the page alone.
 
 mod dictionary;
 mod files;

@@ -15,11 +15,8 @@ const MOST: usize = 80;
 const THICK_MM: f64 = 20.0;
 const IOR: f64 = 1.5;
 
-/// Radiance factors in red, green and blue, by material.
-pub(super) type Colours = BTreeMap<String, [f64; 3]>;
-
-/// The colours of materials that were measured in R, G and B.
-pub(super) fn colours(fits: &[MaterialFit]) -> Result<Colours> {
+/// Radiance factors in red, green and blue, by material, of those that were measured in R, G and B.
+pub(super) fn colours(fits: &[MaterialFit]) -> Result<BTreeMap<String, [f64; 3]>> {
     let with_media = fits.iter().filter_map(|fit| Some((fit.material.clone(), rgb(fit)?)));
     let with_media: Vec<_> = with_media.take(MOST).collect();
     let colour = |(name, [r, g, b]): (String, [Medium; 3])| {

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, anyhow, bail};
+use anyhow::{Context, Result, anyhow};
 use farm_lab::grid_file::{grid_of, named_grid, with_responses};
 use farm_lab::measurement_file::plain;
 use farm_lab::session_folder::SessionFolder;
@@ -93,25 +93,15 @@ pub(super) struct SimulateInputs {
     g: f64,
     thickness: f64,
     sample_ior: f64,
-    #[serde(default = "usual_walks")]
-    walks: u64,
 }
 
-/// Number of walks if none is given, and the largest.
+/// Number of walks.
 const WALKS: u64 = 50_000;
-const MOST_WALKS: u64 = 1_000_000;
 /// Not that of usual dictionaries, so that the simulation is independent of their records.
 const SEED: u64 = 20_171_127;
 
-fn usual_walks() -> u64 {
-    WALKS
-}
-
 pub(super) async fn simulate(state: &PageState, asked: SimulateInputs) -> Result<SimulateJson> {
-    let SimulateInputs { dictionary: name, sigma_t, albedo, g, thickness, sample_ior, walks } = asked;
-    if walks > MOST_WALKS {
-        bail!(Invalid::new("walks", walks, format!("at most {MOST_WALKS} are allowed")));
-    }
+    let SimulateInputs { dictionary: name, sigma_t, albedo, g, thickness, sample_ior } = asked;
     let medium = Medium::new(sigma_t, albedo, g)?;
     let point = TransportPoint::new(sigma_t, g, thickness, sample_ior)?;
     let connection = state.farm.connection().await?;
@@ -119,9 +109,9 @@ pub(super) async fn simulate(state: &PageState, asked: SimulateInputs) -> Result
     let asking = async { Ok(dictionaries.get(GetRequest { name }).await?) };
     let status = state.farm.answer(&connection, asking).await?.into_inner();
     let scene = DictionaryStatus::try_from(status)?.grid.scene().clone();
-    let job = JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(walks)?, SEED, false)?;
+    let job = JobSpec::new(scene, point, vec![medium.albedo()], Walks::new(WALKS)?, SEED, false)?;
     block_in_place(|| {
         let record = traced(&job)?.pop().context("the tracer returned no record")?;
-        Ok(SimulateJson::new(&JsonStyle { several: false, walks, seed: SEED }, &job, albedo, &record))
+        Ok(SimulateJson::new(&JsonStyle { several: false, walks: WALKS, seed: SEED }, &job, albedo, &record))
     })
 }

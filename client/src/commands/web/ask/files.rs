@@ -20,7 +20,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use super::PageState;
-use super::measure::{MapInputs, MeasureInputs, Measured, maps};
+use super::measure::{MapInputs, MeasureInputs, MeasuredAnswer, maps};
 use crate::answers::media_files;
 use crate::figure_files::{self, FigureSize, file_name};
 
@@ -61,7 +61,7 @@ struct ProfileInputs {
 
 /// The files that `farmctl measure -o` writes.
 pub(super) async fn media(state: &PageState, asked: MeasureInputs) -> Result<SavedFile> {
-    let measured = Measured::ask(state, asked).await?;
+    let measured = MeasuredAnswer::ask(state, asked).await?;
     block_in_place(|| {
         let mut files: BTreeMap<String, Vec<u8>> = BTreeMap::new();
         let mut add = |name: &str, text: String| files.insert(name.to_owned(), text.into_bytes());
@@ -83,7 +83,7 @@ pub(super) async fn figures(state: &PageState, asked: FigureInputs) -> Result<Sa
     let FigureInputs { format, verb } = asked;
     let (archive, pictures): (_, Vec<(String, Picture)>) = match verb {
         FigureVerb::Measure(asked) => {
-            let measured = Measured::ask(state, *asked).await?;
+            let measured = MeasuredAnswer::ask(state, *asked).await?;
             let figure = |fit: &MaterialFit| Ok((fit.material.clone(), fit_figure(fit)?));
             ("figures", measured.found.materials.iter().map(figure).collect::<Result<_>>()?)
         }
@@ -102,12 +102,13 @@ pub(super) async fn figures(state: &PageState, asked: FigureInputs) -> Result<Sa
     block_in_place(|| {
         let mut files = BTreeMap::new();
         for (name, picture) in pictures {
-            let numbers = (2..).map(|n| format!("{name}-{n}"));
-            let mut names = std::iter::once(name.clone()).chain(numbers);
-            let names = &mut names.by_ref().map(|name| format!("{}.{format}", file_name(&name)));
-            let free = names.find(|name| !files.contains_key(name)).context("numbers do not end")?;
-            let content = figure_files::content(&picture, Path::new(&free), FigureSize::default())?;
-            files.insert(free, content);
+            let mut file = format!("{}.{format}", file_name(&name));
+            // Names that differ in unsuitable signs alone become alike.
+            if files.contains_key(&file) {
+                file = format!("{}-{file}", files.len() + 1);
+            }
+            let content = figure_files::content(&picture, Path::new(&file), FigureSize::default())?;
+            files.insert(file, content);
         }
         saved(archive, files)
     })

@@ -7,7 +7,6 @@ use farm_figures::estimates::{self, EstimateRow, estimate_rows};
 use farm_figures::{ErrorBudget, error_budget};
 use farm_lab::capture::MeasureVerdict;
 use farm_lab::measurement_file::{self, MeasurementFile, Note, beyond_limits, read_measurements};
-use farm_lab::media_file::MediaFile;
 use farm_lab::mixture_file::mixtures_in;
 use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::{Assumed, Session, SetUp};
@@ -17,9 +16,10 @@ use optics_model::fit::{
 };
 use optics_model::{Grid, Invalid, Measurement, Scene};
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use tokio::task::block_in_place;
 
-use super::super::colours::{Colours, colours};
+use super::super::colours::colours;
 use super::{GivenFile, PageState};
 use crate::answers::{
     ChannelSummary, FitsReport, MeasureAnswer, Remark, SetUpJson, UsedOptions, all_remarks, common_text,
@@ -29,8 +29,8 @@ use crate::cli::OptionArgs;
 use crate::commands::fits::map::MaterialMap;
 use crate::commands::fits::measure::question::{Answer, Question, addressed, answered};
 use crate::commands::fits::measure::{Inputs, MeasureArgs};
-use crate::commands::measurements::check::{self, CheckJson};
-use crate::commands::measurements::kept::{Kept, KeptJson};
+use crate::commands::measurements::check;
+use crate::commands::measurements::kept::{KeptAnswer, KeptJson};
 use crate::connection::patient;
 use crate::measured;
 use crate::output::{envelope, sentence};
@@ -41,7 +41,7 @@ const EXAMPLE: &[u8] = include_bytes!("../../../../../examples/white.csv");
 /// The measurement of a question; the example if none is given.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Source {
+pub(super) struct GivenMeasurement {
     file: Option<GivenFile>,
     /// Folder of a capture, by its name in the list.
     capture: Option<String>,
@@ -55,7 +55,7 @@ pub(super) struct Source {
 #[derive(Debug, Deserialize)]
 pub(super) struct MeasureInputs {
     #[serde(flatten)]
-    source: Source,
+    source: GivenMeasurement,
     #[serde(flatten)]
     options: OptionArgs,
     mu: Option<f64>,
@@ -87,7 +87,7 @@ pub(super) struct MapInputs {
     paper: bool,
 }
 
-impl Source {
+impl GivenMeasurement {
     fn read(&self) -> Result<MeasurementFile> {
         match &self.file {
             Some(file) => measurement_file::read(&file.bytes()?),
@@ -96,8 +96,8 @@ impl Source {
     }
 }
 
-/// What is read from a file, as `farmctl check` prints it.
-pub(super) fn check(source: &Source) -> Result<String> {
+/// The contents of a file, as `farmctl check` prints them.
+pub(super) fn check(source: &GivenMeasurement) -> Result<String> {
     let mut file = source.read()?;
     file.notes.extend(beyond_limits(&file.materials));
     envelope("check", &check::data(&file))
@@ -107,52 +107,30 @@ pub(super) fn mixtures(file: &GivenFile) -> Result<Mixtures> {
     mixtures_in(&file.bytes()?, Path::new(&file.name))
 }
 
-/// A channel of a board.
-#[derive(Debug, Serialize)]
-struct BoardChannel {
-    name: String,
-    rho_light: f64,
-    rho_dark: f64,
-}
-
-fn board(channels: impl IntoIterator<Item = wire::Channel>) -> Vec<BoardChannel> {
+fn board(channels: impl IntoIterator<Item = wire::Channel>) -> Vec<Value> {
     let channel =
-        |wire::Channel { name, rho_light, rho_dark, .. }| BoardChannel { name, rho_light, rho_dark };
+        |c: wire::Channel| json!({ "name": c.name, "rho_light": c.rho_light, "rho_dark": c.rho_dark });
     channels.into_iter().map(channel).collect()
 }
 
-/// What is read from the folder of a capture: the measurement, its set-up and its dictionary.
-pub(super) fn open(state: &PageState, source: &Source) -> Result<String> {
-    #[derive(Serialize)]
-    struct OpenedJson<'a> {
-        #[serde(flatten)]
-        file: CheckJson<'a>,
-        set_up: SetUpJson<'a>,
-        /// Standard error of the scale factor by the session's white reference; null without one.
-        mu_std_error: Option<f64>,
-        dictionary: String,
-        /// Number of the dictionary's records, without those of responses.
-        records: usize,
-        /// Empty unless the dictionary is for all boards.
-        board: Vec<BoardChannel>,
-    }
+/// The contents of a capture's folder: the measurement, its set-up and its dictionary, with the board if that is for all
+/// boards, and the standard error of the scale factor by a white reference.
+pub(super) fn open(state: &PageState, source: &GivenMeasurement) -> Result<String> {
     let folder = state.captures.folder(source.capture.as_deref().unwrap_or_default())?;
     let inputs = Inputs::of(MeasureArgs::new(folder))?;
     let file = read_measurements(&inputs.measurements)?;
     let own = inputs.own.as_ref().context("a session has a dictionary")?;
     let session = inputs.folder.as_ref().map(SessionFolder::scene).transpose()?.flatten();
     let session = session.filter(|_| own.grid.scene().is_for_all_boards());
-    envelope(
-        "open",
-        &OpenedJson {
-            file: check::data(&file),
-            set_up: SetUpJson(inputs.options.settings()),
-            mu_std_error: inputs.set_up.mu_std_error(),
-            dictionary: own.name.to_string(),
-            records: own.grid.stored_records(),
-            board: board(session.iter().flat_map(Scene::channels).map(Into::into)),
-        },
-    )
+    let opened = json!({
+        "measurement": check::data(&file),
+        "set_up": SetUpJson(inputs.options.settings()),
+        "mu_std_error": inputs.set_up.mu_std_error(),
+        "dictionary": own.name.to_string(),
+        "records": own.grid.stored_records(),
+        "board": board(session.iter().flat_map(Scene::channels).map(Into::into)),
+    });
+    envelope("open", &opened)
 }
 
 /// A question that was read and checked.
@@ -213,7 +191,7 @@ impl Prepared {
 }
 
 /// A measurement with its answer.
-pub(super) struct Measured {
+pub(super) struct MeasuredAnswer {
     pub found: MeasureAnswer,
     pub grid: Grid,
     /// With dictionary and board.
@@ -228,7 +206,7 @@ pub(super) struct Measured {
     kept: Option<KeptJson>,
 }
 
-impl Measured {
+impl MeasuredAnswer {
     pub async fn ask(state: &PageState, mut asked: MeasureInputs) -> Result<Self> {
         if let Some(id) = &asked.source.kept {
             let kept = kept(state, id).await?;
@@ -257,8 +235,8 @@ impl Measured {
     }
 
     /// Its folder is that of a capture of this page.
-    fn of_kept(state: &PageState, kept: Kept) -> Result<Self> {
-        let Kept { summary, request, materials, found, options, grid } = kept;
+    fn of_kept(state: &PageState, kept: KeptAnswer) -> Result<Self> {
+        let KeptAnswer { summary, request, materials, found, options, grid } = kept;
         let folder = state.captures.folder(&summary.source).ok();
         let folder = folder.map(|folder| SessionFolder::open(&folder)).transpose()?;
         let session = folder.as_ref().and_then(SessionFolder::session);
@@ -297,40 +275,41 @@ impl Measured {
         self.file.notes.iter().chain(&self.notes).cloned().collect()
     }
 
-    fn json(&self, not_written: Option<String>) -> Result<String> {
+    /// `not_written` is the reason why the folder of the capture has no media of this answer.
+    fn json(&self, not_written: Option<&str>) -> Result<String> {
         let notes = self.all_notes();
         let media = || self.found.media_file(self.dictionary(), &self.grid);
-        let page = PageJson {
-            shown: ShownJson::new(self),
-            media: self.has_intervals().then(media),
-            colours: colours(&self.found.materials)?,
-            measurement: check::data(&self.file),
-            board: board(self.request.board.iter().cloned()),
-            kept: self.kept.as_ref(),
-            searches_mu: self.request.search_mu.is_some(),
-            free_g: !self.request.common_g,
-            not_written,
-        };
+        let page = json!({
+            "shown": ShownJson::new(self),
+            "media": self.has_intervals().then(media),
+            "colours": colours(&self.found.materials)?,
+            "measurement": check::data(&self.file),
+            "board": board(self.request.board.iter().cloned()),
+            "kept": self.kept.as_ref(),
+            "searches_mu": self.request.search_mu.is_some(),
+            "free_g": !self.request.common_g,
+            "not_written": not_written,
+        });
         envelope("measure", &MeasuredJson { answer: self.data(&notes), page })
     }
 }
 
 /// A measurement that is kept with the farm.
-pub(super) async fn kept(state: &PageState, id: &str) -> Result<Kept> {
+pub(super) async fn kept(state: &PageState, id: &str) -> Result<KeptAnswer> {
     let connection = state.farm.connection().await?;
     let mut measurements = connection.measurements();
     let asking = async { Ok(measurements.get(GetMeasurementRequest { id: id.to_owned() }).await?) };
     let kept = state.farm.answer(&connection, asking).await?;
-    block_in_place(|| Kept::try_from(kept.into_inner()))
+    block_in_place(|| KeptAnswer::try_from(kept.into_inner()))
 }
 
 /// Measures; an answer that is kept also goes into the folder of its capture.
 pub(super) async fn measure(state: &PageState, asked: MeasureInputs) -> Result<String> {
     let is_to_write = asked.keep.is_some();
-    let measured = Measured::ask(state, asked).await?;
+    let measured = MeasuredAnswer::ask(state, asked).await?;
     block_in_place(|| {
         let written = if is_to_write { measured.complete() } else { Ok(()) };
-        measured.json(written.err().as_ref().map(sentence))
+        measured.json(written.err().as_ref().map(sentence).as_deref())
     })
 }
 
@@ -373,25 +352,10 @@ pub(super) async fn maps(state: &PageState, asked: MapInputs) -> Result<Vec<Mate
 
 /// The answer of `measure`, with what the page shows of it.
 #[derive(Serialize)]
-struct MeasuredJson<'a, A> {
+struct MeasuredJson<A> {
     #[serde(flatten)]
     answer: A,
-    page: PageJson<'a>,
-}
-
-#[derive(Serialize)]
-struct PageJson<'a> {
-    shown: ShownJson,
-    /// Null without intervals.
-    media: Option<MediaFile>,
-    colours: Colours,
-    measurement: CheckJson<'a>,
-    board: Vec<BoardChannel>,
-    kept: Option<&'a KeptJson>,
-    searches_mu: bool,
-    free_g: bool,
-    /// The reason why the folder of the capture has no media of this answer.
-    not_written: Option<String>,
+    page: Value,
 }
 
 /// The answer in words, which are those of the terminal.
@@ -409,7 +373,7 @@ struct ShownJson {
 }
 
 impl ShownJson {
-    fn new(measured: &Measured) -> Self {
+    fn new(measured: &MeasuredAnswer) -> Self {
         let (common, fits) = (&measured.found.common, &measured.found.materials);
         let number = |channel: &ChannelFit| channel.refined.as_ref().map(ChannelSummary::of);
         let warning =

@@ -10,7 +10,7 @@ use tokio::task::block_in_place;
 
 use super::PageState;
 use super::measure::kept;
-use crate::commands::measurements::kept::Kept;
+use crate::commands::measurements::kept::KeptAnswer;
 use crate::output::envelope;
 use crate::prints::comparison::{Comparison, compared};
 use crate::prints::geometry::Geometry;
@@ -59,7 +59,7 @@ pub(super) async fn compare(state: &PageState, asked: &ComparedPair) -> Result<S
     }
     let (a, b) = (kept(state, &asked.a).await?, kept(state, &asked.b).await?);
     block_in_place(|| {
-        let media = |kept: &Kept| kept.found.media_file(&kept.request.dictionary, &kept.grid);
+        let media = |kept: &KeptAnswer| kept.found.media_file(&kept.request.dictionary, &kept.grid);
         let mut compared = compared(&media(&a), &media(&b))?;
         if profiles(&a).eq(profiles(&b)) {
             compared = compared.of_same_profiles();
@@ -70,7 +70,7 @@ pub(super) async fn compare(state: &PageState, asked: &ComparedPair) -> Result<S
 }
 
 /// The measured values.
-fn profiles(kept: &Kept) -> impl Iterator<Item = (&str, f64, &[f64])> {
+fn profiles(kept: &KeptAnswer) -> impl Iterator<Item = (&str, f64, &[f64])> {
     let profiles = kept.materials.iter().flat_map(Measurement::profiles);
     profiles.map(|profile| (profile.channel(), profile.thickness_mm(), profile.values()))
 }
