@@ -1,8 +1,8 @@
 import { svelte } from '@sveltejs/vite-plugin-svelte';
 import { defineConfig } from 'vite';
 
-// Fixed names, relative addresses, nothing within the HTML: the built page is part of the program (client/src/web), works
-// behind proxies, and its policy forbids inline scripts and styles.
+// Fixed names, relative addresses, nothing within the HTML: the built page is part of the program
+// (client/src/commands/web), works behind proxies, and its policy forbids inline scripts and styles.
 export default defineConfig({
   plugins: [svelte({ compilerOptions: { css: 'external' } })],
   base: './',

@@ -33,7 +33,7 @@ pub(crate) use inks::inks_text;
 pub(crate) use options::{MeasurementAnswer, SetUpJson, UsedOptions};
 pub(crate) use scale::{common_text, scale_text};
 pub(crate) use scene::low_scale;
-pub(crate) use summary::{ChannelSummary, NumberWithInterval, Remark, all_remarks};
+pub(crate) use summary::{ChannelSummary, Remark, all_remarks};
 pub(crate) use verdict::{medium_rows, verdict, verdict_text};
 
 /// Notes on the bands of a session and on its camera, which the residuals of one channel do not show.

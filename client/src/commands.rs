@@ -10,6 +10,7 @@ mod prints;
 mod slurm;
 #[cfg(test)]
 mod tests;
+mod web;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -19,7 +20,6 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::cli::{Global, help};
 use crate::output::Output;
-use crate::web;
 pub(crate) use dictionaries::DictionaryDeleted;
 pub(crate) use fits::measure::NotKept;
 

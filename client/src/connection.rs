@@ -95,7 +95,7 @@ pub(crate) fn in_plain_words(error: anyhow::Error, url: &str) -> anyhow::Error {
 }
 
 /// Whether a call failed because the coordinator is gone.
-fn is_gone(error: &anyhow::Error) -> bool {
+pub(crate) fn is_gone(error: &anyhow::Error) -> bool {
     error.chain().any(|cause| cause.downcast_ref().is_some_and(is_broken) || cause.is::<Unreachable>())
 }
 

@@ -43,8 +43,13 @@ pub(crate) fn check_path(path: &Path) -> Result<()> {
 
 /// Writes SVG, PNG or PDF, by the extension. The file is written atomically.
 pub(crate) fn write(picture: &Picture, path: &Path, size: FigureSize) -> Result<()> {
+    write_whole(path, &content(picture, path, size)?).with_context(|| format!("figure {}", path.display()))
+}
+
+/// The bytes of a file of SVG, PNG or PDF, by the extension of its path.
+pub(crate) fn content(picture: &Picture, path: &Path, size: FigureSize) -> Result<Vec<u8>> {
     let place = || format!("figure {}", path.display());
-    let bytes = match format_of(path)? {
+    Ok(match format_of(path)? {
         FileFormat::Svg => match size.width_mm {
             Some(width_mm) => picture.svg_of_width(width_mm),
             None => picture.svg(),
@@ -52,8 +57,7 @@ pub(crate) fn write(picture: &Picture, path: &Path, size: FigureSize) -> Result<
         .into_bytes(),
         FileFormat::Png => picture.png(size.width_mm, size.dpi).with_context(place)?,
         FileFormat::Pdf => picture.pdf(size.width_mm).with_context(place)?,
-    };
-    write_whole(path, &bytes).with_context(place)
+    })
 }
 
 fn format_of(path: &Path) -> Result<FileFormat> {

@@ -23,7 +23,6 @@ mod slurm;
 #[cfg(test)]
 mod testing;
 mod traced;
-mod web;
 
 use std::process::ExitCode;
 

@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use farm_link::{AccessError, CoordinatorAccess, LocalSocket, Tokens};
+use farm_link::{AccessError, CoordinatorAccess, LocalSocket, Role, Tokens};
 use tokio::net::{TcpListener, TcpSocket};
 use tonic::transport::ServerTlsConfig;
 

@@ -1,11 +1,10 @@
-//! Writes the descriptors of all services, those of the page included, to standard output, as input of client generators.
+//! Writes the descriptors of the services that the page calls to standard output, as input of client generators.
 
 use std::io::Write as _;
 
 use prost::Message as _;
 
-const FILES: [&str; 6] = [
-    "desk/v1/desk.proto",
+const FILES: [&str; 5] = [
     "farm/v1/dictionaries.proto",
     "farm/v1/fits.proto",
     "farm/v1/measurements.proto",

@@ -2,6 +2,7 @@
 //! source to improve first.
 
 use optics_model::fit::{ErrorSource, MaterialFit, Refined, SourceShare};
+use serde::Serialize;
 
 use crate::numbers::{interval, significant};
 
@@ -9,7 +10,7 @@ use crate::numbers::{interval, significant};
 const LEAST: f64 = 0.02;
 
 /// Error budgets of the channels whose medium the data determine, at least with g held.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ErrorBudget {
     pub channels: Vec<ChannelBudget>,
     /// The source with the largest share, and the remedy.
@@ -17,7 +18,7 @@ pub struct ErrorBudget {
 }
 
 /// The error budget of one channel's σ_t.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ChannelBudget {
     /// Material and channel, as `white R`.
     pub about: String,
@@ -134,7 +135,7 @@ fn remedy(source: ErrorSource) -> &'static str {
         ErrorSource::OtherChannels => {
             "better data of the other channels, or channels measured each on its own"
         }
-        ErrorSource::G => "give g if it is known (--g), or add slabs of other thicknesses (farmctl design)",
+        ErrorSource::G => "give g if it is known, or add slabs of other thicknesses (a design compares them)",
         ErrorSource::Unknown => "upgrade farmctl",
     }
 }

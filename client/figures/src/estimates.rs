@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use optics_model::fit::{MaterialFit, SceneEstimate};
 use optics_model::scene::Scope;
+use serde::Serialize;
 
 use crate::numbers::{minus, with_error};
 
@@ -13,7 +14,7 @@ pub const NOTE: &str = "the noise of the dictionary's responses makes errors of 
                         factor of up to 1.2 in tests, and 1.5 with three anisotropies only";
 
 /// Estimate and prior of one quantity, and the profiles that share it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct EstimateRow {
     /// For example `gel thickness`.
     pub quantity: String,

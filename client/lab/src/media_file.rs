@@ -164,14 +164,6 @@ impl MediaFile {
         }
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self> {
-        let json: serde_json::Value = serde_json::from_slice(bytes)?;
-        if json["format"] != FORMAT {
-            bail!("its format is {}, not {FORMAT:?}", json["format"]);
-        }
-        Ok(serde_json::from_value(json)?)
-    }
-
     /// The file of this path, or that in the folder of this path.
     pub fn read(path: &Path) -> Result<Self> {
         let path = if path.is_dir() { path.join(MEDIA_FILE) } else { PathBuf::from(path) };
@@ -179,24 +171,36 @@ impl MediaFile {
         let bytes = bounded_file::read(&path, LARGEST).with_context(|| {
             format!("{}: `farmctl measure` writes it into the session's folder, or that of -o", place())
         })?;
-        let file = or_other_kind(Self::parse(&bytes), &bytes, "media file").with_context(place)?;
+        or_other_kind(Self::parsed(&bytes), &bytes, "media file").with_context(place)
+    }
+
+    fn parsed(bytes: &[u8]) -> Result<Self> {
+        Self::from_json(serde_json::from_slice(bytes)?)
+    }
+
+    /// The checked contents of a file.
+    pub fn from_json(json: serde_json::Value) -> Result<Self> {
+        if json["format"] != FORMAT {
+            bail!("its format is {}, not {FORMAT:?}", json["format"]);
+        }
+        let file: Self = serde_json::from_value(json)?;
         let sources = file.sources();
         if let Some(other) = file.set_up.iter().find(|s| s.shared.len() != sources) {
             let found = other.shared.len();
-            bail!("{}: set_up {}: it has {found} shared errors, others {sources}", place(), other.quantity);
+            bail!("set_up {}: it has {found} shared errors, others {sources}", other.quantity);
         }
         if file.materials.len() > MOST_MATERIALS {
             let found = file.materials.len();
-            bail!("{}: it has {found} materials, {MOST_MATERIALS} are allowed", place());
+            bail!("it has {found} materials, {MOST_MATERIALS} are allowed");
         }
         for (i, material) in file.materials.iter().enumerate() {
             if file.materials[..i].iter().any(|other| other.material == material.material) {
-                bail!("{}: material {:?} occurs twice", place(), material.material);
+                bail!("material {:?} occurs twice", material.material);
             }
             for channel in &material.channels {
                 channel
                     .check(sources)
-                    .with_context(|| format!("{}: {} {}", place(), material.material, channel.channel))?;
+                    .with_context(|| format!("{} {}", material.material, channel.channel))?;
             }
         }
         Ok(file)

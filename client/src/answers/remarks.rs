@@ -46,7 +46,7 @@ fn unresolved(sigma_t: &Interval) -> String {
     }
     let (side, end) = if sigma_t.open_high { ("above", sigma_t.high) } else { ("below", sigma_t.low) };
     format!(
-        "unresolved: σ_t may lie {side} {} /mm, where the dictionary or --sigma-t ends; compute a wider dictionary, or \
+        "unresolved: σ_t may lie {side} {} /mm, where the dictionary or the given bound ends; compute a wider dictionary, or \
          give g",
         significant(end, 3)
     )

@@ -37,7 +37,7 @@ pub(crate) fn low_scale(common: &Common, fits: &[MaterialFit]) -> Option<String>
     let low =
         common.mu_chosen && common.mu + 2.0 * common.mu_std_error < LOW && estimate_rows(fits).is_empty();
     let warning = "the scale factor is low: if the dictionary's scene is one whose rough surfaces lose light, such as \
-                   `paper`, that light is the most likely cause, and σ_t and α are wrong; measure with `--dictionary lab`, \
-                   whose surfaces lose none";
+                   `paper`, that light is the most likely cause, and σ_t and α are wrong; measure with the dictionary \
+                   lab, whose surfaces lose none";
     low.then(|| warning.to_owned())
 }

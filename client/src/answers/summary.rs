@@ -2,18 +2,19 @@
 
 use farm_figures::numbers::{albedo, albedo_end, interval, significant};
 use optics_model::fit::{MaterialFit, Refined};
+use serde::Serialize;
 
 use super::remarks::{remarks, warnings};
 
 /// A number with its meaningful digits, and its interval of 95 %.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct NumberWithInterval {
     pub(crate) value: String,
     pub(crate) interval: String,
 }
 
 /// The numbers of a refined channel.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub(crate) struct ChannelSummary {
     pub(crate) reduced_scattering_per_mm: NumberWithInterval,
     pub(crate) absorption_per_mm: NumberWithInterval,
@@ -44,7 +45,7 @@ impl ChannelSummary {
 }
 
 /// A remark on some channels.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct Remark {
     /// Material and channel of each channel concerned.
     pub(crate) about: Vec<String>,

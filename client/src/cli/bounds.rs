@@ -1,11 +1,13 @@
-//! Parses bounds on the command line: `0.4`, `0.2..0.6`, `4..`, `..8`.
+//! Parses bounds, on the command line and of the page: `0.4`, `0.2..0.6`, `4..`, `..8`.
 
 use std::str::FromStr;
 
 use optics_model::fit::Bounds;
+use serde::Deserialize;
 
 /// One value or a range, as given.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(try_from = "String")]
 pub(crate) struct BoundsArg {
     min: Option<f64>,
     max: Option<f64>,
@@ -30,6 +32,14 @@ impl FromStr for BoundsArg {
                 Ok(Self { min: Some(value), max: Some(value) })
             }
         }
+    }
+}
+
+impl TryFrom<String> for BoundsArg {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        text.parse()
     }
 }
 

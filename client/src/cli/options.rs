@@ -3,12 +3,14 @@
 use clap::{Args, ValueEnum};
 use farm_lab::set_up::SetUp;
 use optics_model::fit::{FitSettings, MuRange, Objective, PhaseModel, Wavelet};
+use serde::Deserialize;
 
 use super::bounds::BoundsArg;
 use super::set_up::SetUpArgs;
 
-/// The options of all fits to a dictionary.
-#[derive(Debug, Args)]
+/// The options of all fits to a dictionary, on the command line and of the page.
+#[derive(Debug, Args, Deserialize)]
+#[serde(default)]
 pub(crate) struct OptionArgs {
     /// Dictionary to search [default: lab, else the only one but paper].
     #[arg(long, value_name = "NAME")]
@@ -38,6 +40,7 @@ pub(crate) struct OptionArgs {
     #[arg(long, default_value_t = 4, help_heading = OBJECTIVE)]
     pub(crate) level: u32,
     #[command(flatten)]
+    #[serde(flatten)]
     pub(crate) set_up: SetUpArgs,
 }
 
@@ -46,7 +49,8 @@ const MEDIUM: &str = "Bounds of the medium";
 pub(super) const OBJECTIVE: &str = "Objective of the fit";
 pub(super) const SEARCH: &str = "Search of the scale factor";
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub(crate) enum ObjectiveArg {
     /// Least distance after Eq. 1 of the paper, as if the set-up were perfect but for the scale factor.
     Paper,
@@ -54,7 +58,17 @@ pub(crate) enum ObjectiveArg {
     Likelihood,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+impl From<ObjectiveArg> for Objective {
+    fn from(arg: ObjectiveArg) -> Self {
+        match arg {
+            ObjectiveArg::Paper => Self::Paper,
+            ObjectiveArg::Likelihood => Self::Likelihood,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub(crate) enum PhaseArg {
     /// Two-term Henyey–Greenstein: all channels of a material share the weight of the second lobe, which is estimated
     /// if the dictionary's scene has one of uncertain weight, as `lab` has.
@@ -65,7 +79,8 @@ pub(crate) enum PhaseArg {
     Hg,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub(crate) enum WaveletArg {
     /// The quadratic spline.
     Spline,
@@ -106,10 +121,7 @@ impl OptionArgs {
                 PhaseArg::Hg => PhaseModel::HenyeyGreenstein,
             },
             level: self.level,
-            objective: self.objective.map(|objective| match objective {
-                ObjectiveArg::Paper => Objective::Paper,
-                ObjectiveArg::Likelihood => Objective::Likelihood,
-            }),
+            objective: self.objective.map(Into::into),
             sigma_t_per_mm: BoundsArg::check(self.sigma_t, "sigma_t_per_mm")?,
             albedo: BoundsArg::check(self.albedo, "albedo")?,
             g: BoundsArg::check(self.g, "g")?,

@@ -6,6 +6,7 @@ use clap::Args;
 use farm_lab::set_up::{ByChannel, Session, SetUp};
 use optics_model::quantities::Unit;
 use optics_model::with_quantities;
+use serde::Deserialize;
 
 /// Heading of the help.
 pub(crate) const SET_UP: &str = "Accuracy of the set-up";
@@ -13,10 +14,12 @@ pub(crate) const SET_UP: &str = "Accuracy of the set-up";
 macro_rules! arguments {
     ($($name:ident { $unit:ident, $default:literal, $range:tt, $form:ident, $label:literal, $help:literal })+) => {
         /// The set-up, as far as it is not that of single profiles.
-        #[derive(Debug, Default, Args)]
+        #[derive(Debug, Default, Args, Deserialize)]
+        #[serde(default)]
         pub(crate) struct SetUpArgs {
             /// Take the values below from a session file (JSON) where they are not given here.
             #[arg(long, value_name = "FILE", help_heading = SET_UP)]
+            #[serde(skip)]
             pub(crate) session: Option<PathBuf>,
             $(
                 #[arg(

@@ -4,17 +4,21 @@ use anyhow::{Result, bail};
 use clap::ValueEnum;
 use optics_model::Scene;
 use optics_model::scene::{Layer, LayerMedium, RingLight, Sensor};
+use serde::Deserialize;
 
 /// How a print is lit and seen.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum Geometry {
     /// The set-up of the measurement: its layers, ring and sensor; the base lies under its coat.
     Session,
     /// 45°a:0° (ISO 13655): a ring of 45° ± 5°, seen from above; the bare print lies on the base, with air between.
     #[value(name = "45:0")]
+    #[serde(rename = "45:0")]
     FortyFiveZero,
     /// di:8° (ISO 7724, CIE 15): light from everywhere, with the mirrored, seen at 8°; the bare print lies on the base.
     #[value(name = "d:8")]
+    #[serde(rename = "d:8")]
     DiffuseEight,
 }
 

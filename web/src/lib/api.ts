@@ -1,20 +1,19 @@
-// Clients of the farm's and the desk's services, by gRPC-Web on this page's server.
+// Clients of the farm's services, by gRPC-Web on this page's server.
 import { Code, ConnectError, createClient, type Interceptor } from '@connectrpc/connect';
 import { createGrpcWebTransport } from '@connectrpc/connect-web';
-import { Desk } from '../gen/desk/v1/desk_pb';
 import { Admin } from '../gen/farm/v1/admin_pb';
 import { Dictionaries } from '../gen/farm/v1/dictionaries_pb';
 import { Farm } from '../gen/farm/v1/farm_pb';
 import { Fits } from '../gen/farm/v1/fits_pb';
 import { Measurements } from '../gen/farm/v1/measurements_pb';
-import { link } from './link.svelte';
+import { ENTRANCE, SILENT } from './ask';
+import { Failure, link } from './link.svelte';
 
 // Updates on every answer whether the farm can be reached.
 const watchLink: Interceptor = (next) => async (request) => {
-  const of = request.service.typeName.startsWith('farm.') ? 'farm' : 'page';
   try {
     const answer = await next(request);
-    link.reached(of);
+    link.reached('farm');
     return answer;
   } catch (error) {
     const { code, metadata, rawMessage } = ConnectError.from(error);
@@ -22,10 +21,10 @@ const watchLink: Interceptor = (next) => async (request) => {
     const refused = code === Code.Unauthenticated && /^HTTP/.test(rawMessage);
     const silent = code === Code.Unknown || (code === Code.Unavailable && !metadata.has('grpc-status') && /^HTTP|fetch/i.test(rawMessage));
     if (request.signal.aborted || code === Code.Canceled) throw error;
-    if (refused) link.lost('page', 'open the address that farmctl web has printed');
-    else if (silent) link.lost('page', 'the server of this page does not answer');
+    if (refused) link.lost('page', ENTRANCE);
+    else if (silent) link.lost('page', SILENT);
     else if (code === Code.Unavailable) link.lost('farm', text(error));
-    else link.reached(of);
+    else link.reached('farm');
     throw error;
   }
 };
@@ -34,7 +33,6 @@ const watchLink: Interceptor = (next) => async (request) => {
 const baseUrl = new URL('.', window.location.href).href.replace(/\/$/, '');
 const transport = createGrpcWebTransport({ baseUrl, interceptors: [watchLink], defaultTimeoutMs: 300_000 });
 
-export const desk = createClient(Desk, transport);
 export const admin = createClient(Admin, transport);
 export const dictionaries = createClient(Dictionaries, transport);
 export const farm = createClient(Farm, transport);
@@ -43,9 +41,10 @@ export const kept = createClient(Measurements, transport);
 
 // The message of an error for users, as the server gave it.
 export function text(error: unknown): string {
+  if (error instanceof Failure) return error.message;
   const failure = ConnectError.from(error);
   if (failure.code === Code.Unavailable || failure.code === Code.Unknown) {
-    return failure.rawMessage && !/fetch/i.test(failure.rawMessage) ? failure.rawMessage : 'the server of this page does not answer';
+    return failure.rawMessage && !/fetch/i.test(failure.rawMessage) ? failure.rawMessage : SILENT;
   }
   return failure.rawMessage || 'something went wrong';
 }

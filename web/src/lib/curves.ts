@@ -1,11 +1,13 @@
 // The curves of one profile: measured values, the medium under the crosshair, and the best fit.
-import type { FitCurves, PixelRow, ProfileResponse, Wavelet } from '../gen/farm/v1/fits_pb';
+import type { PixelRow, ProfileResponse } from '../gen/farm/v1/fits_pb';
+import type { FitCurves } from './ask';
 import { banded, type Line } from './chart';
 import { COLORS, dash } from './colors';
 import { shownDerivative } from './wavelet';
 
 export type Curves = { x: ArrayLike<number>; lines: Line[] };
-type Slope = { wavelet: Wavelet; level: number };
+// Wavelet and level of a fit.
+type Slope = { wavelet: string; level: number };
 
 // Pixels per mm to which gradients of fits refer.
 const PER_MM = 360 / 10;
@@ -21,9 +23,9 @@ export function profileCurves(profile: ProfileResponse, fit: FitCurves | undefin
   const x = centresOf(profile);
   const measured = new Float64Array(x.length).fill(NaN);
   const row = profile.pixels;
-  fit?.xMm.forEach((at, i) => {
+  fit?.x_mm.forEach((at, i) => {
     const place = row ? Math.round((at - row.fromMm) / row.pitchMm - 0.5) : -1;
-    if (place >= 0 && place < x.length) measured[place] = factor * (fit.measured?.values[i] ?? NaN);
+    if (place >= 0 && place < x.length) measured[place] = factor * (fit.measured.values[i] ?? NaN);
   });
   const { values = [], stdErrors = [] } = profile.channels[0] ?? {};
   const lines: Line[] = [
@@ -35,17 +37,17 @@ export function profileCurves(profile: ProfileResponse, fit: FitCurves | undefin
 
 // Gradients on the pixels that the fit compared, since their smoothing depends on the pixels.
 export function gradientCurves(profile: ProfileResponse, fit: FitCurves, factor: number, slope: Slope): Curves {
-  const pitch = (fit.xMm.at(-1)! - fit.xMm[0]!) / (fit.xMm.length - 1);
-  const values = averages(profile, fit.xMm, pitch);
+  const pitch = (fit.x_mm.at(-1)! - fit.x_mm[0]!) / (fit.x_mm.length - 1);
+  const values = averages(profile, fit.x_mm, pitch);
   const own = shownDerivative(values, slope.wavelet, slope.level).map((v) => Math.abs(v) / pitch);
   const best = (fit.refined ?? fit.candidates[0])?.gradient ?? [];
   const lines: Line[] = [
-    { label: 'measured', color: COLORS[0], kind: 'dots', values: (fit.measured?.gradient ?? []).map((v) => v * PER_MM * factor) },
+    { label: 'measured', color: COLORS[0], kind: 'dots', values: fit.measured.gradient.map((v) => v * PER_MM * factor) },
     { label: 'this medium', color: COLORS[1], values: own },
     { label: 'best fit', color: COLORS[2], dash: dash(1), values: best.map((v) => v * PER_MM) },
   ];
   // Derivatives are half a pixel to the right of the pixels' centres.
-  return { x: fit.xMm.map((x) => x + pitch / 2), lines };
+  return { x: fit.x_mm.map((x) => x + pitch / 2), lines };
 }
 
 // Residuals of the best fit, which are over their errors: no factor applies.
@@ -54,9 +56,9 @@ export function residualCurves(fit: FitCurves): Curves {
     label: `${value < 0 ? '−' : '+'}2 σ`,
     color: COLORS[2],
     dash: dash(value < 0 ? 2 : 1),
-    values: fit.xMm.map(() => value),
+    values: fit.x_mm.map(() => value),
   });
-  return { x: fit.xMm, lines: [{ label: 'best fit', color: COLORS[0], kind: 'dots', values: fit.residuals }, level(-2), level(2)] };
+  return { x: fit.x_mm, lines: [{ label: 'best fit', color: COLORS[0], kind: 'dots', values: fit.residuals }, level(-2), level(2)] };
 }
 
 // Averages of a predicted profile over pixels with these centres, from its integral between its own pixels' edges.

@@ -1,27 +1,22 @@
-import { zipSync } from 'fflate';
-import type { File, Files } from '../gen/desk/v1/desk_pb';
+import type { SavedFile } from './ask';
 
-// Saves files as downloads. Browsers allow one download per click, so several files go into an archive of this name.
-export function save({ files }: Files, archive: string): void {
-  const [first, ...others] = files;
-  if (!first) return;
-  if (others.length === 0) offer(first.name, first.mediaType, first.content);
-  else offer(`${archive}.zip`, 'application/zip', zipSync(named(files)));
+export type GivenFile = { name: string; base64: string };
+
+// The content of a file as the page's server takes it.
+export function given(file: File): Promise<GivenFile> {
+  return new Promise((resolve, reject) => {
+    const reader = new FileReader();
+    // A data URL, whose content follows a comma; that of an empty file may have none.
+    reader.onload = () => resolve({ name: file.name, base64: String(reader.result).split(',')[1] ?? '' });
+    reader.onerror = () => reject(new Error(`${file.name} cannot be read as a file; if it is a capture's folder, choose it from the list`));
+    reader.readAsDataURL(file);
+  });
 }
 
-// Files by name; duplicate names get a number.
-function named(files: readonly File[]): Record<string, Uint8Array> {
-  const all: Record<string, Uint8Array> = {};
-  for (const { name, content } of files) {
-    let free = name;
-    for (let i = 2; free in all; i++) free = name.replace(/(\.[^.]*)?$/, `-${i}$1`);
-    all[free] = content;
-  }
-  return all;
-}
-
-function offer(name: string, type: string, content: Uint8Array): void {
-  const url = URL.createObjectURL(new Blob([content as BlobPart], { type }));
+// Saves a file as a download.
+export function save({ name, base64 }: SavedFile): void {
+  const type = name.endsWith('.svg') ? 'image/svg+xml' : 'application/octet-stream';
+  const url = URL.createObjectURL(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], { type }));
   const anchor = document.createElement('a');
   anchor.href = url;
   anchor.download = name;

@@ -1,6 +1,6 @@
 // Draws a map of distances: its cells and the lines between them.
 import { contours } from 'd3-contour';
-import type { DistanceMap } from '../gen/farm/v1/fits_pb';
+import type { DistanceMap } from './ask';
 import { near, NO_DATA } from './colors';
 import { cellAt, isNode, placeOf } from './nodes';
 import { albedo as albedoText, significant } from './numbers';
@@ -14,7 +14,7 @@ export const FARTHEST = 30;
 
 // The smallest distance over all layers.
 export function leastOf(map: DistanceMap): number {
-  return Math.max(1e-12, Math.min(...map.layers.map((layer) => layer.best?.error ?? Infinity)));
+  return Math.max(1e-12, Math.min(...map.layers.map((layer) => layer.best.error)));
 }
 
 export function colorOf(ratio: number): [number, number, number] {
@@ -24,8 +24,8 @@ export function colorOf(ratio: number): [number, number, number] {
 // Distances over the smallest, as in figures of farmctl and in Python: 1 − α to the right, σ_t up. Rows begin with the
 // greatest σ_t, columns with the greatest albedo.
 export function uprightOf(map: DistanceMap, layer: number, least: number): Float64Array {
-  const [rows, columns] = [map.sigmaTPerMm.length, map.albedo.length];
-  const errors = map.layers[layer]?.errors ?? [];
+  const [rows, columns] = [map.sigma_t_per_mm.length, map.albedo.length];
+  const errors = map.layers[layer]?.errors.flat() ?? [];
   return Float64Array.from({ length: rows * columns }, (_, i) => (errors[rows * columns - 1 - i] ?? NaN) / least);
 }
 
@@ -74,14 +74,14 @@ type Shown = { map: DistanceMap; layer: number; least: number; quantity: string 
 
 // The value of the cell at a point: with the cell's medium, or with the point itself and the record that it belongs to.
 export function cellText({ map, layer, least, quantity }: Shown, point: Point, own: boolean): string {
-  const s = cellAt(map.sigmaTPerMm, placeOf(map.sigmaTPerMm, point.sigmaT));
+  const s = cellAt(map.sigma_t_per_mm, placeOf(map.sigma_t_per_mm, point.sigmaT));
   const a = cellAt(map.albedo, placeOf(map.albedo, point.albedo));
-  const record = { sigmaT: map.sigmaTPerMm[s]!, albedo: map.albedo[a]! };
-  const error = map.layers[layer]?.errors[s * map.albedo.length + a] ?? NaN;
+  const record = { sigmaT: map.sigma_t_per_mm[s]!, albedo: map.albedo[a]! };
+  const error = map.layers[layer]?.errors[s]?.[a] ?? NaN;
   const ratio = `${quantity} ${significant(error)} (${significant(error / least)} × the smallest)`;
   const value = Number.isFinite(error) ? ratio : `no ${quantity}`;
   if (!own) return `${mediumText(record)}, ${value}`;
-  const isRecord = isNode(map.sigmaTPerMm, point.sigmaT) && isNode(map.albedo, point.albedo);
+  const isRecord = isNode(map.sigma_t_per_mm, point.sigmaT) && isNode(map.albedo, point.albedo);
   const from = isRecord ? '' : `; that of the record ${mediumText(record)}, g ${significant(map.layers[layer]?.g ?? 0)}`;
   return `${mediumText(point)}, ${value}${from}`;
 }

@@ -1,6 +1,6 @@
 // The farm's dictionaries, shared by the tabs.
 import { DictionaryState, type Dictionary } from '../gen/farm/v1/dictionaries_pb';
-import { PriorKind, type Channel, type Grid } from '../gen/farm/v1/model_pb';
+import { PriorKind } from '../gen/farm/v1/model_pb';
 import { dictionaries } from './api';
 
 export const STATES: Record<DictionaryState, string> = {
@@ -28,12 +28,6 @@ export async function listDictionaries(): Promise<Dictionary[]> {
 // Whether a dictionary is for all boards: questions about it need the board of a session.
 export function isForAllBoards(dictionary: Dictionary): boolean {
   return dictionary.grid?.scene?.channels[0]?.name === 'board 1';
-}
-
-// The grid of a question: that of its dictionary, over the board of the question if there is one.
-export function gridOver(grid: Grid | undefined, board: Channel[]): Grid | undefined {
-  if (!grid?.scene || board.length === 0) return grid;
-  return { ...grid, scene: { ...grid.scene, channels: board }, responses: grid.responses.map((r) => ({ ...r, channels: board })) };
 }
 
 // The documentation's example was rendered in the scene `paper`. Otherwise its dictionary is used only where it is named,

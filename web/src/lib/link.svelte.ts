@@ -17,3 +17,6 @@ class Link {
 }
 
 export const link = new Link();
+
+// An error of this page's server, whose message is for users.
+export class Failure extends Error {}

@@ -19,6 +19,12 @@ export function fixed(value: number, decimals: number): string {
   return Number(text) === 0 ? text.replace('-', '') : text.replace('-', '−');
 }
 
+// A number with its standard error, which has one digit.
+export function withError(value: number, stdError: number): string {
+  const decimals = Math.max(0, decimalsOf(stdError) - 1);
+  return `${fixed(value, decimals)} ± ${fixed(stdError, decimals)}`;
+}
+
 // An albedo with the digits that 1 − α needs.
 export function albedo(value: number): string {
   const co = 1 - value;

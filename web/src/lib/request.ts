@@ -1,85 +1,50 @@
-// Converts between the question of a measurement and the parameters of a link: words and ranges are those of `farmctl`.
-import type { MessageInitShape } from '@bufbuild/protobuf';
-import type { SetUpQuantity } from '../gen/desk/v1/desk_pb';
-import { Objective, PhaseModel, type Bounds, type FitOptions, type FitOptionsSchema, type MeasureRequest, type Mixture } from '../gen/farm/v1/fits_pb';
-import type { Channel, Measurement } from '../gen/farm/v1/model_pb';
+// Words and ranges of a question, which are those of `farmctl measure`, in the parameters of a link.
+import type { Measured, Quantity } from './ask';
 
-export type Options = Exclude<MessageInitShape<typeof FitOptionsSchema>, { $unknown?: unknown }>;
-// The question of a measurement; the scale factor is searched for with `searchMu`.
-export type MeasureQuestion = {
-  dictionary: string;
-  // Empty, unless the dictionary is for all boards.
-  board: Channel[];
-  materials: Measurement[];
-  options: Options;
-  commonG: boolean;
-  mixtures: Mixture[];
-  searchMu?: Record<string, never>;
-};
-export type Range = { min?: number; max?: number };
+// Phase functions by the words of `farmctl --phase` and those of its answers; the default is left out.
+export const PHASES: Record<string, string> = { 'per-channel': 'per_channel', hg: 'henyey_greenstein' };
 
-// Phase functions by the words of `farmctl --phase`, the default left out.
-export const PHASES: Record<string, PhaseModel> = {
-  'per-channel': PhaseModel.PER_CHANNEL,
-  hg: PhaseModel.HENYEY_GREENSTEIN,
-};
-
-// Parameters of the bounds, with the option of `farmctl` and the field of the request.
+// Parameters of the bounds of a medium, with the names of the options.
 export const BOUNDS = [
-  { parameter: 'within_sigma_t', option: '--sigma-t', field: 'sigmaTPerMm', label: 'σ_t [1/mm]', example: '4..8' },
-  { parameter: 'within_albedo', option: '--albedo', field: 'albedo', label: 'α', example: '0.9..' },
+  { parameter: 'within_sigma_t', option: 'sigma_t', label: 'σ_t [1/mm]', example: '4..8' },
+  { parameter: 'within_albedo', option: 'albedo', label: 'α', example: '0.9..' },
 ] as const;
 
-// A range such as 0.4, 0.2..0.6, 4.. or ..8; null if the text is none.
-export function rangeOf(text: string | null): Range | null {
-  if (!text) return null;
-  const [low = '', high = low] = text.split('..');
-  const number = (part: string): number | undefined => (part.trim() === '' ? undefined : Number(part));
-  const [min, max] = [number(low), number(high)];
-  if ([min, max].some((value) => value !== undefined && !Number.isFinite(value))) return null;
-  if (min === undefined && max === undefined) return null;
-  return { ...(min === undefined ? {} : { min }), ...(max === undefined ? {} : { max }) };
+// Whether a text is a range such as 0.4, 0.2..0.6, 4.. or ..8.
+export function isRange(text: string | null): text is string {
+  if (!text) return false;
+  const ends = text.split('..').map((end) => end.trim());
+  return ends.length <= 2 && ends.some((end) => end !== '') && ends.every((end) => Number.isFinite(Number(end)));
 }
 
-function textOf(bounds: Bounds | undefined): string | null {
-  if (!bounds || (bounds.min === undefined && bounds.max === undefined)) return null;
-  if (bounds.min === bounds.max) return String(bounds.min);
-  return `${bounds.min ?? ''}..${bounds.max ?? ''}`;
+function textOf({ min, max }: Measured['g_range']): string | null {
+  if (min === null && max === null) return null;
+  return min === max ? String(min) : `${min ?? ''}..${max ?? ''}`;
 }
 
-// The field of FitOptions of a quantity of the set-up.
-export function fieldOf(quantity: SetUpQuantity): keyof Options {
-  return quantity.name.replaceAll(/_(\w)/g, (_, letter: string) => letter.toUpperCase()) as keyof Options;
+// The option of `farmctl` for an input.
+export function optionOf(name: string): string {
+  return `--${name.replaceAll('_', '-')}`;
 }
 
-export function optionOf(quantity: SetUpQuantity): string {
-  return `--${quantity.name.replaceAll('_', '-')}`;
-}
-
-// The value of a quantity where the link has none: the session's, or the default.
-export function standardOf(quantity: SetUpQuantity, session: FitOptions | undefined): number {
-  const value = session?.[fieldOf(quantity) as 'gainStdError'];
-  return typeof value === 'number' ? value : quantity.default;
-}
-
-// The parameters of a link with which the page asks the same question.
+// The parameters of a link with which the page asks the question of an answer.
 export function parametersOf(
-  request: MeasureRequest,
-  quantities: readonly SetUpQuantity[],
-  session: FitOptions | undefined,
+  answer: Measured,
+  quantities: readonly Quantity[],
+  session: Record<string, number> | undefined,
 ): Record<string, string | number | null> {
-  const { options, searchMu, commonG, dictionary } = request;
   const parameters: Record<string, string | number | null> = {
-    dictionary,
-    mu: searchMu ? null : (options?.mu ?? 1),
-    held: commonG ? textOf(options?.g) : 'free',
-    objective: options?.objective === Objective.PAPER ? 'paper' : null,
-    phase: Object.entries(PHASES).find(([, phase]) => phase === options?.phase)?.[0] ?? null,
+    dictionary: answer.dictionary,
+    mu: answer.page.searches_mu ? null : answer.mu,
+    held: answer.page.free_g ? 'free' : textOf(answer.g_range),
+    objective: answer.objective === 'paper' ? 'paper' : null,
+    phase: Object.keys(PHASES).find((word) => PHASES[word] === answer.phase) ?? null,
+    within_sigma_t: textOf(answer.sigma_t_range),
+    within_albedo: textOf(answer.albedo_range),
   };
-  for (const { parameter, field } of BOUNDS) parameters[parameter] = textOf(options?.[field]);
-  for (const quantity of quantities) {
-    const value = standardOf(quantity, options);
-    parameters[quantity.name] = value === standardOf(quantity, session) ? null : value;
+  const used = answer as unknown as Record<string, number>;
+  for (const { name, default: usual } of quantities) {
+    parameters[name] = used[name] === (session?.[name] ?? usual) ? null : (used[name] ?? null);
   }
   return parameters;
 }

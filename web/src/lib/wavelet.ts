@@ -1,12 +1,11 @@
 // The derivative of a profile by an undecimated wavelet transform, as the fit shows it (optics/fit, dictionary/gradient).
-import { Wavelet } from '../gen/farm/v1/fits_pb';
 
 const R = Math.SQRT2;
 const HAAR = { low: [1 / R, 1 / R], high: [-1 / R, 1 / R], scale: 4 };
 const SPLINE = { low: [R / 8, (3 * R) / 8, (3 * R) / 8, R / 8], high: [-2 * R, 2 * R], scale: 1 };
 
 // Derivative per sample at i + 1/2, right also at the ends: the profile is continued beyond them by point reflection.
-export function shownDerivative(f: number[], wavelet: Wavelet, level: number): number[] {
+export function shownDerivative(f: number[], wavelet: string, level: number): number[] {
   const beyond = Math.min(4 << level, f.length - 1);
   const line = Math.min(1 << level, beyond);
   const before = carriedOn(f.toReversed(), beyond, line).reverse();
@@ -14,10 +13,10 @@ export function shownDerivative(f: number[], wavelet: Wavelet, level: number): n
 }
 
 // The chord between the ends is subtracted before, and its slope added afterwards.
-export function derivative(f: number[], wavelet: Wavelet, level: number): number[] {
+export function derivative(f: number[], wavelet: string, level: number): number[] {
   const n = f.length;
   const slope = (f[n - 1]! - f[0]!) / (n - 1);
-  const { low, high, scale } = wavelet === Wavelet.HAAR ? HAAR : SPLINE;
+  const { low, high, scale } = wavelet === 'haar' ? HAAR : SPLINE;
   let y = f.map((v, i) => v - f[0]! - slope * i);
   for (let stage = 1; stage <= level; stage++) y = convolved(y, stage < level ? low : high, 1 << (stage - 1));
   const offset = Math.ceil((y.length - n) / 2);

@@ -1,7 +1,7 @@
 //! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
 //! folder of a session.
 
-mod question;
+pub(crate) mod question;
 #[cfg(test)]
 mod tests;
 
@@ -15,6 +15,7 @@ use farm_lab::session_folder::SessionFolder;
 use farm_lab::set_up::SetUp;
 use farm_proto::DictionaryName;
 use farm_proto::wire::{Keep, MeasureRequest};
+use optics_model::Measurement;
 use optics_model::fit::{FitOptions, FitSettings, Mixtures, MuRange, Objective};
 
 use super::chosen_dictionary::{self, WantedDictionary};
@@ -43,7 +44,7 @@ pub(crate) struct MeasureArgs {
     /// was interrupted.
     measurements: PathBuf,
     #[command(flatten)]
-    options: OptionArgs,
+    pub(crate) options: OptionArgs,
     /// Take this scale factor instead of searching for it.
     #[arg(
         long,
@@ -52,7 +53,7 @@ pub(crate) struct MeasureArgs {
         conflicts_with_all = ["mu_min", "mu_max", "mu_step"],
         help_heading = SET_UP
     )]
-    mu: Option<f64>,
+    pub(crate) mu: Option<f64>,
     /// Standard error of that factor.
     #[arg(
         long,
@@ -71,7 +72,7 @@ pub(crate) struct MeasureArgs {
     mixtures: Option<PathBuf>,
     /// Let every channel have its own anisotropy; without this, and without --g, those of a material are one.
     #[arg(long, conflicts_with = "g")]
-    free_g: bool,
+    pub(crate) free_g: bool,
     /// Standard deviation of ln(1 − g) of a material about the mean of all; 0 for one g of all materials [default:
     /// estimated from the data].
     #[arg(long, value_name = "SPREAD", allow_negative_numbers = true, conflicts_with_all = ["g", "free_g"])]
@@ -93,7 +94,7 @@ pub(crate) struct MeasureArgs {
     /// Draw profiles and gradients with their fits, one figure per material, and media over wavelength where channels are
     /// wavelengths: FILE.svg, FILE.png or FILE.pdf.
     #[arg(long, value_name = "FILE")]
-    plot: Option<PathBuf>,
+    pub(crate) plot: Option<PathBuf>,
     #[command(flatten)]
     figure: FigureArgs,
 }
@@ -123,19 +124,19 @@ impl MeasureArgs {
 /// The validated inputs of a measurement.
 #[derive(Debug)]
 pub(crate) struct Inputs {
-    measurements: PathBuf,
+    pub(crate) measurements: PathBuf,
     /// The session whose folder is given.
-    folder: Option<SessionFolder>,
-    set_up: SetUp,
-    options: FitOptions,
+    pub(crate) folder: Option<SessionFolder>,
+    pub(crate) set_up: SetUp,
+    pub(crate) options: FitOptions,
     /// `None` if the scale factor is given.
     search_mu: Option<MuRange>,
     common_g: bool,
     g_spread: Option<f64>,
     g_change: Option<f64>,
-    dictionary: Option<String>,
+    pub(crate) dictionary: Option<String>,
     /// The dictionary of the session's set-up, unless another was named.
-    own: Option<WantedDictionary>,
+    pub(crate) own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
     keep: Option<Keep>,
@@ -190,6 +191,20 @@ impl Inputs {
             plot: args.plot,
         })
     }
+
+    /// The request about these materials, without dictionary, board and texts to keep.
+    pub(crate) fn request(&self, materials: &[Measurement], mixtures: Option<&Mixtures>) -> MeasureRequest {
+        MeasureRequest {
+            materials: materials.iter().map(Into::into).collect(),
+            options: Some((&self.options).into()),
+            search_mu: self.search_mu.map(Into::into),
+            common_g: self.common_g,
+            g_spread: self.g_spread,
+            g_change: self.g_change,
+            mixtures: mixtures.into_iter().flat_map(Mixtures::all).map(Into::into).collect(),
+            ..MeasureRequest::default()
+        }
+    }
 }
 
 /// Texts of a measurement that is kept: its file, and this command line.
@@ -233,22 +248,12 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     let assumed = inputs.set_up.assumed(&materials);
     let materials = inputs.set_up.apply_to(materials)?;
     let is_kept = inputs.keep.is_some();
-    let request = MeasureRequest {
-        dictionary: String::new(),
-        materials: materials.iter().map(Into::into).collect(),
-        options: Some((&inputs.options).into()),
-        search_mu: inputs.search_mu.map(Into::into),
-        common_g: inputs.common_g,
-        g_spread: inputs.g_spread,
-        g_change: inputs.g_change,
-        keep: inputs.keep,
-        mixtures: mixtures.iter().flat_map(Mixtures::all).map(Into::into).collect(),
-        board: Vec::new(),
-    };
+    let mut request = inputs.request(&materials, mixtures.as_ref());
+    request.keep = inputs.keep;
     let session = inputs.folder.as_ref().map(SessionFolder::scene).transpose()?.flatten();
     let record = inputs.folder.as_ref().map(SessionFolder::record).transpose()?;
     let asked = Question { given: inputs.dictionary.as_ref(), session: session.as_ref(), request };
-    let Answer { dictionary, grid, mut found, notes: of_dictionary } =
+    let Answer { dictionary, grid, mut found, notes: of_dictionary, .. } =
         ask(global, inputs.own, &asked).await?;
     output.notes(&of_dictionary, &inputs.measurements);
     notes.extend(of_dictionary);

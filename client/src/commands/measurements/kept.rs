@@ -99,9 +99,9 @@ pub(crate) struct KeptJson {
     id: String,
     kept: String,
     owner: String,
-    title: String,
+    pub(crate) title: String,
     note: String,
-    source: String,
+    pub(crate) source: String,
     command: String,
     dictionary: String,
     materials: Vec<String>,
@@ -205,16 +205,35 @@ fn head(kept: &KeptJson) -> String {
     text
 }
 
+/// A kept measurement, checked.
+pub(crate) struct KeptAnswer {
+    pub(crate) summary: KeptJson,
+    pub(crate) request: MeasureRequest,
+    pub(crate) materials: Vec<Measurement>,
+    pub(crate) found: MeasureAnswer,
+    /// With the scale factor that was found.
+    pub(crate) options: FitOptions,
+    pub(crate) grid: Grid,
+}
+
+impl TryFrom<KeptMeasurement> for KeptAnswer {
+    type Error = anyhow::Error;
+
+    fn try_from(kept: KeptMeasurement) -> Result<Self> {
+        let summary = KeptJson::from(kept.summary.context("the coordinator sent no summary")?);
+        let request = kept.request.context("the coordinator sent no question")?;
+        let found = MeasureAnswer::try_from(kept.answer.context("the coordinator sent no answer")?)?;
+        let grid = Grid::try_from(kept.grid.context("the coordinator sent no grid")?)?;
+        let options = FitOptions::try_from(request.options.clone().unwrap_or_default())?;
+        let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
+        let materials = request.materials.iter().cloned().map(Measurement::try_from);
+        let materials = materials.collect::<Result<_, _>>()?;
+        Ok(Self { summary, request, materials, found, options, grid })
+    }
+}
+
 fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result<()> {
-    let summary = KeptJson::from(kept.summary.context("the coordinator sent no summary")?);
-    let (request, answer, grid) = (kept.request, kept.answer, kept.grid);
-    let MeasureRequest { materials, options, .. } = request.context("the coordinator sent no question")?;
-    let found = MeasureAnswer::try_from(answer.context("the coordinator sent no answer")?)?;
-    let grid = Grid::try_from(grid.context("the coordinator sent no grid")?)?;
-    let options = FitOptions::try_from(options.unwrap_or_default())?;
-    let options = options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    let materials: Vec<Measurement> =
-        materials.into_iter().map(Measurement::try_from).collect::<Result<_, _>>()?;
+    let KeptAnswer { summary, materials, found, options, grid, .. } = KeptAnswer::try_from(kept)?;
     let assumed = SetUp::default().with_given(options.settings()).assumed(&materials);
     if let Some(folder) = folder {
         measured::write_renderers(folder, &found)

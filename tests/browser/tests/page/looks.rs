@@ -65,7 +65,7 @@ async fn half_a_dictionary(browser: &Browser, name: &str) {
     let field = browser.css("form input[type=text]").await;
     field.clear().await.unwrap();
     field.send_keys(name).await.unwrap();
-    browser.pick("form select[name=noise]", "3").await;
+    browser.pick("form select[name=noise]", "fine").await;
     browser.shows("34,276 records in 836 jobs").await;
     browser.press("Compute").await;
     browser.shows(&format!("{name}: running")).await;

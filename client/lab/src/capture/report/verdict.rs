@@ -1,10 +1,12 @@
 //! Renders the verdict on a measurement, which stands first in a report.
 
+use serde::Serialize;
+
 use super::warning_list;
 use crate::page::{cards, escaped};
 
 /// A measurement in words.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize)]
 pub struct MeasureVerdict {
     pub sentences: Vec<String>,
     pub precision: Vec<PrecisionRow>,
@@ -15,7 +17,7 @@ pub struct MeasureVerdict {
 }
 
 /// How well a material is known.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize)]
 pub struct PrecisionRow {
     pub material: String,
     /// Half-widths of the 95 % intervals of σ_s(1 − g), σ_a, σ_t and g: the median over channels, and the greatest.

@@ -3,7 +3,7 @@
 use anyhow::{Result, bail};
 use farm_lab::measurement_file::Note;
 use farm_proto::status::DictionaryStatus;
-use farm_proto::wire::{GetRequest, MeasureRequest};
+use farm_proto::wire::{self, GetRequest, MeasureRequest};
 use optics_model::fit::FitOptions;
 use optics_model::scene::Channel;
 use optics_model::{Grid, Scene};
@@ -13,11 +13,11 @@ use crate::cli::Global;
 use crate::commands::dictionaries::submit;
 use crate::commands::fits::chosen_dictionary::{self, Chosen, WantedDictionary};
 use crate::commands::fits::dictionary_notes;
-use crate::connection::{Purpose, patient, with_farm};
+use crate::connection::{Connection, Purpose, patient, with_farm};
 use crate::interrupt::{Interrupted, interrupted};
 
 /// A measurement to fit, and the dictionary it is fitted with.
-pub(super) struct Question<'a> {
+pub(crate) struct Question<'a> {
     /// The named dictionary.
     pub given: Option<&'a String>,
     /// The session's scene, to compare with that of a named dictionary, and with its board.
@@ -42,8 +42,10 @@ impl Question<'_> {
     }
 }
 
-pub(super) struct Answer {
+pub(crate) struct Answer {
     pub dictionary: String,
+    /// The board of the question, if the dictionary is for all boards.
+    pub board: Vec<wire::Channel>,
     pub grid: Grid,
     pub found: Box<MeasureAnswer>,
     /// On the dictionary.
@@ -89,30 +91,50 @@ async fn ask_once(
                 Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
             }
         };
-        let get = GetRequest { name: dictionary.clone() };
-        let status = connection.dictionaries().get(get).await?.into_inner();
-        let stored = DictionaryStatus::try_from(status)?.grid;
-        let board = question.board(&dictionary, &stored)?;
-        let request = MeasureRequest {
-            dictionary: dictionary.clone(),
-            board: board.iter().map(Into::into).collect(),
-            ..question.request.clone()
-        };
-        let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
-        let named = question.session.filter(|_| question.given.is_some());
-        let other = named.and_then(|s| dictionary_notes::other_scene(&dictionary, s, grid.scene()));
-        let options = FitOptions::try_from(question.request.options.clone().unwrap_or_default())?;
-        let unused = dictionary_notes::unused_quantities(&dictionary, grid.scene(), options.settings());
-        let few = dictionary_notes::few_walks(&dictionary, &grid);
-        let notes = other.into_iter().chain(unused).chain(few).collect();
-        let mut fits = connection.fits_of("materials", &request.materials)?;
-        let found = tokio::select! {
+        tokio::select! {
             biased;
             // The computation has installed signal handlers, so signals do not end the process by themselves any more.
-            () = interrupted(), if wanted.is_some() => return Err(Interrupted.into()),
-            found = fits.measure(patient(request)) => found?.into_inner(),
-        };
-        Ok(Asked::Answered(Answer { dictionary, grid, found: Box::new(found.try_into()?), notes }))
+            () = interrupted(), if wanted.is_some() => Err(Interrupted.into()),
+            answer = answered(connection, dictionary, question) => Ok(Asked::Answered(answer?)),
+        }
     })
     .await
+}
+
+/// Asks a complete dictionary.
+pub(crate) async fn answered(
+    connection: &Connection,
+    dictionary: String,
+    question: &Question<'_>,
+) -> Result<Answer> {
+    let (request, grid) = addressed(connection, dictionary, question).await?;
+    let (dictionary, board) = (request.dictionary.clone(), request.board.clone());
+    let named = question.session.filter(|_| question.given.is_some());
+    let other = named.and_then(|s| dictionary_notes::other_scene(&dictionary, s, grid.scene()));
+    let options = FitOptions::try_from(request.options.clone().unwrap_or_default())?;
+    let unused = dictionary_notes::unused_quantities(&dictionary, grid.scene(), options.settings());
+    let few = dictionary_notes::few_walks(&dictionary, &grid);
+    let notes = other.into_iter().chain(unused).chain(few).collect();
+    let mut fits = connection.fits_of("materials", &request.materials)?;
+    let found = fits.measure(patient(request)).await?.into_inner();
+    Ok(Answer { dictionary, board, grid, found: Box::new(found.try_into()?), notes })
+}
+
+/// The request to a dictionary with the board of the question, and the dictionary's grid over that board.
+pub(crate) async fn addressed(
+    connection: &Connection,
+    dictionary: String,
+    question: &Question<'_>,
+) -> Result<(MeasureRequest, Grid)> {
+    let get = GetRequest { name: dictionary.clone() };
+    let status = connection.dictionaries().get(get).await?.into_inner();
+    let stored = DictionaryStatus::try_from(status)?.grid;
+    let board = question.board(&dictionary, &stored)?;
+    let request = MeasureRequest {
+        dictionary,
+        board: board.iter().map(Into::into).collect(),
+        ..question.request.clone()
+    };
+    let grid = if board.is_empty() { stored } else { stored.over_boards(board)? };
+    Ok((request, grid))
 }

@@ -4,7 +4,7 @@ use std::future::ready;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::{Path, Request, State};
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderName, LOCATION, REFERRER_POLICY, SET_COOKIE,
     X_CONTENT_TYPE_OPTIONS,
@@ -12,15 +12,13 @@ use axum::http::header::{
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{Html, IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use tokio::net::TcpListener;
 use tonic_web::GrpcWebLayer;
 use tower::Layer as _;
 
-use super::api::desk_server::DeskServer;
+use super::ask::{PageState, ask};
 use super::assets::asset;
-use super::desk::DeskService;
-use super::farm::FarmAccess;
 use super::forward::Forward;
 use super::gate::{PageGate, RequestRefusal, token_of};
 use super::listen;
@@ -36,8 +34,7 @@ const FORWARDED: [&str; 5] = ["Dictionaries", "Fits", "Measurements", "Farm", "A
 #[derive(Debug)]
 pub(super) struct Server {
     pub gate: Arc<PageGate>,
-    pub farm: Arc<FarmAccess>,
-    pub desk: Arc<DeskService>,
+    pub state: Arc<PageState>,
 }
 
 impl Server {
@@ -49,17 +46,16 @@ impl Server {
     }
 
     fn routes(self) -> Router {
-        // Messages are not limited: measurements may be as large as for the commands of this process.
-        let desk = DeskServer::from_arc(Arc::clone(&self.desk)).max_decoding_message_size(usize::MAX);
-        let web = GrpcWebLayer::new();
+        let (web, farm) = (GrpcWebLayer::new(), Arc::clone(&self.state.farm));
         let mut router = Router::new()
             .route("/", get(|request: Request| ready(file("", &request))))
             .route("/{name}", get(|Path(name): Path<String>, request: Request| ready(file(&name, &request))))
             .route("/captures/{number}/{name}", get(capture_file))
-            .with_state(self.desk)
-            .route_service("/desk.v1.Desk/{method}", web.layer(desk));
+            // Inputs are not limited: measurements may be as large as for the commands of this process.
+            .route("/ask/{verb}", post(ask).layer(DefaultBodyLimit::disable()))
+            .with_state(self.state);
         for service in FORWARDED {
-            let forward = web.layer(Forward(Arc::clone(&self.farm)));
+            let forward = web.layer(Forward(Arc::clone(&farm)));
             router = router.route_service(&format!("/farm.v1.{service}/{{method}}"), forward);
         }
         router
@@ -108,9 +104,9 @@ fn file(name: &str, request: &Request) -> Response {
 }
 
 async fn capture_file(
-    State(desk): State<Arc<DeskService>>,
+    State(state): State<Arc<PageState>>,
     Path((number, name)): Path<(String, String)>,
 ) -> Response {
-    let file = desk.captures.file(&number, &name).await;
+    let file = state.captures.file(&number, &name).await;
     file.unwrap_or_else(|| StatusCode::NOT_FOUND.into_response())
 }

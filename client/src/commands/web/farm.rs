@@ -13,7 +13,7 @@ use tonic::body::Body;
 use tonic::codegen::Service;
 
 use crate::cli::Global;
-use crate::connection::{Connection, Purpose};
+use crate::connection::{Connection, Purpose, is_gone};
 
 /// Pause before the next check whether calls have ended.
 const LOOK_AGAIN: Duration = Duration::from_millis(10);
@@ -76,6 +76,27 @@ impl FarmAccess {
                 self.lost(&connection).await;
                 Err(status)
             }
+        }
+    }
+
+    /// The answer of the farm to a question of this program, which ends with the page.
+    pub async fn answer<T>(
+        &self,
+        connection: &Arc<Connection>,
+        asking: impl Future<Output = Result<T>>,
+    ) -> Result<T> {
+        let answer = tokio::select! {
+            answer = asking => answer,
+            () = self.closing.cancelled() => return Err(ending().into()),
+        };
+        match answer {
+            Err(error) if is_gone(&error) => {
+                let status = error.chain().find_map(|cause| cause.downcast_ref::<Status>());
+                let reason = status.and_then(|status| failure(status, connection.address()));
+                self.lost(connection).await;
+                Err(reason.map_or_else(|| gone(connection), Status::unavailable).into())
+            }
+            answer => answer,
         }
     }
 

@@ -3,36 +3,59 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use farm_lab::capture;
 use optics_model::Invalid;
-use tonic::Status;
+use serde::{Deserialize, Serialize};
 
-use super::api::{CaptureProgressResponse, StartCaptureRequest};
 use super::captures::{Captures, session_files};
 use crate::output::{INTERNAL_ERROR, sentence};
+
+/// Inputs of `farmctl capture`.
+#[derive(Debug, Deserialize)]
+pub(super) struct CaptureInputs {
+    /// A session file of the list.
+    session: String,
+    /// Name of the folder to write, in the working directory.
+    folder: String,
+}
+
+#[derive(Debug, Clone, Default, Serialize)]
+pub(super) struct CaptureProgress {
+    /// Empty if none was started.
+    session: String,
+    /// The present step, and the share of photographs that are read.
+    step: String,
+    share: f64,
+    is_running: bool,
+    /// Folder that was written, as in the list; empty before the end and after an error.
+    folder: String,
+    /// Shots to retake, and other doubts.
+    warnings: Vec<String>,
+    /// Empty if there is none.
+    error: String,
+}
 
 /// The capture that was started last.
 #[derive(Debug, Default)]
 pub(super) struct CaptureRun {
-    progress: Arc<Mutex<CaptureProgressResponse>>,
+    progress: Arc<Mutex<CaptureProgress>>,
 }
 
 impl CaptureRun {
-    pub fn progress(&self) -> CaptureProgressResponse {
+    pub fn progress(&self) -> CaptureProgress {
         lock(&self.progress).clone()
     }
 
     /// Starts a session unless another one is running; its folder is added to `captures` at the end.
-    pub fn start(&self, request: StartCaptureRequest, captures: Arc<Captures>) -> Result<(), Status> {
-        let StartCaptureRequest { session, folder } = request;
-        let (path, folder) =
-            checked(&session, &folder).map_err(|e| Status::invalid_argument(e.to_string()))?;
+    pub fn start(&self, asked: CaptureInputs, captures: Arc<Captures>) -> Result<()> {
+        let CaptureInputs { session, folder } = asked;
+        let (path, folder) = checked(&session, &folder)?;
         let mut now = lock(&self.progress);
         if now.is_running {
-            return Err(Status::failed_precondition("a capture is running: wait for its end"));
+            bail!("a capture is running: wait for its end");
         }
-        *now = CaptureProgressResponse { session, is_running: true, ..Default::default() };
+        *now = CaptureProgress { session, is_running: true, ..Default::default() };
         drop(now);
         tokio::spawn(run(path, folder, Arc::clone(&self.progress), captures));
         Ok(())
@@ -43,7 +66,7 @@ impl CaptureRun {
 async fn run(
     session: PathBuf,
     folder: PathBuf,
-    progress: Arc<Mutex<CaptureProgressResponse>>,
+    progress: Arc<Mutex<CaptureProgress>>,
     captures: Arc<Captures>,
 ) {
     let (steps, written_to) = (Arc::clone(&progress), folder.clone());
@@ -61,7 +84,7 @@ async fn run(
     }
 }
 
-fn lock(progress: &Mutex<CaptureProgressResponse>) -> MutexGuard<'_, CaptureProgressResponse> {
+fn lock(progress: &Mutex<CaptureProgress>) -> MutexGuard<'_, CaptureProgress> {
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 

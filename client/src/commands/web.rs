@@ -1,14 +1,15 @@
 //! Implements `farmctl web`: a page in the browser, for the farm that `farmctl` would connect to.
 //!
-//! One small server serves the page's files, forwards its calls to the farm (`forward`, `farm`), answers calls about
-//! local files itself (`desk`), and authenticates requests by a token (`gate`). The page's source is in `web/`.
+//! One small server serves the page's files, answers its questions as the other verbs do (`ask`), forwards its calls to the
+//! farm (`forward`, `farm`), and authenticates requests by a token (`gate`). The page's source is in `web/`.
 
+mod ask;
 mod assets;
 mod behind;
 mod browser;
 mod capture_run;
 mod captures;
-mod desk;
+mod colours;
 mod farm;
 mod forward;
 mod gate;
@@ -22,7 +23,9 @@ use std::sync::Arc;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_link::arguments::listen_address;
+use optics_model::quantities::Quantity;
 use serde::Serialize;
+use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use crate::cli::Global;
@@ -30,10 +33,10 @@ use crate::connection::Connection;
 use crate::interrupt::interrupted;
 use crate::output::Output;
 use crate::slurm::shell_quoted;
+use ask::PageState;
 use behind::Url;
 use capture_run::CaptureRun;
 use captures::Captures;
-use desk::DeskService;
 use farm::FarmAccess;
 use gate::PageGate;
 use server::Server;
@@ -57,12 +60,6 @@ pub(crate) struct WebArgs {
     /// Print the address only.
     #[arg(long)]
     no_browser: bool,
-}
-
-/// Generated from `proto/desk/v1/desk.proto`.
-#[expect(clippy::pedantic, clippy::allow_attributes, clippy::large_enum_variant, reason = "generated code")]
-mod api {
-    tonic::include_proto!("desk.v1");
 }
 
 /// The default address of the page.
@@ -92,11 +89,9 @@ pub(crate) async fn run(global: &Global, args: WebArgs, output: &Output) -> Resu
     };
     let url = format!("{origin}{}", gate.entrance());
     let about = about(global, &*farm.connection().await?);
-    let server = Server {
-        gate: Arc::new(gate),
-        farm: Arc::clone(&farm),
-        desk: Arc::new(DeskService { about, captures: Arc::new(captures), run: CaptureRun::default() }),
-    };
+    let (captures, run) = (Arc::new(captures), CaptureRun::default());
+    let state = PageState { farm: Arc::clone(&farm), about, captures, run };
+    let server = Server { gate: Arc::new(gate), state: Arc::new(state) };
     output.print("web", &WebJson { url: url.clone() }, || {
         format!("the page is at {url}\nwhoever has this address may do what farmctl may; Ctrl-C ends it")
     })?;
@@ -124,7 +119,8 @@ async fn listen(given: Option<SocketAddr>) -> Result<TcpListener> {
     }
 }
 
-fn about(global: &Global, connection: &Connection) -> api::AboutResponse {
+/// The farm that the page shows, the beginning of a command line that reaches it, and the quantities of a set-up.
+fn about(global: &Global, connection: &Connection) -> Value {
     let data = global.data.display().to_string();
     let local = !connection.is_server();
     let mut command = "farmctl".to_owned();
@@ -137,10 +133,12 @@ fn about(global: &Global, connection: &Connection) -> api::AboutResponse {
     if let Some(access) = global.access.as_deref().filter(|_| !local) {
         command += &format!(" --access {}", shell_quoted(&access.display().to_string()));
     }
-    api::AboutResponse {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
-        farm: if local { data } else { connection.address().to_owned() },
-        own: connection.is_embedded(),
-        command,
-    }
+    let quantity = |q: &Quantity| json!({ "name": q.name, "help": q.help, "default": q.default, "lowest": q.lowest, "highest": q.highest });
+    json!({
+        "version": env!("CARGO_PKG_VERSION"),
+        "farm": if local { &data } else { connection.address() },
+        "own": connection.is_embedded(),
+        "command": command,
+        "quantities": Quantity::OF_OPTIONS.iter().map(quantity).collect::<Vec<_>>(),
+    })
 }

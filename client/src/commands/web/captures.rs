@@ -10,10 +10,9 @@ use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use farm_lab::capture::CaptureSession;
 use rustix::fs::OFlags;
+use serde::Serialize;
 use tokio::io::AsyncReadExt as _;
 use tonic::Status;
-
-use super::api::Capture;
 
 /// The files by which the folder of a capture is recognised.
 const MARKS: [&str; 2] = ["report.html", "session.json"];
@@ -29,6 +28,15 @@ const POLICY: &str = "default-src 'none'; img-src 'self' data:; style-src 'unsaf
 const DEPTH: usize = 3;
 const MOST_ENTRIES: usize = 10_000;
 const MOST_READ: usize = 500;
+
+/// A folder that `farmctl capture` has written.
+#[derive(Debug, Serialize)]
+pub(super) struct Capture {
+    /// As given on the command line.
+    folder: String,
+    /// Address of its report, relative to the page.
+    report: String,
+}
 
 #[derive(Debug)]
 pub(super) struct Captures {
