@@ -7,11 +7,11 @@
 mod bounded_file;
 pub mod capture;
 pub mod colour;
+pub mod document;
 pub mod grid_file;
 pub mod measurement_file;
 pub mod media_file;
 pub mod mixture_file;
-mod page;
 pub mod phase_file;
 pub mod photograph;
 pub mod record;

@@ -60,9 +60,8 @@ pub(super) fn complete(folder: &Path, request: CompleteCaptureRequest) -> Result
         bound: false,
         scene: false,
     };
-    let text = crate::measured::text(&found, &report);
     let used = UsedOptions::new(&name, &options, &assumed);
     crate::measured::write_answer(folder, &crate::measured::data(used, &found, &[]))?;
-    crate::measured::complete(&SessionFolder::open(folder)?, &found, (&name, &grid), &text)?;
+    crate::measured::complete(&SessionFolder::open(folder)?, &found, (&name, &grid), &report)?;
     Ok(CompleteCaptureResponse {})
 }
