@@ -1,20 +1,15 @@
-//! Formats answers of the fit as text and as JSON.
+//! Answers of the fit as documents and as JSON.
 
 mod bands;
-mod bound;
-mod budget;
 mod design;
 mod fits;
 mod found;
 mod inks;
 mod likelihood;
-mod misfit;
 mod options;
 mod remarks;
 mod scale;
-mod scene;
 mod summary;
-mod table;
 #[cfg(test)]
 mod tests;
 mod tilt;
@@ -25,16 +20,16 @@ use farm_lab::measurement_file::Note;
 use farm_lab::session_folder::SessionFolder;
 use optics_model::fit::MaterialFit;
 
-pub(crate) use budget::budget_text;
-pub(crate) use design::design_text;
-pub(crate) use fits::{FitsReport, fits_text, neighbours, objective};
+pub(crate) use design::design_blocks;
+pub(crate) use farm_lab::document::Remark;
+pub(crate) use fits::{FitsReport, fits_blocks, neighbours, objective};
 pub(crate) use found::{MeasureAnswer, OLDER, media_files};
-pub(crate) use inks::inks_text;
+pub(crate) use inks::inks_blocks;
 pub(crate) use options::{MeasurementAnswer, SetUpJson, UsedOptions};
-pub(crate) use scale::{common_text, scale_text};
-pub(crate) use scene::low_scale;
-pub(crate) use summary::{ChannelSummary, Remark, all_remarks};
-pub(crate) use verdict::{medium_rows, verdict, verdict_text};
+pub(crate) use remarks::all_remarks;
+pub(crate) use scale::{common_blocks, common_text, low_scale, scale_blocks};
+pub(crate) use summary::ChannelSummary;
+pub(crate) use verdict::verdict;
 
 /// Notes on the bands of a session and on its camera, which the residuals of one channel do not show.
 pub(crate) fn set_up_notes(fits: &[MaterialFit], folder: Option<&SessionFolder>) -> Result<Vec<Note>> {

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use farm_figures::{Picture, fit_figure, map_figure, spectra_figure};
+use farm_lab::document::Block;
 use farm_lab::whole_file::write_whole;
 use optics_model::fit::{DistanceMap, MaterialFit};
 
@@ -104,8 +105,9 @@ pub(crate) fn write_maps(
 }
 
 /// A line for each picture.
-pub(crate) fn drawn<P: AsRef<Path>>(pictures: impl IntoIterator<Item = P>) -> String {
-    pictures.into_iter().map(|path| format!("\ndrawn: {}", path.as_ref().display())).collect()
+pub(crate) fn drawn<P: AsRef<Path>>(pictures: impl IntoIterator<Item = P>) -> Vec<Block> {
+    let line = |path: P| Block::Preformatted(format!("drawn: {}", path.as_ref().display()));
+    pictures.into_iter().map(line).collect()
 }
 
 /// The path itself for one picture; otherwise a path for each name, all distinct even without regard to case.

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use farm_lab::document::Block;
 use farm_lab::measurement_file::Note;
 use farm_lab::media_file::MEDIA_FILE;
 use farm_lab::record::SessionRecord;
@@ -14,53 +15,47 @@ use optics_model::fit::{Common, MaterialFit, ScaleCurve, Unmixed};
 use serde::Serialize;
 
 use crate::answers::{
-    FitsReport, MeasureAnswer, UsedOptions, common_text, fits_text, inks_text, low_scale, media_files,
-    medium_rows, verdict,
+    FitsReport, MeasureAnswer, Remark, UsedOptions, common_blocks, fits_blocks, inks_blocks, low_scale,
+    media_files, verdict,
 };
-use crate::output::{envelope, now_unix_s, utc, warning, wrapped, write_whole};
+use crate::output::{envelope, now_unix_s, utc, write_whole};
 
 /// Files of media, with their purpose.
 const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
                        answer.json (all of --json), and for renderers media.py, media.xml, media.pbrt, media_blender.py";
 
-/// The answer as it is printed.
-pub(crate) fn text(found: &MeasureAnswer, report: &FitsReport) -> String {
-    let mut text = common_text(&found.common);
+/// The answer.
+pub(crate) fn blocks(found: &MeasureAnswer, report: &FitsReport) -> Vec<Block> {
+    let mut blocks = common_blocks(&found.common);
     // It explains the misfits of the channels, which follow.
-    if let Some(line) = low_scale(&found.common, &found.materials) {
-        text += &format!("\n{}", warning(&wrapped(&line)));
-    }
-    text += &format!("\n\n{}", fits_text(report));
-    if let Some(unmixed) = &found.unmixed {
-        text += &format!("\n\n{}", inks_text(unmixed));
-    }
-    if let Some(id) = &found.kept {
-        text += &format!("\nkept: `farmctl measurements show {id}`");
-    }
-    text
+    let low = low_scale(&found.common, &found.materials).map(Remark::warning);
+    blocks.push(Block::Remarks(low.into_iter().collect()));
+    blocks.extend(fits_blocks(report));
+    blocks.extend(found.unmixed.as_ref().map(inks_blocks).unwrap_or_default());
+    let kept = found.kept.as_ref();
+    blocks.extend(kept.map(|id| Block::Preformatted(format!("kept: `farmctl measurements show {id}`"))));
+    blocks
 }
 
 /// The line about a folder with the media; `others` are further files, each followed by a comma.
-pub(crate) fn written_to(folder: &Path, others: &str) -> String {
-    format!("\n{}", wrapped(&format!("written to {}: {others}{WRITTEN}", folder.display())))
+pub(crate) fn written_to(folder: &Path, others: &str) -> Block {
+    Block::Paragraph(format!("written to {}: {others}{WRITTEN}", folder.display()))
 }
 
-/// Writes media and report into the folder of a session; `text` is the answer in words. Returns the report's path; `None`
-/// if the folder has no data of a report.
+/// Writes media and report into the folder of a session. Returns the report's path; `None` if the folder has no data of a
+/// report.
 pub(crate) fn complete(
     folder: &SessionFolder,
     found: &MeasureAnswer,
     dictionary: (&str, &Grid),
-    text: &str,
+    report: &FitsReport,
 ) -> Result<Option<PathBuf>> {
     let record = folder.record()?;
     write_renderers(folder.path(), found)?;
     write_media(folder.path(), found, dictionary, Some(&record))?;
-    let answer = ReportedAnswer {
-        verdict: verdict(&found.materials),
-        rows: medium_rows(&found.materials),
-        text: anstream::adapter::strip_str(text).to_string(),
-    };
+    // The report has its own tables of the estimates.
+    let numbers = blocks(found, &FitsReport { scene: false, ..report.clone() });
+    let answer = ReportedAnswer { verdict: verdict(&found.materials), numbers };
     let report = folder.complete(&found.materials, found.common.mu, answer)?;
     describe(folder.path(), found, &record)?;
     Ok(report)

@@ -1,12 +1,13 @@
 //! Prints results: tables for people, and JSON in one stable envelope for programs.
 
+mod lines;
 mod status;
 mod terminal;
 
 use std::fmt::Write as _;
 use std::path::Path;
 
-use comfy_table::{Attribute, Cell, CellAlignment, LineStyle, Table, TableStyle};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::{MeasurementFile, Note, read_measurements};
 use farm_link::logs::to_stderr;
 use farm_proto::status::DictionaryStatus;
@@ -14,6 +15,7 @@ use optics_model::Invalid;
 use serde::Serialize;
 
 pub(crate) use farm_lab::whole_file::write_whole;
+pub(crate) use lines::lines;
 pub(crate) use status::{DictionaryJson, WorkerJson};
 pub(crate) use terminal::print_line;
 use terminal::{harmless, with_escapes};
@@ -52,6 +54,16 @@ impl Output {
     ) -> anyhow::Result<()> {
         let line = if self.json { envelope(kind, data)? } else { text() };
         print_line(&line)
+    }
+
+    /// Prints `data` in the envelope with `--json`, else the blocks as lines.
+    pub(crate) fn answer<T: Serialize>(
+        &self,
+        kind: &str,
+        data: &T,
+        blocks: impl FnOnce() -> Vec<Block>,
+    ) -> anyhow::Result<()> {
+        self.print(kind, data, || lines(&blocks()))
     }
 
     /// Reads measurements and prints their notes.
@@ -162,40 +174,9 @@ pub(crate) fn wrapped(text: &str) -> String {
     lines.join("\n")
 }
 
-/// A horizontal rule above and below the head and at the end.
-const RULED: TableStyle = {
-    let rule = LineStyle::new('─', '─', '─', '─');
-    TableStyle::new().top_border(rule).header_separator(rule).bottom_border(rule)
-};
-
-/// A table with a head; columns named in `right` are aligned to the right.
-pub(crate) fn table(head: &[&str], right: &[usize], rows: impl IntoIterator<Item = Vec<String>>) -> String {
-    let mut table = Table::new();
-    table.load_style(RULED);
-    table.set_header(head.iter().map(|h| Cell::new(h).add_attribute(Attribute::Bold)));
-    for row in rows {
-        table.add_row(row);
-    }
-    // Two columns of space between cells: tables must fit a terminal of 80 columns.
-    table.column_iter_mut().for_each(|column| {
-        column.set_padding((0, 1));
-    });
-    for &column in right {
-        if let Some(column) = table.column_mut(column) {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    without_margins(&table.to_string())
-}
-
-/// The table without the blank columns at its sides; rules are as wide as the remaining text.
-fn without_margins(table: &str) -> String {
-    let is_rule = |line: &str| line.starts_with('─');
-    let row = |line: &str| line.strip_prefix(' ').unwrap_or(line).trim_end().to_owned();
-    let shown = |line: &str| anstream::adapter::strip_str(&row(line)).to_string().chars().count();
-    let width = table.lines().filter(|l| !is_rule(l)).map(shown).max().unwrap_or(0);
-    let line = |line: &str| if is_rule(line) { "─".repeat(width) } else { row(line) };
-    table.lines().map(line).collect::<Vec<_>>().join("\n")
+/// The lines of a table, whose head is that of [`ValueTable::new`].
+pub(crate) fn table(head: &str, rows: impl IntoIterator<Item = Vec<String>>) -> String {
+    lines(&[ValueTable::new(head, rows).block()])
 }
 
 /// 34276 → "34,276".

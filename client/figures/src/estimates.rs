@@ -7,7 +7,7 @@ use optics_model::fit::{MaterialFit, SceneEstimate};
 use optics_model::scene::Scope;
 use serde::Serialize;
 
-use crate::numbers::{minus, with_error};
+use crate::numbers::{minus, significant, with_error};
 
 /// Limits of the standard errors in the rows.
 pub const NOTE: &str = "the noise of the dictionary's responses makes errors of what a session shares too small, by a \
@@ -55,14 +55,12 @@ fn shared_by(estimate: &SceneEstimate, material: &str, channel: &str) -> String 
 }
 
 fn row(of: String, e: &SceneEstimate) -> EstimateRow {
-    let (estimate, prior) =
-        (with_error(e.value, e.std_error), format!("{} ± {}", e.prior, e.prior_std_error));
     EstimateRow {
         warning: warning(&of, e),
         quantity: e.quantity.clone(),
         of,
-        estimate: with_unit(&estimate, e),
-        prior: with_unit(&prior, e),
+        estimate: with_unit(&with_error(e.value, e.std_error), e),
+        prior: prior(e),
     }
 }
 
@@ -78,13 +76,18 @@ fn warning(of: &str, e: &SceneEstimate) -> Option<String> {
         ));
     }
     let off = ((e.value - e.prior) / e.prior_std_error).abs();
-    let prior = with_unit(&format!("{} ± {}", e.prior, e.prior_std_error), e);
+    let prior = prior(e);
     e.is_conflict().then(|| {
         format!(
             "{quantity} ({of}): the estimate {found} is {off:.1} standard deviations from its prior {prior}: the scene does \
              not describe this set-up, or something else is wrong with the data"
         )
     })
+}
+
+/// A prior as it was given, with two digits of a computed error.
+fn prior(e: &SceneEstimate) -> String {
+    with_unit(&format!("{} ± {}", significant(e.prior, 4), significant(e.prior_std_error, 2)), e)
 }
 
 fn with_unit(numbers: &str, e: &SceneEstimate) -> String {

@@ -25,11 +25,16 @@ pub fn significant(value: f64, digits: i32) -> String {
 
 /// `−0.070 ± 0.004`: the error with one digit, and the value with as many decimals.
 pub fn with_error(value: f64, std_error: f64) -> String {
+    to_error(value, std_error, 1).join(" ± ")
+}
+
+/// An error with these digits, and before it the value with as many decimals.
+pub fn to_error(value: f64, std_error: f64, digits: i32) -> [String; 2] {
     if !(std_error > 0.0 && std_error.is_finite()) {
-        return format!("{} ± {}", minus(&significant(value, 4)), significant(std_error, 1));
+        return [minus(&significant(value, 4)), significant(std_error, 1)];
     }
-    let decimals = (-libm::log10(std_error).floor()).clamp(0.0, 12.0) as usize;
-    format!("{} ± {std_error:.decimals$}", fixed(value, decimals))
+    let decimals = (digits - 1 - libm::log10(std_error).floor() as i32).clamp(0, 12) as usize;
+    [fixed(value, decimals), format!("{std_error:.decimals$}")]
 }
 
 /// A number with these decimals and the typographic minus sign, which zero does not have.

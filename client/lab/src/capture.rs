@@ -20,8 +20,11 @@ mod strip;
 pub use board_sheet::board_sheet;
 pub use budget::SessionErrors;
 pub use captured::{Captured, CapturedPart, CapturedSample};
-pub use channels::{CapturedChannel, ends, mean, profiles};
-pub use report::{CaptureReport, MeasureVerdict, Media, PrecisionRow, Simulated};
+pub use channels::CapturedChannel;
+pub use report::{
+    CaptureReport, CapturedRow, MeasureVerdict, Media, PrecisionRow, Simulated, budget_blocks, captured_rows,
+    captured_table, estimate_blocks,
+};
 pub use results::{FILES, write_folder};
 pub use session_file::CaptureSession;
 pub use session_file::pattern;

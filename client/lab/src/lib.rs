@@ -7,13 +7,13 @@
 mod bounded_file;
 pub mod capture;
 pub mod colour;
+pub mod document;
 mod file_kind;
 pub mod grid_file;
 pub mod measurement_file;
 pub mod media_file;
 pub mod mixture_file;
 mod number_table;
-mod page;
 pub mod phase_file;
 pub mod photograph;
 pub mod record;

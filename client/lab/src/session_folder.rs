@@ -11,6 +11,7 @@ use optics_model::{Digest, Grid, Scene};
 use serde::Deserialize;
 
 use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
+use crate::document::Block;
 use crate::grid_file::read_grid_without_responses;
 use crate::record::SessionRecord;
 use crate::whole_file::write_whole;
@@ -148,8 +149,7 @@ impl SessionFolder {
         let (estimates, budget) = (estimate_rows(fits), error_budget(fits));
         let page = report.page(Some(&Media {
             verdict: answer.verdict,
-            rows: answer.rows,
-            text: answer.text,
+            numbers: answer.numbers,
             estimates,
             budget,
             spectra,
@@ -162,13 +162,12 @@ impl SessionFolder {
     }
 }
 
-/// The answer of a fit as it is printed.
+/// The answer of a fit.
 #[derive(Debug, Default)]
 pub struct ReportedAnswer {
     pub verdict: MeasureVerdict,
-    /// One row for each channel, with the cells of [`Media::COLUMNS`].
-    pub rows: Vec<Vec<String>>,
-    pub text: String,
+    /// Without estimates of the scene and budget.
+    pub numbers: Vec<Block>,
 }
 
 /// Simulated profiles of a material for each slab; empty unless it has red, green and blue.

@@ -1,19 +1,20 @@
-//! Formats a comparison of sets of slabs to photograph.
+//! A comparison of sets of slabs to photograph.
 
 use farm_figures::numbers::{albedo, significant, slabs};
+use farm_lab::document::{Block, ValueTable};
 use optics_model::Medium;
 use optics_model::fit::{Design, DesignQuestion, HalfWidths, Improvement, Limitation, SlabSet};
 
-use crate::output::{table, wrapped};
-
 /// Two tables, g held and g free, and the limits of the best set.
-pub(crate) fn design_text(design: &Design, question: &DesignQuestion) -> String {
-    let mut parts = vec![head(design, question), held(design)];
+pub(crate) fn design_blocks(design: &Design, question: &DesignQuestion) -> Vec<Block> {
+    let mut blocks = vec![Block::Paragraph(head(design, question))];
+    blocks.extend(held(design));
     if design.sets.iter().any(|set| set.g_free.is_some()) {
-        parts.push(free(design));
+        blocks.extend(free(design));
     }
-    parts.push(limits(design));
-    parts.join("\n\n")
+    blocks.push(Block::heading(3, "Limits"));
+    blocks.extend(limits(design).into_iter().map(Block::Paragraph));
+    blocks
 }
 
 fn head(design: &Design, question: &DesignQuestion) -> String {
@@ -37,10 +38,10 @@ fn head(design: &Design, question: &DesignQuestion) -> String {
     } else {
         "with the dictionary's scene taken as exact"
     };
-    wrapped(&format!("{medium}{mu} {what}, {scene}."))
+    format!("{medium}{mu} {what}, {scene}.")
 }
 
-fn held(design: &Design) -> String {
+fn held(design: &Design) -> [Block; 2] {
     let m = &design.medium;
     let row = |set: &SlabSet| {
         let w = &set.g_held;
@@ -50,20 +51,13 @@ fn held(design: &Design) -> String {
         row.extend([limited.to_owned(), best_for(set)]);
         row
     };
-    let head = [
-        "slabs\nmm",
-        "shots",
-        "σ_t\n± %",
-        "1−α\n± %",
-        "σ_s(1−g)\n± %",
-        "σ_a\n± %",
-        "σ_t is\nlimited by",
-        "best for\nphotographs",
-    ];
-    format!("g held at {}\n{}", m.g(), table(&head, &[1, 2, 3, 4, 5, 7], design.sets.iter().map(row)))
+    let head = "slabs\nmm | >shots | >σ_t\n± % | >1−α\n± % | >σ_s(1−g)\n± % | >σ_a\n± % | \
+                σ_t is\nlimited by | >best for\nphotographs";
+    let title = Block::Heading(3, format!("g held at {}", m.g()));
+    [title, ValueTable::new(head, design.sets.iter().map(row)).block()]
 }
 
-fn free(design: &Design) -> String {
+fn free(design: &Design) -> [Block; 2] {
     let m = &design.medium;
     let row = |set: &SlabSet| {
         let w = set.g_free.unwrap_or(HalfWidths::UNKNOWN);
@@ -72,8 +66,8 @@ fn free(design: &Design) -> String {
         row.push(if w.g < 1.0 { significant(w.g, 2) } else { "> 1".to_owned() });
         row
     };
-    let head = ["slabs\nmm", "shots", "σ_t\n± %", "1−α\n± %", "σ_s(1−g)\n± %", "σ_a\n± %", "g\n±"];
-    format!("g free\n{}", table(&head, &[1, 2, 3, 4, 5, 6], design.sets.iter().map(row)))
+    let head = "slabs\nmm | >shots | >σ_t\n± % | >1−α\n± % | >σ_s(1−g)\n± % | >σ_a\n± % | >g\n±";
+    [Block::heading(3, "g free"), ValueTable::new(head, design.sets.iter().map(row)).block()]
 }
 
 fn shares(w: &HalfWidths, m: &Medium) -> [f64; 4] {
@@ -123,26 +117,26 @@ fn name(improvement: &Improvement) -> &str {
 }
 
 /// The most effective improvements of the best set, or a message that no set determines the medium.
-fn limits(design: &Design) -> String {
+fn limits(design: &Design) -> Vec<String> {
     let Some(best) = design.sets.iter().find(|set| set.best) else {
-        return wrapped("No set determines σ_t and the albedo, even with g held.");
+        return vec!["No set determines σ_t and the albedo, even with g held.".to_owned()];
     };
     let photographs = match best.shots {
         1 => "one photograph".to_owned(),
         n => format!("{n} photographs"),
     };
-    let mut lines = vec![wrapped(&format!("Best: {} mm, {photographs} of each slab.", slabs(best)))];
+    let mut lines = vec![format!("Best: {} mm, {photographs} of each slab.", slabs(best))];
     let quantities: [(&str, RelativeShare); 2] =
         [("σ_t", HalfWidths::of_sigma_t), ("1 − α", HalfWidths::of_co_albedo)];
     for (quantity, share) in quantities {
         if let Some(improvement) = limit(best, &design.medium, share) {
             let percent_text = |widths: &HalfWidths| percent(share(widths, &design.medium));
-            lines.push(wrapped(&what_limits(quantity, improvement, &best.g_held, percent_text)));
+            lines.push(what_limits(quantity, improvement, &best.g_held, percent_text));
         }
     }
-    lines.extend(scene(best, &design.medium).as_deref().map(wrapped));
-    lines.extend(estimated(best).as_deref().map(wrapped));
-    lines.join("\n")
+    lines.extend(scene(best, &design.medium));
+    lines.extend(estimated(best));
+    lines
 }
 
 /// The scene's quantities in the order in which to measure them, the most effective first. `None` if the scene is exact.

@@ -1,68 +1,39 @@
-//! Formats inks estimated from mixtures as tables and sentences.
+//! Inks that are estimated from mixtures, as tables and sentences.
 
-use farm_figures::numbers::{albedo, albedo_end, interval, short, significant};
-use optics_model::fit::{Agreement, InkChannel, MISFIT, MixtureFit, Unmixed};
+use farm_figures::numbers::{short, significant};
+use farm_lab::document::{Block, ValueTable};
+use optics_model::fit::{Agreement, InkChannel, InkFit, MISFIT, MixtureFit, Unmixed};
 
-use super::scale::common_text;
-use crate::output::{table, warning, wrapped};
+use super::scale::common_blocks;
+use super::summary::ChannelSummary;
 
 /// Number of standard errors above which a mixture's deviation from its inks means that it was mixed or measured
 /// wrongly.
 const PULL: f64 = 3.0;
 
 /// The inks, and the mixtures that do not agree with them.
-pub(crate) fn inks_text(unmixed: &Unmixed) -> String {
-    let mut text = format!("inks, from all their mixtures together\n{}\n", common_text(&unmixed.common));
-    text += &format!("\n{}\n\n{}", shared(unmixed), media(unmixed));
-    for line in disagreements(&unmixed.mixtures) {
-        text += &format!("\n{}", warning(&wrapped(&line)));
-    }
-    if let Some(line) = furthest(&unmixed.mixtures) {
-        text += &format!("\n{}", wrapped(&line));
-    }
-    text
-}
-
-fn rows(unmixed: &Unmixed, cells: impl Fn(&InkChannel) -> Vec<String>) -> Vec<Vec<String>> {
-    let row = |material: &str, channel: &InkChannel| {
-        let star = if channel.from_mixtures { "*" } else { "" };
-        let mut row = vec![short(material), format!("{}{star}", channel.channel)];
-        row.extend(cells(channel));
-        row
+pub(crate) fn inks_blocks(unmixed: &Unmixed) -> Vec<Block> {
+    let rows = |cells: fn(ChannelSummary) -> Vec<String>| -> Vec<Vec<String>> {
+        let channels = unmixed.inks.iter().flat_map(|ink| ink.channels.iter().map(move |c| (ink, c)));
+        let row = |(ink, c): (&InkFit, &InkChannel)| {
+            let star = if c.from_mixtures { "*" } else { "" };
+            let names = vec![short(&ink.material), format!("{}{star}", c.channel)];
+            [names, cells(ChannelSummary::of_ink(c))].concat()
+        };
+        channels.map(row).collect()
     };
-    unmixed.inks.iter().flat_map(|ink| ink.channels.iter().map(|c| row(&ink.material, c))).collect()
-}
-
-fn shared(unmixed: &Unmixed) -> String {
-    let three = |v: f64| significant(v, 3);
-    let cells = |c: &InkChannel| {
-        let m = &c.medium;
-        vec![
-            three(m.reduced_scattering_per_mm()),
-            interval(&c.reduced_scattering_per_mm, three),
-            three(m.absorption_per_mm()),
-            interval(&c.absorption_per_mm, three),
-        ]
-    };
-    table(&["ink", "ch", "σ_s(1−g)\n/mm", "\n95 %", "σ_a\n/mm", "\n95 %"], &[2, 4], rows(unmixed, cells))
-}
-
-fn media(unmixed: &Unmixed) -> String {
-    let three = |v: f64| significant(v, 3);
-    let cells = |c: &InkChannel| {
-        let mark = |value: String| if c.resolved { value } else { format!("({value})") };
-        vec![
-            mark(three(c.medium.sigma_t_per_mm())),
-            interval(&c.sigma_t_per_mm, three),
-            mark(albedo(c.medium.albedo())),
-            interval(&c.albedo, albedo_end),
-            three(c.medium.g()),
-            interval(&c.g, |v| significant(v, 2)),
-        ]
-    };
-    let head = ["ink", "ch", "σ_t\n/mm", "\n95 %", "α", "\n95 %", "g", "\n95 %"];
-    let note = "* not determined by its own slabs";
-    format!("{}\n{note}", table(&head, &[2, 4, 6], rows(unmixed, cells)))
+    let head = |columns: &str| format!("ink | ch | {columns}");
+    let mut blocks = vec![Block::heading(3, "Inks, from all their mixtures together")];
+    blocks.extend(common_blocks(&unmixed.common));
+    blocks.extend([
+        ValueTable::new(&head(ChannelSummary::SHARED), rows(ChannelSummary::shared_cells)).block(),
+        Block::heading(3, "Media of the inks"),
+        ValueTable::new(&head(ChannelSummary::MEDIUM), rows(ChannelSummary::medium_cells)).block(),
+        Block::aside("* not determined by its own slabs"),
+        Block::warnings(&disagreements(&unmixed.mixtures)),
+    ]);
+    blocks.extend(furthest(&unmixed.mixtures).map(Block::Paragraph));
+    blocks
 }
 
 /// Mixtures that deviate from the ink model, and mixtures that were left out.

@@ -1,12 +1,19 @@
-//! Formats the scale factor and the anisotropy that all channels share.
+//! The scale factor and the anisotropy that all channels share.
 
+use farm_figures::estimates::estimate_rows;
 use farm_figures::numbers::{interval, significant, with_error};
-use optics_model::fit::{Common, GError, ScaleCurve};
+use farm_lab::document::{Block, ValueTable};
+use optics_model::fit::{Common, GError, MaterialFit, ScaleCurve};
 
-use crate::output::{table, wrapped};
+use crate::output::lines;
+
+/// The lines of [`common_blocks`].
+pub(crate) fn common_text(common: &Common) -> String {
+    lines(&common_blocks(common))
+}
 
 /// Scale factor and anisotropy, and whether they were given or fitted.
-pub(crate) fn common_text(common: &Common) -> String {
+pub(crate) fn common_blocks(common: &Common) -> Vec<Block> {
     let i = &common.mu_interval;
     let mut lines = Vec::new();
     if !common.mu_chosen {
@@ -58,26 +65,27 @@ pub(crate) fn common_text(common: &Common) -> String {
         )),
         (None, _) => lines.push("every channel has its own anisotropy".to_owned()),
     }
-    lines.iter().map(|l| wrapped(l)).collect::<Vec<_>>().join("\n")
+    lines.into_iter().map(Block::Paragraph).collect()
 }
 
 /// The paper's search for the scale factor (Eq. 3), by the errors of the best records.
-pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
+pub(crate) fn scale_blocks(scale: &ScaleCurve) -> Vec<Block> {
     let error = scale.std_error.map_or(String::new(), |e| format!(" ± {}", significant(e, 1)));
-    let mut text = format!(
-        "by the best records alone, as in the paper's Eq. 3: μ* = {}{error}\n(error {:.4}",
-        scale.best.mu, scale.best.error
-    );
     // A parabola with this curvature: e(μ) = e(μ*) (1 + ½ c (μ − μ*)²).
-    match scale.curvature {
+    let minimum = match scale.curvature {
         Some(c) if c > 0.0 => {
-            text += &format!("; 0.01 away from it the error is {:.2} % larger)", 0.5 * c * 1e-4 * 100.0);
+            format!("; 0.01 away from it the error is {:.2} % larger", 0.5 * c * 1e-4 * 100.0)
         }
-        Some(_) => text += "; near it the error does not rise: the minimum is not sharp)",
-        None => text += ")",
-    }
+        Some(_) => "; near it the error does not rise: the minimum is not sharp".to_owned(),
+        None => String::new(),
+    };
+    let mut blocks = vec![
+        Block::heading(3, "By the best records alone, as in the paper's Eq. 3"),
+        Block::Paragraph(format!("μ* = {}{error} (error {:.4}{minimum})", scale.best.mu, scale.best.error)),
+    ];
     if scale.at_end {
-        text += "\nμ* lies at an end of the values tried: widen them with --mu-min and --mu-max";
+        let text = "μ* lies at an end of the values tried: widen them with --mu-min and --mu-max";
+        blocks.push(Block::paragraph(text));
     }
     if scale.by_g.len() > 1 {
         let row = |e: &GError| {
@@ -85,10 +93,10 @@ pub(crate) fn scale_text(scale: &ScaleCurve) -> String {
             let there = format!("{:.4}", e.best_mu_error);
             vec![format!("{}{mark}", e.g), format!("{:.4}", e.error), e.best_mu.to_string(), there]
         };
-        let head = ["g common\nto all", "error\nat μ*", "its own\nbest μ", "error\nthere"];
-        text += &format!("\n\n{}", table(&head, &[0, 1, 2, 3], scale.by_g.iter().map(row)));
+        let head = ">g common\nto all | >error\nat μ* | >its own\nbest μ | >error\nthere";
+        blocks.push(ValueTable::new(head, scale.by_g.iter().map(row)).block());
     }
-    text
+    blocks
 }
 
 /// A given scale factor, updated by the data if it has a standard error.
@@ -98,4 +106,17 @@ fn given_text(common: &Common) -> String {
     }
     let value = with_error(common.mu, common.mu_std_error);
     format!("scale factor μ = {value}, from what was given and the data")
+}
+
+/// The warning about a scale factor so low that the dictionary's surfaces are the most likely cause. `None` if its scene
+/// is uncertain: such scenes conserve light, and their estimates contain the remaining causes.
+pub(crate) fn low_scale(common: &Common, fits: &[MaterialFit]) -> Option<String> {
+    /// Scale factors below this are hardly explained by a white reference or by exposure.
+    const LOW: f64 = 0.95;
+    let low =
+        common.mu_chosen && common.mu + 2.0 * common.mu_std_error < LOW && estimate_rows(fits).is_empty();
+    let warning = "the scale factor is low: if the dictionary's scene is one whose rough surfaces lose light, such as \
+                   `paper`, that light is the most likely cause, and σ_t and α are wrong; measure with the dictionary \
+                   lab, whose surfaces lose none";
+    low.then(|| warning.to_owned())
 }

@@ -1,10 +1,9 @@
-//! Formats a channel's numbers with their intervals, for tables and the page, and collects the remarks on them.
+//! A medium's numbers with their intervals, as tables and the page show them.
 
 use farm_figures::numbers::{albedo, albedo_end, interval, significant};
-use optics_model::fit::{MaterialFit, Refined};
+use optics_model::Medium;
+use optics_model::fit::{InkChannel, Interval, Refined};
 use serde::Serialize;
-
-use super::remarks::{remarks, warnings};
 
 /// A number with its meaningful digits, and its interval of 95 %.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -13,7 +12,7 @@ pub(crate) struct NumberWithInterval {
     pub(crate) interval: String,
 }
 
-/// The numbers of a refined channel.
+/// The numbers of a medium.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct ChannelSummary {
     pub(crate) reduced_scattering_per_mm: NumberWithInterval,
@@ -21,52 +20,82 @@ pub(crate) struct ChannelSummary {
     pub(crate) sigma_t_per_mm: NumberWithInterval,
     pub(crate) albedo: NumberWithInterval,
     pub(crate) g: NumberWithInterval,
+    /// Empty for an ink from mixtures.
     pub(crate) misfit: String,
+    is_resolved: bool,
 }
 
 impl ChannelSummary {
+    /// Columns of [`Self::shared_cells`].
+    pub(super) const SHARED: &'static str = ">σ_s(1−g)\n/mm | \n95 % | >σ_a\n/mm | \n95 %";
+    /// Columns of [`Self::medium_cells`].
+    pub(super) const MEDIUM: &'static str = ">σ_t\n/mm | \n95 % | >α | \n95 % | >g | \n95 %";
+
     pub(crate) fn of(r: &Refined) -> Self {
-        let three = |v: f64| significant(v, 3);
-        let two = |v: f64| significant(v, 2);
-        let number = |value, interval| NumberWithInterval { value, interval };
-        let m = &r.best.medium;
+        Self { misfit: significant(r.misfit, 2), ..Self::new(quantities(r), 2, r.resolved) }
+    }
+
+    /// Inks may absorb much, so that their absorption is known well.
+    pub(super) fn of_ink(c: &InkChannel) -> Self {
+        let intervals = [c.reduced_scattering_per_mm, c.absorption_per_mm, c.sigma_t_per_mm, c.albedo, c.g];
+        Self::new(with_intervals(&c.medium, intervals), 3, c.resolved)
+    }
+
+    fn new(quantities: [Estimated; 5], absorption_digits: i32, is_resolved: bool) -> Self {
+        let number = |(value, ends): Estimated, digits: i32, end_digits: i32| NumberWithInterval {
+            value: significant(value, digits),
+            interval: interval(&ends, |end| significant(end, end_digits)),
+        };
+        let [reduced_scattering, absorption, sigma_t, (albedo_value, albedo_ends), g] = quantities;
         Self {
-            reduced_scattering_per_mm: number(
-                three(m.reduced_scattering_per_mm()),
-                interval(&r.reduced_scattering_per_mm, three),
-            ),
-            absorption_per_mm: number(two(m.absorption_per_mm()), interval(&r.absorption_per_mm, two)),
-            sigma_t_per_mm: number(three(m.sigma_t_per_mm()), interval(&r.sigma_t_per_mm, three)),
-            albedo: number(albedo(m.albedo()), interval(&r.albedo, albedo_end)),
-            g: number(three(m.g()), interval(&r.g, two)),
-            misfit: two(r.misfit),
+            reduced_scattering_per_mm: number(reduced_scattering, 3, 3),
+            absorption_per_mm: number(absorption, absorption_digits, absorption_digits),
+            sigma_t_per_mm: number(sigma_t, 3, 3),
+            albedo: NumberWithInterval {
+                value: albedo(albedo_value),
+                interval: interval(&albedo_ends, albedo_end),
+            },
+            g: number(g, 3, 2),
+            misfit: String::new(),
+            is_resolved,
         }
+    }
+
+    /// The quantities that similar media share.
+    pub(super) fn shared_cells(self) -> Vec<String> {
+        let numbers = [self.reduced_scattering_per_mm, self.absorption_per_mm];
+        numbers.into_iter().flat_map(|n| [n.value, n.interval]).collect()
+    }
+
+    /// The medium, in brackets where it is not determined.
+    pub(super) fn medium_cells(self) -> Vec<String> {
+        let mark = |n: NumberWithInterval| {
+            let value = if self.is_resolved { n.value } else { format!("({})", n.value) };
+            [value, n.interval]
+        };
+        let cells = [mark(self.sigma_t_per_mm), mark(self.albedo), [self.g.value, self.g.interval]];
+        cells.into_iter().flatten().collect()
     }
 }
 
-/// A remark on some channels.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub(crate) struct Remark {
-    /// Material and channel of each channel concerned.
-    pub(crate) about: Vec<String>,
-    pub(crate) text: String,
-    /// Whether the remark means that the numbers may be wrong.
-    pub(crate) warning: bool,
+/// A value and its interval of 95 %.
+pub(super) type Estimated = (f64, Interval);
+
+/// σ_s(1 − g), σ_a, σ_t, α and g.
+pub(super) fn quantities(r: &Refined) -> [Estimated; 5] {
+    let intervals = [r.reduced_scattering_per_mm, r.absorption_per_mm, r.sigma_t_per_mm, r.albedo, r.g];
+    with_intervals(&r.best.medium, intervals)
 }
 
-/// The remarks on all channels. A remark on several channels appears once.
-pub(crate) fn all_remarks(fits: &[MaterialFit]) -> Vec<Remark> {
-    let mut said: Vec<Remark> = Vec::new();
-    for (fit, channel) in fits.iter().flat_map(|f| f.channels.iter().map(move |c| (f, c))) {
-        let who = format!("{} {}", fit.material, channel.channel);
-        let warnings = warnings(channel);
-        for text in remarks(channel) {
-            let warning = warnings.contains(&text);
-            match said.iter_mut().find(|other| other.text == text) {
-                Some(other) => other.about.push(who.clone()),
-                None => said.push(Remark { about: vec![who.clone()], text, warning }),
-            }
-        }
-    }
-    said
+fn with_intervals(
+    m: &Medium,
+    [reduced_scattering, absorption, sigma_t, albedo, g]: [Interval; 5],
+) -> [Estimated; 5] {
+    [
+        (m.reduced_scattering_per_mm(), reduced_scattering),
+        (m.absorption_per_mm(), absorption),
+        (m.sigma_t_per_mm(), sigma_t),
+        (m.albedo(), albedo),
+        (m.g(), g),
+    ]
 }

@@ -1,13 +1,16 @@
 //! Tests the texts of answers as users read them.
 
+use farm_figures::error_budget;
 use farm_figures::misfit::misfit_short;
 use farm_figures::testing::{channel, common, design, likelihood, scale_curve, scene_estimates, unmixed};
+use farm_lab::capture::budget_blocks;
 use optics_model::fit::{
     Cause, ChannelFit, Common, Design, DesignQuestion, DesignSettings, GError, Interval, MaterialFit,
     PixelRow, ScaleCurve, ScalePoint, Suspicion,
 };
 
 use super::*;
+use crate::output::lines;
 use crate::testing::is_stable;
 
 fn fit(material: &str, channels: &[ChannelFit]) -> [MaterialFit; 1] {
@@ -29,9 +32,9 @@ fn fits() -> [String; 2] {
     let assumed = || Some("assumed: origin ± 0.05 mm, gain ± 0.3 %".to_owned());
     let reports = [(&mixed, assumed(), true), (&open, None, false), (&records, assumed(), false)];
     let text = |(fits, assumed, bound): (&[MaterialFit; 1], _, _)| {
-        fits_text(&FitsReport { fits, assumed, bound, scene: true })
+        lines(&fits_blocks(&FitsReport { fits, assumed, bound, scene: true }))
     };
-    [reports.map(text).join("\n"), table::table_csv(&open).unwrap()]
+    [reports.map(text).join("\n"), found::table_csv(&open).unwrap()]
 }
 
 /// Bounds of an exact and of an uncertain scene; of records there are none.
@@ -44,7 +47,7 @@ fn bounds() -> String {
         fit("white", &[uncertain]),
         fit("white", &[record]),
     ];
-    all.map(|fits| bound::bounds(&fits)).join("\n")
+    all.map(|fits| lines(&fits::bounds(&fits))).join("\n")
 }
 
 /// The best design, one that determines nothing, and one for a single anisotropy.
@@ -55,7 +58,7 @@ fn designs() -> String {
     single.sets.iter_mut().for_each(|set| set.g_free = None);
     let text = |design: Design| {
         let question = DesignQuestion::new(DesignSettings::of(design.medium)).unwrap();
-        design_text(&design, &question)
+        lines(&design_blocks(&design, &question))
     };
     [design(), hopeless, single].map(text).join("\n")
 }
@@ -84,7 +87,11 @@ fn scales() -> String {
         ..scale_curve()
     };
     let texts = [open, found, given, best].map(|common| common_text(&common));
-    texts.into_iter().chain([50.0, -50.0].map(|c| scale_text(&curve(c)))).collect::<Vec<_>>().join("\n")
+    texts
+        .into_iter()
+        .chain([50.0, -50.0].map(|c| lines(&scale_blocks(&curve(c)))))
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 /// An unlikely χ² warns whatever the misfit, with the suspicion and without; a likely one only with a suspicion.
@@ -100,7 +107,7 @@ fn misfits() -> String {
     ] {
         let mut refined = refined.clone();
         (refined.likelihood, refined.suspicion) = (likelihood(chi2, probability), suspicion);
-        text += &format!("{:?}\n{:?}\n", misfit::misfit(&refined), misfit_short(&refined));
+        text += &format!("{:?}\n{:?}\n", remarks::misfit(&refined), misfit_short(&refined));
         text += &format!("{:#?}\n", likelihood::findings(&refined));
     }
     text
@@ -114,22 +121,21 @@ fn verdicts() -> String {
     let sigma_t = &mut channels[1].refined.as_mut().unwrap().sigma_t_per_mm;
     (sigma_t.low, sigma_t.high) = (5.88, 6.12);
     let some = verdict(&fit("white", &channels));
-    [all, some, verdict(&[])].map(|verdict| verdict_text(&verdict) + &format!("\n{verdict:#?}")).join("\n")
+    [all, some, verdict(&[])].map(|verdict| lines(&verdict.blocks()) + &format!("\n{verdict:#?}")).join("\n")
 }
 
 /// The texts without their colours; those of whole answers fit a terminal of 80 columns.
 #[test]
 fn texts_of_answers_are_stable() {
-    let budget = budget_text(&fit("white", &[channel("G", 6.0, 1.0)])).unwrap();
-    assert_eq!(budget_text(&[]), None);
+    let budget = error_budget(&fit("white", &[channel("G", 6.0, 1.0)])).unwrap();
     let [fits, table] = fits();
     for (name, text) in [
         ("fits", fits),
         ("table", table),
         ("bounds", bounds()),
-        ("budget", budget),
+        ("budget", lines(&budget_blocks(&budget))),
         ("designs", designs()),
-        ("inks", inks_text(&unmixed())),
+        ("inks", lines(&inks_blocks(&unmixed()))),
         ("scales", scales()),
         ("misfits", misfits()),
         ("verdicts", verdicts()),

@@ -6,8 +6,8 @@ use farm_figures::numbers::significant;
 use farm_lab::capture::{MeasureVerdict, PrecisionRow};
 use optics_model::fit::{ChannelFit, Interval, MaterialFit, Refined};
 
-use super::summary::{ChannelSummary, NumberWithInterval, all_remarks};
-use crate::output::{table, warning, wrapped};
+use super::remarks::all_remarks;
+use super::summary::{Estimated, quantities};
 
 /// Ratio of the greatest half-width to the median from which on it is shown.
 const UNLIKE: f64 = 1.2;
@@ -53,7 +53,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
             .chain(trade_off)
             .collect(),
         precision: fits.iter().filter_map(precision).collect(),
-        warnings: warnings.map(|w| format!("{}: {}", w.about.join(", "), w.text)).collect(),
+        warnings: warnings.collect(),
         improve_first: error_budget(fits).map(|budget| budget.first),
     }
 }
@@ -64,41 +64,6 @@ fn is_doubtful(channel: &ChannelFit) -> bool {
     let is =
         |r: &Refined| r.suspicion.is_some() || r.likelihood.scene.iter().any(|e| e.at_end || e.is_conflict());
     channel.refined.as_ref().is_some_and(is)
-}
-
-/// The verdict as lines of text.
-pub(crate) fn verdict_text(verdict: &MeasureVerdict) -> String {
-    let mut text = verdict.sentences.iter().map(|s| wrapped(s)).collect::<Vec<_>>().join("\n");
-    if !verdict.precision.is_empty() {
-        let rows = verdict.precision.iter().map(PrecisionRow::cells);
-        text += &format!(
-            "\nhalf-widths of the 95 % intervals, median over channels (greatest)\n{}",
-            table(&MeasureVerdict::COLUMNS, &[], rows)
-        );
-    }
-    for warned in &verdict.warnings {
-        text += &format!("\n{}", warning(&wrapped(warned)));
-    }
-    text
-}
-
-/// A row of the report's table for each refined channel: medium, and numbers with intervals.
-pub(crate) fn medium_rows(fits: &[MaterialFit]) -> Vec<Vec<String>> {
-    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
-    let row = |(fit, channel): (&MaterialFit, &ChannelFit)| {
-        let summary = ChannelSummary::of(channel.refined.as_ref()?);
-        let number = |n: NumberWithInterval| format!("{} ({})", n.value, n.interval);
-        Some(vec![
-            format!("{} {}", fit.material, channel.channel),
-            number(summary.reduced_scattering_per_mm),
-            number(summary.absorption_per_mm),
-            number(summary.sigma_t_per_mm),
-            number(summary.albedo),
-            number(summary.g),
-            summary.misfit,
-        ])
-    };
-    channels.filter_map(row).collect()
 }
 
 /// How well the determined channels of a material are known; None without one.
@@ -115,17 +80,13 @@ fn precision(fit: &MaterialFit) -> Option<PrecisionRow> {
             if greatest > UNLIKE * median { format!(" ({})", shown(greatest)) } else { String::new() };
         if median.is_finite() { format!("± {}{widest}", shown(median)) } else { shown(median) }
     };
-    let percent = |interval: &dyn Fn(&Refined) -> Interval, value: &dyn Fn(&Refined) -> f64| {
-        cell(&|r| 100.0 * half(&interval(r)) / value(r).abs(), " %")
+    let percent = |i: usize| {
+        let share = |(value, interval): Estimated| 100.0 * half(&interval) / value.abs();
+        cell(&|r| share(quantities(r)[i]), " %")
     };
     (!known.is_empty()).then(|| PrecisionRow {
         material: fit.material.clone(),
-        half_widths: [
-            percent(&|r| r.reduced_scattering_per_mm, &|r| r.best.medium.reduced_scattering_per_mm()),
-            percent(&|r| r.absorption_per_mm, &|r| r.best.medium.absorption_per_mm()),
-            percent(&|r| r.sigma_t_per_mm, &|r| r.best.medium.sigma_t_per_mm()),
-            cell(&|r| half(&r.g), ""),
-        ],
+        half_widths: [percent(0), percent(1), percent(2), cell(&|r| half(&r.g), "")],
     })
 }
 

@@ -1,6 +1,6 @@
-//! Renders the report of a session as one self-contained page.
+//! The report of a session as a document.
 //!
-//! `capture` keeps the sections as data, so that `measure` renders the page again with the fitted media.
+//! `capture` keeps its parts as data, so that `measure` renders the page again with the fitted media.
 
 mod bands;
 mod media;
@@ -9,63 +9,62 @@ mod set_up;
 mod shots;
 mod verdict;
 
+use std::collections::BTreeMap;
+
 use optics_capture::Warning;
 use serde::{Deserialize, Serialize};
 
-pub use media::{Media, Simulated};
+pub use media::{Media, Simulated, budget_blocks, estimate_blocks};
+pub use samples::{CapturedRow, captured_rows, captured_table};
 pub use verdict::{MeasureVerdict, PrecisionRow};
 
-use super::captured::{Captured, CapturedPart};
-use crate::page::{escaped, page};
-use samples::SlabSection;
+use super::captured::Captured;
+use crate::document::{Block, Document, PagePicture, Remark};
 
-/// The parts of the page from `capture`: sections as HTML, and the slabs with their pictures.
-#[derive(Debug, Serialize, Deserialize)]
+/// The parts of the page from `capture`. Those of another version of farmctl are empty.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct CaptureReport {
     title: String,
-    summary: String,
-    slabs: Vec<SlabSection>,
-    set_up: String,
-    /// Sections of the bands; empty for red, green and blue.
-    #[serde(default)]
-    bands: String,
-    inputs: String,
+    overview: Vec<Block>,
+    /// A strip of a photograph for each slab, by the sample's label.
+    strips: BTreeMap<String, PagePicture>,
+    /// Samples, set-up, bands and photographs.
+    details: Vec<Block>,
 }
 
 impl CaptureReport {
     pub(super) fn of(captured: &Captured) -> Self {
-        let colours: Vec<&CapturedPart> = captured.parts.iter().filter(|part| part.band.is_none()).collect();
-        let slabs = |captured, part: &&CapturedPart| {
-            let section = |sample| SlabSection::of(captured, part, sample);
-            part.samples.iter().map(section).collect::<Vec<_>>()
-        };
-        Self {
-            title: title(captured),
-            summary: samples::summary(captured),
-            slabs: colours.iter().flat_map(|part| slabs(captured, part)).collect(),
-            set_up: colours.iter().map(|part| set_up::section(captured, part)).collect(),
-            bands: bands::section(captured),
-            inputs: inputs(captured),
+        let colours = || captured.parts.iter().filter(|part| part.band.is_none());
+        let slabs = || colours().flat_map(|part| part.samples.iter().map(move |sample| (part, sample)));
+        let strips: BTreeMap<String, PagePicture> =
+            slabs().filter_map(|(_, sample)| samples::strip(sample)).collect();
+        let mut details = Vec::new();
+        if slabs().next().is_some() {
+            details.push(Block::heading(2, "Samples"));
         }
+        details.extend(slabs().flat_map(|(part, sample)| samples::blocks(captured, part, sample, &strips)));
+        details.extend(colours().flat_map(|part| set_up::blocks(captured, part)));
+        details.extend(bands::blocks(captured));
+        details.extend(photographs(captured));
+        Self { title: title(captured), overview: samples::overview(captured), strips, details }
     }
 
     /// The page; with the media once they are measured.
     pub fn page(&self, media: Option<&Media>) -> String {
-        let Self { summary, set_up, bands, inputs, .. } = self;
-        let title = escaped(&self.title);
-        let slabs: String = self.slabs.iter().map(SlabSection::section).collect();
-        let slabs = if slabs.is_empty() { slabs } else { format!("<h2>Samples</h2>\n{slabs}\n") };
-        let verdict = media.map_or_else(
-            || "<p class=\"faint\">Nothing is fitted yet: run <code>farmctl measure</code> with this folder.</p>\n".to_owned(),
-            |media| media.verdict.section(),
+        let mut blocks = media.map_or_else(
+            || vec![Block::aside("Nothing is fitted yet: run `farmctl measure` with this folder.")],
+            |media| media.verdict.blocks(),
         );
-        let media = media.map_or_else(String::new, |media| {
-            format!("<h2>Media</h2>\n{}{}", media.section(&self.slabs), media::FILES)
-        });
-        page(
-            &self.title,
-            &format!("<h1>{title}</h1>\n{verdict}{summary}\n{media}\n{slabs}{set_up}{bands}\n{inputs}\n"),
-        )
+        blocks.extend(self.overview.clone());
+        blocks.extend(media.map(|media| media.blocks(&self.strips)).unwrap_or_default());
+        blocks.extend(self.details.clone());
+        if self.details.is_empty() {
+            blocks.push(Block::aside(
+                "Another version of farmctl has kept photographs and set-up: run `farmctl capture` again to see them.",
+            ));
+        }
+        Document { title: self.title.clone(), blocks }.page()
     }
 }
 
@@ -77,35 +76,19 @@ fn title(captured: &Captured) -> String {
 }
 
 /// Every photograph with its digest.
-fn inputs(captured: &Captured) -> String {
-    let rows = captured.inputs.iter().map(|input| {
-        format!(
-            "<tr><td>{}</td><td class=\"words\"><code>{}</code></td></tr>",
-            escaped(&input.label),
-            input.digest
-        )
-    });
-    format!(
-        "<h2>Photographs</h2>\n<details><summary>{} files and their BLAKE3 digests</summary>\n<div class=\"wide\"><table>{}</table></div>\n</details>",
-        captured.inputs.len(),
-        rows.collect::<String>()
-    )
+fn photographs(captured: &Captured) -> [Block; 2] {
+    let entry = |input: &super::shots::Input| (input.label.clone(), format!("`{}`", input.digest));
+    let summary = format!("{} files and their BLAKE3 digests", captured.inputs.len());
+    let entries = Block::Entries(captured.inputs.iter().map(entry).collect());
+    [Block::heading(2, "Photographs"), Block::Folded(summary, vec![entries])]
 }
 
 pub(super) fn texts(warnings: &[Warning]) -> Vec<String> {
     warnings.iter().map(ToString::to_string).collect()
 }
 
-/// The warnings as a list; empty without warnings.
-fn warnings(warnings: &[Warning]) -> String {
-    let texts = texts(warnings);
-    warning_list(&texts.iter().map(String::as_str).collect::<Vec<_>>())
-}
-
-fn warning_list(texts: &[&str]) -> String {
-    if texts.is_empty() {
-        return String::new();
-    }
-    let items = texts.iter().map(|text| format!("<li>{}</li>", escaped(text)));
-    format!("<ul class=\"warnings\">{}</ul>\n", items.collect::<String>())
+/// The warnings as remarks; those about corrections are notes.
+fn remarks(warnings: &[Warning]) -> Block {
+    let remark = |w: &Warning| Remark { about: Vec::new(), text: w.to_string(), warning: !w.is_note() };
+    Block::Remarks(warnings.iter().map(remark).collect())
 }

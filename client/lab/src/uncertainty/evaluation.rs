@@ -3,24 +3,19 @@
 use farm_figures::misfit::is_unlikely;
 use farm_figures::numbers::{interval, significant};
 use farm_figures::source_name;
-use optics_model::fit::{ErrorSource, Interval, MaterialFit, Refined, SharedErrors, SourceShare, Z};
+use optics_model::fit::{
+    ChannelFit, ErrorSource, Interval, MaterialFit, Refined, SharedErrors, SourceShare, Z,
+};
 
 pub(super) const MEASURANDS: [&str; 3] = ["σ_t", "σ_s(1 − g)", "σ_a"];
 
 /// The measurands of a channel.
 #[derive(Debug, Clone)]
-pub(super) struct EvaluatedChannel {
-    pub material: String,
-    pub channel: String,
+pub(super) struct EvaluatedChannel<'a> {
+    pub material: &'a str,
+    pub channel: &'a str,
+    pub refined: &'a Refined,
     pub measurands: [EvaluatedMeasurand; 3],
-    /// Root mean square of the residuals over their noise.
-    pub misfit: f64,
-    /// Whether the residuals exceed what the input quantities explain, so that u_c was enlarged.
-    pub is_enlarged: bool,
-    /// Whether the data determine σ_t and the albedo.
-    pub is_resolved: bool,
-    /// The values come from mixtures: budget and correlations are not known.
-    pub is_from_mixtures: bool,
 }
 
 /// A measurand with its uncertainty, in 1/mm.
@@ -43,24 +38,22 @@ pub(super) struct EvaluatedMeasurand {
 }
 
 /// Every channel with a refined medium.
-pub(super) fn evaluated(fits: &[MaterialFit], errors: &SharedErrors) -> Vec<EvaluatedChannel> {
-    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(|c| (&fit.material, c)));
-    let evaluation = |(number, (material, channel)): (usize, (&String, &optics_model::fit::ChannelFit))| {
+pub(super) fn evaluated<'a>(fits: &'a [MaterialFit], errors: &SharedErrors) -> Vec<EvaluatedChannel<'a>> {
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c))).enumerate();
+    let evaluation = |(number, (fit, channel)): (usize, (&'a MaterialFit, &'a ChannelFit))| {
         let refined = channel.refined.as_ref()?;
-        Some(EvaluatedChannel {
-            material: material.clone(),
-            channel: channel.channel.clone(),
-            measurands: measurands(refined, errors.of_channel(number)),
-            misfit: refined.misfit,
-            is_enlarged: is_unlikely(&refined.likelihood),
-            is_resolved: refined.resolved,
-            is_from_mixtures: refined.from_mixtures,
-        })
+        let measurands = measurands(refined, errors.of_channel(number));
+        Some(EvaluatedChannel { material: &fit.material, channel: &channel.channel, refined, measurands })
     };
-    channels.enumerate().filter_map(evaluation).collect()
+    channels.filter_map(evaluation).collect()
 }
 
-impl EvaluatedChannel {
+impl EvaluatedChannel<'_> {
+    /// Whether the residuals exceed what the input quantities explain, so that u_c was enlarged.
+    pub(super) fn is_enlarged(&self) -> bool {
+        is_unlikely(&self.refined.likelihood)
+    }
+
     pub(super) fn label(&self) -> String {
         format!("{} {}", self.material, self.channel)
     }

@@ -3,132 +3,105 @@
 use std::collections::BTreeSet;
 
 use farm_figures::numbers::significant;
-use optics_model::fit::{MaterialFit, Nuisance, Refined};
+use optics_model::fit::{MaterialFit, Nuisance, NuisanceEstimate, Refined, SceneEstimate};
 use optics_model::scene::Scope;
 
-/// An input quantity.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct InputQuantity {
-    pub name: String,
-    /// How many independent values there are.
-    pub count: usize,
-    pub std_uncertainty: String,
-    /// Type A or B.
-    pub kind: &'static str,
-    pub distribution: &'static str,
-    /// Standard uncertainty after the fit; empty if it is not estimated.
-    pub posterior: String,
-}
+/// Columns of the table.
+pub(super) const HEAD: &str =
+    "input quantity | >values | standard uncertainty | type | distribution | after the fit";
 
-/// A quantity under construction, from all fits.
-#[derive(Debug, Clone)]
-struct GatheredInput {
+/// An estimate of an input quantity in a channel.
+struct InputEstimate {
     name: String,
     unit: String,
-    /// Places of the values: channel, slab or material.
-    values: BTreeSet<String>,
+    /// The channel, slab or material of the value: channels of a slab share its thickness.
+    place: String,
     /// It is of type A: from observations.
     is_observed: bool,
     distribution: &'static str,
-    priors: Vec<f64>,
-    posteriors: Vec<f64>,
+    /// Standard uncertainties before and after the fit.
+    prior: f64,
+    posterior: f64,
 }
 
-/// The input quantities of all channels, each once. What `farmctl capture` estimates from photographs is of type A.
-pub(super) fn input_quantities(fits: &[MaterialFit], is_captured: bool) -> Vec<InputQuantity> {
-    let refined: Vec<(usize, &str, &Refined)> = fits
-        .iter()
-        .enumerate()
-        .flat_map(|(i, fit)| {
-            fit.channels.iter().filter_map(move |c| Some((i, c.channel.as_str(), c.refined.as_ref()?)))
-        })
+/// A row for each input quantity of all channels. What `farmctl capture` estimates from photographs is of type A.
+pub(super) fn input_rows(fits: &[MaterialFit], is_captured: bool) -> Vec<Vec<String>> {
+    let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
+    let refined: Vec<(&str, &str, &Refined)> = channels
+        .filter_map(|(fit, c)| Some((fit.material.as_str(), c.channel.as_str(), c.refined.as_ref()?)))
         .collect();
     let noise: Vec<f64> = refined.iter().map(|(.., r)| r.measurement_noise).collect();
-    let mut all = vec![
-        InputQuantity {
-            name: "radiance factor of a pixel: noise".to_owned(),
-            count: noise.len(),
-            std_uncertainty: range(&noise, ""),
-            kind: "A",
-            distribution: "normal",
-            posterior: String::new(),
-        },
-        InputQuantity {
-            name: "simulated radiance factor: noise of the dictionary".to_owned(),
-            count: noise.len(),
-            std_uncertainty: "in each record".to_owned(),
-            kind: "A",
-            distribution: "normal",
-            posterior: String::new(),
-        },
+    let noise_row = |name: &str, std_uncertainty: &str| {
+        [name, &noise.len().to_string(), std_uncertainty, "A", "normal", ""].map(str::to_owned).to_vec()
+    };
+    let mut rows = vec![
+        noise_row("radiance factor of a pixel: noise", &range(noise.iter().copied(), "")),
+        noise_row("simulated radiance factor: noise of the dictionary", "in each record"),
     ];
-    let mut gathered: Vec<GatheredInput> = Vec::new();
-    for (material, channel, r) in &refined {
-        for n in &r.likelihood.nuisances {
-            let (name, unit) = name_of(n.nuisance);
-            let of_slab = n.profile_mm.map(|mm| mm.to_string()).unwrap_or_default();
-            let value = match n.nuisance {
+    let mut all: Vec<InputEstimate> = refined
+        .iter()
+        .flat_map(|(material, channel, r)| estimates(material, channel, r, is_captured))
+        .collect();
+    while let Some(first) = all.first() {
+        let name = first.name.clone();
+        let (same, others): (Vec<_>, Vec<_>) = all.into_iter().partition(|estimate| estimate.name == name);
+        rows.push(row(&same));
+        all = others;
+    }
+    rows
+}
+
+fn estimates(material: &str, channel: &str, r: &Refined, is_captured: bool) -> Vec<InputEstimate> {
+    let slab = |mm: Option<f64>| mm.map(|mm| mm.to_string()).unwrap_or_default();
+    let nuisance = |n: &NuisanceEstimate| {
+        let (name, unit) = name_of(n.nuisance);
+        let is_photographed = matches!(n.nuisance, Nuisance::BlurVariance | Nuisance::Origin);
+        InputEstimate {
+            name: name.to_owned(),
+            unit: unit.to_owned(),
+            place: match n.nuisance {
                 Nuisance::Scale => String::new(),
-                Nuisance::BlurVariance => (*channel).to_owned(),
-                Nuisance::Thickness => format!("{material} {of_slab}"),
-                _ => format!("{material} {channel} {of_slab}"),
-            };
-            let entry = entry(&mut gathered, name, unit);
-            entry.add(value, n.prior_std_error, n.std_error);
-            let is_photographed = matches!(n.nuisance, Nuisance::BlurVariance | Nuisance::Origin);
-            entry.is_observed |= is_captured && is_photographed || !n.prior_std_error.is_finite();
-        }
-        for e in &r.likelihood.scene {
-            let of_slab = e.slab_mm.map(|mm| mm.to_string()).unwrap_or_default();
-            let value = match e.scope {
-                Scope::Session => String::new(),
-                Scope::Channel => format!("{material} {channel}"),
-                Scope::Material | Scope::Slab => format!("{material} {of_slab}"),
-            };
-            let entry = entry(&mut gathered, &e.quantity, &e.unit);
-            entry.add(value, e.prior_std_error, e.std_error);
-            entry.distribution = "normal, with wider tails";
-        }
-    }
-    all.extend(gathered.iter().map(GatheredInput::quantity));
-    all
-}
-
-fn entry<'a>(all: &'a mut Vec<GatheredInput>, name: &str, unit: &str) -> &'a mut GatheredInput {
-    let at = all.iter().position(|of| of.name == name).unwrap_or_else(|| {
-        let (name, unit) = (name.to_owned(), unit.to_owned());
-        all.push(GatheredInput {
-            name,
-            unit,
-            values: BTreeSet::new(),
-            is_observed: false,
+                Nuisance::BlurVariance => channel.to_owned(),
+                Nuisance::Thickness => format!("{material} {}", slab(n.profile_mm)),
+                _ => format!("{material} {channel} {}", slab(n.profile_mm)),
+            },
+            is_observed: is_captured && is_photographed || !n.prior_std_error.is_finite(),
             distribution: "normal",
-            priors: Vec::new(),
-            posteriors: Vec::new(),
-        });
-        all.len() - 1
-    });
-    &mut all[at]
+            prior: n.prior_std_error,
+            posterior: n.std_error,
+        }
+    };
+    let scene = |e: &SceneEstimate| InputEstimate {
+        name: e.quantity.clone(),
+        unit: e.unit.clone(),
+        place: match e.scope {
+            Scope::Session => String::new(),
+            Scope::Channel => format!("{material} {channel}"),
+            Scope::Material | Scope::Slab => format!("{material} {}", slab(e.slab_mm)),
+        },
+        is_observed: false,
+        distribution: "normal, with wider tails",
+        prior: e.prior_std_error,
+        posterior: e.std_error,
+    };
+    let l = &r.likelihood;
+    l.nuisances.iter().map(nuisance).chain(l.scene.iter().map(scene)).collect()
 }
 
-impl GatheredInput {
-    fn add(&mut self, value: String, prior: f64, posterior: f64) {
-        self.values.insert(value);
-        self.priors.push(prior);
-        self.posteriors.push(posterior);
-    }
-
-    fn quantity(&self) -> InputQuantity {
-        let is_free = self.priors.iter().any(|prior| !prior.is_finite());
-        InputQuantity {
-            name: self.name.clone(),
-            count: self.values.len(),
-            std_uncertainty: if is_free { "unknown".to_owned() } else { range(&self.priors, &self.unit) },
-            kind: if self.is_observed { "A" } else { "B" },
-            distribution: self.distribution,
-            posterior: range(&self.posteriors, &self.unit),
-        }
-    }
+/// The estimates of one quantity.
+fn row(all: &[InputEstimate]) -> Vec<String> {
+    let InputEstimate { name, unit, distribution, .. } = &all[0];
+    let is_free = all.iter().any(|estimate| !estimate.prior.is_finite());
+    let prior = range(all.iter().map(|estimate| estimate.prior), unit);
+    let places: BTreeSet<&String> = all.iter().map(|estimate| &estimate.place).collect();
+    vec![
+        name.clone(),
+        places.len().to_string(),
+        if is_free { "unknown".to_owned() } else { prior },
+        if all.iter().any(|estimate| estimate.is_observed) { "A" } else { "B" }.to_owned(),
+        (*distribution).to_owned(),
+        range(all.iter().map(|estimate| estimate.posterior), unit),
+    ]
 }
 
 fn name_of(nuisance: Nuisance) -> (&'static str, &'static str) {
@@ -144,15 +117,12 @@ fn name_of(nuisance: Nuisance) -> (&'static str, &'static str) {
     }
 }
 
-/// One number, or the least and the greatest.
-fn range(values: &[f64], unit: &str) -> String {
-    let finite = || values.iter().copied().filter(|v| v.is_finite());
-    let (least, most) = (finite().fold(f64::INFINITY, f64::min), finite().fold(0.0, f64::max));
-    let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+/// One number, or the least and the greatest of those that are finite.
+fn range(values: impl Iterator<Item = f64>, unit: &str) -> String {
+    let finite: Vec<f64> = values.filter(|v| v.is_finite()).collect();
+    let least = finite.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = finite.iter().copied().fold(0.0, f64::max);
     let [least, most] = [least, most].map(|v| significant(v, 2));
-    match values {
-        [] => String::new(),
-        _ if least == most => format!("{least}{unit}"),
-        _ => format!("{least} to {most}{unit}"),
-    }
+    let numbers = if least == most { least } else { format!("{least} to {most}") };
+    if finite.is_empty() { String::new() } else { format!("{numbers} {unit}").trim_end().to_owned() }
 }

@@ -42,7 +42,7 @@ pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
     if dictionaries.is_empty() {
         return "no dictionaries yet: `farmctl submit` computes one".to_owned();
     }
-    let head = ["dictionary", "state", "priority", "records", "of", "work done", "left", "failed jobs"];
+    let head = "dictionary | state | >priority | >records | >of | >work done | >left | >failed jobs";
     let row = |d: &DictionaryStatus| {
         vec![
             d.name.to_string(),
@@ -55,5 +55,5 @@ pub(crate) fn text(dictionaries: &[DictionaryStatus]) -> String {
             d.jobs_failed.to_string(),
         ]
     };
-    table(&head, &[2, 3, 4, 5, 6, 7], dictionaries.iter().map(row))
+    table(head, dictionaries.iter().map(row))
 }

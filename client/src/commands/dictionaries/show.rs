@@ -20,7 +20,7 @@ use crate::cli::{FigureArgs, Global};
 use crate::connection::records::RecordStream;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::figure_files::{self, FigureSize};
-use crate::output::{DictionaryJson, Output, grouped, state};
+use crate::output::{DictionaryJson, Output, grouped, lines, state};
 use noise::Noise;
 
 #[derive(Debug, Args)]
@@ -71,7 +71,8 @@ pub(crate) async fn run(global: &Global, args: ShowArgs, output: &Output) -> Res
     let described = || {
         text(&status)
             + &noise.as_ref().map_or_else(String::new, Noise::text)
-            + &figure_files::drawn(&args.plot)
+            + "\n"
+            + &lines(&figure_files::drawn(&args.plot))
     };
     output.print("show", &Shown { dictionary: data(&status), noise: noise.as_ref() }, described)
 }

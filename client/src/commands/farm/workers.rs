@@ -120,8 +120,8 @@ pub(crate) fn text(workers: &[WorkerStatus]) -> String {
             w.version.clone(),
         ]
     };
-    let head = ["worker", "id", "state", "threads", "leases", "results", "heard of", "machine", "version"];
-    table(&head, &[3, 4, 5, 6], workers.iter().map(row))
+    let head = "worker | id | state | >threads | >leases | >results | >heard of | machine | version";
+    table(head, workers.iter().map(row))
 }
 
 #[cfg(test)]

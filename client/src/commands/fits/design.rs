@@ -6,6 +6,7 @@ use std::str::FromStr;
 use anyhow::Result;
 use clap::Args;
 use farm_figures::design_figure;
+use farm_lab::document::Block;
 use farm_lab::set_up::{Assumed, SetUp};
 use farm_proto::wire::DesignRequest;
 use optics_model::fit::{Design, DesignQuestion, DesignSettings, FitOptions, FitSettings, PixelRow};
@@ -13,11 +14,11 @@ use optics_model::{Invalid, Medium};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{SetUpJson, design_text};
+use crate::answers::{SetUpJson, design_blocks};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, SetUpArgs};
 use crate::figure_files::{self, drawn};
-use crate::output::{Output, wrapped};
+use crate::output::Output;
 
 /// Headings of the help.
 const MEDIUM: &str = "Guess of the medium";
@@ -182,10 +183,9 @@ pub(crate) async fn run(global: &Global, args: DesignArgs, output: &Output) -> R
         figure_files::write(&design_figure(&design)?, path, args.figure.size()?)?;
     }
     let data = data(&dictionary, &question, &assumed, &design);
-    output.print("design", &data, || {
-        let assumed = assumed.text(question.settings().set_up.settings());
-        let assumed = assumed.map_or_else(String::new, |text| format!("\n\n{}", wrapped(&text)));
-        format!("{}{assumed}{}", design_text(&design, &question), drawn(&args.plot))
+    output.answer("design", &data, || {
+        let assumed = assumed.text(question.settings().set_up.settings()).map(Block::Paragraph);
+        [design_blocks(&design, &question), assumed.into_iter().collect(), drawn(&args.plot)].concat()
     })
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use farm_lab::document::Block;
 use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::set_up::SetUp;
 use farm_proto::wire::FitRequest;
@@ -12,11 +13,11 @@ use optics_model::fit::{FitOptions, FitSettings, MaterialFit};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_text, neighbours};
+use crate::answers::{FitsReport, MeasurementAnswer, UsedOptions, fits_blocks, neighbours};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, OptionArgs};
 use crate::connection::{Connection, patient};
-use crate::figure_files;
+use crate::figure_files::{self, drawn};
 use crate::output::Output;
 
 #[derive(Debug, Args)]
@@ -85,10 +86,10 @@ pub(crate) async fn run(global: &Global, args: FitArgs, output: &Output) -> Resu
     };
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = MeasurementAnswer { options: used, answer: FitJson { materials: &fits }, notes: &notes };
-    output.print("fit", &data, || {
+    output.answer("fit", &data, || {
         let assumed = assumed.text(options.settings());
         let report = FitsReport { fits: &fits, assumed, bound: args.bound, scene: true };
-        text(&report, args.top, &pictures)
+        [blocks(&report, args.top), drawn(&pictures)].concat()
     })
 }
 
@@ -120,15 +121,12 @@ async fn fit_all(
 }
 
 /// The fits, then the best records of each channel.
-fn text(report: &FitsReport, top: u32, pictures: &[PathBuf]) -> String {
-    let mut text = fits_text(report);
-    if top > 1 {
-        for fit in report.fits {
-            for channel in &fit.channels {
-                text += &format!("\n\n{}, channel {}: best records\n", fit.material, channel.channel);
-                text += &neighbours(&channel.candidates);
-            }
-        }
+fn blocks(report: &FitsReport, top: u32) -> Vec<Block> {
+    let mut blocks = fits_blocks(report);
+    let channels = report.fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
+    for (fit, channel) in channels.filter(|_| top > 1) {
+        let title = format!("{}, channel {}: best records", fit.material, channel.channel);
+        blocks.extend([Block::Heading(3, title), neighbours(&channel.candidates)]);
     }
-    text + &figure_files::drawn(pictures)
+    blocks
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::numbers::{albedo, significant};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::{MeasurementFile, normal};
 use farm_proto::wire::MapRequest;
 use optics_model::Measurement;
@@ -17,7 +18,7 @@ use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, OptionArgs};
 use crate::connection::{Connection, patient};
 use crate::figure_files;
-use crate::output::{Output, table};
+use crate::output::Output;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -68,9 +69,8 @@ pub(crate) async fn run(global: &Global, args: MapArgs, output: &Output) -> Resu
     };
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let data = MeasurementAnswer { options: used, answer: MapJson { maps: &maps }, notes: &notes };
-    output.print("map", &data, || {
-        maps.iter().map(text).collect::<Vec<_>>().join("\n\n") + &figure_files::drawn(&pictures)
-    })
+    output
+        .answer("map", &data, || maps.iter().flat_map(blocks).chain(figure_files::drawn(&pictures)).collect())
 }
 
 /// The requested materials and channels.
@@ -126,7 +126,7 @@ async fn map_all(
 }
 
 /// One row per anisotropy: its best medium, and the prediction of similarity theory from the best of all.
-fn text(MaterialMap { material, map }: &MaterialMap) -> String {
+fn blocks(MaterialMap { material, map }: &MaterialMap) -> [Block; 2] {
     let row = |(i, layer): (usize, &MapLayer)| {
         let best = &layer.best.medium;
         let mut row = vec![
@@ -141,9 +141,9 @@ fn text(MaterialMap { material, map }: &MaterialMap) -> String {
         }
         row
     };
-    let head = ["g", "σ_t /mm", "α", "error", "similar to best\nσ_t /mm", "similar to best\nα"];
-    let rows = map.layers.iter().enumerate().map(row);
-    format!("{material}, channel {}\n{}", map.channel, table(&head, &[0, 1, 2, 3, 4, 5], rows))
+    let head = ">g | >σ_t /mm | >α | >error | >similar to best\nσ_t /mm | >similar to best\nα";
+    let title = Block::Heading(3, format!("{material}, channel {}", map.channel));
+    [title, ValueTable::new(head, map.layers.iter().enumerate().map(row)).block()]
 }
 
 /// A map with its material.

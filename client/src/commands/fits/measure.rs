@@ -9,6 +9,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
+use farm_figures::error_budget;
+use farm_lab::capture::budget_blocks;
+use farm_lab::document::Block;
 use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::mixture_file::read_mixtures;
 use farm_lab::session_folder::SessionFolder;
@@ -19,10 +22,10 @@ use optics_model::Measurement;
 use optics_model::fit::{FitOptions, FitSettings, Mixtures, MuRange, Objective};
 
 use super::chosen_dictionary::{self, WantedDictionary};
-use crate::answers::{FitsReport, UsedOptions, budget_text, set_up_notes, verdict, verdict_text};
+use crate::answers::{FitsReport, UsedOptions, set_up_notes, verdict};
 use crate::cli::set_up::SET_UP;
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
-use crate::figure_files::{self, FigureSize};
+use crate::figure_files::{self, FigureSize, drawn};
 use crate::measured;
 use crate::output::Output;
 use crate::slurm::shell_quoted;
@@ -276,13 +279,13 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     output.notes(&of_set_up, &inputs.measurements);
     notes.extend(of_set_up);
     let options = inputs.options.with_mu(found.common.mu, found.common.mu_std_error.min(1.0))?;
-    let answer = |scene: bool| {
-        let assumed = assumed.text(options.settings());
-        let report = FitsReport { fits: &found.materials, assumed, bound: inputs.bound, scene };
-        measured::text(&found, &report) + &figure_files::drawn(&pictures)
+    let report = FitsReport {
+        fits: &found.materials,
+        assumed: assumed.text(options.settings()),
+        bound: inputs.bound,
+        scene: true,
     };
-    // With --output, a session's folder keeps its report and media. The report has tables of the scene's estimates and of
-    // the budget, so its text omits them.
+    // With --output, a session's folder keeps its report and media.
     let completed = inputs.folder.as_ref().filter(|_| inputs.output.is_none());
     let data = measured::data(UsedOptions::new(&dictionary, &options, &assumed), &found, &notes);
     let folder = inputs.output.as_deref().or(completed.map(SessionFolder::path));
@@ -290,23 +293,21 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
     if let Some(folder) = folder {
         measured::write_answer(folder, &data)?;
     }
-    let report = match completed {
-        Some(folder) => measured::complete(folder, &found, (&dictionary, &grid), &answer(false))?,
+    let completed = match completed {
+        Some(folder) => measured::complete(folder, &found, (&dictionary, &grid), &report)?,
         None => None,
     };
-    output.print("measure", &data, || {
-        let mut text = answer(true);
+    output.answer("measure", &data, || {
+        let mut blocks = [measured::blocks(&found, &report), drawn(&pictures)].concat();
         if inputs.folder.is_some() {
-            let budget = budget_text(&found.materials);
-            text += &budget.map_or_else(String::new, |budget| format!("\n\n{budget}"));
-            text += &format!("\n\n{}", verdict_text(&verdict(&found.materials)));
+            blocks.extend(error_budget(&found.materials).iter().flat_map(budget_blocks));
+            blocks.push(Block::heading(2, "Verdict"));
+            blocks.extend(verdict(&found.materials).blocks());
         }
         let report =
-            report.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
-        if let Some(folder) = folder {
-            text += &measured::written_to(folder, report.unwrap_or_default());
-        }
-        text
+            completed.as_ref().map(|_| "report.html with the media, ro-crate-metadata.json (for archives), ");
+        blocks.extend(folder.map(|folder| measured::written_to(folder, report.unwrap_or_default())));
+        blocks
     })?;
     found.not_kept.clone().map_or(Ok(()), |why| Err(NotKept(why).into()))
 }

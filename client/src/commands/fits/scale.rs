@@ -11,7 +11,7 @@ use optics_model::fit::{Common, FitOptions, MaterialFit, ScaleCurve};
 use serde::Serialize;
 
 use super::chosen_dictionary;
-use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_text, scale_text};
+use crate::answers::{MeasurementAnswer, OLDER, UsedOptions, common_blocks, scale_blocks};
 use crate::cli::{FigureArgs, Global, MuArgs, OptionArgs};
 use crate::connection::patient;
 use crate::figure_files::{self, drawn};
@@ -68,9 +68,8 @@ pub(crate) async fn run(global: &Global, args: ScaleArgs, output: &Output) -> Re
     let used = UsedOptions::new(&dictionary, &options, &assumed);
     let answer = ScaleJson { scale: &scale, common: &common, materials: &fits };
     let data = MeasurementAnswer { options: used, answer, notes: &notes };
-    output.print("scale", &data, || {
-        format!("{}\n\n{}{}", common_text(&common), scale_text(&scale), drawn(&args.plot))
-    })
+    output
+        .answer("scale", &data, || [common_blocks(&common), scale_blocks(&scale), drawn(&args.plot)].concat())
 }
 
 #[derive(Debug, Serialize)]

@@ -3,10 +3,11 @@
 use anyhow::Result;
 use clap::Args;
 use farm_figures::numbers::{albedo, significant};
+use farm_lab::document::ValueTable;
 use optics_model::Medium;
 use serde::Serialize;
 
-use crate::output::{Output, table};
+use crate::output::Output;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -37,7 +38,7 @@ pub(crate) struct SimilarArgs {
 /// Computes locally, with the formulas of the service's `Similar`.
 pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
     let data = data(args)?;
-    output.print("similar", &data, || {
+    output.answer("similar", &data, || {
         let row = |m: &SimilarMedia| {
             vec![
                 m.medium.g().to_string(),
@@ -47,8 +48,8 @@ pub(crate) fn run(args: &SimilarArgs, output: &Output) -> Result<()> {
                 significant(m.absorption_per_mm, 4),
             ]
         };
-        let head = ["g", "σ_t /mm", "α", "σ_s(1−g) /mm", "σ_a /mm"];
-        table(&head, &[0, 1, 2, 3, 4], data.similar.iter().map(row))
+        let head = ">g | >σ_t /mm | >α | >σ_s(1−g) /mm | >σ_a /mm";
+        vec![ValueTable::new(head, data.similar.iter().map(row)).block()]
     })
 }
 

@@ -9,16 +9,14 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_lab::capture::{
-    self, Captured, CapturedChannel, CapturedPart, CapturedSample, FILES, SessionErrors,
-};
+use farm_lab::capture::{self, Captured, CapturedPart, FILES, SessionErrors, captured_rows, captured_table};
+use farm_lab::document::Block;
 use indicatif::{ProgressBar, ProgressStyle};
-use optics_capture::Source;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::cli::Global;
 use crate::commands::fits::measure::{self, MeasureArgs};
-use crate::output::{Output, table, warning, wrapped, write_whole};
+use crate::output::{Output, write_whole};
 use crate::progress::has_bars;
 
 #[derive(Debug, Args)]
@@ -87,8 +85,22 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     let warnings = captured.warnings(&folder.join(FILES[0]), &notes);
     // Standard output has one object: with --measure, that of the media.
     if !(args.measure && output.is_json()) {
-        output
-            .print("capture", &data(&captured, &folder, &warnings), || text(&captured, &folder, &warnings))?;
+        let rows = captured_rows(&captured);
+        let data = json!({
+            "output": folder.display().to_string(),
+            "files": FILES,
+            "profiles": rows,
+            "errors": SessionErrors::of(&captured),
+            "warnings": warnings,
+        });
+        output.answer("capture", &data, || {
+            let mut blocks = vec![captured_table(&rows).block()];
+            blocks.extend(set_up(&captured).map(Block::Paragraph));
+            blocks.push(Block::warnings(&warnings));
+            let written = format!("written to {}: {}", folder.display(), FILES.join(", "));
+            blocks.push(Block::Preformatted(written));
+            blocks
+        })?;
     }
     if args.measure {
         measure::run(global, measure::Inputs::of(MeasureArgs::new(folder))?, output).await?;
@@ -125,30 +137,8 @@ fn bar(quiet: bool) -> ProgressBar {
     bar
 }
 
-fn text(captured: &Captured, folder: &Path, warnings: &[String]) -> String {
-    let head = ["sample", "", "shots", "dark", "light", "noise", "rejected", "blur\n[µm]", "origin\n[µm]"];
-    let rows = rows(captured).into_iter().map(|row| {
-        vec![
-            row.sample,
-            row.channel,
-            row.shots.to_string(),
-            format!("{:.4}", row.dark),
-            format!("{:.4}", row.light),
-            format!("{:.5}", row.noise),
-            format!("{:.1} %", 100.0 * row.rejected),
-            format!("{:.1} ± {:.2}", 1000.0 * row.blur_mm, 1000.0 * row.blur_std_error_mm),
-            format!("± {:.1}", 1000.0 * row.origin_std_error_mm),
-        ]
-    });
-    let mut text = table(&head, &[2, 3, 4, 5, 6, 7, 8], rows);
-    text += &format!("\n{}", set_up_text(captured));
-    for doubt in warnings {
-        text += &format!("\n{}", warning(&wrapped(doubt)));
-    }
-    text + &format!("\nwritten to {}: {}", folder.display(), FILES.join(", "))
-}
-
-fn set_up_text(captured: &Captured) -> String {
+/// Board, further results, and errors of all profiles.
+fn set_up(captured: &Captured) -> impl Iterator<Item = String> {
     let errors = SessionErrors::of(captured);
     let percent = |share: f64| format!("{:.2} %", 100.0 * share);
     let rho = captured.channels().into_iter().map(|channel| channel.rho());
@@ -173,60 +163,7 @@ fn set_up_text(captured: &Captured) -> String {
         percent(errors.slope_std_error),
     );
     let further: Vec<String> = captured.parts.iter().flat_map(CapturedPart::further).collect();
-    let further = if further.is_empty() { String::new() } else { wrapped(&further.join("; ")) + "\n" };
-    format!("{}\n{further}{}", wrapped(&board), wrapped(&errors))
-}
-
-/// Results of one channel of a sample.
-#[derive(Debug, serde::Serialize)]
-struct CapturedRow {
-    sample: String,
-    material: String,
-    thickness_mm: f64,
-    channel: String,
-    shots: usize,
-    dark: f64,
-    light: f64,
-    /// Mean random error of a bin.
-    noise: f64,
-    /// Share of rejected samples.
-    rejected: f64,
-    blur_mm: f64,
-    blur_std_error_mm: f64,
-    origin_std_error_mm: f64,
-}
-
-fn rows(captured: &Captured) -> Vec<CapturedRow> {
-    let channels = captured.channels();
-    let row = |(channel, sample): (&CapturedChannel, &CapturedSample)| {
-        let (profile, blur) = (channel.profile(sample), channel.blur_mm());
-        let [dark, light] = capture::ends(&profile);
-        CapturedRow {
-            sample: sample.about.label(),
-            material: sample.about.material.clone(),
-            thickness_mm: sample.about.thickness_mm,
-            channel: channel.name.clone(),
-            shots: sample.profile.shots.len(),
-            dark,
-            light,
-            noise: capture::mean(&profile.std_errors),
-            rejected: capture::mean(&profile.rejected),
-            blur_mm: blur.value,
-            blur_std_error_mm: blur.std_error,
-            origin_std_error_mm: channel.error(sample, &[Source::Origin]),
-        }
-    };
-    capture::profiles(&channels).map(row).collect()
-}
-
-fn data(captured: &Captured, folder: &Path, warnings: &[String]) -> Value {
-    json!({
-        "output": folder.display().to_string(),
-        "files": FILES,
-        "profiles": rows(captured),
-        "errors": SessionErrors::of(captured),
-        "warnings": warnings,
-    })
+    [board, further.join("; "), errors].into_iter().filter(|text| !text.is_empty())
 }
 
 fn board(path: &Path, output: &Output) -> Result<()> {

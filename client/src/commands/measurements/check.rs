@@ -4,12 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::Args;
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::{MeasurementFile, Note, beyond_limits, read_measurements};
 use optics_model::measurement::ProfileSetup;
 use optics_model::{MeasuredProfile, Measurement};
 use serde::{Serialize, Serializer};
 
-use crate::output::{Output, table};
+use crate::output::Output;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -25,7 +26,7 @@ pub(crate) fn run(args: &CheckArgs, output: &Output) -> Result<()> {
     let mut file = read_measurements(&args.measurements)?;
     file.notes.extend(beyond_limits(&file.materials));
     output.notes(&file.notes, &args.measurements);
-    output.print("check", &data(&file), || text(&file))
+    output.answer("check", &data(&file), || blocks(&file))
 }
 
 #[derive(Debug, Serialize)]
@@ -85,15 +86,15 @@ pub(crate) fn data(file: &MeasurementFile) -> CheckJson<'_> {
     CheckJson { materials: file.materials.iter().map(Into::into).collect(), notes: &file.notes }
 }
 
-fn text(file: &MeasurementFile) -> String {
+fn blocks(file: &MeasurementFile) -> Vec<Block> {
     let rows = file.materials.iter().flat_map(|m| m.profiles().iter().map(move |p| row(m.material(), p)));
-    let head = ["material", "channel", "thickness / mm", "pixels", "x / mm", "values", "errors"];
+    let head = "material | channel | >thickness / mm | >pixels | x / mm | values | errors";
     let verdict = match file.notes.len() {
         0 => "nothing is wrong with it that can be seen".to_owned(),
         1 => "1 note, above; all else is as it should be".to_owned(),
         n => format!("{n} notes, above; all else is as it should be"),
     };
-    format!("{}\n{verdict}", table(&head, &[2, 3], rows))
+    vec![ValueTable::new(head, rows).block(), Block::Verdict(verdict)]
 }
 
 fn row(material: &str, profile: &MeasuredProfile) -> Vec<String> {

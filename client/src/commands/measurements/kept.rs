@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::set_up::SetUp;
 use farm_proto::wire::{
     AnnotateMeasurementRequest, DeleteMeasurementRequest, GetMeasurementRequest, KeptMeasurement,
@@ -18,7 +19,7 @@ use crate::answers::{FitsReport, MeasureAnswer, UsedOptions};
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::measured;
-use crate::output::{Output, table, utc};
+use crate::output::{Output, utc};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -110,20 +111,18 @@ pub(crate) struct KeptJson {
 
 impl From<MeasurementSummary> for KeptJson {
     fn from(kept: MeasurementSummary) -> Self {
-        let MeasurementSummary {
-            id,
-            kept_unix_ms,
-            owner,
-            title,
-            note,
-            source,
-            command,
-            dictionary,
-            materials,
-            channels,
-        } = kept;
-        let kept = utc(kept_unix_ms);
-        Self { id, kept, owner, title, note, source, command, dictionary, materials, channels }
+        Self {
+            id: kept.id,
+            kept: utc(kept.kept_unix_ms),
+            owner: kept.owner,
+            title: kept.title,
+            note: kept.note,
+            source: kept.source,
+            command: kept.command,
+            dictionary: kept.dictionary,
+            materials: kept.materials,
+            channels: kept.channels,
+        }
     }
 }
 
@@ -137,12 +136,12 @@ pub(crate) async fn run(global: &Global, args: KeptArgs, output: &Output) -> Res
     with_farm(global, Purpose::Ask, async |connection| match &command {
         KeptCommand::List(args) => {
             let data = KeptListJson { measurements: newest(connection, args.most as usize).await? };
-            output.print("measurements", &data, || list_text(&data.measurements))
+            output.answer("measurements", &data, || vec![list(&data.measurements)])
         }
         KeptCommand::Show(args) => show(get(connection, &args.kept).await?, args.output.as_deref(), output),
         KeptCommand::Annotate(args) => {
             let data = annotate(connection, args).await?;
-            output.print("measurement", &data, || head(&data))
+            output.answer("measurement", &data, || vec![Block::Preformatted(head(&data))])
         }
         KeptCommand::Delete(KeptIdArgs { id }) => {
             connection.measurements().delete(DeleteMeasurementRequest { id: id.clone() }).await?;
@@ -179,20 +178,17 @@ async fn newest(connection: &Connection, most: usize) -> Result<Vec<KeptJson>> {
     Ok(all)
 }
 
-fn list_text(all: &[KeptJson]) -> String {
+fn list(all: &[KeptJson]) -> Block {
     if all.is_empty() {
-        return "no measurement is kept yet: `farmctl measure FILE --keep` and the page of `farmctl web` keep them"
-            .to_owned();
+        return Block::paragraph(
+            "no measurement is kept yet: `farmctl measure FILE --keep` and the page of `farmctl web` keep them",
+        );
     }
     let rows = all.iter().map(|kept| {
         let KeptJson { id, kept, owner, title, dictionary, channels, .. } = kept;
-        [id, kept, owner, title, dictionary]
-            .map(Clone::clone)
-            .into_iter()
-            .chain([channels.to_string()])
-            .collect()
+        [id, kept, owner, title, dictionary, &channels.to_string()].map(Clone::clone).to_vec()
     });
-    table(&["id", "kept", "owner", "title", "dictionary", "channels"], &[5], rows)
+    ValueTable::new("id | kept | owner | title | dictionary | >channels", rows).block()
 }
 
 fn head(kept: &KeptJson) -> String {
@@ -245,14 +241,16 @@ fn show(kept: KeptMeasurement, folder: Option<&Path>, output: &Output) -> Result
     if let Some(folder) = folder {
         measured::write_answer(folder, &data)?;
     }
-    output.print("measure", &data, || {
+    output.answer("measure", &data, || {
         let report = FitsReport {
             fits: &found.materials,
             assumed: assumed.text(options.settings()),
             bound: false,
             scene: true,
         };
-        let written = folder.map(|folder| measured::written_to(folder, ""));
-        format!("{}\n\n{}{}", head(&summary), measured::text(&found, &report), written.unwrap_or_default())
+        let mut blocks = vec![Block::Preformatted(head(&summary) + "\n")];
+        blocks.extend(measured::blocks(&found, &report));
+        blocks.extend(folder.map(|folder| measured::written_to(folder, "")));
+        blocks
     })
 }

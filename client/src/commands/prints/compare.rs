@@ -7,10 +7,11 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use farm_figures::numbers::short;
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::media_file::MediaFile;
 use serde::Serialize;
 
-use crate::output::{Output, table, wrapped};
+use crate::output::Output;
 use crate::prints::comparison::{ComparedChannel, ComparedQuantity, Comparison, compared};
 use library::LibraryMatches;
 
@@ -47,15 +48,14 @@ pub(crate) fn run(args: &CompareArgs, output: &Output) -> Result<()> {
     if library::is_library(&args.b) {
         let (library, left_out) = library::nearest(&a, &args.b)?;
         let data = CompareJson { compared: Comparison::default(), library, left_out };
-        return output.print("compare", &data, || library::text(&data.library, &data.left_out));
+        return output.answer("compare", &data, || library::blocks(&data.library, &data.left_out));
     }
     let compared = compared(&a, &MediaFile::read(&args.b)?)?;
     let data = CompareJson { compared, library: Vec::new(), left_out: Vec::new() };
-    output.print("compare", &data, || text(&data.compared))
+    output.answer("compare", &data, || blocks(&data.compared))
 }
 
-fn text(data: &Comparison) -> String {
-    let head = ["material", "ch", "", "A", "B", "E_n", "pooled", "95 %"];
+fn blocks(data: &Comparison) -> Vec<Block> {
     let row = |c: &ComparedChannel, q: &ComparedQuantity| {
         let [a, b, e_n, pooled, interval] = q.texts();
         let mark = if q.differs() { " !" } else { "" };
@@ -63,10 +63,12 @@ fn text(data: &Comparison) -> String {
     };
     // σ_s(1 − g) and σ_a are shared by similar media: they are compared first, the others are in the JSON.
     let rows = data.channels.iter().flat_map(|c| c.quantities.iter().take(2).map(move |q| row(c, q)));
-    let mut text = table(&head, &[3, 4, 5, 6], rows);
-    text += &format!("\n{}", wrapped(&data.conclusion()));
+    let mut blocks = vec![
+        ValueTable::new("material | ch |  | >A | >B | >E_n | >pooled | 95 %", rows).block(),
+        Block::Verdict(data.conclusion()),
+    ];
     if !data.unmatched.is_empty() {
-        text += &format!("\n{}", wrapped(&format!("without a counterpart: {}", data.unmatched.join(", "))));
+        blocks.push(Block::Paragraph(format!("without a counterpart: {}", data.unmatched.join(", "))));
     }
-    text
+    blocks
 }

@@ -4,13 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use farm_figures::numbers::{minus, significant, with_error};
+use farm_figures::numbers::{significant, with_error};
 use farm_lab::colour::{StandardObserver, Viewing};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::media_file::MediaFile;
 use farm_lab::whole_file::write_whole;
 
 use super::view_args::ViewArgs;
-use crate::output::{Output, table, wrapped};
+use crate::output::Output;
 use crate::prints::prediction::{
     ColourJson, ColoursJson, PredictJson, PredictedChannelJson, ReflectanceJson, predicted,
 };
@@ -51,8 +52,10 @@ pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
         let text = tag(&data)?;
         write_whole(path, text.as_bytes()).with_context(|| format!("tag {}", path.display()))?;
     }
-    let written = args.tag.as_ref().map(|path| format!("\nwritten: {} (OpenPrintTag)", path.display()));
-    output.print("predict", &data, || text(&data) + &written.unwrap_or_default())
+    let written = args.tag.as_ref().map(|path| format!("written: {} (OpenPrintTag)", path.display()));
+    output.answer("predict", &data, || {
+        blocks(&data).into_iter().chain(written.map(Block::Preformatted)).collect()
+    })
 }
 
 /// Input of OpenPrintTag's `rec_update.py`. A transmission distance is left out: its unit, HueForge TD, has no public
@@ -78,34 +81,24 @@ fn tag(data: &PredictJson) -> Result<String> {
     ))
 }
 
-fn text(data: &PredictJson) -> String {
+fn blocks(data: &PredictJson) -> Vec<Block> {
     let bases: Vec<&str> = data.channels[0].bases.iter().map(|b| b.base.name.as_str()).collect();
-    let heads: Vec<String> =
-        bases.iter().flat_map(|base| [format!("over {base}"), "95 %".to_owned()]).collect();
-    let head: Vec<&str> = std::iter::once("ch").chain(heads.iter().map(String::as_str)).collect();
+    let head: String = bases.iter().map(|base| format!(" | >over {base} | 95 %")).collect();
     let row = |channel: &PredictedChannelJson| {
         let cells = channel.bases.iter().flat_map(ReflectanceJson::texts);
         std::iter::once(channel.channel.clone()).chain(cells).collect()
     };
-    let right: Vec<usize> = (0..bases.len()).map(|i| 2 * i + 1).collect();
     let slabs: Vec<&str> = data.slabs.iter().map(|slab| slab.label.as_str()).collect();
-    let mut text = format!(
-        "radiance factor of {}, {}\n{}",
-        slabs.join(" on "),
-        data.seen(),
-        table(&head, &right, data.channels.iter().map(row))
-    );
-    if let Some(colours) = &data.colours {
-        text += &format!("\n\n{}", colours_text(colours));
-    }
-    for remark in data.remarks() {
-        text += &format!("\n{}", wrapped(&remark));
-    }
-    text
+    let mut blocks = vec![
+        Block::Heading(3, format!("radiance factor of {}, {}", slabs.join(" on "), data.seen())),
+        ValueTable::new(&format!("ch{head}"), data.channels.iter().map(row)).block(),
+    ];
+    blocks.extend(data.colours.as_ref().map(colours).unwrap_or_default());
+    blocks.extend(data.remarks().into_iter().map(Block::Paragraph));
+    blocks
 }
 
-fn colours_text(colours: &ColoursJson) -> String {
-    let head = ["", "L*", "a*", "b*", "Y", "sRGB"];
+fn colours(colours: &ColoursJson) -> Vec<Block> {
     let row = |c: &ColourJson| {
         let mut cells = vec![format!("over {}", c.base.name)];
         cells.extend((0..3).map(|k| with_error(c.colour.lab[k], c.lab_std_errors[k])));
@@ -115,15 +108,15 @@ fn colours_text(colours: &ColoursJson) -> String {
     };
     let Viewing { illuminant, observer } = colours.viewing;
     let observer = if observer == StandardObserver::TwoDegrees { "2°" } else { "10°" };
-    let mut text = format!(
-        "colour, {illuminant:?}, {observer}\n{}",
-        table(&head, &[1, 2, 3, 4], colours.bases.iter().map(row))
-    );
-    if let Some([ratio, std_error]) = colours.contrast_ratio {
-        text += &format!("\ncontrast ratio Y/Y {}", minus(&with_error(ratio, std_error)));
-    }
-    if let Some([difference, std_error]) = colours.delta_e_2000 {
-        text += &format!(", CIEDE2000 between the bases {}", with_error(difference, std_error));
-    }
-    text
+    let ratio =
+        colours.contrast_ratio.map(|[v, error]| format!("contrast ratio Y/Y {}", with_error(v, error)));
+    let difference = colours.delta_e_2000;
+    let difference =
+        difference.map(|[v, error]| format!("CIEDE2000 between the bases {}", with_error(v, error)));
+    let both: Vec<String> = ratio.into_iter().chain(difference).collect();
+    vec![
+        Block::Heading(3, format!("colour, {illuminant:?}, {observer}")),
+        ValueTable::new(" | >L* | >a* | >b* | >Y | sRGB", colours.bases.iter().map(row)).block(),
+        Block::Paragraph(both.join(", ")),
+    ]
 }

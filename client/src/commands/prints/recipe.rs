@@ -8,13 +8,14 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::numbers::{minus, significant, with_error};
 use farm_lab::colour::{Colorimetry, delta_e_2000};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::grid_file::read_text;
 use farm_lab::media_file::MediaFile;
 use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
 use super::view_args::ViewArgs;
-use crate::output::{Output, table, wrapped};
+use crate::output::Output;
 use crate::prints::bases::PrintBase;
 use crate::prints::errors::lab_std_errors;
 use crate::prints::slabs::NamedSlab;
@@ -103,7 +104,7 @@ struct RecipeValue {
 
 pub(crate) fn run(args: &RecipeArgs, output: &Output) -> Result<()> {
     let data = data(args)?;
-    output.print("recipe", &data, || text(&data))
+    output.answer("recipe", &data, || blocks(&data))
 }
 
 /// The inks of a request, and how their mixtures look.
@@ -297,8 +298,7 @@ impl InkMixer<'_> {
 /// Differences up to which a colour counts as reached.
 const REACHED: f64 = 1.0;
 
-fn text(data: &RecipeJson) -> String {
-    let head = ["target", "recipe", "L*  a*  b*", "ΔE₀₀", "Y/Y"];
+fn blocks(data: &RecipeJson) -> Vec<Block> {
     let row = |r: &FoundRecipe| {
         let parts = r.shares.iter().map(|s| format!("{} % {}", significant(100.0 * s.share, 3), s.ink));
         let lab = r.lab.zip(r.lab_std_errors).map_or_else(
@@ -315,30 +315,25 @@ fn text(data: &RecipeJson) -> String {
             significant(r.contrast_ratio, 3),
         ]
     };
-    let mut text = format!(
-        "mixtures by volume, {} mm\n{}",
-        data.thickness_mm,
-        table(&head, &[3, 4], data.recipes.iter().map(row))
-    );
+    let mut blocks = vec![
+        Block::Heading(3, format!("mixtures by volume, {} mm", data.thickness_mm)),
+        ValueTable::new("target | recipe | L*  a*  b* | >ΔE₀₀ | >Y/Y", data.recipes.iter().map(row)).block(),
+    ];
     for r in &data.recipes {
         let limits = match (&r.limited_by[..], data.opacity) {
             ([], None) => "the inks do not reach it: another ink, or another thickness, is needed".to_owned(),
             ([], Some(_)) => "the inks do not reach it, or not with this opacity".to_owned(),
             (inks, _) => format!("limited by --most of {}", inks.join(", ")),
         };
+        let target = minus(&r.target);
         if let Some(ratio) = data.opacity.filter(|ratio| r.contrast_ratio < ratio - 0.005) {
             let found = significant(r.contrast_ratio, 3);
-            text += &format!(
-                "\n{}",
-                wrapped(&format!("{}: contrast ratio {found} instead of {ratio}", minus(&r.target)))
-            );
+            blocks.push(Block::Paragraph(format!("{target}: contrast ratio {found} instead of {ratio}")));
         }
         if r.difference > REACHED {
-            text += &format!(
-                "\n{}",
-                wrapped(&format!("{}: off by {}: {limits}", minus(&r.target), significant(r.difference, 2)))
-            );
+            let off = significant(r.difference, 2);
+            blocks.push(Block::Paragraph(format!("{target}: off by {off}: {limits}")));
         }
     }
-    text
+    blocks
 }

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use farm_figures::numbers::{minus, short, with_error};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::media_file::{MediaChannel, MediaFile};
 use optics_layers::{Print, Uncertain};
 use optics_model::Scene;
@@ -12,7 +13,7 @@ use optics_model::scene::{Layer, RingLight, Sensor};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::output::{Output, table};
+use crate::output::Output;
 use crate::prints::set_up::FoundSetUp;
 use crate::prints::slabs::NamedSlab;
 use crate::prints::view::{narrowest_peak, uncertain};
@@ -77,7 +78,7 @@ pub(crate) fn run(args: &TranslucencyArgs, output: &Output) -> Result<()> {
     };
     let channels = all.par_iter().map(row).collect::<Result<_>>()?;
     let data = TranslucencyJson { thickness_mm: args.thickness, channels };
-    output.print("translucency", &data, || text(&data))
+    output.answer("translucency", &data, || vec![table(&data)])
 }
 
 /// A slab with polished faces, in air; with an index of 1 it has none.
@@ -149,16 +150,9 @@ fn distance(print: &Print, medium: &Uncertain) -> f64 {
     (low * high).sqrt()
 }
 
-fn text(data: &TranslucencyJson) -> String {
-    let head = [
-        "material",
-        "ch",
-        "mean free path\nmm",
-        "depth\nmm",
-        "K\n/mm",
-        "S\n/mm",
-        "transmission\ndistance mm",
-    ];
+fn table(data: &TranslucencyJson) -> Block {
+    let head =
+        "material | ch | >mean free path\nmm | >depth\nmm | >K\n/mm | >S\n/mm | >transmission\ndistance mm";
     let cell = |[value, std_error]: [f64; 2]| minus(&with_error(value, std_error));
     let optional = |value: Option<[f64; 2]>| value.map_or_else(|| "–".to_owned(), cell);
     let row = |r: &TranslucencyRow| {
@@ -172,7 +166,7 @@ fn text(data: &TranslucencyJson) -> String {
             optional(r.transmission_distance_mm),
         ]
     };
-    table(&head, &[2, 3, 4, 5, 6], data.channels.iter().map(row))
+    ValueTable::new(head, data.channels.iter().map(row)).block()
 }
 
 #[cfg(test)]

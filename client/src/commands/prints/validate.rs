@@ -8,9 +8,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use farm_figures::numbers::{minus, short, significant};
+use farm_figures::numbers::{fixed, short, significant, to_error};
 use farm_figures::{ChartPoint, chart_figure};
 use farm_lab::colour::{Colorimetry, delta_e_2000};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::media_file::MediaFile;
 use farm_lab::mixture_file::read_mixtures;
@@ -23,7 +24,7 @@ use serde::Serialize;
 use super::view_args::ViewArgs;
 use crate::cli::FigureArgs;
 use crate::figure_files;
-use crate::output::{Output, table, wrapped};
+use crate::output::Output;
 use crate::prints::bases::PrintBase;
 use crate::prints::errors::{ErrorKey, changes, sum_std_error};
 use crate::prints::geometry::Geometry;
@@ -146,7 +147,7 @@ pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
     if let (Some(path), Some(picture)) = (&args.plot, chart_figure(&points)) {
         figure_files::write(&picture, path, args.figure.size()?)?;
     }
-    output.print("validate", &data, || text(&data) + &figure_files::drawn(&args.plot))
+    output.answer("validate", &data, || [blocks(&data), figure_files::drawn(&args.plot)].concat())
 }
 
 /// A patch with all of its channels.
@@ -398,50 +399,45 @@ fn ink(name: &str, patches: &[ChartPatch], found: &[Vec<PatchJson>]) -> InkJson 
 /// Deviation in standard errors that is marked.
 const FAR: f64 = 3.0;
 
-fn text(data: &ValidateJson) -> String {
-    let head = ["patch", "mm", "ch", "measured", "predicted", "± expected", "z"];
+fn blocks(data: &ValidateJson) -> Vec<Block> {
     let row = |p: &PatchJson| {
         let mark = if p.z.abs() >= FAR { " !" } else { "" };
+        let [predicted, expected] = to_error(p.predicted, p.expected_std_error, 2);
         vec![
             short(&p.material),
             p.thickness_mm.to_string(),
             p.channel.clone(),
             significant(p.measured, 4),
-            significant(p.predicted, 4),
-            significant(p.expected_std_error, 2),
-            minus(&format!("{:.1}{mark}", p.z)),
+            predicted,
+            expected,
+            format!("{}{mark}", fixed(p.z, 1)),
         ]
     };
-    let mut text = table(&head, &[1, 3, 4, 5, 6], data.patches.iter().map(row));
+    let head = "patch | >mm | ch | >measured | >predicted | >± expected | >z";
     let (n, far) = (data.patches.len(), data.patches.iter().filter(|p| p.z.abs() >= FAR).count());
-    text += &format!("\nχ² {} of {n} values, {far} beyond {FAR} standard errors", significant(data.chi2, 3));
+    let chi2 = significant(data.chi2, 3);
     let mut seen = format!("predicted for the geometry {}", data.geometry);
     if !data.left_out.is_empty() {
         seen += &format!("; the media have no channel for {} of the chart", data.left_out.join(", "));
     }
-    text += &format!("\n{}", wrapped(&seen));
-    let off: Vec<String> = data
-        .inks
-        .iter()
-        .filter(|ink| ink.z.abs() >= FAR)
-        .map(|ink| {
-            format!(
-                "{} ({} by {:.1} σ)",
-                ink.material,
-                if ink.z > 0.0 { "brighter" } else { "darker" },
-                ink.z.abs()
-            )
-        })
-        .collect();
+    let mut blocks = vec![
+        ValueTable::new(head, data.patches.iter().map(row)).block(),
+        Block::Paragraph(format!("χ² {chi2} of {n} values, {far} beyond {FAR} standard errors")),
+        Block::Paragraph(seen),
+    ];
+    let off = data.inks.iter().filter(|ink| ink.z.abs() >= FAR).map(|ink| {
+        let how = if ink.z > 0.0 { "brighter" } else { "darker" };
+        format!("{} ({how} by {:.1} σ)", ink.material, ink.z.abs())
+    });
+    let off = off.collect::<Vec<_>>().join(", ");
     if !off.is_empty() {
-        text += &format!("\n{}", wrapped(&format!("patches contradict: {}", off.join(", "))));
+        blocks.push(Block::Paragraph(format!("patches contradict: {off}")));
     }
-    if !data.colours.is_empty() {
-        let mut all: Vec<f64> = data.colours.iter().map(|c| c.delta_e_2000).collect();
-        all.sort_by(f64::total_cmp);
-        let (median, worst) = (all[all.len() / 2], all[all.len() - 1]);
-        text +=
-            &format!("\nCIEDE2000: median {}, greatest {}", significant(median, 2), significant(worst, 2));
+    let mut colours: Vec<f64> = data.colours.iter().map(|c| c.delta_e_2000).collect();
+    colours.sort_by(f64::total_cmp);
+    if let Some(worst) = colours.last() {
+        let [median, worst] = [colours[colours.len() / 2], *worst].map(|v| significant(v, 2));
+        blocks.push(Block::Paragraph(format!("CIEDE2000: median {median}, greatest {worst}")));
     }
-    text
+    blocks
 }

@@ -140,7 +140,7 @@ fn kept_measurements_have_owners_and_survive() {
     let first = &listed("bob")[0];
     assert_eq!([&first["id"], &first["owner"], &first["title"]], [id.as_str(), "alice", "first print"]);
     let shown = by(&farm, "bob", &["measurements", "show", &id]);
-    let table = |text: &str| text.split_once("shared by similar media").unwrap().1.to_owned();
+    let table = |text: &str| text.split_once("Shared by similar media").unwrap().1.to_owned();
     assert!(table(&kept.stdout).starts_with(&table(&shown.stdout)), "{}\n{}", kept.stdout, shown.stdout);
     let annotate = ["measurements", "annotate", &id, "--note", "slab 2\nscratched"];
     for args in [&annotate[..], &["measurements", "delete", &id]] {

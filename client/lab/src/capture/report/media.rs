@@ -1,36 +1,37 @@
-//! Renders the section of media: the fits with the estimates of the scene and the error budget, and each photograph
-//! above its simulation, as in Fig. 2 of the paper.
+//! The section of media: the fits with the estimates of the scene and the error budget, and each photograph above its
+//! simulation, as in Fig. 2 of the paper.
+
+use std::collections::BTreeMap;
 
 use farm_figures::estimates::{self, EstimateRow};
 use farm_figures::{ChannelBudget, ErrorBudget};
 
-use super::samples::SlabSection;
 use super::verdict::MeasureVerdict;
-use super::warning_list;
 use crate::capture::strip::simulated_uri;
-use crate::page::{cards, escaped, named_cell};
+use crate::document::{Block, Figure, PagePicture, ValueTable};
 
 /// Files that `measure` writes next to the report, and what to do with them.
-pub(super) const FILES: &str = "\
-<h2>Files, and what comes next</h2>
-<table class=\"text wrapped\">
-<tr><td><a href=\"uncertainty.html\">uncertainty.html</a></td><td>statement of uncertainty, to be signed</td></tr>
-<tr><td><a href=\"table.csv\">table.csv</a></td><td>all media with their intervals</td></tr>
-<tr><td><a href=\"media.json\">media.json</a></td><td>media with their covariance: <code>farmctl predict</code> computes how prints \
-look, <code>farmctl validate</code> compares a printed chart, <code>farmctl recipe</code> finds mixtures</td></tr>
-<tr><td>media.py, media.xml, media.pbrt, media_blender.py</td><td>media for Mitsuba 3, pbrt-v4 and Blender</td></tr>
-<tr><td><a href=\"measurements.csv\">measurements.csv</a></td><td>the measured profiles</td></tr>
-</table>
-";
+const FILES: [(&[&str], &str); 5] = [
+    (&["uncertainty.html"], "statement of uncertainty, to be signed"),
+    (&["table.csv"], "all media with their intervals"),
+    (
+        &["media.json"],
+        "media with their covariance: `farmctl predict` computes how prints look, `farmctl validate` compares a printed \
+         chart, `farmctl recipe` finds mixtures",
+    ),
+    (
+        &["media.py", "media.xml", "media.pbrt", "media_blender.py"],
+        "media for Mitsuba 3, pbrt-v4 and Blender",
+    ),
+    (&["measurements.csv"], "the measured profiles"),
+];
 
 /// The parts of the page from `measure`.
 #[derive(Debug)]
 pub struct Media {
     pub verdict: MeasureVerdict,
-    /// One row for each channel, with the cells of [`Self::COLUMNS`].
-    pub rows: Vec<Vec<String>>,
-    /// The answer as it is printed, without estimates of the scene and budget.
-    pub text: String,
+    /// The answer without estimates of the scene and budget.
+    pub numbers: Vec<Block>,
     /// Empty if the scene was taken as exact.
     pub estimates: Vec<EstimateRow>,
     pub budget: Option<ErrorBudget>,
@@ -51,95 +52,72 @@ pub struct Simulated {
 }
 
 impl Media {
-    pub const COLUMNS: [&'static str; 7] =
-        ["medium", "σ_s(1−g) [1/mm]", "σ_a [1/mm]", "σ_t [1/mm]", "α", "g", "residuals / noise"];
-
-    pub(super) fn section(&self, slabs: &[SlabSection]) -> String {
-        let strips = self.simulated.iter().filter_map(|simulated| {
-            let slab = slabs.iter().find(|slab| slab.label == simulated.label)?;
-            Some(simulated.next_to(slab))
-        });
-        let strips: String = strips.collect();
-        let figures: String =
-            self.figures.iter().map(|svg| format!("<figure class=\"wide\">{svg}</figure>\n")).collect();
-        let text = format!("<div class=\"wide\"><pre>{}</pre></div>\n", escaped(&self.text));
-        let text = folded("The answer as text", &text);
-        let numbers = if self.rows.is_empty() { String::new() } else { cards(&Self::COLUMNS, &self.rows) };
-        let (scene, budget) = (scene(&self.estimates), self.budget.as_ref().map(budget).unwrap_or_default());
-        let Some(spectra) = &self.spectra else {
-            return format!("{numbers}{strips}{figures}{scene}{budget}{text}");
+    /// The section; the strips of photographs are by the sample's label.
+    pub(super) fn blocks(&self, strips: &BTreeMap<String, PagePicture>) -> Vec<Block> {
+        let figures: Vec<Block> = self.figures.iter().map(|svg| Block::chart(svg.clone(), "")).collect();
+        let budget = self.budget.as_ref().map(budget_blocks).unwrap_or_default();
+        let estimates = estimate_blocks(&self.estimates);
+        let folded = |summary: &str, blocks| vec![Block::Folded(summary.to_owned(), blocks)];
+        let numbers = self.numbers.clone();
+        let parts = match &self.spectra {
+            None => {
+                let simulated = self.simulated.iter().filter_map(|s| Some(s.below(strips.get(&s.label)?)));
+                [numbers, simulated.collect(), figures, estimates, budget]
+            }
+            Some(spectra) => [
+                vec![Block::chart(spectra.clone(), "")],
+                folded("All numbers", numbers),
+                folded("Profiles with their fits", figures),
+                estimates,
+                folded("Error budgets of all bands", budget),
+            ],
         };
-        format!(
-            "<figure class=\"wide\">{spectra}</figure>\n{}{}{scene}{}{text}",
-            folded("All numbers", &numbers),
-            folded("Profiles with their fits", &figures),
-            folded("Error budgets of all bands", &budget),
-        )
+        let file = |(names, purpose): (&[&str], &str)| {
+            (names.iter().map(ToString::to_string).collect(), purpose.to_owned())
+        };
+        let mut blocks = vec![Block::heading(2, "Media")];
+        blocks.extend(parts.into_iter().flatten());
+        blocks.push(Block::heading(2, "Files, and what comes next"));
+        blocks.push(Block::Files(FILES.map(file).to_vec()));
+        blocks
     }
 }
-
-fn folded(summary: &str, content: &str) -> String {
-    if content.is_empty() {
-        return String::new();
-    }
-    format!("<details><summary>{summary}</summary>\n{content}</details>\n")
-}
-
-/// Columns of the estimates.
-const SET_UP: [&str; 4] = ["quantity", "of", "estimate", "prior"];
 
 /// Estimates of the scene next to their priors; empty if the scene was taken as exact.
-fn scene(rows: &[EstimateRow]) -> String {
+pub fn estimate_blocks(rows: &[EstimateRow]) -> Vec<Block> {
     if rows.is_empty() {
-        return String::new();
+        return Vec::new();
     }
-    let row = |row: &EstimateRow| {
-        let cells = SET_UP.iter().zip([&row.quantity, &row.of, &row.estimate, &row.prior]);
-        let cells: String = cells.map(|(name, cell)| named_cell(name, cell)).collect();
-        let doubtful = if row.warning.is_some() { " class=\"doubtful\"" } else { "" };
-        format!("<tr{doubtful}>{cells}</tr>\n")
-    };
-    let warnings: Vec<&str> = rows.iter().filter_map(|row| row.warning.as_deref()).collect();
-    format!(
-        "<h3>Estimates of the set-up</h3>\n{}<div class=\"wide\"><table class=\"text cards\"><tr>{}</tr>\n{}</table></div>\n\
-         <p class=\"faint\">Note: {}.</p>\n",
-        warning_list(&warnings),
-        SET_UP.map(|name| format!("<th>{name}</th>")).concat(),
-        rows.iter().map(row).collect::<String>(),
-        escaped(estimates::NOTE),
-    )
+    let cells = |r: &EstimateRow| [&r.quantity, &r.of, &r.estimate, &r.prior].map(Clone::clone).to_vec();
+    let warnings: Vec<&String> = rows.iter().filter_map(|row| row.warning.as_ref()).collect();
+    let doubtful = (0..rows.len()).filter(|i| rows[*i].warning.is_some()).collect();
+    let table = ValueTable::new("quantity | of | estimate | prior", rows.iter().map(cells)).cards();
+    vec![
+        Block::heading(3, "Estimates of the set-up"),
+        Block::warnings(&warnings),
+        ValueTable { doubtful, ..table }.block(),
+        Block::aside(format!("Note: {}.", estimates::NOTE)),
+    ]
 }
 
 /// The error budget of σ_t of every channel that has one.
-fn budget(budget: &ErrorBudget) -> String {
-    let row = |channel: &ChannelBudget| {
-        let cells = [&channel.about, &channel.sigma_t].map(|cell| format!("<td>{}</td>", escaped(cell)));
-        let part = |(name, share): &(String, f64)| {
-            format!("<span style=\"width:{:.1}%\" title=\"{}\"></span>", 100.0 * share, escaped(name))
-        };
-        let bar: String = channel.parts.iter().map(part).collect();
-        format!(
-            "<tr>{}<td class=\"words\">{}<div class=\"bar\">{bar}</div></td></tr>\n",
-            cells.concat(),
-            escaped(&channel.shares)
-        )
+pub fn budget_blocks(budget: &ErrorBudget) -> Vec<Block> {
+    let row = |c: &ChannelBudget| [&c.about, &c.sigma_t, &c.shares].map(Clone::clone).to_vec();
+    let shares = budget.channels.iter().map(|channel| channel.parts.clone()).collect();
+    let table = ValueTable {
+        shares,
+        ..ValueTable::new("channel | 95 % | shares of the variance", budget.channels.iter().map(row))
     };
-    format!(
-        "<h3>Error budget of σ_t</h3>\n<div class=\"wide\"><table class=\"text\"><tr><th>channel</th><th>95 %</th>\
-         <th>shares of the variance</th></tr>\n{}</table></div>\n",
-        budget.channels.iter().map(row).collect::<String>(),
-    )
+    vec![Block::heading(3, "Error budget of σ_t"), table.block()]
 }
 
 impl Simulated {
-    fn next_to(&self, slab: &SlabSection) -> String {
-        format!(
-            "<figure><div>{}</div><img class=\"strip\" src=\"{}\" alt=\"strip across the edge, simulated\">\
-             <figcaption>{}: photograph above, simulation below.</figcaption></figure>\n",
-            slab.strip(),
-            simulated_uri(&self.values),
-            escaped(&self.label)
-        )
+    /// The photograph above its simulation.
+    fn below(&self, photograph: &PagePicture) -> Block {
+        let alt = "strip across the edge, simulated".to_owned();
+        let simulation = PagePicture::Strip { uri: simulated_uri(&self.values), alt };
+        let caption = format!("{}: photograph above, simulation below.", self.label);
+        Block::Figure(Figure { pictures: vec![photograph.clone(), simulation], caption })
     }
 }
 
@@ -151,30 +129,26 @@ mod tests {
     use optics_model::fit::MaterialFit;
 
     use super::*;
+    use crate::capture::CaptureReport;
 
-    /// The section of media with these estimates and this budget, without slabs.
-    fn section(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>, spectra: Option<&str>) -> String {
-        let (verdict, rows, text) = (MeasureVerdict::default(), rows(), "σ_t".to_owned());
-        let (spectra, figures, simulated) = (spectra.map(str::to_owned), Vec::new(), Vec::new());
-        Media { verdict, rows, text, estimates, budget, spectra, figures, simulated }.section(&[])
+    /// A page with these estimates and this budget, without slabs.
+    fn page(estimates: Vec<EstimateRow>, budget: Option<ErrorBudget>, spectra: Option<&str>) -> String {
+        let numbers = vec![ValueTable::new("medium", [vec!["white R".to_owned()]]).cards().block()];
+        let (verdict, spectra) = (MeasureVerdict::default(), spectra.map(str::to_owned));
+        let (figures, simulated) = (Vec::new(), Vec::new());
+        let media = Media { verdict, numbers, estimates, budget, spectra, figures, simulated };
+        CaptureReport::default().page(Some(&media))
     }
-
-    fn rows() -> Vec<Vec<String>> {
-        vec![["white R", "3.5", "0.01", "6", "0.99", "0.4", "1"].map(str::to_owned).to_vec()]
-    }
-
-    const TEXT: &str = "<details><summary>The answer as text</summary>\n<div class=\"wide\"><pre>σ_t</pre></div>\n\
-        </details>\n";
 
     /// With bands the figure of the media comes first, and the numbers are folded. A scene that was taken as exact has no
     /// table.
     #[test]
     fn spectra_come_before_numbers() {
-        let numbers = cards(&Media::COLUMNS, &rows());
-        let figure = "<figure class=\"wide\"><svg/></figure>\n<details><summary>All numbers</summary>\n";
-        let folded = format!("{figure}{numbers}</details>\n{TEXT}");
-        assert_eq!(section(Vec::new(), None, Some("<svg/>")), folded);
-        assert_eq!(section(Vec::new(), None, None), numbers + TEXT);
+        let table = "<div class=\"wide\"><table class=\"cards\">";
+        let folded = format!("<svg/></figure>\n<details><summary>All numbers</summary>\n{table}");
+        assert!(page(Vec::new(), None, Some("<svg/>")).contains(&folded));
+        let plain = page(Vec::new(), None, None);
+        assert!(plain.contains(&format!("<h2>Media</h2>\n{table}")) && !plain.contains("<h3>"), "{plain}");
     }
 
     /// Estimates that contradict a prior, or lie at an end of the responses, are marked and explained.
@@ -183,7 +157,7 @@ mod tests {
         let mut channels = vec![channel("R", 6.0, 1.0)];
         channels[0].refined.as_mut().unwrap().likelihood.scene = scene_estimates();
         let fits = [MaterialFit { material: "<white>".into(), channels }];
-        let page = section(estimate_rows(&fits), error_budget(&fits), None);
+        let page = page(estimate_rows(&fits), error_budget(&fits), None);
         for part in [
             "<tr class=\"doubtful\"><td data-name=\"quantity\">gel thickness</td><td data-name=\"of\">&lt;white&gt; 0.5 \
              mm</td><td data-name=\"estimate\">0.097 ± 0.003 mm</td><td data-name=\"prior\">0.02 ± 0.02 mm</td></tr>",

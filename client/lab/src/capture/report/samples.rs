@@ -1,123 +1,137 @@
-//! Renders the samples: a table of all, and each with profiles, budget and photographs.
+//! The samples: a table of all, and each with profiles, errors by source and photographs.
 
-use farm_figures::numbers::significant;
+use std::collections::BTreeMap;
+
+use farm_figures::numbers::{significant, with_error};
 use farm_figures::{EdgeCurve, edge_figure};
 use optics_capture::{EdgeProfile, Source, Warning};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
-use super::{shots, warnings};
+use super::{remarks, shots};
 use crate::capture::captured::{Captured, CapturedPart, CapturedSample};
 use crate::capture::channels::{CapturedChannel, ends, mean, profiles};
-use crate::page::escaped;
+use crate::document::{Block, Figure, PagePicture, ValueTable};
 
-/// Micrometres per millimetre.
-const MICROMETRES: f64 = 1000.0;
+/// Results of one channel of a sample.
+#[derive(Debug, Serialize)]
+pub struct CapturedRow {
+    sample: String,
+    material: String,
+    thickness_mm: f64,
+    channel: String,
+    shots: usize,
+    dark: f64,
+    light: f64,
+    /// Mean random error of a bin.
+    noise: f64,
+    /// Share of rejected samples.
+    rejected: f64,
+    blur_mm: f64,
+    blur_std_error_mm: f64,
+    origin_std_error_mm: f64,
+}
+
+/// Every channel of every sample.
+pub fn captured_rows(captured: &Captured) -> Vec<CapturedRow> {
+    let row = |(channel, sample): (&CapturedChannel, &CapturedSample)| {
+        let (profile, blur) = (channel.profile(sample), channel.blur_mm());
+        let [dark, light] = ends(&profile);
+        CapturedRow {
+            sample: sample.about.label(),
+            material: sample.about.material.clone(),
+            thickness_mm: sample.about.thickness_mm,
+            channel: channel.name.clone(),
+            shots: sample.profile.shots.len(),
+            dark,
+            light,
+            noise: mean(&profile.std_errors),
+            rejected: mean(&profile.rejected),
+            blur_mm: blur.value,
+            blur_std_error_mm: blur.std_error,
+            origin_std_error_mm: channel.error(sample, &[Source::Origin]),
+        }
+    };
+    profiles(&captured.channels()).map(row).collect()
+}
+
+/// The rows as report and terminal show them.
+pub fn captured_table(rows: &[CapturedRow]) -> ValueTable {
+    let head = "sample | ch | >shots | >dark | >light | >noise | >rejected | >blur σ\n[µm] | >origin\n[µm]";
+    let row = |row: &CapturedRow| {
+        vec![
+            row.sample.clone(),
+            row.channel.clone(),
+            row.shots.to_string(),
+            format!("{:.3}", row.dark),
+            format!("{:.3}", row.light),
+            format!("{:.5}", row.noise),
+            format!("{:.1} %", 100.0 * row.rejected),
+            with_error(1000.0 * row.blur_mm, 1000.0 * row.blur_std_error_mm),
+            format!("± {}", significant(1000.0 * row.origin_std_error_mm, 1)),
+        ]
+    };
+    ValueTable::new(head, rows.iter().map(row))
+}
 
 /// The results as a sentence and a table.
-pub(super) fn summary(captured: &Captured) -> String {
-    let channels = captured.channels();
-    let rows = profiles(&channels).map(|(channel, sample)| row(channel, sample));
-    let are_notes = |part: &'_ CapturedPart| -> Vec<bool> {
-        let of_samples = part.samples.iter().flat_map(|s| &s.profile.warnings);
-        let all = of_samples.chain(&part.calibration.warnings).chain(&part.board.warnings);
-        all.map(Warning::is_note).collect()
-    };
-    let all: Vec<bool> = captured.parts.iter().flat_map(are_notes).collect();
-    let notes = all.iter().filter(|is_note| **is_note).count();
-    let doubtful = match all.len() - notes {
+pub(super) fn overview(captured: &Captured) -> Vec<Block> {
+    let warnings = captured.parts.iter().flat_map(|part| {
+        let samples = part.samples.iter().flat_map(|sample| &sample.profile.warnings);
+        samples.chain(&part.calibration.warnings).chain(&part.board.warnings)
+    });
+    let (notes, doubts): (Vec<&Warning>, Vec<&Warning>) = warnings.partition(|warning| warning.is_note());
+    let doubtful = match doubts.len() {
         0 => "There are no warnings.".to_owned(),
         1 => "There is one warning, below.".to_owned(),
         n => format!("There are {n} warnings, below."),
     };
-    let noted = match notes {
-        0 => String::new(),
-        1 => " What was corrected is noted once, below.".to_owned(),
-        n => format!(" What was corrected is noted {n} times, below."),
-    };
-    let table = format!(
-        "<div class=\"wide\"><table>\n<tr><th>sample</th><th>channel</th><th>shots</th>\
-         <th>dark</th><th>light</th><th>noise per bin</th><th>rejected</th><th>blur σ [µm]</th><th>origin [µm]</th></tr>\n{}</table></div>\n",
-        rows.collect::<String>()
-    );
-    let has_bands = captured.parts[0].band.is_some();
-    let table = if has_bands {
-        format!("<details><summary>All profiles as numbers</summary>\n{table}</details>\n")
-    } else {
-        table
-    };
+    let noted = if notes.is_empty() { "" } else { " What was corrected is noted below." };
+    let table = captured_table(&captured_rows(captured)).block();
     let (photographs, slabs) = (captured.inputs.len(), captured.parts[0].samples.len());
-    let bands = if has_bands { format!(", {} bands", captured.parts.len()) } else { String::new() };
-    format!("<p>{photographs} photographs, {slabs} slabs{bands}. {doubtful}{noted}</p>\n{table}")
+    let (bands, table) = match captured.parts[0].band {
+        Some(_) => (
+            format!(", {} bands", captured.parts.len()),
+            Block::Folded("All profiles as numbers".to_owned(), vec![table]),
+        ),
+        None => (String::new(), table),
+    };
+    let sentence = format!("{photographs} photographs, {slabs} slabs{bands}. {doubtful}{noted}");
+    vec![Block::Paragraph(sentence), table]
 }
 
-fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {
-    let (blur, profile) = (channel.blur_mm(), channel.profile(sample));
-    let origin = channel.error(sample, &[Source::Origin]);
-    let ends = ends(&profile);
-    let cells = [
-        escaped(&sample.about.label()),
-        format!("<span class=\"{0}\">{0}</span>", escaped(&channel.name)),
-        sample.profile.shots.len().to_string(),
-        format!("{:.4}", ends[0]),
-        format!("{:.4}", ends[1]),
-        format!("{:.5}", mean(&profile.std_errors)),
-        format!("{:.2} %", 100.0 * mean(&profile.rejected)),
-        format!("{:.1} ± {:.2}", MICROMETRES * blur.value, MICROMETRES * blur.std_error),
-        format!("0 ± {:.1}", MICROMETRES * origin),
+/// A strip of a photograph, by the sample's label.
+pub(super) fn strip(sample: &CapturedSample) -> Option<(String, PagePicture)> {
+    let uri = sample.strip.as_ref()?.data_uri(&sample.profile.profiles);
+    let alt = "strip across the edge, photograph".to_owned();
+    Some((sample.about.label(), PagePicture::Strip { uri, alt }))
+}
+
+/// One slab.
+pub(super) fn blocks(
+    captured: &Captured,
+    part: &CapturedPart,
+    sample: &CapturedSample,
+    strips: &BTreeMap<String, PagePicture>,
+) -> Vec<Block> {
+    let label = sample.about.label();
+    let caption = "Profiles across the edge; bands are two standard errors, random ones only.";
+    let strip = strips.get(&label).map(|strip| Figure {
+        pictures: vec![strip.clone()],
+        caption: "10 × 2 mm of a photograph, in radiance factors.".to_owned(),
+    });
+    let mut blocks = vec![
+        Block::Heading(3, format!("{label} ± {} mm", sample.about.thickness_std_error_mm)),
+        remarks(&sample.profile.warnings),
+        Block::chart(chart(&sample.profile.profiles), caption),
     ];
-    format!("<tr>{}</tr>\n", cells.map(|cell| format!("<td>{cell}</td>")).concat())
+    blocks.extend(strip.map(Block::Figure));
+    blocks.push(Block::Folded("Errors by source".to_owned(), vec![errors(sample)]));
+    blocks.push(shots::row(captured, part, &sample.profile.shots));
+    blocks
 }
 
-/// One slab: its strip of a photograph as a data URI, and the HTML before and after the strip.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct SlabSection {
-    pub(super) label: String,
-    strip: String,
-    before: String,
-    after: String,
-}
-
-impl SlabSection {
-    pub(super) fn of(captured: &Captured, part: &CapturedPart, sample: &CapturedSample) -> Self {
-        let label = sample.about.label();
-        let figure_of = |shot| shots::figure(captured, part, shot);
-        let shots: String = sample.profile.shots.iter().map(figure_of).collect();
-        let strip = sample.strip.as_ref().map(|strip| strip.data_uri(&sample.profile.profiles));
-        Self {
-            strip: strip.unwrap_or_default(),
-            before: format!(
-                "<h3>{} ± {} mm</h3>\n{}<figure class=\"wide\">{}<figcaption>Profiles across the edge; bands are two \
-                 standard errors, random ones only.</figcaption></figure>\n",
-                escaped(&label),
-                sample.about.thickness_std_error_mm,
-                warnings(&sample.profile.warnings),
-                figure(&sample.profile.profiles),
-            ),
-            after: format!(
-                "<details><summary>Errors by source</summary>{}</details>\n<div class=\"row\">{shots}</div>\n",
-                budget(sample)
-            ),
-            label,
-        }
-    }
-
-    pub(super) fn section(&self) -> String {
-        let caption = "10 × 2 mm of a photograph, in radiance factors.";
-        format!(
-            "{}<figure>{}<figcaption>{caption}</figcaption></figure>\n{}",
-            self.before,
-            self.strip(),
-            self.after
-        )
-    }
-
-    pub(super) fn strip(&self) -> String {
-        format!("<img class=\"strip\" src=\"{}\" alt=\"strip across the edge, photograph\">", self.strip)
-    }
-}
-
-/// The profiles of three channels, as SVG.
-pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
+/// The profiles of all channels, as SVG.
+pub(super) fn chart(profiles: &[EdgeProfile]) -> String {
     let curve = |profile| {
         let EdgeProfile { colour, x_mm, values, std_errors, .. }: &EdgeProfile = profile;
         EdgeCurve { channel: colour.letter(), x_mm, values, std_errors }
@@ -126,18 +140,12 @@ pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
     edge_figure(&curves).svg()
 }
 
-fn budget(sample: &CapturedSample) -> String {
+fn errors(sample: &CapturedSample) -> Block {
     let rows = sample.profile.budget.iter().map(|line| {
-        let errors = line.std_error.map(|e| format!("<td>{}</td>", significant(e, 2)));
-        format!(
-            "<tr><td>{}</td>{}<td>{}</td></tr>",
-            line.source.name().replace('_', " "),
-            errors.concat(),
-            line.source.unit()
-        )
+        let mut row = vec![line.source.name().replace('_', " ")];
+        row.extend(line.std_error.iter().map(|error| significant(*error, 2)));
+        row.push(line.source.unit().to_owned());
+        row
     });
-    format!(
-        "<div class=\"wide\"><table><tr><th>source</th><th>R</th><th>G</th><th>B</th><th>unit</th></tr>{}</table></div>",
-        rows.collect::<String>()
-    )
+    ValueTable::new("source | >R | >G | >B | >unit", rows).block()
 }

@@ -1,63 +1,82 @@
-//! Renders the set-up: board, grey patches, light, noise.
+//! The set-up: board, grey patches, light, noise.
 
-use farm_figures::numbers::{minus, significant};
+use farm_figures::numbers::{fixed, significant, with_error};
 use farm_figures::{EdgeCurve, sfr_figure};
 use optics_capture::{Board, Calibration, Colour, EdgeSfr, Estimate};
 
-use super::samples::figure;
-use super::{shots, warnings};
+use super::samples::chart;
+use super::{remarks, shots};
 use crate::capture::captured::{Captured, CapturedPart};
 use crate::capture::picture::data_uri;
-use crate::page::escaped;
+use crate::document::{Block, Figure, PagePicture, ValueTable};
 
 /// Columns of the map of the light.
 const COLUMNS: usize = 90;
 
+const MODEL: &str = "Temporal dark noise and system gain as in EMVA 1288, by the photon transfer of repeated shots; the \
+                     responsivity is the signal of a radiance factor of 1; the glare is the share of the mean light that \
+                     adds to every pixel; the drift is that of the lamps between the first and the last shot of the patches.";
+
 /// Board, camera and light of red, green and blue.
-pub(super) fn section(captured: &Captured, part: &CapturedPart) -> String {
-    format!("<h2>Board</h2>\n{}<h2>Camera and light</h2>\n{}", board(captured, part), camera(captured, part))
+pub(super) fn blocks(captured: &Captured, part: &CapturedPart) -> Vec<Block> {
+    let (about, calibration) = (&part.about, &part.calibration);
+    let words = about.camera.clone().into_iter().chain(about.exposure_s.map(exposure));
+    let words = words
+        .chain(about.f_number.map(|n| format!("f/{n}")))
+        .chain(about.iso.map(|iso| format!("ISO {iso}")));
+    let mut blocks = vec![Block::heading(2, "Board")];
+    blocks.extend(board(captured, part));
+    blocks.extend([
+        Block::heading(2, "Camera and light"),
+        remarks(&calibration.warnings),
+        Block::Paragraph(words.collect::<Vec<_>>().join(", ")),
+        Block::heading(3, "Grey patches"),
+        patches(calibration),
+        Block::aside("In brackets: deviation from the straight line through all patches."),
+        Block::heading(3, "Camera model"),
+        constants(calibration),
+        Block::aside(MODEL),
+    ]);
+    blocks.extend(light(captured, part).into_iter().flatten());
+    blocks
 }
 
-fn board(captured: &Captured, part: &CapturedPart) -> String {
+fn board(captured: &Captured, part: &CapturedPart) -> Vec<Block> {
     let board = &part.board;
+    let head = "channel | >blur σ\n[µm] | >MTF50 [1/mm]\n([cycles/px]) | >edge against\ngreen [µm] | \
+                >light side\nseen | >dark side\nseen | >ρ light | >ρ dark";
     let rows = Colour::ALL.iter().map(|colour| {
         let c = colour.index();
-        let cells = [
-            board.blur_mm[c].value * 1000.0,
-            board.blur_mm[c].std_error * 1000.0,
-            board.origin_mm[c].value * 1000.0,
-        ];
-        format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1:.1} ± {2:.2}</td><td>{8}</td><td>{3}</td><td>{4}</td><td>{5}</td><td>{6}</td><td>{7}</td></tr>",
-            colour.letter(),
-            cells[0],
-            cells[1],
-            minus(&format!("{:+.2}", cells[2])),
-            with_error(board.light[c]),
-            with_error(board.dark[c]),
-            with_error(part.rho[c].light),
-            with_error(part.rho[c].dark),
+        let (blur, rho) = (board.blur_mm[c], part.rho[c]);
+        vec![
+            colour.letter().to_owned(),
+            with_error(1000.0 * blur.value, 1000.0 * blur.std_error),
             mtf50(board.sfr[c].as_ref(), board.mm_per_px.value),
-        )
+            fixed(1000.0 * board.origin_mm[c].value, 2),
+            number(board.light[c]),
+            number(board.dark[c]),
+            number(rho.light),
+            number(rho.dark),
+        ]
     });
-    let figures: String = board.shots.iter().map(|shot| shots::figure(captured, part, shot)).collect();
-    format!(
-        "{}<p>{:.3} ± {:.3} px/mm; the edge is turned by {:.3} ± {:.3}° and bends by {:.3} px; its dark side is {}{}.</p>\n\
-         <div class=\"wide\"><table><tr><th>channel</th><th>blur σ [µm]</th><th>MTF50 [1/mm] ([cycles/px])</th>\
-         <th>edge against green [µm]</th><th>radiance factor, light</th><th>radiance factor, dark</th><th>ρ light</th><th>ρ dark</th></tr>{}</table></div>\n\
-         <figure class=\"wide\">{}<figcaption>The bare edge.</figcaption></figure>\n{}<div class=\"row\">{figures}</div>\n",
-        warnings(&board.warnings),
-        1.0 / board.mm_per_px.value,
-        board.mm_per_px.std_error / board.mm_per_px.value.powi(2),
-        board.edge.angle_deg.value,
-        board.edge.angle_deg.std_error,
-        board.edge.bend_px.value,
-        board.edge.dark_side,
-        part.further().iter().map(|text| format!("; {}", escaped(text))).collect::<String>(),
-        rows.collect::<String>(),
-        figure(&board.profiles),
-        sfr(board),
-    )
+    let (scale, edge) = (board.mm_per_px, &board.edge);
+    let geometry = format!(
+        "{} px/mm; the edge is turned by {}° and bends by {:.3} px; its dark side is {}",
+        with_error(1.0 / scale.value, scale.std_error / scale.value.powi(2)),
+        number(edge.angle_deg),
+        edge.bend_px.value,
+        edge.dark_side,
+    );
+    let sentence = std::iter::once(geometry).chain(part.further()).collect::<Vec<_>>().join("; ");
+    let mut blocks = vec![
+        remarks(&board.warnings),
+        Block::Paragraph(sentence + "."),
+        ValueTable::new(head, rows).block(),
+        Block::chart(chart(&board.profiles), "The bare edge."),
+    ];
+    blocks.extend(sfr(board));
+    blocks.push(shots::row(captured, part, &board.shots));
+    blocks
 }
 
 /// The frequency at which the response is a half, in cycles per mm and per pixel.
@@ -70,9 +89,11 @@ pub(super) fn mtf50(sfr: Option<&EdgeSfr>, mm_per_px: f64) -> String {
 }
 
 /// The response of the camera to spatial frequencies.
-fn sfr(board: &Board) -> String {
+fn sfr(board: &Board) -> Option<Block> {
     let known = Colour::ALL.iter().filter_map(|c| Some((c.letter(), board.sfr[c.index()].as_ref()?)));
     let known: Vec<_> = known.map(|(letter, sfr)| (letter, sfr, vec![0.0; sfr.response.len()])).collect();
+    let caption = "Spatial frequency response of lens and pixel from the bare edge (e-SFR, ISO 12233), up to one cycle per \
+                   pixel; MTF50 is where it is a half.";
     let curves: Vec<EdgeCurve> = known
         .iter()
         .map(|(channel, sfr, none)| EdgeCurve {
@@ -82,36 +103,11 @@ fn sfr(board: &Board) -> String {
             std_errors: none,
         })
         .collect();
-    if curves.is_empty() {
-        return String::new();
-    }
-    format!(
-        "<figure class=\"wide\">{}<figcaption>Spatial frequency response of lens and pixel from the bare edge (e-SFR, ISO \
-         12233), up to one cycle per pixel; MTF50 is where it is a half.</figcaption></figure>\n",
-        sfr_figure(&curves).svg()
-    )
+    (!curves.is_empty()).then(|| Block::chart(sfr_figure(&curves).svg(), caption))
 }
 
-pub(super) fn with_error(estimate: Estimate) -> String {
-    let error = significant(estimate.std_error, 2);
-    let digits = error.split_once('.').map_or(0, |(_, after)| after.len()).min(6);
-    format!("{:.digits$} ± {error}", estimate.value)
-}
-
-fn camera(captured: &Captured, part: &CapturedPart) -> String {
-    let (calibration, first) = (&part.calibration, part.about.clone());
-    let mut words: Vec<String> = first.camera.into_iter().collect();
-    words.extend(first.exposure_s.map(exposure));
-    words.extend(first.f_number.map(|n| format!("f/{n}")));
-    words.extend(first.iso.map(|iso| format!("ISO {iso}")));
-    format!(
-        "{}<p>{}</p>\n{}{}{}",
-        warnings(&calibration.warnings),
-        escaped(&words.join(", ")),
-        patches(calibration),
-        constants(calibration),
-        light(captured, part)
-    )
+pub(super) fn number(estimate: Estimate) -> String {
+    with_error(estimate.value, estimate.std_error)
 }
 
 /// An exposure time in s as cameras show it: as a fraction where it is nearly one.
@@ -122,51 +118,39 @@ pub(super) fn exposure(time_s: f64) -> String {
 }
 
 /// Grey patches against the line through them.
-fn patches(calibration: &Calibration) -> String {
+fn patches(calibration: &Calibration) -> Block {
     let rows = calibration.patches.iter().map(|patch| {
         let area = patch.area;
         let place = [area.x, area.y, area.width, area.height].map(|v| format!("{v:.0}")).join(", ");
-        let cells = [0, 1, 2].map(|c| {
-            minus(&format!("<td>{:.4} ({:+.2} %)</td>", patch.value[c].value, 100.0 * patch.deviation[c]))
-        });
-        format!("<tr><td>{}</td>{}<td>{place}</td></tr>", patch.rho[1], cells.concat())
+        let [red, green, blue] = [0, 1, 2]
+            .map(|c| format!("{:.4} ({} %)", patch.value[c].value, fixed(100.0 * patch.deviation[c], 2)));
+        vec![patch.rho[1].to_string(), red, green, blue, place]
     });
-    format!(
-        "<h3>Grey patches</h3>\n<div class=\"wide\"><table><tr><th>ρ given</th><th>R measured</th><th>G measured</th><th>B measured</th><th>x, y, width, height in px</th></tr>{}</table></div>\n\
-         <p class=\"faint\">In brackets: deviation from the straight line through all patches.</p>\n",
-        rows.collect::<String>()
-    )
+    let head = "ρ given | >R measured | >G measured | >B measured | >x, y, width, height\nin px";
+    ValueTable::new(head, rows).block()
 }
 
-fn constants(calibration: &Calibration) -> String {
+fn constants(calibration: &Calibration) -> Block {
+    let head = "channel | >dark noise [DN] /\nsystem gain K [DN/e⁻] | >responsivity\n[DN] | >glare | >drift";
     let rows = Colour::ALL.iter().map(|colour| {
         let c = colour.index();
         let sites = calibration.noise.iter().filter(|n| n.colour == *colour);
         let noise: Vec<String> =
             sites.map(|n| format!("{:.2} / {:.3}", n.read.value, n.gain.value)).collect();
-        format!(
-            "<tr><td class=\"{0}\">{0}</td><td>{1}</td><td>{2}</td><td>{3}</td><td>{4} %</td></tr>",
-            colour.letter(),
+        vec![
+            colour.letter().to_owned(),
             noise.join(", "),
-            with_error(calibration.gain[c]),
-            with_error(calibration.glare[c]),
-            minus(&format!("{:.2}", 100.0 * calibration.drift[c])),
-        )
+            number(calibration.gain[c]),
+            number(calibration.glare[c]),
+            format!("{} %", fixed(100.0 * calibration.drift[c], 2)),
+        ]
     });
-    format!(
-        "<h3>Camera model</h3>\n<div class=\"wide\"><table><tr><th>channel</th><th>dark noise [DN] / system gain K [DN/e⁻]</th>\
-         <th>responsivity [DN]</th><th>glare</th><th>drift</th></tr>{}</table></div>\n\
-         <p class=\"faint\">Temporal dark noise and system gain as in EMVA 1288, by the photon transfer of repeated shots; the \
-         responsivity is the signal of a radiance factor of 1; the glare is the share of the mean light that adds to every pixel; \
-         the drift is that of the lamps between the first and the last shot of the patches.</p>\n",
-        rows.collect::<String>()
-    )
+    ValueTable::new(head, rows).block()
 }
 
 /// The light over the frame in green, as in Fig. 4 of the paper: grey is the mean, a step of colour 1 %.
-fn light(captured: &Captured, part: &CapturedPart) -> String {
-    let first = captured.inputs.first().and_then(|input| input.thumbnail.as_ref());
-    let Some([width, height]) = first.map(|thumbnail| thumbnail.full) else { return String::new() };
+fn light(captured: &Captured, part: &CapturedPart) -> Option<[Block; 2]> {
+    let [width, height] = captured.inputs.first()?.thumbnail.as_ref()?.full;
     let rows = (COLUMNS * height).div_ceil(width.max(1)).clamp(1, 4 * COLUMNS);
     let flat = part.calibration.flat();
     let at = |row: usize, column: usize| {
@@ -177,13 +161,11 @@ fn light(captured: &Captured, part: &CapturedPart) -> String {
         (0..rows).flat_map(|r| (0..COLUMNS).map(move |c| (r, c))).map(|(r, c)| at(r, c)).collect();
     let [low, high] = values.iter().fold([f64::INFINITY, 0.0], |[a, b], v| [v.min(a), v.max(b)]);
     let bytes: Vec<u8> = values.iter().flat_map(|v| departure_colour(v - 1.0)).collect();
-    format!(
-        "<h3>Light over the frame</h3>\n<figure><img class=\"strip\" style=\"max-width:24rem\" src=\"{}\" alt=\"map of the light\">\
-         <figcaption>Green, from {} % (blue) to {:+.1} % (red) of the mean, in steps of 1 %.</figcaption></figure>\n",
-        data_uri(COLUMNS, rows, &bytes),
-        minus(&format!("{:.1}", 100.0 * (low - 1.0))),
-        100.0 * (high - 1.0),
-    )
+    let (uri, alt) = (data_uri(COLUMNS, rows, &bytes), "map of the light".to_owned());
+    let [low, high] = [low, high].map(|v| fixed(100.0 * (v - 1.0), 1));
+    let caption = format!("Green, from {low} % (blue) to {high} % (red) of the mean, in steps of 1 %.");
+    let figure = Figure { pictures: vec![PagePicture::Strip { uri, alt }], caption };
+    Some([Block::heading(3, "Light over the frame"), Block::Row(vec![figure])])
 }
 
 /// Grey at 0, redder above and bluer below, full at 10 %.

@@ -1,36 +1,41 @@
-//! Draws board, edge, crop and rejected samples into the photographs.
+//! Photographs with board, edge, crop and rejected samples drawn into them.
 
+use farm_figures::numbers::fixed;
 use optics_capture::{Board, ShotReport};
 
 use crate::capture::captured::{Captured, CapturedPart};
-use crate::page::escaped;
+use crate::document::{Block, Figure, PagePicture, escaped};
+
+/// Shots of the board next to each other.
+pub(super) fn row(captured: &Captured, part: &CapturedPart, shots: &[ShotReport]) -> Block {
+    Block::Row(shots.iter().filter_map(|shot| figure(captured, part, shot)).collect())
+}
 
 /// One shot of the board: edge, crop, corners, rejected samples.
-pub(super) fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> String {
+fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> Option<Figure> {
     let input = captured.inputs.iter().find(|input| input.label == shot.label);
-    let Some(thumbnail) = input.and_then(|input| input.thumbnail.as_ref()) else { return String::new() };
+    let thumbnail = input.and_then(|input| input.thumbnail.as_ref())?;
     let [width, height] = thumbnail.full;
-    let picture = thumbnail.data_uri(black(part));
-    let named = |what: &str, value: String| format!("{what} {value}");
-    let mut words = vec![escaped(&shot.label)];
-    words.extend(shot.blur_px.map(|blur| named("blur", format!("{:.2} px", blur.value))));
-    let moved = shot.moved_px.map(|moved| moved.map_or("?".to_owned(), |m| format!("{:+.3}", m.value)));
+    let mut words = vec![shot.label.clone()];
+    words.extend(shot.blur_px.map(|blur| format!("blur {:.2} px", blur.value)));
     if shot.moved_px.iter().any(Option::is_some) {
-        words.push(named("moved", format!("{} px", moved.join(", "))));
+        let moved = shot.moved_px.map(|moved| moved.map_or("?".to_owned(), |m| format!("{:+.3}", m.value)));
+        words.push(format!("moved {} px", moved.join(", ")));
     }
-    let light = shot.light.map(|light| light.map(|l| format!("{:+.2}", 100.0 * (l.value - 1.0))).join(", "));
-    words.extend(light.map(|percent| named("light", format!("{percent} %"))));
-    words.push(named("rejected", shot.rejected_px.len().to_string()));
-    format!(
-        "<figure><div class=\"shot\"><img src=\"{picture}\" alt=\"{}\" width=\"{}\" height=\"{}\">\
-         <svg viewBox=\"0 0 {width} {height}\" preserveAspectRatio=\"none\">{}{}</svg></div><figcaption>{}</figcaption></figure>\n",
+    words.extend(shot.light.as_ref().map(|light| {
+        let percent = light.iter().map(|l| fixed(100.0 * (l.value - 1.0), 2));
+        format!("light {} %", percent.collect::<Vec<_>>().join(", "))
+    }));
+    words.push(format!("rejected {}", shot.rejected_px.len()));
+    let drawing = format!(
+        "<svg viewBox=\"0 0 {width} {height}\" role=\"img\" aria-label=\"{}\"><image href=\"{}\" width=\"{width}\" \
+         height=\"{height}\" preserveAspectRatio=\"none\"/>{}{}</svg>",
         escaped(&shot.label),
-        thumbnail.width,
-        thumbnail.height,
+        thumbnail.data_uri(black(part)),
         overlay(&part.board),
         dust(shot, width),
-        words.join(", ")
-    )
+    );
+    Some(Figure { pictures: vec![PagePicture::Drawing(drawing)], caption: words.join(", ") })
 }
 
 /// Black level of each colour, in numbers of the sensor.
@@ -44,23 +49,16 @@ fn black(part: &CapturedPart) -> [f64; 3] {
     std::array::from_fn(|c| sums[c] / f64::max(counts[c], 1.0))
 }
 
+/// Crop, edge, and a cross at each corner of the squares.
 fn overlay(board: &Board) -> String {
     let [x0, y0] = board.edge.from_px;
     let [x1, y1] = board.edge.to_px;
     let crop = board.crop_px.map(|[x, y]| format!("{x:.1},{y:.1}")).join(" ");
-    let corners = board.corners_px.iter().map(|[x, y]| {
-        let r = 12.0;
-        format!(
-            "<path class=\"overlay\" d=\"M{:.1} {y:.1}h{:.1}M{x:.1} {:.1}v{:.1}\"/>",
-            x - r,
-            2.0 * r,
-            y - r,
-            2.0 * r
-        )
-    });
+    let cross = |[x, y]: &[f64; 2]| format!("M{:.1} {y:.1}h24M{x:.1} {:.1}v24", x - 12.0, y - 12.0);
     format!(
-        "<polygon class=\"overlay crop\" points=\"{crop}\"/><path class=\"overlay\" d=\"M{x0:.1} {y0:.1}L{x1:.1} {y1:.1}\"/>{}",
-        corners.collect::<String>()
+        "<polygon class=\"overlay crop\" points=\"{crop}\"/>\
+         <path class=\"overlay\" d=\"M{x0:.1} {y0:.1}L{x1:.1} {y1:.1}{}\"/>",
+        board.corners_px.iter().map(cross).collect::<String>()
     )
 }
 

@@ -1,9 +1,8 @@
-//! Renders the verdict on a measurement, which stands first in a report.
+//! The verdict on a measurement, which stands first in a report and last on the terminal.
 
 use serde::Serialize;
 
-use super::warning_list;
-use crate::page::{cards, escaped};
+use crate::document::{Block, Remark, ValueTable};
 
 /// A measurement in words.
 #[derive(Debug, Clone, Default, Serialize)]
@@ -11,7 +10,7 @@ pub struct MeasureVerdict {
     pub sentences: Vec<String>,
     pub precision: Vec<PrecisionRow>,
     /// Reasons why numbers may be wrong, each with the channels concerned.
-    pub warnings: Vec<String>,
+    pub warnings: Vec<Remark>,
     /// The source of error with the largest share, and its remedy.
     pub improve_first: Option<String>,
 }
@@ -25,31 +24,21 @@ pub struct PrecisionRow {
 }
 
 impl MeasureVerdict {
-    /// Names of the columns of [`PrecisionRow`].
-    pub const COLUMNS: [&'static str; 5] = ["material", "σ_s(1−g)", "σ_a", "σ_t", "g"];
-
-    pub(super) fn section(&self) -> String {
-        let warnings: Vec<&str> = self.warnings.iter().map(String::as_str).collect();
-        let rows: Vec<Vec<String>> = self.precision.iter().map(PrecisionRow::cells).collect();
-        let precision = if rows.is_empty() {
-            String::new()
-        } else {
-            let note = "Half-widths of the 95 % intervals: the median over channels (the greatest, where it is larger).";
-            format!("{}<p class=\"faint\">{note}</p>\n", cards(&Self::COLUMNS, &rows))
-        };
+    pub fn blocks(&self) -> Vec<Block> {
+        let mut blocks =
+            vec![Block::Verdict(self.sentences.join(" ")), Block::Remarks(self.warnings.clone())];
+        if !self.precision.is_empty() {
+            let row = |row: &PrecisionRow| {
+                std::iter::once(row.material.clone()).chain(row.half_widths.iter().cloned()).collect()
+            };
+            let head = "material | σ_s(1−g) | σ_a | σ_t | g";
+            blocks.push(ValueTable::new(head, self.precision.iter().map(row)).cards().block());
+            blocks.push(Block::aside(
+                "Half-widths of the 95 % intervals: the median over channels (the greatest, where it is larger).",
+            ));
+        }
         let first = self.improve_first.as_ref();
-        let first = first.map(|first| format!("<p>To improve first: {}.</p>\n", escaped(first)));
-        format!(
-            "<p><strong>{}</strong></p>\n{}{precision}{}",
-            escaped(&self.sentences.join(" ")),
-            warning_list(&warnings),
-            first.unwrap_or_default()
-        )
-    }
-}
-
-impl PrecisionRow {
-    pub fn cells(&self) -> Vec<String> {
-        std::iter::once(self.material.clone()).chain(self.half_widths.iter().cloned()).collect()
+        blocks.extend(first.map(|first| Block::paragraph(format!("To improve first: {first}."))));
+        blocks
     }
 }

@@ -143,7 +143,7 @@ impl Noise {
         let rows = count.min(ROWS);
         let chosen = (0..rows).map(|i| &self.by_albedo[i * (count - 1) / (rows - 1).max(1)]);
         let row = |of: &OfAlbedo| vec![of.albedo.to_string(), percent(of.median), percent(of.worst)];
-        text += &table(&["albedo", "median noise", "worst"], &[0, 1, 2], chosen.map(row));
+        text += &table(">albedo | >median noise | >worst", chosen.map(row));
         text
     }
 }

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use farm_figures::numbers::{short, significant};
+use farm_lab::document::{Block, ValueTable};
 use farm_lab::media_file::{MEDIA_FILE, MediaFile, MediaMaterial};
 use serde::Serialize;
 
-use crate::output::{table, wrapped};
 use crate::prints::comparison::{ComparedQuantity, invariants};
 
 /// How deep folders are searched.
@@ -108,8 +108,8 @@ fn difference(invariants: &[ComparedQuantity; 2]) -> f64 {
     relative(scattering.a, scattering.b).powi(2) + relative(absorption.a.sqrt(), absorption.b.sqrt()).powi(2)
 }
 
-pub(super) fn text(all: &[LibraryMatches], left_out: &[String]) -> String {
-    let head = ["material", "like", "of", "channels", "differs by", "|E_n| ≤"];
+pub(super) fn blocks(all: &[LibraryMatches], left_out: &[String]) -> Vec<Block> {
+    let head = "material | like | of | >channels | >differs by | >largest E_n";
     let row = |of: &LibraryMatches, m: &LibraryMatch| {
         vec![
             short(&of.material),
@@ -121,5 +121,5 @@ pub(super) fn text(all: &[LibraryMatches], left_out: &[String]) -> String {
         ]
     };
     let rows = all.iter().flat_map(|of| of.nearest.iter().map(move |m| row(of, m)));
-    left_out.iter().fold(table(&head, &[3, 4, 5], rows), |text, line| format!("{text}\n{}", wrapped(line)))
+    vec![ValueTable::new(head, rows).block(), Block::List(left_out.to_vec())]
 }

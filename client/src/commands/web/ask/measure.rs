@@ -265,9 +265,9 @@ impl MeasuredAnswer {
         let Some(folder) = self.folder.as_ref().filter(|_| self.has_intervals()) else { return Ok(()) };
         let fits = &self.found.materials;
         let assumed = self.assumed.text(self.options.settings());
-        let text = measured::text(&self.found, &FitsReport { fits, assumed, bound: false, scene: false });
+        let report = FitsReport { fits, assumed, bound: false, scene: false };
         measured::write_answer(folder.path(), &self.data(&self.all_notes()))?;
-        measured::complete(folder, &self.found, (self.dictionary(), &self.grid), &text)?;
+        measured::complete(folder, &self.found, (self.dictionary(), &self.grid), &report)?;
         Ok(())
     }
 
