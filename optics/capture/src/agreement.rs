@@ -30,12 +30,14 @@ pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusa
         };
         (mean(&values[values.len() - n..]) - mean(&values[..n])) / contrast(board, c)
     };
-    let rises = [rise(0), rise(1), rise(2)];
+    let rises: Vec<f64> = (0..shot.profiles.len()).map(rise).collect();
     if rises.iter().any(|rise| *rise > -FALLS) {
         return Ok(());
     }
-    let seen =
-        format!("brightness falls from the board's dark to its light side, by {:.1} %", -100.0 * rises[1]);
+    let seen = format!(
+        "brightness falls from the board's dark to its light side, by {:.1} %",
+        -100.0 * rises[rises.len() / 2]
+    );
     Err(Refusal::Unlike { label: shot.label.clone(), seen, cause: TURNED })
 }
 
@@ -80,7 +82,7 @@ fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
         let mean = all.iter().map(|v| v * v).sum::<f64>() / all.len().max(1) as f64;
         mean.sqrt() / contrast(board, c)
     };
-    (0..3).map(deviation).fold(0.0, f64::max)
+    (0..shots[j].profiles.len()).map(deviation).fold(0.0, f64::max)
 }
 
 fn contrast(board: &Board, c: usize) -> f64 {

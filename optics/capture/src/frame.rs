@@ -12,29 +12,47 @@ pub const MAX_SAMPLES: usize = 300_000_000;
 /// Smallest side of a frame, in pixels: a smaller one cannot show a board.
 pub const MIN_SIDE: usize = 64;
 
+/// What a column of results belongs to: one colour of a camera, or the only channel of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Colour {
     Red,
     Green,
     Blue,
+    Mono,
 }
 
 impl Colour {
+    /// The colours of a camera.
     pub const ALL: [Self; 3] = [Self::Red, Self::Green, Self::Blue];
 
+    /// Its place among the columns of its frame.
     pub fn index(self) -> usize {
-        self as usize
+        match self {
+            Self::Red | Self::Mono => 0,
+            Self::Green => 1,
+            Self::Blue => 2,
+        }
     }
 
     /// `R`, `G` or `B`: the channel's name in measurements.
     pub fn letter(self) -> &'static str {
-        ["R", "G", "B"][self.index()]
+        match self {
+            Self::Red => "R",
+            Self::Green => "G",
+            Self::Blue => "B",
+            Self::Mono => "mono",
+        }
     }
 }
 
 impl fmt::Display for Colour {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(["red", "green", "blue"][self.index()])
+        f.write_str(match self {
+            Self::Red => "red",
+            Self::Green => "green",
+            Self::Blue => "blue",
+            Self::Mono => "monochrome",
+        })
     }
 }
 
@@ -47,14 +65,10 @@ pub enum Pattern {
     Rgb,
     /// One sample per pixel of one channel: the positions of 2 × 2 pixels that it has, row by row. All four are of a
     /// monochrome camera, fewer of one colour of a mosaic behind a band-pass filter.
-    ///
-    /// Its samples are divided into three interleaved parts, which take the places of red, green and blue: each is a
-    /// measurement of its own, and [`crate::join_parts`] joins their profiles.
     One([bool; 4]),
 }
 
-/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours; or a part
-/// of these.
+/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Site {
     pub index: usize,
@@ -173,6 +187,16 @@ impl Frame {
         self.pattern.sites()
     }
 
+    /// What its columns of results are.
+    pub fn columns(&self) -> &'static [Colour] {
+        self.pattern.columns()
+    }
+
+    /// The samples of one column.
+    pub(crate) fn sites_of(&self, colour: Colour) -> Vec<Site> {
+        self.sites().into_iter().filter(|site| site.colour == colour).collect()
+    }
+
     /// The sample of a site at one of its pixels.
     pub(crate) fn at(&self, site: Site, x: usize, y: usize) -> u16 {
         match self.pattern {
@@ -208,9 +232,6 @@ impl Site {
     }
 }
 
-/// Places of the three parts of a channel.
-const PARTS: [Colour; 4] = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
-
 impl Pattern {
     /// All pixels of a monochrome camera.
     pub const MONOCHROME: Self = Self::One([true; 4]);
@@ -222,9 +243,8 @@ impl Pattern {
 
     pub fn sites(self) -> Vec<Site> {
         match self {
-            Self::Bayer(colours) => mosaic(colours),
-            Self::MONOCHROME => mosaic(PARTS),
-            Self::One(positions) => parts(positions),
+            Self::Bayer(colours) => positions(|i| Some(colours[i])),
+            Self::One(used) => positions(|i| used[i].then_some(Colour::Mono)),
             Self::Rgb => Colour::ALL
                 .map(|colour| {
                     let index = colour.index();
@@ -233,27 +253,33 @@ impl Pattern {
                 .to_vec(),
         }
     }
+
+    /// What the columns of results are: red, green and blue, or the only channel.
+    pub fn columns(self) -> &'static [Colour] {
+        match self {
+            Self::Bayer(_) | Self::Rgb => &Colour::ALL,
+            Self::One(_) => &[Colour::Mono],
+        }
+    }
+
+    /// The column in which edges are looked for: green, or the only one.
+    pub fn sharpest(self) -> Colour {
+        self.columns()[self.columns().len() / 2]
+    }
 }
 
-fn mosaic(colours: [Colour; 4]) -> Vec<Site> {
-    let site =
-        |i: usize| Site { index: i, position: i, colour: colours[i], column: i % 2, row: i / 2, step: 2 };
-    (0..4).map(site).collect()
-}
-
-/// Some positions of 2 × 2 pixels, each divided into [`PARTS`].
-fn parts(positions: [bool; 4]) -> Vec<Site> {
-    let own = (0..4).filter(|position| positions[*position]);
-    let each = own.flat_map(|position| (0..4).map(move |part| (position, part)));
-    let site = |(index, (position, part)): (usize, (usize, usize))| Site {
+/// The sites of those of 2 × 2 pixels that have a colour.
+fn positions(colour: impl Fn(usize) -> Option<Colour>) -> Vec<Site> {
+    let used = (0..4).filter_map(|position| Some((position, colour(position)?)));
+    let site = |(index, (position, colour))| Site {
         index,
         position,
-        colour: PARTS[part],
-        column: position % 2 + 2 * (part % 2),
-        row: position / 2 + 2 * (part / 2),
-        step: 4,
+        colour,
+        column: position % 2,
+        row: position / 2,
+        step: 2,
     };
-    each.enumerate().map(site).collect()
+    used.enumerate().map(site).collect()
 }
 
 impl fmt::Debug for Frame {
@@ -266,9 +292,9 @@ impl fmt::Debug for Frame {
 mod tests {
     use super::*;
 
-    /// Every pixel of a channel is in exactly one of its sites, and no other pixel is; each part has samples.
+    /// Every pixel of a channel is in exactly one of its sites, and no other pixel is; all sites are of its only column.
     #[test]
-    fn parts_of_a_channel_divide_its_pixels() {
+    fn sites_of_a_channel_divide_its_pixels() {
         let rggb = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
         let patterns = [
             (Pattern::MONOCHROME, vec![true; 4]),
@@ -283,7 +309,7 @@ mod tests {
                 assert_eq!(owners.len(), usize::from(own[position]), "{pattern:?} {x} {y}");
                 assert!(owners.iter().all(|site| site.position == position));
             }
-            assert!(Colour::ALL.iter().all(|colour| sites.iter().any(|site| site.colour == *colour)));
+            assert!(pattern.columns() == [Colour::Mono] && sites.iter().all(|s| s.colour == Colour::Mono));
             assert!(sites.iter().enumerate().all(|(i, site)| site.index == i));
         }
     }

@@ -27,8 +27,7 @@ impl Saturation {
 
     /// The lowest of a colour's sites.
     pub fn of_colour(self, frame: &Frame, colour: Colour) -> f64 {
-        let sites = frame.sites().into_iter().filter(|site| site.colour == colour);
-        sites.map(|site| self.of(site)).fold(f64::INFINITY, f64::min)
+        frame.sites_of(colour).into_iter().map(|site| self.of(site)).fold(f64::INFINITY, f64::min)
     }
 }
 

@@ -200,7 +200,7 @@ fn rows(captured: &Captured) -> Vec<CapturedRow> {
     let channels = captured.channels();
     let row = |(channel, sample): (&CapturedChannel, &CapturedSample)| {
         let (profile, blur) = (channel.profile(sample), channel.blur_mm());
-        let [dark, light] = capture::ends(&profile);
+        let [dark, light] = capture::ends(profile);
         CapturedRow {
             sample: sample.about.label(),
             material: sample.about.material.clone(),

@@ -9,7 +9,7 @@ use super::lines::EdgeStretch;
 use super::scan::{EdgePoint, Run};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
-use crate::frame::Colour;
+use crate::frame::Photo;
 use crate::least_squares::{median, robust_mean, spread};
 use crate::refusal::Refusal;
 
@@ -55,10 +55,10 @@ pub(crate) struct Patch<'a> {
 }
 
 /// Mean radiance factor of a patch in each colour.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone)]
 pub(crate) struct PatchRadiance {
-    value: [f64; 3],
-    variance: [f64; 3],
+    value: Vec<f64>,
+    variance: Vec<f64>,
 }
 
 /// Points of an edge that share a patch.
@@ -95,7 +95,8 @@ impl<'a> Patch<'a> {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
-        let (mut sums, mut variances, mut counts) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        let zeros = vec![0.0; frame.columns().len()];
+        let (mut sums, mut variances, mut counts) = (zeros.clone(), zeros.clone(), zeros);
         for on in self.on[0] as usize..=self.on[1] as usize {
             let edge = self.stretch.at(on as f64 + 0.5);
             let offset = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
@@ -109,9 +110,10 @@ impl<'a> Patch<'a> {
                 }
             }
         }
-        let over =
-            |of: [f64; 3], power: i32| std::array::from_fn(|c| of[c] / f64::max(counts[c], 1.0).powi(power));
-        PatchRadiance { value: over(sums, 1), variance: over(variances, 2) }
+        let over = |sums: &[f64], power: i32| {
+            sums.iter().zip(&counts).map(|(sum, count)| sum / f64::max(*count, 1.0).powi(power)).collect()
+        };
+        PatchRadiance { value: over(&sums, 1), variance: over(&variances, 2) }
     }
 }
 
@@ -121,9 +123,10 @@ impl PatchRadiance {
         let n = shots.len() as f64;
         let mean = |k: usize| {
             let sum = |f: &dyn Fn(&Self) -> f64| shots.iter().map(|s| f(&s[k])).sum::<f64>();
+            let columns = 0..shots[0][k].value.len();
             Self {
-                value: std::array::from_fn(|c| sum(&|r| r.value[c]) / n),
-                variance: std::array::from_fn(|c| sum(&|r| r.variance[c]) / (n * n)),
+                value: columns.clone().map(|c| sum(&|r| r.value[c]) / n).collect(),
+                variance: columns.map(|c| sum(&|r| r.variance[c]) / (n * n)).collect(),
             }
         };
         (0..shots.first().map_or(0, Vec::len)).map(mean).collect()
@@ -131,9 +134,8 @@ impl PatchRadiance {
 }
 
 /// Brightness of a shot relative to the bare shots at the free patches, in each colour.
-pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<[Estimate; 3]> {
-    let [red, green, blue] = [0, 1, 2].map(|c| channel_factor(bare, shot, free, c));
-    Some([red?, green?, blue?])
+pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<Vec<Estimate>> {
+    (0..bare.first()?.value.len()).map(|c| channel_factor(bare, shot, free, c)).collect()
 }
 
 /// Brightness in one colour. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
@@ -174,16 +176,16 @@ fn less_chance(factor: Estimate) -> Estimate {
 const DIVIDED_OUT: f64 = 0.055;
 
 /// Refuses a shot whose light differs too much from that of the bare shots.
-pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
+pub(crate) fn check(photo: &Photo, light: &[Estimate]) -> Result<(), Refusal> {
     let beyond = |l: &Estimate| (l.value - 1.0).abs() - 3.0 * l.std_error > DIVIDED_OUT;
-    let changes = Colour::ALL.into_iter().zip(light).filter(|(_, l)| beyond(l));
+    let changes = photo.frame.columns().iter().zip(light).filter(|(_, l)| beyond(l));
     match changes.max_by(|a, b| (a.1.value - 1.0).abs().total_cmp(&(b.1.value - 1.0).abs())) {
         None => Ok(()),
         Some((colour, change)) => {
             let percent = 100.0 * (change.value - 1.0);
             Err(Refusal::LightChanged {
-                label: label.to_owned(),
-                colour,
+                label: photo.label.clone(),
+                colour: *colour,
                 percent,
                 allowed: 100.0 * DIVIDED_OUT,
             })
@@ -192,21 +194,21 @@ pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
 }
 
 /// Relative error of the mean light of several shots: their differences, and the unevenness of these.
-pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>]) -> [f64; 3] {
+pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>], columns: usize) -> Vec<f64> {
     let n = shots.len() as f64;
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =
             shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
         factor(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
     });
-    let mut squares = [0.0; 3];
+    let mut squares = vec![0.0_f64; columns];
     for factor in against_others {
         for (sum, f) in squares.iter_mut().zip(factor) {
             // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
             *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
         }
     }
-    squares.map(f64::sqrt)
+    squares.into_iter().map(f64::sqrt).collect()
 }
 
 #[cfg(test)]

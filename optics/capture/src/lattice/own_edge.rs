@@ -2,7 +2,6 @@
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
-use crate::frame::Colour;
 use crate::least_squares::{NormalEquations, robust_mean, spread, tukey};
 
 /// Strips across the edge, samples across each for its mean, and the tangent of the largest angle to the board's edge.
@@ -51,7 +50,7 @@ struct StripCrossing {
 }
 
 fn crossing(radiance: &Radiance<'_>, board: &EdgeFrame, y_mm: f64) -> Option<StripCrossing> {
-    let sites: Vec<_> = radiance.frame.sites().into_iter().filter(|s| s.colour == Colour::Green).collect();
+    let sites = radiance.frame.sites_of(radiance.frame.pattern().sharpest());
     let strip_mm = 2.0 * HALF_CROP_MM / STRIPS as f64;
     let value = |x_mm: f64| {
         let along = |k: usize| y_mm + ((k as f64 + 0.5) / ACROSS as f64 - 0.5) * strip_mm;

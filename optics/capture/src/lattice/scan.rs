@@ -8,7 +8,6 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::frame::Colour;
 use crate::view::PhotoView;
 
 /// Direction in which a line of the board runs.
@@ -56,7 +55,7 @@ impl Contrast {
         let frame = view.frame();
         let mut values = Vec::new();
         let skip = (frame.width() * frame.height() / 200_000).isqrt().max(1);
-        for site in frame.sites().into_iter().filter(|s| s.colour == Colour::Green) {
+        for site in frame.sites_of(view.sharpest()) {
             for y in (site.row..frame.height()).step_by(site.step * skip) {
                 for x in (site.column..frame.width()).step_by(site.step * skip) {
                     values.push(view.signal(site, x, y));
@@ -128,7 +127,7 @@ impl EdgeScan {
     }
 
     fn line(&self, view: PhotoView<'_>, run: Run, on: usize, range: Range<usize>) -> Vec<EdgePoint> {
-        let greens = view.frame().sites().into_iter().filter(|s| s.colour == Colour::Green);
+        let greens = view.frame().sites_of(view.sharpest());
         let mut found = Vec::new();
         for site in greens {
             let (first, scanned) = match run {

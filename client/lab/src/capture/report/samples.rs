@@ -53,7 +53,7 @@ pub(super) fn summary(captured: &Captured) -> String {
 fn row(channel: &CapturedChannel, sample: &CapturedSample) -> String {
     let (blur, profile) = (channel.blur_mm(), channel.profile(sample));
     let origin = channel.error(sample, &[Source::Origin]);
-    let ends = ends(&profile);
+    let ends = ends(profile);
     let cells = [
         escaped(&sample.about.label()),
         format!("<span class=\"{0}\">{0}</span>", escaped(&channel.name)),
@@ -116,8 +116,8 @@ impl SlabSection {
     }
 }
 
-/// The profiles of three channels, as SVG.
-pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
+/// The profiles of all channels, as SVG.
+pub(super) fn figure(profiles: &[EdgeProfile]) -> String {
     let curve = |profile| {
         let EdgeProfile { colour, x_mm, values, std_errors, .. }: &EdgeProfile = profile;
         EdgeCurve { channel: colour.letter(), x_mm, values, std_errors }
@@ -128,11 +128,11 @@ pub(super) fn figure(profiles: &[EdgeProfile; 3]) -> String {
 
 fn budget(sample: &CapturedSample) -> String {
     let rows = sample.profile.budget.iter().map(|line| {
-        let errors = line.std_error.map(|e| format!("<td>{}</td>", significant(e, 2)));
+        let errors = line.std_error.iter().map(|e| format!("<td>{}</td>", significant(*e, 2)));
         format!(
             "<tr><td>{}</td>{}<td>{}</td></tr>",
             line.source.name().replace('_', " "),
-            errors.concat(),
+            errors.collect::<String>(),
             line.source.unit()
         )
     });

@@ -18,8 +18,10 @@ pub(super) fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport
     if shot.moved_px.iter().any(Option::is_some) {
         words.push(named("moved", format!("{} px", moved.join(", "))));
     }
-    let light = shot.light.map(|light| light.map(|l| format!("{:+.2}", 100.0 * (l.value - 1.0))).join(", "));
-    words.extend(light.map(|percent| named("light", format!("{percent} %"))));
+    words.extend(shot.light.as_ref().map(|light| {
+        let percent = light.iter().map(|l| format!("{:+.2}", 100.0 * (l.value - 1.0)));
+        named("light", format!("{} %", percent.collect::<Vec<_>>().join(", ")))
+    }));
     words.push(named("rejected", shot.rejected_px.len().to_string()));
     format!(
         "<figure><div class=\"shot\"><img src=\"{picture}\" alt=\"{}\" width=\"{}\" height=\"{}\">\
