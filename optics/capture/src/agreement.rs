@@ -2,7 +2,7 @@
 //! do not.
 
 use crate::board::Board;
-use crate::least_squares::median;
+use crate::least_squares::{finite_mean, median};
 use crate::refusal::{Refusal, TURNED, UNLIKE};
 use crate::report::ShotReport;
 
@@ -24,11 +24,7 @@ pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusa
     let rise = |c: usize| {
         let values = &shot.profiles[c].values;
         let n = values.len() / END;
-        let mean = |part: &[f64]| {
-            let finite: Vec<f64> = part.iter().copied().filter(|v| v.is_finite()).collect();
-            finite.iter().sum::<f64>() / finite.len().max(1) as f64
-        };
-        (mean(&values[values.len() - n..]) - mean(&values[..n])) / contrast(board, c)
+        (finite_mean(&values[values.len() - n..]) - finite_mean(&values[..n])) / contrast(board, c)
     };
     let rises: Vec<f64> = (0..shot.profiles.len()).map(rise).collect();
     if rises.iter().any(|rise| *rise > -FALLS) {

@@ -12,7 +12,7 @@ use crate::lattice::{
     own_edge,
 };
 use crate::lattice::{light, movement};
-use crate::least_squares::{FittedParameters, NormalEquations};
+use crate::least_squares::{FittedParameters, NormalEquations, scatter_of_mean};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::Saturation;
@@ -140,8 +140,7 @@ impl<'a> BareShots<'a> {
         radiance: &Radiance<'_>,
         edge: &EdgeFrame,
     ) -> Result<Vec<Binning>, Refusal> {
-        let columns = photo.frame.columns().iter();
-        let binnings: Vec<Binning> = columns.map(|colour| bin(radiance, edge, *colour, 0.0)).collect();
+        let binnings = photo.frame.each(|colour| bin(radiance, edge, colour, 0.0));
         check_clipped(photo, &binnings, radiance.full)?;
         self.check_slanted(photo, &binnings)?;
         Ok(binnings)
@@ -152,7 +151,7 @@ impl<'a> BareShots<'a> {
         let n = self.blurs.len() as f64;
         let mean =
             |value: fn(&Estimate) -> f64| self.blurs.iter().map(|blur| value(&blur[c])).sum::<f64>() / n;
-        let scatter = spread_of_mean(&self.blurs.iter().map(|blur| blur[c].value).collect::<Vec<_>>());
+        let scatter = scatter_of_mean(&self.blurs.iter().map(|blur| blur[c].value).collect::<Vec<_>>());
         let estimate = || {
             let value = mean(|e| e.value);
             let errors = [mean(|e| e.std_error), scatter, OWN_EDGE * value];
@@ -180,8 +179,8 @@ impl<'a> BareShots<'a> {
     }
 
     pub fn finish(mut self) -> Result<Board, Refusal> {
-        let columns = self.calibration.columns();
-        let known: Vec<Option<Estimate>> = (0..columns.len()).map(|c| self.known_blur(c)).collect();
+        let calibration = self.calibration;
+        let known = calibration.each(|c| self.known_blur(c));
         let Some(found) = self.found else {
             return Err(Refusal::Missing { what: "shots of the bare board" });
         };
@@ -191,11 +190,10 @@ impl<'a> BareShots<'a> {
         }
         let label = &self.shots[0].label;
         let shot_profiles = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
-        let profiles: Vec<EdgeProfile> =
-            (0..columns.len()).map(|c| crate::join::mean(&shot_profiles(c))).collect();
+        let profiles = calibration.each(|c| crate::join::mean(&shot_profiles(c)));
         let fine_shots = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
-        let fine: Vec<EdgeProfile> = (0..columns.len()).map(|c| crate::join::mean(&fine_shots(c))).collect();
-        for (colour, known) in columns.iter().copied().zip(&known) {
+        let fine = calibration.each(|c| crate::join::mean(&fine_shots(c)));
+        for (colour, known) in calibration.columns().iter().copied().zip(&known) {
             let bare = blur::fit(&edge_bins(&fine[colour.index()])).map(|fit| fit.blur);
             let Some((known, bare)) = known.as_ref().zip(bare) else { continue };
             if known.value - bare.value > 3.0 * libm::hypot(known.std_error, bare.std_error) {
@@ -204,17 +202,17 @@ impl<'a> BareShots<'a> {
         }
         let fits = fine.iter().zip(known).map(|(profile, known)| fit_edge(profile, known, label));
         let fits: Vec<blur::EdgeFit> = fits.collect::<Result<_, _>>()?;
+        let ends = fits.iter().map(|fit| (fit.end, "the edge's blur"));
+        let unended = ends.chain([(found.end, "the board's pose")]).find(|(end, _)| !end.is_minimum());
+        self.warnings.extend(unended.map(|(_, what)| Warning::NotConverged { what }));
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
                 fine_shots(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
-            spread_of_mean(&each)
+            scatter_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
         let alone = |c: usize| libm::hypot(spread(|e| e.blur.value, c), BLUR_OF_FORM * fits[c].spread.value);
         let blur_spread = |c: usize| if self.blurs.is_empty() { alone(c) } else { 0.0 };
-        let blurs = fits.iter().enumerate().map(|(c, fit)| with(fit.blur, blur_spread(c)));
-        let origins = fits.iter().enumerate().map(|(c, fit)| with(fit.origin, spread(|e| e.origin.value, c)));
-        let (blur_mm, origin_mm) = (blurs.collect(), origins.collect());
         let spread_mm = whole_spread(&fits.iter().map(|fit| fit.spread).collect::<Vec<_>>());
         if spread_mm.value > 2.0 * spread_mm.std_error {
             let Estimate { value: mm, std_error: std_error_mm } = spread_mm;
@@ -222,28 +220,25 @@ impl<'a> BareShots<'a> {
         }
         let edge_frame = found.edge_frame;
         let scale = edge_frame.mm_per_px();
-        let sfr = |(profile, fit): (&EdgeProfile, &blur::EdgeFit)| {
-            EdgeSfr::of(profile, fit.origin.value, fit.blur.value, scale)
-        };
-        let frame_mean =
-            |c: usize| self.means.iter().map(|means| means[c]).sum::<f64>() / self.means.len() as f64;
+        let sfr = |c: usize| EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale);
+        let frame_mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / self.means.len() as f64;
         let of_square = self.target.square_std_error_mm / self.target.square_mm;
         Ok(Board {
             edge: found.edge,
             mm_per_px: Estimate::new(scale, scale * libm::hypot(of_square, found.scale_std_error)),
             corners_px: found.corners_px.clone(),
             crop_px: edge_frame.crop_px(),
-            sfr: fine.iter().zip(&fits).map(sfr).collect(),
-            blur_mm,
+            sfr: calibration.each(sfr),
+            blur_mm: calibration.each(|c| with(fits[c].blur, blur_spread(c))),
             spread_mm,
-            origin_mm,
-            light: profiles.iter().map(|profile| level(profile, 1.0)).collect(),
-            dark: profiles.iter().map(|profile| level(profile, -1.0)).collect(),
-            slope: profiles.iter().map(slope).collect(),
-            profiles,
+            origin_mm: calibration.each(|c| with(fits[c].origin, spread(|e| e.origin.value, c))),
+            light: calibration.each(|c| level(&profiles[c], 1.0)),
+            dark: calibration.each(|c| level(&profiles[c], -1.0)),
+            slope: calibration.each(|c| slope(&profiles[c])),
             cells: CropCells::mean(&self.cells),
-            light_std_error: light::spread_of(&self.readings, columns.len()),
-            frame_mean: (0..columns.len()).map(frame_mean).collect(),
+            light_std_error: light::spread_of(&self.readings, profiles.len()),
+            frame_mean: calibration.each(frame_mean),
+            profiles,
             readings: PatchRadiance::mean(&self.readings),
             shots: self.shots,
             warnings: self.warnings,
@@ -303,7 +298,7 @@ const LEAST_STD_ERROR_MM: f64 = 0.002;
 
 /// All columns in fine bins.
 fn fine_bins(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Vec<EdgeProfile> {
-    radiance.frame.columns().iter().map(|colour| fine(radiance, edge, *colour)).collect()
+    radiance.frame.each(|colour| fine(radiance, edge, colour))
 }
 
 /// The spread of a board: the mean over the columns, by their errors, with their scatter.
@@ -333,15 +328,6 @@ fn fit_edge(profile: &EdgeProfile, known: Option<Estimate>, label: &str) -> Resu
         seen: format!("the {} profile is not that of an edge between two even sides", profile.colour),
     };
     blur::fit_spread(&edge_bins(profile), known).ok_or_else(no_edge)
-}
-
-fn spread_of_mean(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    if values.len() < 2 {
-        return 0.0;
-    }
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
 }
 
 /// Brightness of one side, at least 1 mm from the edge; unevenness counts as error.

@@ -71,11 +71,15 @@ impl Calibration {
         self.settings.pattern.columns()
     }
 
+    /// A value for each column.
+    pub(crate) fn each<T>(&self, value: impl FnMut(usize) -> T) -> Vec<T> {
+        (0..self.columns().len()).map(value).collect()
+    }
+
     /// Brightness of the brightest of 2 × 2 pixels of a channel over that of the darkest.
     pub fn site_ratio(&self) -> f64 {
-        let ends = |(least, most): (f64, f64), gain: &f64| (gain.min(least), gain.max(most));
-        let (least, most) = self.site_gain.iter().fold((f64::INFINITY, 0.0), ends);
-        most / least
+        let most = self.site_gain.iter().copied().fold(0.0, f64::max);
+        most / self.site_gain.iter().copied().fold(f64::INFINITY, f64::min)
     }
 
     pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> PhotoView<'a> {
@@ -161,11 +165,9 @@ pub(crate) fn frame_means(black: &Black, frame: &Frame) -> Vec<f64> {
     let skip = (frame.width() * frame.height() / 400_000).isqrt().max(1);
     for site in frame.sites() {
         let (sum, count) = &mut sums[site.colour.index()];
-        for y in (site.row..frame.height()).step_by(site.step * skip) {
-            for x in (site.column..frame.width()).step_by(site.step * skip) {
-                *sum += black.signal(frame, site, x, y);
-                *count += 1.0;
-            }
+        for (x, y) in site.pixels(0..frame.width(), 0..frame.height(), skip) {
+            *sum += black.signal(frame, site, x, y);
+            *count += 1.0;
         }
     }
     sums.into_iter().map(|(sum, count)| sum / f64::max(count, 1.0)).collect()

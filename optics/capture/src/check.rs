@@ -112,12 +112,8 @@ fn for_middle(frame: &Frame, colour: Colour, mut each: impl FnMut(Site, usize, u
     let skip = (frame.width() * frame.height() / 1_000_000).isqrt().max(1);
     let middle = |at: usize, side: usize| (side / 4..side - side / 4).contains(&at);
     for site in frame.sites_of(colour) {
-        for y in (site.row..frame.height()).step_by(site.step * skip).filter(|y| middle(*y, frame.height())) {
-            for x in (site.column..frame.width()).step_by(site.step * skip) {
-                if middle(x, frame.width()) {
-                    each(site, x, y);
-                }
-            }
-        }
+        let pixels = site.pixels(0..frame.width(), 0..frame.height(), skip);
+        let inside = |(x, y): &(usize, usize)| middle(*x, frame.width()) && middle(*y, frame.height());
+        pixels.filter(inside).for_each(|(x, y)| each(site, x, y));
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::black::Black;
 use crate::camera_settings::CameraSettings;
 use crate::frame::{Colour, Frame, Photo};
-use crate::least_squares::{NormalEquations, median, robust_mean, spread, tukey};
+use crate::least_squares::{median, robust_fit, robust_mean, scatter_of_mean, spread};
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, TURNED, UNLIKE, Warning};
 use crate::saturation::{Saturation, saturation};
@@ -57,9 +57,8 @@ impl Flats {
             CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         }
-        let columns = photo.frame.columns().iter();
-        let cells = columns.map(|colour| grid(&photo, &self.black, *colour, full));
-        self.cells.push(cells.collect::<Result<_, _>>()?);
+        let cells = photo.frame.each(|colour| grid(&photo, &self.black, colour, full));
+        self.cells.push(cells.into_iter().collect::<Result<_, _>>()?);
         self.labels.push(photo.label.clone());
         self.last = Some(photo);
         Ok(())
@@ -209,14 +208,12 @@ fn cell(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize
     let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
     let (mut sum, mut count) = (0.0, 0.0);
     for site in frame.sites_of(colour) {
-        for y in (site.row_from(rows.start)..rows.end).step_by(site.step * skip) {
-            for x in (site.column_from(columns.start)..columns.end).step_by(site.step * skip) {
-                if full.is_at(frame, site, x, y) {
-                    return None;
-                }
-                sum += black.signal(frame, site, x, y);
-                count += 1.0;
+        for (x, y) in site.pixels(columns.clone(), rows.clone(), skip) {
+            if full.is_at(frame, site, x, y) {
+                return None;
             }
+            sum += black.signal(frame, site, x, y);
+            count += 1.0;
         }
     }
     Some(libm::log((sum / f64::max(count, 1.0)).max(1e-3)))
@@ -228,21 +225,11 @@ fn fit(shots: &[&[f64]]) -> Option<Vec<f64>> {
     let cells: Vec<f64> = (0..ACROSS * DOWN)
         .map(|k| shots.iter().zip(&levels).map(|(s, l)| s[k] - l).sum::<f64>() / shots.len() as f64)
         .collect();
-    let mut weights = vec![1.0; cells.len()];
-    let mut found = Vec::new();
-    for _ in 0..6 {
-        let mut normal = NormalEquations::new(TERMS);
-        for (((x, y), value), weight) in places().zip(&cells).zip(&weights) {
-            normal.add(&terms(x, y), *value, *weight);
-        }
-        found = normal.solve()?.x.as_slice().to_vec();
-        let model = |(x, y): (f64, f64)| terms(x, y).iter().zip(&found).map(|(t, c)| t * c).sum::<f64>();
-        let residuals: Vec<f64> = places().zip(&cells).map(|(p, v)| v - model(p)).collect();
-        let sigma = spread(&residuals).max(1e-9);
-        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-    }
-    found[0] = 0.0;
-    Some(found)
+    let points: Vec<_> = places().map(|(x, y)| terms(x, y)).zip(cells).collect();
+    let (found, _) = robust_fit(&points, 6)?;
+    let mut coefficients = found.x.as_slice().to_vec();
+    coefficients[0] = 0.0;
+    Some(coefficients)
 }
 
 /// Standard error of the mean slope, from slopes of single shots.
@@ -255,10 +242,7 @@ fn slope_error(shots: &[&[f64]]) -> f64 {
         }
         2.0 * sum / squares
     };
-    let slopes: Vec<f64> = shots.iter().map(slope).collect();
-    let n = slopes.len() as f64;
-    let mean = slopes.iter().sum::<f64>() / n;
-    (slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
+    scatter_of_mean(&shots.iter().map(slope).collect::<Vec<f64>>())
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! Places in a photograph are in pixels of the mosaic: x to the right, y down, the first pixel's centre at (0.5, 0.5).
 
 use std::fmt;
+use std::ops::Range;
 
 use optics_model::Invalid;
 
@@ -192,13 +193,18 @@ impl Frame {
         self.pattern.columns()
     }
 
+    /// A value for each column.
+    pub(crate) fn each<T>(&self, value: impl FnMut(Colour) -> T) -> Vec<T> {
+        self.columns().iter().copied().map(value).collect()
+    }
+
     /// The samples of one column.
     pub(crate) fn sites_of(&self, colour: Colour) -> Vec<Site> {
         self.sites().into_iter().filter(|site| site.colour == colour).collect()
     }
 
     /// The sample of a site at one of its pixels.
-    pub(crate) fn at(&self, site: Site, x: usize, y: usize) -> u16 {
+    pub fn at(&self, site: Site, x: usize, y: usize) -> u16 {
         match self.pattern {
             Pattern::Bayer(_) | Pattern::One(_) => self.samples[y * self.width + x],
             Pattern::Rgb => self.samples[(y * self.width + x) * 3 + site.index],
@@ -220,6 +226,27 @@ impl Site {
 
     pub(crate) fn has_column(self, x: usize) -> bool {
         x >= self.column && (x - self.column).is_multiple_of(self.step)
+    }
+
+    /// Its pixels within some columns and rows, every `skip`th in both directions.
+    pub fn pixels(
+        self,
+        columns: Range<usize>,
+        rows: Range<usize>,
+        skip: usize,
+    ) -> impl Iterator<Item = (usize, usize)> {
+        let (left, step) = (self.column_from(columns.start), self.step * skip);
+        let row = move |y: usize| (left..columns.end).step_by(step).map(move |x| (x, y));
+        (self.row_from(rows.start)..rows.end).step_by(step).flat_map(row)
+    }
+
+    /// Its pixel that is nearest to a place in a frame of this size.
+    pub(crate) fn nearest(self, [x, y]: [f64; 2], frame: &Frame) -> (usize, usize) {
+        let on = |v: f64, first: usize, limit: usize| {
+            let steps = ((v - 0.5 - first as f64) / self.step as f64).round().max(0.0) as usize;
+            (first + steps * self.step).min(limit - 1 - (limit - 1 - first) % self.step)
+        };
+        (on(x, self.column, frame.width), on(y, self.row, frame.height))
     }
 
     /// Its first column from `x` on.

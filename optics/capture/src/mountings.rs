@@ -9,6 +9,7 @@ use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::Photo;
 use crate::join::{Joined, Turned, join};
 use crate::lattice::{CropCells, FreeParts, PatchRadiance, light, movement};
+use crate::least_squares::finite_mean;
 use crate::refusal::{Refusal, Warning};
 use crate::report::ShotReport;
 
@@ -189,7 +190,7 @@ impl<'a> Mountings<'a> {
     fn joined(&mut self) -> Vec<Joined> {
         let shot_profiles =
             |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<&EdgeProfile>>();
-        let each: Vec<Vec<&EdgeProfile>> = (0..self.columns()).map(shot_profiles).collect();
+        let each = self.calibration.each(shot_profiles);
         let joined: Vec<Joined> = each.iter().map(|profiles| join(profiles)).collect();
         // A slab has one wedge: the mean of the channels.
         let slope = |shot: usize| {
@@ -207,10 +208,6 @@ impl<'a> Mountings<'a> {
         joined
     }
 
-    fn columns(&self) -> usize {
-        self.calibration.columns().len()
-    }
-
     fn budget(&self, joined: &[Joined]) -> Vec<Contribution> {
         let (calibration, board) = (self.calibration, self.board);
         let shots = self.shots.len() as f64;
@@ -218,9 +215,9 @@ impl<'a> Mountings<'a> {
         let between = |c: usize, i: usize| joined[c].between[i] / shots.sqrt();
         let black = |c: usize| calibration.black().std_error() / calibration.gain[c].value;
         let moved = self.unseen_movement_mm();
-        let per_channel = |f: &dyn Fn(usize) -> f64| (0..self.columns()).map(f).collect::<Vec<f64>>();
+        let per_channel = |f: &dyn Fn(usize) -> f64| calibration.each(f);
         [
-            (Source::Noise, per_channel(&|c| noise(&joined[c].profile))),
+            (Source::Noise, per_channel(&|c| finite_mean(&joined[c].profile.std_errors))),
             (Source::WhiteReference, per_channel(&|_| calibration.reference_std_error)),
             (Source::Drift, per_channel(&|c| self.drift(c))),
             (Source::Mounting, per_channel(&|c| between(c, 0))),
@@ -297,8 +294,3 @@ const MANY: f64 = 0.05;
 /// Deviation of a third above which a shot is refused, as a share of the bare board's contrast. Light that borders of
 /// squares 5 mm away send through a slab stays below it.
 const THIRDS: f64 = 0.02;
-
-fn noise(profile: &EdgeProfile) -> f64 {
-    let finite: Vec<f64> = profile.std_errors.iter().copied().filter(|e| e.is_finite()).collect();
-    finite.iter().sum::<f64>() / finite.len().max(1) as f64
-}

@@ -294,14 +294,12 @@ impl Patches {
         let mut per_site = Vec::new();
         let mut clipped = 0_usize;
         for site in frame.sites_of(colour) {
-            let step = site.step * skip;
             let mut own = Vec::new();
-            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(step) {
-                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(step) {
-                    clipped += usize::from(full.is_at(frame, site, x, y));
-                    let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
-                    own.push(self.black.signal(frame, site, x, y) / light);
-                }
+            let columns = area.x.ceil() as usize..right as usize;
+            for (x, y) in site.pixels(columns, area.y.ceil() as usize..bottom as usize, skip) {
+                clipped += usize::from(full.is_at(frame, site, x, y));
+                let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
+                own.push(self.black.signal(frame, site, x, y) / light);
             }
             per_site.push((site.index, robust_mean(&own).0));
             samples.append(&mut own);

@@ -236,6 +236,8 @@ pub enum Warning {
          grey stored as RGB; use one of the three results"
     )]
     OneColour { label: String },
+    #[error("the fit of {what} did not converge: its value and its error may be wrong")]
+    NotConverged { what: &'static str },
     #[error("noise was estimated from single photographs, since no shot was repeated")]
     NoPairs,
     #[error("times of the shots are unknown: the white reference is the mean of its shots")]

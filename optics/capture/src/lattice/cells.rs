@@ -3,7 +3,7 @@
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Site};
+use crate::frame::Site;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
 
@@ -25,11 +25,10 @@ struct CellMean {
 
 impl CropCells {
     pub fn of(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Self {
-        let cells = |colour: &Colour| {
-            let sites = radiance.frame.sites_of(*colour);
+        Self(radiance.frame.each(|colour| {
+            let sites = radiance.frame.sites_of(colour);
             (0..CELLS * CELLS).map(|k| cell(radiance, edge, &sites, k)).collect()
-        };
-        Self(radiance.frame.columns().iter().map(cells).collect())
+        }))
     }
 
     /// Mean over the crop, per channel; half of the difference between its sides counts as error.
@@ -125,14 +124,9 @@ fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, sites: &[Site], k: usize) -> 
     let at = |i: usize, part: usize| (i as f64 + (part as f64 + 0.5) / STEPS as f64) * side - HALF_CROP_MM;
     let mut values = Vec::new();
     for part in 0..STEPS * STEPS {
-        let [x, y] = edge.px([at(k % CELLS, part % STEPS), at(k / CELLS, part / STEPS)]);
+        let px = edge.px([at(k % CELLS, part % STEPS), at(k / CELLS, part / STEPS)]);
         for site in sites {
-            let on = |v: f64, first: usize, limit: usize| {
-                let steps = ((v - 0.5 - first as f64) / site.step as f64).round().max(0.0) as usize;
-                (first + steps * site.step).min(limit - 1 - (limit - 1 - first) % site.step)
-            };
-            let (x, y) =
-                (on(x, site.column, radiance.frame.width()), on(y, site.row, radiance.frame.height()));
+            let (x, y) = site.nearest(px, radiance.frame);
             values.push(radiance.sample(*site, x, y).value);
         }
     }

@@ -56,9 +56,12 @@ pub(crate) struct Patch<'a> {
 
 /// Mean radiance factor of a patch in each colour.
 #[derive(Debug, Clone)]
-pub(crate) struct PatchRadiance {
-    value: Vec<f64>,
-    variance: Vec<f64>,
+pub(crate) struct PatchRadiance(Vec<RadianceMean>);
+
+#[derive(Debug, Clone, Copy)]
+struct RadianceMean {
+    value: f64,
+    variance: f64,
 }
 
 /// Points of an edge that share a patch.
@@ -95,25 +98,26 @@ impl<'a> Patch<'a> {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
-        let zeros = vec![0.0; frame.columns().len()];
-        let (mut sums, mut variances, mut counts) = (zeros.clone(), zeros.clone(), zeros);
+        let mut sums = vec![(0.0, 0.0, 0.0); frame.columns().len()];
         for on in self.on[0] as usize..=self.on[1] as usize {
             let edge = self.stretch.at(on as f64 + 0.5);
             let offset = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
             let [from, to] = [edge + offset, edge + offset + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
             for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
                 for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
-                    let (c, sample) = (site.colour.index(), radiance.sample(site, x, y));
-                    sums[c] += sample.value;
-                    variances[c] += sample.variance;
-                    counts[c] += 1.0;
+                    let sample = radiance.sample(site, x, y);
+                    let (value, variance, count) = &mut sums[site.colour.index()];
+                    *value += sample.value;
+                    *variance += sample.variance;
+                    *count += 1.0;
                 }
             }
         }
-        let over = |sums: &[f64], power: i32| {
-            sums.iter().zip(&counts).map(|(sum, count)| sum / f64::max(*count, 1.0).powi(power)).collect()
+        let mean = |(value, variance, count): (f64, f64, f64)| {
+            let n = f64::max(count, 1.0);
+            RadianceMean { value: value / n, variance: variance / n.powi(2) }
         };
-        PatchRadiance { value: over(&sums, 1), variance: over(&variances, 2) }
+        PatchRadiance(sums.into_iter().map(mean).collect())
     }
 }
 
@@ -121,21 +125,18 @@ impl PatchRadiance {
     /// The mean of each patch over several shots.
     pub fn mean(shots: &[Vec<Self>]) -> Vec<Self> {
         let n = shots.len() as f64;
-        let mean = |k: usize| {
-            let sum = |f: &dyn Fn(&Self) -> f64| shots.iter().map(|s| f(&s[k])).sum::<f64>();
-            let columns = 0..shots[0][k].value.len();
-            Self {
-                value: columns.clone().map(|c| sum(&|r| r.value[c]) / n).collect(),
-                variance: columns.map(|c| sum(&|r| r.variance[c]) / (n * n)).collect(),
-            }
+        let mean = |k: usize, c: usize| {
+            let sum = |f: fn(&RadianceMean) -> f64| shots.iter().map(|shot| f(&shot[k].0[c])).sum::<f64>();
+            RadianceMean { value: sum(|r| r.value) / n, variance: sum(|r| r.variance) / (n * n) }
         };
-        (0..shots.first().map_or(0, Vec::len)).map(mean).collect()
+        let patches = shots.first().map_or(&[][..], |first| first).iter().enumerate();
+        patches.map(|(k, patch)| Self((0..patch.0.len()).map(|c| mean(k, c)).collect())).collect()
     }
 }
 
 /// Brightness of a shot relative to the bare shots at the free patches, in each colour.
 pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<Vec<Estimate>> {
-    (0..bare.first()?.value.len()).map(|c| channel_factor(bare, shot, free, c)).collect()
+    (0..bare.first()?.0.len()).map(|c| channel_factor(bare, shot, free, c)).collect()
 }
 
 /// Brightness in one colour. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
@@ -147,10 +148,11 @@ pub(crate) fn channel_factor(
     c: usize,
 ) -> Option<Estimate> {
     let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
-    let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
-    let sound = pairs.filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
+    let relative = |r: RadianceMean| r.variance.sqrt() / r.value;
+    let sound = pairs.map(|(bare, shot)| (bare.0[c], shot.0[c]));
+    let sound = sound.filter(|(bare, shot)| bare.value > 0.0 && shot.value > 0.0);
     let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
-        sound.map(|(b, s)| (s.value[c] / b.value[c], libm::hypot(relative(b), relative(s)))).unzip();
+        sound.map(|(b, s)| (s.value / b.value, libm::hypot(relative(b), relative(s)))).unzip();
     if ratios.len() < PATCHES {
         return None;
     }

@@ -107,12 +107,10 @@ impl Tiles {
                 let (left, top) = (k % columns * side_px, k / columns * side_px);
                 let (mut sum, mut count) = (0.0, 0_usize);
                 for site in &sites {
-                    let step = side_px.div_ceil(site.step * SAMPLES) * site.step;
-                    for y in (site.row_from(top)..top + side_px).step_by(step) {
-                        for x in (site.column_from(left)..left + side_px).step_by(step) {
-                            sum += view.signal(*site, x, y);
-                            count += 1;
-                        }
+                    let skip = side_px.div_ceil(site.step * SAMPLES);
+                    for (x, y) in site.pixels(left..left + side_px, top..top + side_px, skip) {
+                        sum += view.signal(*site, x, y);
+                        count += 1;
                     }
                 }
                 let middle = [left, top].map(|v| (v + side_px / 2) as f64);
@@ -120,7 +118,7 @@ impl Tiles {
             };
             (0..columns * rows).map(tile).collect()
         };
-        let light: Vec<Vec<f64>> = frame.columns().iter().map(|colour| tiles(*colour)).collect();
+        let light = frame.each(tiles);
         let brightest = light[light.len() / 2].iter().copied().fold(0.0, f64::max);
         Self { side_px, columns, rows, light, floor: EVEN.1 * brightest }
     }
