@@ -1,6 +1,7 @@
 //! Builds answers for tests.
 
 use optics_model::Medium;
+use optics_model::descent::DescentEnd;
 use optics_model::fit::{
     Agreement, Bound, Candidate, Cause, ChannelFit, Common, Design, Ends, ErrorSource, HalfWidths,
     Improvement, InkChannel, InkFit, Interval, Likelihood, Limitation, MixtureFit, MixturePart, Nuisance,
@@ -118,6 +119,7 @@ pub fn channel(name: &str, sigma_t_per_mm: f64, misfit: f64) -> ChannelFit {
         suspicion: (misfit > 2.0).then_some(suspicion),
         likelihood: if misfit > 2.0 { likelihood(1130.2, 2e-9) } else { likelihood(712.4, 0.53) },
         from_mixtures: false,
+        descent: DescentEnd::Converged,
         second_lobe: None,
     };
     ChannelFit {
@@ -216,6 +218,7 @@ pub fn unmixed() -> Unmixed {
         absorption_per_mm: closed(8.17, 8.77),
         resolved: true,
         from_mixtures: true,
+        descent: DescentEnd::Converged,
     };
     let mixture = |material: &str, pull: Option<f64>, left_out: Option<&str>| MixtureFit {
         material: material.into(),

@@ -41,7 +41,9 @@ fn warnings(channel: &ChannelFit) -> Vec<String> {
     if let Some(r) = &channel.refined {
         warnings.extend(misfit(r));
         warnings.extend(too_quiet(r));
-        if !r.resolved_at_g && channel.outside.is_none() {
+        if !r.descent.is_minimum() {
+            warnings.push("not converged: neither the medium nor its intervals hold".to_owned());
+        } else if !r.resolved_at_g && channel.outside.is_none() {
             warnings.push(unresolved(&r.sigma_t_per_mm));
         }
     }

@@ -21,7 +21,12 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     };
     let at_g = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved_at_g);
     let whole = |c: &ChannelFit| c.refined.as_ref().is_some_and(|r| r.resolved);
-    let (open, unknown) = (named(&|c| at_g(c) && !whole(c)), named(&|c| !at_g(c)));
+    let ended = |c: &ChannelFit| c.refined.as_ref().is_none_or(|r| r.descent.is_minimum());
+    let (open, unknown) = (named(&|c| at_g(c) && !whole(c)), named(&|c| !at_g(c) && ended(c)));
+    let unended = named(&|c| !ended(c));
+    let unended = (!unended.is_empty()).then(|| {
+        format!("Not converged, so that no number holds, nor its interval: {}.", unended.join(", "))
+    });
     let doubtful = named(&is_doubtful);
     let is_sound = |c: &ChannelFit| !is_doubtful(c);
     let (all, sound) = (channels().count(), named(&|c| at_g(c) && whole(c) && is_sound(c)).len());
@@ -46,7 +51,9 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     });
     let warnings = all_remarks(fits).into_iter().filter(|remark| remark.warning);
     MeasureVerdict {
-        sentences: std::iter::once(determined)
+        sentences: unended
+            .into_iter()
+            .chain([determined])
             .chain(in_doubt)
             .chain(if_given)
             .chain(nothing)

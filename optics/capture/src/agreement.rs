@@ -2,7 +2,7 @@
 //! do not.
 
 use crate::board::Board;
-use crate::least_squares::median;
+use crate::least_squares::{finite_mean, median};
 use crate::refusal::{Refusal, TURNED, UNLIKE};
 use crate::report::ShotReport;
 
@@ -24,18 +24,16 @@ pub(crate) fn check_sides(shot: &ShotReport, board: &Board) -> Result<(), Refusa
     let rise = |c: usize| {
         let values = &shot.profiles[c].values;
         let n = values.len() / END;
-        let mean = |part: &[f64]| {
-            let finite: Vec<f64> = part.iter().copied().filter(|v| v.is_finite()).collect();
-            finite.iter().sum::<f64>() / finite.len().max(1) as f64
-        };
-        (mean(&values[values.len() - n..]) - mean(&values[..n])) / contrast(board, c)
+        (finite_mean(&values[values.len() - n..]) - finite_mean(&values[..n])) / contrast(board, c)
     };
-    let rises = [rise(0), rise(1), rise(2)];
+    let rises: Vec<f64> = (0..shot.profiles.len()).map(rise).collect();
     if rises.iter().any(|rise| *rise > -FALLS) {
         return Ok(());
     }
-    let seen =
-        format!("brightness falls from the board's dark to its light side, by {:.1} %", -100.0 * rises[1]);
+    let seen = format!(
+        "brightness falls from the board's dark to its light side, by {:.1} %",
+        -100.0 * rises[rises.len() / 2]
+    );
     Err(Refusal::Unlike { label: shot.label.clone(), seen, cause: TURNED })
 }
 
@@ -80,7 +78,7 @@ fn apart(shots: &[ShotReport], j: usize, board: &Board) -> f64 {
         let mean = all.iter().map(|v| v * v).sum::<f64>() / all.len().max(1) as f64;
         mean.sqrt() / contrast(board, c)
     };
-    (0..3).map(deviation).fold(0.0, f64::max)
+    (0..shots[j].profiles.len()).map(deviation).fold(0.0, f64::max)
 }
 
 fn contrast(board: &Board, c: usize) -> f64 {

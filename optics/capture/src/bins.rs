@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::blemishes::{Blemish, BlemishMask, Residual};
 use crate::calibration::Radiance;
+use crate::estimate::Estimate;
 use crate::frame::{Colour, Site};
 use crate::lattice::{EdgeFrame, HALF_CROP_MM};
 use crate::least_squares::{TUKEY_VARIANCE, median, spread, tukey};
@@ -81,8 +82,8 @@ const ZONE: usize = 20;
 
 /// The bare edge for the blur fit, in bins of a quarter of the usual width, or as fine as the samples can fill.
 pub(crate) fn fine(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour) -> EdgeProfile {
-    let of_colour = radiance.frame.sites().into_iter().filter(|s| s.colour == colour);
-    let per_pixel: f64 = of_colour.map(|s| ((s.step * s.step) as f64).recip()).sum();
+    let sites = radiance.frame.sites_of(colour);
+    let per_pixel: f64 = sites.iter().map(|s| ((s.step * s.step) as f64).recip()).sum();
     let samples = per_pixel * (2.0 * HALF_CROP_MM / edge.mm_per_px()).powi(2);
     let parts = (samples / (BINS as f64 * FILLED)).clamp(1.0, 4.0) as usize;
     bin_on(BinGrid { bins: parts * BINS }, radiance, edge, colour, 0.0).profile
@@ -100,14 +101,16 @@ pub(crate) fn bin(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, ori
 pub(crate) fn bin_clean(
     radiance: &Radiance<'_>,
     edge: &EdgeFrame,
-    origins_mm: [f64; 3],
-) -> ([Binning; 3], Vec<Blemish>) {
+    origins_mm: &[Estimate],
+) -> (Vec<Binning>, Vec<Blemish>) {
     let grid = BinGrid { bins: BINS };
-    let mut channels = Colour::ALL.map(|c| ChannelBins::new(grid, radiance, edge, c, origins_mm[c.index()]));
+    let columns = radiance.frame.columns().iter().zip(origins_mm);
+    let mut channels: Vec<ChannelBins> =
+        columns.map(|(c, origin)| ChannelBins::new(grid, radiance, edge, *c, origin.value)).collect();
     let mut blemishes = Vec::new();
     // Masking a blemish may reveal the rim of another.
     for _ in 0..3 {
-        let residuals = channels.each_ref().map(ChannelBins::residuals);
+        let residuals: Vec<Vec<Residual>> = channels.iter().map(ChannelBins::residuals).collect();
         let mask = BlemishMask::find(&residuals, edge.mm_per_px());
         if mask.blemishes.is_empty() {
             break;
@@ -117,7 +120,7 @@ pub(crate) fn bin_clean(
         }
         blemishes.extend(mask.blemishes);
     }
-    (channels.map(ChannelBins::binning), blemishes)
+    (channels.into_iter().map(ChannelBins::binning).collect(), blemishes)
 }
 
 fn bin_on(
@@ -142,8 +145,7 @@ struct ChannelBins {
 
 impl ChannelBins {
     fn new(grid: BinGrid, radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, origin_mm: f64) -> Self {
-        let sites: Vec<Site> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
-        let (bins, clipped) = collect(grid, radiance, edge, &sites, origin_mm);
+        let (bins, clipped) = collect(grid, radiance, edge, &radiance.frame.sites_of(colour), origin_mm);
         let fits = fits(&bins, grid);
         Self { grid, colour, bins, fits, masked_px: Vec::new(), clipped }
     }

@@ -57,7 +57,7 @@ impl BlemishMask {
     }
 
     /// Blemishes in the residuals of all colours.
-    pub fn find(colours: &[Vec<Residual>; 3], mm_per_px: f64) -> Self {
+    pub fn find(colours: &[Vec<Residual>], mm_per_px: f64) -> Self {
         let end = |of: fn(&Residual) -> u32| {
             colours.iter().flatten().map(of).max().map_or(0, |v| v as usize / CELL + 1)
         };
@@ -85,7 +85,7 @@ impl BlemishMask {
     }
 
     /// Largest deviation of each cell among the colours, in standard deviations of all cells.
-    fn heights(&self, colours: &[Vec<Residual>; 3]) -> Vec<f64> {
+    fn heights(&self, colours: &[Vec<Residual>]) -> Vec<f64> {
         let mut height = vec![0.0_f64; self.columns * self.rows];
         for residuals in colours {
             let mut sums = vec![[0.0; 3]; height.len()];
@@ -185,7 +185,7 @@ mod tests {
     #[test]
     fn uneven_light_is_no_blemish() {
         let uneven = residuals(|x, _| if (100.0..110.0).contains(&x) { 20.0 } else { 0.0 });
-        let faint =
+        let faint: [Vec<Residual>; 3] =
             uneven.map(|all| all.into_iter().map(|r| Residual { share: 1.25e-4 * r.z, ..r }).collect());
         assert!(BlemishMask::find(&faint, MM_PER_PX).blemishes.is_empty());
     }

@@ -65,7 +65,7 @@ impl<'a> BlueCutShots<'a> {
         // The rest of blue is not used.
         let lamps = [red, green, Estimate::new(1.0, 0.0)];
         let radiance = radiance.under(&lamps);
-        let (binnings, _) = bin_clean(&radiance, &found.edge_frame, self.board.origin_mm.map(|o| o.value));
+        let (binnings, _) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings[..2], radiance.full)?;
         let share = |c: usize| {
             let Estimate { value, std_error } = excited(&self.whole.profiles[c], &binnings[c].profile)?;

@@ -5,6 +5,8 @@
 //! F(x) = d + (l − d) [G(x + w/2) − G(x − w/2)]/w, G(z) = z Φ(z/σ) + σ φ(z/σ). Light that spreads within the board adds
 //! exponentials to both sides.
 
+use optics_model::descent::{Descended, Descent, DescentEnd, DescentStep};
+
 use crate::estimate::Estimate;
 use crate::least_squares::{FittedParameters, NormalEquations};
 
@@ -26,6 +28,7 @@ pub(crate) struct EdgeFit {
     pub spread: Estimate,
     pub dark: f64,
     pub light: f64,
+    pub end: DescentEnd,
 }
 
 /// Dark, light, origin, σ, slopes of both sides, spread.
@@ -121,6 +124,10 @@ fn start(edge: &EdgeBins) -> Option<Parameters> {
     Some([dark, light, 0.0, blur, 0.0, 0.0, 0.0])
 }
 
+/// The tolerance is the square of a step in standard errors. The first steps know nothing of the misfit.
+const DESCENT: Descent = Descent { most_steps: 25, tolerance: 1e-6 };
+const LEAST_STEPS: usize = 3;
+
 /// A minimum.
 struct Minimum {
     p: Parameters,
@@ -129,6 +136,7 @@ struct Minimum {
     free: Vec<usize>,
     /// Sum of squares of the residuals.
     squares: f64,
+    end: DescentEnd,
 }
 
 impl Minimum {
@@ -141,45 +149,45 @@ impl Minimum {
         let is_free = self.free.contains(&SPREAD);
         let spread = if is_free { self.estimate(SPREAD) } else { Estimate::new(0.0, f64::INFINITY) };
         let [dark, light, ..] = self.p;
-        EdgeFit { origin: self.estimate(ORIGIN), blur: self.estimate(BLUR), spread, dark, light }
+        let (origin, blur) = (self.estimate(ORIGIN), self.estimate(BLUR));
+        EdgeFit { origin, blur, spread, dark, light, end: self.end }
     }
 }
 
-/// The minimum below a start, with some parameters free.
-fn descend(edge: &EdgeBins, mut p: Parameters, free: &[usize]) -> Option<Minimum> {
+/// The minimum below a start, with some parameters free; None if the data do not determine these.
+fn descend(edge: &EdgeBins, start: Parameters, free: &[usize]) -> Option<Minimum> {
     let points = edge.inside();
-    let (mut found, mut misfit, mut squares) = (None, 0.0, f64::INFINITY);
-    for iteration in 0..25 {
+    // Parameters and misfit, with the sum of squares and the solution of the place before.
+    let step = |(from, misfit, ..): &(Parameters, f64, f64, Option<FittedParameters>)| {
         // Dust was rejected in the bins, so all bins count here. Model error is assumed equal in all bins; otherwise
         // the dark side, with its low noise, would dominate.
         let mut normal = NormalEquations::new(free.len());
-        let (mut found_squares, mut noise_squares) = (0.0, 0.0);
+        let (mut squares, mut noise_squares) = (0.0, 0.0);
         for [x, v, e] in &points {
-            let r = v - model(&p, *x, edge.width);
-            found_squares += r * r;
+            let r = v - model(from, *x, edge.width);
+            squares += r * r;
             noise_squares += e * e;
-            let gradient = gradient(&p, *x, edge.width);
+            let gradient = gradient(from, *x, edge.width);
             let row: Vec<f64> = free.iter().map(|i| gradient[*i]).collect();
             normal.add(&row, r, 1.0 / (e * e + misfit));
         }
-        let share = points.len() as f64 / (points.len() as f64 - free.len() as f64).max(1.0);
-        misfit = ((found_squares * share - noise_squares) / points.len() as f64).max(0.0);
-        squares = found_squares;
-        let parameters = normal.solve()?;
-        for (i, d) in free.iter().zip(parameters.x.iter()) {
+        let n = points.len() as f64;
+        let share = n / (n - free.len() as f64).max(1.0);
+        let misfit = ((squares * share - noise_squares) / n).max(0.0);
+        let (solution, mut p) = (normal.solve()?, *from);
+        for (i, d) in free.iter().zip(solution.x.iter()) {
             p[*i] += d;
         }
         p[BLUR] = p[BLUR].clamp(0.1 * edge.width, edge.reach);
         p[SPREAD] = p[SPREAD].clamp(0.0, edge.reach);
-        // The first weights know nothing of the misfit.
-        let is_done =
-            iteration > 1 && (0..free.len()).all(|i| parameters.x[i].abs() < 1e-3 * parameters.std_error(i));
-        found = Some(parameters);
-        if is_done {
-            break;
-        }
-    }
-    Some(Minimum { p, parameters: found?, free: free.to_vec(), squares })
+        let length = |i: usize| (solution.x[i] / solution.std_error(i)).powi(2);
+        let predicted = (0..free.len()).map(length).fold(0.0, f64::max);
+        Some(DescentStep { to: (p, misfit, squares, Some(solution)), predicted })
+    };
+    let Descended { at, end } = DESCENT.whole(LEAST_STEPS, (start, 0.0, f64::INFINITY, None), step);
+    let (p, _, squares, solution) = at;
+    let parameters = solution.filter(|_| end != DescentEnd::NoDescent)?;
+    Some(Minimum { p, parameters, free: free.to_vec(), squares, end })
 }
 
 /// σ from the distance between a quarter and three quarters of the rise: of several crossings that nearest to 0 counts,

@@ -6,12 +6,13 @@ use crate::bins::{BINS, Binning, EdgeProfile, bin, fine};
 use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Photo};
+use crate::frame::Photo;
 use crate::lattice::{
-    CropCells, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find, own_edge,
+    CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find,
+    own_edge,
 };
 use crate::lattice::{light, movement};
-use crate::least_squares::{FittedParameters, NormalEquations};
+use crate::least_squares::{FittedParameters, NormalEquations, scatter_of_mean};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::Saturation;
@@ -28,15 +29,15 @@ pub struct BareShots<'a> {
     readings: Vec<Vec<PatchRadiance>>,
     shots: Vec<ShotReport>,
     /// Radiance factor of the frame's mean, per shot.
-    means: Vec<[f64; 3]>,
+    means: Vec<Vec<f64>>,
     /// Profiles in finer bins, per shot.
-    fine: Vec<[EdgeProfile; 3]>,
+    fine: Vec<Vec<EdgeProfile>>,
     /// Blur of each shot of another edge.
-    blurs: Vec<[Estimate; 3]>,
+    blurs: Vec<Vec<Estimate>>,
     warnings: Vec<Warning>,
 }
 
-/// Place and appearance of the bare board.
+/// Place and appearance of the bare board. Lists have an entry for each of [`Calibration::columns`].
 #[derive(Debug, Clone)]
 pub struct Board {
     pub edge: EdgeLine,
@@ -45,32 +46,32 @@ pub struct Board {
     pub corners_px: Vec<[f64; 2]>,
     /// The crop's corners, in order around it.
     pub crop_px: [[f64; 2]; 4],
-    /// Profiles of the bare edge; x is 0 at the edge of green.
-    pub profiles: [EdgeProfile; 3],
+    /// Profiles of the bare edge; x is 0 at the edge of green, or of the only channel.
+    pub profiles: Vec<EdgeProfile>,
     /// Standard deviation of the Gaussian of lens and pixel, without the width of the bins.
-    pub blur_mm: [Estimate; 3],
-    /// Spread of light within the board in mm, from the three colours together: of a clean board 0 with its error.
+    pub blur_mm: Vec<Estimate>,
+    /// Spread of light within the board in mm, from all columns together: of a clean board 0 with its error.
     pub spread_mm: Estimate,
     /// Response of lens and pixel to sinusoids; None where bins near the edge are empty.
-    pub sfr: [Option<EdgeSfr>; 3],
+    pub sfr: Vec<Option<EdgeSfr>>,
     /// Place of the edge in each channel, in x of `profiles`. It is subtracted in profiles of samples.
-    pub origin_mm: [Estimate; 3],
+    pub origin_mm: Vec<Estimate>,
     /// Radiance factors of both sides, away from the edge.
-    pub light: [Estimate; 3],
-    pub dark: [Estimate; 3],
+    pub light: Vec<Estimate>,
+    pub dark: Vec<Estimate>,
     pub shots: Vec<ShotReport>,
     pub warnings: Vec<Warning>,
     /// Slope of the light side, relative per 10 mm: of the light that the flat does not correct, and of the board
     /// itself.
-    pub slope: [Estimate; 3],
+    pub slope: Vec<Estimate>,
     pub(crate) found: LocatedBoard,
     pub(crate) cells: CropCells,
     /// Brightness at the patches of `found`.
     pub(crate) readings: Vec<PatchRadiance>,
     /// Relative error of the mean light of the bare shots: their spread, and its unevenness.
-    pub(crate) light_std_error: [f64; 3],
+    pub(crate) light_std_error: Vec<f64>,
     /// Radiance factor of the frame's mean.
-    pub(crate) frame_mean: [f64; 3],
+    pub(crate) frame_mean: Vec<f64>,
 }
 
 impl<'a> BareShots<'a> {
@@ -104,14 +105,12 @@ impl<'a> BareShots<'a> {
         let light =
             self.readings.first().and_then(|bare| light::factor(bare, &readings, seen.free.as_deref()?));
         if let Some(light) = &light {
-            light::check(&photo.label, light)?;
+            light::check(&photo, light)?;
         }
-        let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
-        check_clipped(&photo, &binnings, radiance.full)?;
-        self.check_slanted(&photo, &binnings)?;
-        self.fine.push(Colour::ALL.map(|c| fine(&radiance, &edge_frame, c)));
+        let binnings = self.bins(&photo, &radiance, &edge_frame)?;
+        self.fine.push(fine_bins(&radiance, &edge_frame));
         self.cells.push(CropCells::of(&radiance, &edge_frame));
-        self.means.push(Colour::ALL.map(|c| radiance.mean(c)));
+        self.means.push(radiance.means());
         self.readings.push(readings);
         self.shots.push(ShotReport::new(&photo.label, seen.moved_px, light, blur_px, binnings));
         Ok(())
@@ -127,14 +126,24 @@ impl<'a> BareShots<'a> {
         let radiance = Radiance::new(self.calibration, &photo);
         let no_edge = || Refusal::NoOwnEdge { label: photo.label.clone() };
         let edge_frame = own_edge(&radiance, &found.edge_frame).ok_or_else(no_edge)?;
-        let binnings = Colour::ALL.map(|c| bin(&radiance, &edge_frame, c, 0.0));
-        check_clipped(&photo, &binnings, radiance.full)?;
-        self.check_slanted(&photo, &binnings)?;
-        let blur = |c: Colour| blur::fit(&edge_bins(&fine(&radiance, &edge_frame, c))).map(|fit| fit.blur);
-        let [red, green, blue] = Colour::ALL.map(blur);
-        let all = red.zip(green).zip(blue).map(|((red, green), blue)| [red, green, blue]);
-        self.blurs.push(all.ok_or_else(no_edge)?);
+        self.bins(&photo, &radiance, &edge_frame)?;
+        let blur = |profile: &EdgeProfile| Some(blur::fit(&edge_bins(profile))?.blur);
+        let blurs: Option<Vec<Estimate>> = fine_bins(&radiance, &edge_frame).iter().map(blur).collect();
+        self.blurs.push(blurs.ok_or_else(no_edge)?);
         Ok(())
+    }
+
+    /// All columns in bins; refused if they are clipped or if bins would be empty.
+    fn bins(
+        &self,
+        photo: &Photo,
+        radiance: &Radiance<'_>,
+        edge: &EdgeFrame,
+    ) -> Result<Vec<Binning>, Refusal> {
+        let binnings = photo.frame.each(|colour| bin(radiance, edge, colour, 0.0));
+        check_clipped(photo, &binnings, radiance.full)?;
+        self.check_slanted(photo, &binnings)?;
+        Ok(binnings)
     }
 
     /// The camera's blur of a colour by another edge; None without one.
@@ -142,7 +151,7 @@ impl<'a> BareShots<'a> {
         let n = self.blurs.len() as f64;
         let mean =
             |value: fn(&Estimate) -> f64| self.blurs.iter().map(|blur| value(&blur[c])).sum::<f64>() / n;
-        let scatter = spread_of_mean(&self.blurs.iter().map(|blur| blur[c].value).collect::<Vec<_>>());
+        let scatter = scatter_of_mean(&self.blurs.iter().map(|blur| blur[c].value).collect::<Vec<_>>());
         let estimate = || {
             let value = mean(|e| e.value);
             let errors = [mean(|e| e.std_error), scatter, OWN_EDGE * value];
@@ -153,7 +162,7 @@ impl<'a> BareShots<'a> {
 
     /// Samples of a colour must fall into all bins, so the edge has to cross at least one of their steps within the
     /// crop.
-    fn check_slanted(&self, photo: &Photo, binnings: &[Binning; 3]) -> Result<(), Refusal> {
+    fn check_slanted(&self, photo: &Photo, binnings: &[Binning]) -> Result<(), Refusal> {
         let Some(found) = &self.found else { return Ok(()) };
         let fewest = binnings.iter().flat_map(|b| &b.profile.counts).min().copied().unwrap_or(0);
         let mean = binnings[0].profile.counts.iter().sum::<u32>() / BINS as u32;
@@ -170,7 +179,8 @@ impl<'a> BareShots<'a> {
     }
 
     pub fn finish(mut self) -> Result<Board, Refusal> {
-        let known = [0, 1, 2].map(|c| self.known_blur(c));
+        let calibration = self.calibration;
+        let known = calibration.each(|c| self.known_blur(c));
         let Some(found) = self.found else {
             return Err(Refusal::Missing { what: "shots of the bare board" });
         };
@@ -180,55 +190,55 @@ impl<'a> BareShots<'a> {
         }
         let label = &self.shots[0].label;
         let shot_profiles = |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<_>>();
-        let profiles = [0, 1, 2].map(|c| crate::join::mean(&shot_profiles(c)));
+        let profiles = calibration.each(|c| crate::join::mean(&shot_profiles(c)));
         let fine_shots = |c: usize| self.fine.iter().map(|f| &f[c]).collect::<Vec<_>>();
-        let fine = [0, 1, 2].map(|c| crate::join::mean(&fine_shots(c)));
-        for (colour, known) in Colour::ALL.into_iter().zip(&known) {
+        let fine = calibration.each(|c| crate::join::mean(&fine_shots(c)));
+        for (colour, known) in calibration.columns().iter().copied().zip(&known) {
             let bare = blur::fit(&edge_bins(&fine[colour.index()])).map(|fit| fit.blur);
             let Some((known, bare)) = known.as_ref().zip(bare) else { continue };
             if known.value - bare.value > 3.0 * libm::hypot(known.std_error, bare.std_error) {
                 return Err(Refusal::EdgeOutOfFocus { colour, known_mm: known.value, board_mm: bare.value });
             }
         }
-        let fit = |c: usize| fit_edge(&fine[c], known[c], label);
-        let fits = [fit(0)?, fit(1)?, fit(2)?];
+        let fits = fine.iter().zip(known).map(|(profile, known)| fit_edge(profile, known, label));
+        let fits: Vec<blur::EdgeFit> = fits.collect::<Result<_, _>>()?;
+        let ends = fits.iter().map(|fit| (fit.end, "the edge's blur"));
+        let unended = ends.chain([(found.end, "the board's pose")]).find(|(end, _)| !end.is_minimum());
+        self.warnings.extend(unended.map(|(_, what)| Warning::NotConverged { what }));
         let spread = |f: fn(&blur::EdgeFit) -> f64, c: usize| -> f64 {
             let each: Vec<f64> =
                 fine_shots(c).into_iter().filter_map(|p| blur::fit(&edge_bins(p))).map(|e| f(&e)).collect();
-            spread_of_mean(&each)
+            scatter_of_mean(&each)
         };
         let with = |e: Estimate, spread: f64| Estimate::new(e.value, e.std_error.max(spread));
         let alone = |c: usize| libm::hypot(spread(|e| e.blur.value, c), BLUR_OF_FORM * fits[c].spread.value);
         let blur_spread = |c: usize| if self.blurs.is_empty() { alone(c) } else { 0.0 };
-        let blur_mm = std::array::from_fn(|c| with(fits[c].blur, blur_spread(c)));
-        let origin_mm = std::array::from_fn(|c| with(fits[c].origin, spread(|e| e.origin.value, c)));
-        let spread_mm = whole_spread(fits.map(|fit| fit.spread));
+        let spread_mm = whole_spread(&fits.iter().map(|fit| fit.spread).collect::<Vec<_>>());
         if spread_mm.value > 2.0 * spread_mm.std_error {
             let Estimate { value: mm, std_error: std_error_mm } = spread_mm;
             self.warnings.push(Warning::SpreadingBoard { mm, std_error_mm });
         }
         let edge_frame = found.edge_frame;
         let scale = edge_frame.mm_per_px();
+        let sfr = |c: usize| EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale);
+        let frame_mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / self.means.len() as f64;
         let of_square = self.target.square_std_error_mm / self.target.square_mm;
         Ok(Board {
             edge: found.edge,
             mm_per_px: Estimate::new(scale, scale * libm::hypot(of_square, found.scale_std_error)),
             corners_px: found.corners_px.clone(),
             crop_px: edge_frame.crop_px(),
-            sfr: std::array::from_fn(|c| {
-                EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale)
-            }),
-            blur_mm,
+            sfr: calibration.each(sfr),
+            blur_mm: calibration.each(|c| with(fits[c].blur, blur_spread(c))),
             spread_mm,
-            origin_mm,
-            light: std::array::from_fn(|c| level(&profiles[c], 1.0)),
-            dark: std::array::from_fn(|c| level(&profiles[c], -1.0)),
-            slope: profiles.each_ref().map(slope),
-            profiles,
+            origin_mm: calibration.each(|c| with(fits[c].origin, spread(|e| e.origin.value, c))),
+            light: calibration.each(|c| level(&profiles[c], 1.0)),
+            dark: calibration.each(|c| level(&profiles[c], -1.0)),
+            slope: calibration.each(|c| slope(&profiles[c])),
             cells: CropCells::mean(&self.cells),
-            light_std_error: light::spread_of(&self.readings),
-            frame_mean: [0, 1, 2]
-                .map(|c| self.means.iter().map(|m| m[c]).sum::<f64>() / self.means.len() as f64),
+            light_std_error: light::spread_of(&self.readings, profiles.len()),
+            frame_mean: calibration.each(frame_mean),
+            profiles,
             readings: PatchRadiance::mean(&self.readings),
             shots: self.shots,
             warnings: self.warnings,
@@ -286,16 +296,21 @@ const OTHER_FORM: f64 = 0.1;
 const BLUR_OF_FORM: f64 = 0.08;
 const LEAST_STD_ERROR_MM: f64 = 0.002;
 
-/// The spread of a board: the mean over the colours, by their errors, with their scatter.
-fn whole_spread(of_colours: [Estimate; 3]) -> Estimate {
-    let weights = of_colours.map(|e| e.std_error.powi(-2));
+/// All columns in fine bins.
+fn fine_bins(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Vec<EdgeProfile> {
+    radiance.frame.each(|colour| fine(radiance, edge, colour))
+}
+
+/// The spread of a board: the mean over the columns, by their errors, with their scatter.
+fn whole_spread(of_columns: &[Estimate]) -> Estimate {
+    let weights: Vec<f64> = of_columns.iter().map(|e| e.std_error.powi(-2)).collect();
     let whole: f64 = weights.iter().sum();
-    let value = weights.iter().zip(of_colours).map(|(w, e)| w * e.value).sum::<f64>() / whole;
+    let value = weights.iter().zip(of_columns).map(|(w, e)| w * e.value).sum::<f64>() / whole;
     if !value.is_finite() {
         return Estimate::new(0.0, REACH_MM);
     }
     let scatter =
-        weights.iter().zip(of_colours).map(|(w, e)| w * (e.value - value).powi(2)).sum::<f64>() / whole;
+        weights.iter().zip(of_columns).map(|(w, e)| w * (e.value - value).powi(2)).sum::<f64>() / whole;
     let errors = [whole.sqrt().recip(), scatter.sqrt(), OTHER_FORM * value, LEAST_STD_ERROR_MM];
     Estimate::new(value, errors.iter().map(|e| e * e).sum::<f64>().sqrt())
 }
@@ -313,15 +328,6 @@ fn fit_edge(profile: &EdgeProfile, known: Option<Estimate>, label: &str) -> Resu
         seen: format!("the {} profile is not that of an edge between two even sides", profile.colour),
     };
     blur::fit_spread(&edge_bins(profile), known).ok_or_else(no_edge)
-}
-
-fn spread_of_mean(values: &[f64]) -> f64 {
-    let n = values.len() as f64;
-    if values.len() < 2 {
-        return 0.0;
-    }
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
 }
 
 /// Brightness of one side, at least 1 mm from the edge; unevenness counts as error.

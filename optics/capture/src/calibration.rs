@@ -10,21 +10,22 @@ use crate::refusal::Warning;
 use crate::saturation::{Saturation, saturation};
 use crate::view::PhotoView;
 
-/// Converts sample values to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`].
+/// Converts sample values to radiance factors, with all errors: v = ((S − D) − γ M) / (f k), see [`crate::Patches`]. Lists
+/// have an entry for each of [`Self::columns`].
 #[derive(Debug, Clone)]
 pub struct Calibration {
     pub noise: Vec<SiteNoise>,
     pub patches: Vec<PatchReading>,
     /// γ: share of the frame's mean light that is scattered over the frame.
-    pub glare: [Estimate; 3],
+    pub glare: Vec<Estimate>,
     /// k: numbers per unit of radiance factor, its error without the certificate's.
-    pub gain: [Estimate; 3],
+    pub gain: Vec<Estimate>,
     /// Relative deviation from a line at half the brightness of the white reference.
-    pub linearity: [f64; 3],
+    pub linearity: Vec<f64>,
     /// Relative standard error of the white reference's certificate.
     pub reference_std_error: f64,
     /// Largest relative change of the light between shots of the patches.
-    pub drift: [f64; 3],
+    pub drift: Vec<f64>,
     pub warnings: Vec<Warning>,
     pub(crate) light: LampDrift,
     pub(crate) black: Black,
@@ -35,23 +36,23 @@ pub struct Calibration {
 }
 
 /// One grey patch, measured with the calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct PatchReading {
-    pub rho: [f64; 3],
+    pub rho: Vec<f64>,
     /// Its area in the first shot.
     pub area: Area,
-    pub value: [Estimate; 3],
+    pub value: Vec<Estimate>,
     /// Relative deviation from the line through all patches.
-    pub deviation: [f64; 3],
+    pub deviation: Vec<f64>,
 }
 
 /// Brightness of the lamps over time, relative to the mean of all shots of the patches.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LampDrift {
     /// Seconds and brightness per channel, rising in time; empty where times are unknown.
-    pub at: Vec<(f64, [f64; 3])>,
+    pub at: Vec<(f64, Vec<f64>)>,
     /// Relative standard error of a shot's brightness.
-    pub std_error: [f64; 3],
+    pub std_error: Vec<f64>,
     /// Shots of the patches.
     pub shots: usize,
 }
@@ -65,6 +66,22 @@ impl Calibration {
         &self.flat
     }
 
+    /// What its columns are: the colours of a camera, or the only channel.
+    pub fn columns(&self) -> &'static [Colour] {
+        self.settings.pattern.columns()
+    }
+
+    /// A value for each column.
+    pub(crate) fn each<T>(&self, value: impl FnMut(usize) -> T) -> Vec<T> {
+        (0..self.columns().len()).map(value).collect()
+    }
+
+    /// Brightness of the brightest of 2 × 2 pixels of a channel over that of the darkest.
+    pub fn site_ratio(&self) -> f64 {
+        let most = self.site_gain.iter().copied().fold(0.0, f64::max);
+        most / self.site_gain.iter().copied().fold(f64::INFINITY, f64::min)
+    }
+
     pub(crate) fn view<'a>(&'a self, photo: &'a Photo) -> PhotoView<'a> {
         PhotoView { photo, black: &self.black, flat: &self.flat }
     }
@@ -72,17 +89,17 @@ impl Calibration {
 
 impl LampDrift {
     /// Linear between shots, constant before and after.
-    fn relative(&self, seconds: Option<f64>) -> [f64; 3] {
+    fn relative(&self, seconds: Option<f64>) -> Vec<f64> {
         let (Some(t), Some(first), Some(last)) = (seconds, self.at.first(), self.at.last()) else {
-            return [1.0; 3];
+            return vec![1.0; self.std_error.len()];
         };
         if t <= first.0 || t >= last.0 {
-            return if t <= first.0 { first.1 } else { last.1 };
+            return if t <= first.0 { first.1.clone() } else { last.1.clone() };
         }
         let next = self.at.iter().position(|a| a.0 > t).unwrap_or(self.at.len() - 1);
-        let (a, b) = (self.at[next - 1], self.at[next]);
+        let (a, b) = (&self.at[next - 1], &self.at[next]);
         let share = (t - a.0) / (b.0 - a.0);
-        std::array::from_fn(|c| a.1[c] + share * (b.1[c] - a.1[c]))
+        a.1.iter().zip(&b.1).map(|(a, b)| a + share * (b - a)).collect()
     }
 }
 
@@ -93,10 +110,10 @@ pub(crate) struct Radiance<'a> {
     calibration: &'a Calibration,
     pub full: Saturation,
     /// M per channel.
-    means: [f64; 3],
+    means: Vec<f64>,
     /// γ M per channel.
-    veil: [f64; 3],
-    gain: [f64; 3],
+    veil: Vec<f64>,
+    gain: Vec<f64>,
 }
 
 /// One sample as a radiance factor.
@@ -111,22 +128,22 @@ impl<'a> Radiance<'a> {
     pub fn new(calibration: &'a Calibration, photo: &'a Photo) -> Self {
         let light = calibration.light.relative(photo.seconds);
         let means = frame_means(&calibration.black, &photo.frame);
-        let veil = std::array::from_fn(|c| calibration.glare[c].value * means[c]);
-        let gain = std::array::from_fn(|c| calibration.gain[c].value * light[c]);
+        let veil = calibration.glare.iter().zip(&means).map(|(glare, mean)| glare.value * mean).collect();
+        let gain = calibration.gain.iter().zip(&light).map(|(gain, light)| gain.value * light).collect();
         Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
     }
 
     /// These radiances under light that is brighter by a factor than interpolated for its time.
-    pub fn under(mut self, light: &[Estimate; 3]) -> Self {
+    pub fn under(mut self, light: &[Estimate]) -> Self {
         for (gain, light) in self.gain.iter_mut().zip(light) {
             *gain *= light.value;
         }
         self
     }
 
-    /// Radiance factor of the frame's mean, which scales the error of the glare.
-    pub fn mean(&self, colour: Colour) -> f64 {
-        self.means[colour.index()] / self.gain[colour.index()]
+    /// Radiance factor of the frame's mean in each column, which scales the error of the glare.
+    pub fn means(&self) -> Vec<f64> {
+        self.means.iter().zip(&self.gain).map(|(mean, gain)| mean / gain).collect()
     }
 
     pub fn sample(&self, site: Site, x: usize, y: usize) -> RadianceSample {
@@ -143,19 +160,17 @@ impl<'a> Radiance<'a> {
 }
 
 /// Mean value above black of each channel over the frame, from a share of its samples.
-pub(crate) fn frame_means(black: &Black, frame: &Frame) -> [f64; 3] {
-    let mut sums = [(0.0, 0.0); 3];
+pub(crate) fn frame_means(black: &Black, frame: &Frame) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0.0); frame.columns().len()];
     let skip = (frame.width() * frame.height() / 400_000).isqrt().max(1);
     for site in frame.sites() {
         let (sum, count) = &mut sums[site.colour.index()];
-        for y in (site.row..frame.height()).step_by(site.step * skip) {
-            for x in (site.column..frame.width()).step_by(site.step * skip) {
-                *sum += black.signal(frame, site, x, y);
-                *count += 1.0;
-            }
+        for (x, y) in site.pixels(0..frame.width(), 0..frame.height(), skip) {
+            *sum += black.signal(frame, site, x, y);
+            *count += 1.0;
         }
     }
-    sums.map(|(sum, count)| sum / f64::max(count, 1.0))
+    sums.into_iter().map(|(sum, count)| sum / f64::max(count, 1.0)).collect()
 }
 
 #[cfg(test)]
@@ -165,8 +180,8 @@ mod tests {
     /// The light is interpolated between references, and constant beyond them.
     #[test]
     fn light_is_interpolated_between_references() {
-        let light =
-            LampDrift { at: vec![(10.0, [1.002; 3]), (20.0, [0.998; 3])], std_error: [0.0; 3], shots: 2 };
+        let at = vec![(10.0, vec![1.002; 3]), (20.0, vec![0.998; 3])];
+        let light = LampDrift { at, std_error: vec![0.0; 3], shots: 2 };
         let at = |t: f64| light.relative(Some(t))[1];
         assert_eq!((at(0.0), at(30.0)), (1.002, 0.998));
         assert!((at(15.0) - 1.0).abs() < 1e-12 && (at(12.5) - 1.001).abs() < 1e-12);

@@ -13,9 +13,9 @@ use crate::view::PhotoView;
 #[derive(Debug, Clone)]
 pub struct ShotCheck {
     /// Share of clipped samples per channel within the middle half of the frame.
-    pub clipped_share: [f64; 3],
+    pub clipped_share: Vec<f64>,
     /// Brightest hundredth per channel as a share of the sensor's range: 0.5 to 0.9 is well exposed.
-    pub brightness_share: [f64; 3],
+    pub brightness_share: Vec<f64>,
     /// The longest free edges that run up and down, and across the frame.
     pub edges: [Option<FreeEdge>; 2],
     pub warnings: Vec<Warning>,
@@ -33,10 +33,10 @@ const DARK: f64 = 0.005;
 /// black level is that of its file. [`crate::Mountings::add`] checks a shot
 /// against its session.
 pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
-    let full = saturation(photo);
+    let (columns, full) = (photo.frame.columns(), saturation(photo));
     let mut check = ShotCheck {
-        clipped_share: [0.0; 3],
-        brightness_share: [0.0; 3],
+        clipped_share: vec![0.0; columns.len()],
+        brightness_share: vec![0.0; columns.len()],
         edges: [None; 2],
         warnings: Vec::new(),
     };
@@ -45,7 +45,7 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
         return Ok(check);
     }
     // A clipped photograph has to be repeated, so no other warning matters.
-    for colour in Colour::ALL {
+    for colour in columns.iter().copied() {
         let clipped = clipped_share(photo, colour, full);
         check.clipped_share[colour.index()] = clipped;
         if clipped > CLIPPED {
@@ -55,7 +55,7 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
         }
     }
     let black = darks.finish(photo)?;
-    for colour in Colour::ALL {
+    for colour in columns.iter().copied() {
         let brightest = brightness_share(photo, &black, colour, full);
         check.brightness_share[colour.index()] = brightest;
         if brightest < DIM {
@@ -111,13 +111,9 @@ fn brightness_share(photo: &Photo, black: &Black, colour: Colour, full: Saturati
 fn for_middle(frame: &Frame, colour: Colour, mut each: impl FnMut(Site, usize, usize)) {
     let skip = (frame.width() * frame.height() / 1_000_000).isqrt().max(1);
     let middle = |at: usize, side: usize| (side / 4..side - side / 4).contains(&at);
-    for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
-        for y in (site.row..frame.height()).step_by(site.step * skip).filter(|y| middle(*y, frame.height())) {
-            for x in (site.column..frame.width()).step_by(site.step * skip) {
-                if middle(x, frame.width()) {
-                    each(site, x, y);
-                }
-            }
-        }
+    for site in frame.sites_of(colour) {
+        let pixels = site.pixels(0..frame.width(), 0..frame.height(), skip);
+        let inside = |(x, y): &(usize, usize)| middle(*x, frame.width()) && middle(*y, frame.height());
+        pixels.filter(inside).for_each(|(x, y)| each(site, x, y));
     }
 }

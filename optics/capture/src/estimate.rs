@@ -80,9 +80,9 @@ impl Source {
 }
 
 /// One line of an error budget.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Contribution {
     pub source: Source,
     /// Standard error per channel, in [`Source::unit`].
-    pub std_error: [f64; 3],
+    pub std_error: Vec<f64>,
 }

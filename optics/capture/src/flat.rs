@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use crate::black::Black;
 use crate::camera_settings::CameraSettings;
 use crate::frame::{Colour, Frame, Photo};
-use crate::least_squares::{NormalEquations, median, robust_mean, spread, tukey};
+use crate::least_squares::{median, robust_fit, robust_mean, scatter_of_mean, spread};
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, TURNED, UNLIKE, Warning};
 use crate::saturation::{Saturation, saturation};
@@ -28,7 +28,8 @@ const UNKNOWN_SLOPE: f64 = 0.01;
 pub struct Flats {
     black: Black,
     last: Option<Photo>,
-    cells: Vec<[Vec<f64>; 3]>,
+    /// ln of the light of each cell, by shot and column.
+    cells: Vec<Vec<Vec<f64>>>,
     labels: Vec<String>,
     pairs: Pairs,
 }
@@ -37,9 +38,9 @@ pub struct Flats {
 #[derive(Debug, Clone)]
 pub struct Flat {
     size: [f64; 2],
-    /// Coefficients of [`terms`], after a constant.
-    coefficients: [Vec<f64>; 3],
-    slope_std_error: [f64; 3],
+    /// Coefficients of [`terms`] after a constant, of each column; none of even light.
+    coefficients: Vec<Vec<f64>>,
+    slope_std_error: Vec<f64>,
     pub(crate) pairs: Pairs,
     pub(crate) warnings: Vec<Warning>,
 }
@@ -56,14 +57,9 @@ impl Flats {
             CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         }
-        let mut cells = Vec::new();
-        for colour in Colour::ALL {
-            cells.push(grid(&photo, &self.black, colour, full)?);
-        }
-        if let Ok(cells) = cells.try_into() {
-            self.cells.push(cells);
-            self.labels.push(photo.label.clone());
-        }
+        let cells = photo.frame.each(|colour| grid(&photo, &self.black, colour, full));
+        self.cells.push(cells.into_iter().collect::<Result<_, _>>()?);
+        self.labels.push(photo.label.clone());
         self.last = Some(photo);
         Ok(())
     }
@@ -73,15 +69,11 @@ impl Flats {
         let warnings = self.leave_out()?;
         let Some(last) = self.last else { return Ok(Flat::even()) };
         let size = [last.frame.width() as f64, last.frame.height() as f64];
-        let mut coefficients = [const { Vec::new() }; 3];
-        let mut slope_std_error = [UNKNOWN_SLOPE; 3];
-        for colour in Colour::ALL {
-            let c = colour.index();
+        let (mut coefficients, mut slope_std_error) = (Vec::new(), Vec::new());
+        for c in 0..last.frame.columns().len() {
             let cells: Vec<&[f64]> = self.cells.iter().map(|shot| shot[c].as_slice()).collect();
-            coefficients[c] = fit(&cells).ok_or(Refusal::Missing { what: "even flat shots" })?;
-            if cells.len() > 1 {
-                slope_std_error[c] = slope_error(&cells);
-            }
+            coefficients.push(fit(&cells).ok_or(Refusal::Missing { what: "even flat shots" })?);
+            slope_std_error.push(if cells.len() > 1 { slope_error(&cells) } else { UNKNOWN_SLOPE });
         }
         Ok(Flat { size, coefficients, slope_std_error, pairs: self.pairs, warnings })
     }
@@ -123,9 +115,9 @@ const APART: f64 = 0.03;
 /// Deviation above which a shot is left out if, turned by 180°, it deviates by less than half.
 const TURNED_APART: f64 = 0.008;
 
-/// Deviation of a shot's green light from the median of the others, as it is or turned by 180°.
-fn apart(shots: &[[Vec<f64>; 3]], j: usize, turn: bool) -> f64 {
-    let green = Colour::Green.index();
+/// Deviation of a shot's light, in green or the only column, from the median of the others, as it is or turned by 180°.
+fn apart(shots: &[Vec<Vec<f64>>], j: usize, turn: bool) -> f64 {
+    let green = shots[j].len() / 2;
     let levelled = |cells: &[f64]| {
         let level = robust_mean(cells).0;
         cells.iter().map(|v| v - level).collect::<Vec<_>>()
@@ -144,8 +136,8 @@ impl Flat {
     pub(crate) fn even() -> Self {
         Self {
             size: [1.0, 1.0],
-            coefficients: [const { Vec::new() }; 3],
-            slope_std_error: [UNKNOWN_SLOPE; 3],
+            coefficients: Vec::new(),
+            slope_std_error: Vec::new(),
             pairs: Pairs::default(),
             warnings: vec![Warning::NoFlat { slope_percent: 100.0 * UNKNOWN_SLOPE }],
         }
@@ -153,19 +145,19 @@ impl Flat {
 
     /// Whether no shots of a flat were given.
     pub(crate) fn is_missing(&self) -> bool {
-        self.coefficients.iter().all(Vec::is_empty)
+        self.coefficients.is_empty()
     }
 
     /// Light at a place of the frame, relative to its mean.
     pub fn at(&self, colour: Colour, x_px: f64, y_px: f64) -> f64 {
-        let coefficients = &self.coefficients[colour.index()];
+        let Some(coefficients) = self.coefficients.get(colour.index()) else { return 1.0 };
         let terms = terms(2.0 * x_px / self.size[0] - 1.0, 2.0 * y_px / self.size[1] - 1.0);
         libm::exp(coefficients.iter().zip(terms).map(|(c, t)| c * t).sum())
     }
 
-    /// Standard error of the relative slope across the frame's whole width.
-    pub fn slope_std_error(&self) -> [f64; 3] {
-        self.slope_std_error
+    /// Standard error of the relative slope of a column across the frame's whole width.
+    pub fn slope_std_error(&self, c: usize) -> f64 {
+        self.slope_std_error.get(c).copied().unwrap_or(UNKNOWN_SLOPE)
     }
 }
 
@@ -215,15 +207,13 @@ fn cell(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize
     // A few thousand samples give a cell's mean to 0.01 %.
     let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
     let (mut sum, mut count) = (0.0, 0.0);
-    for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
-        for y in (site.row_from(rows.start)..rows.end).step_by(site.step * skip) {
-            for x in (site.column_from(columns.start)..columns.end).step_by(site.step * skip) {
-                if full.is_at(frame, site, x, y) {
-                    return None;
-                }
-                sum += black.signal(frame, site, x, y);
-                count += 1.0;
+    for site in frame.sites_of(colour) {
+        for (x, y) in site.pixels(columns.clone(), rows.clone(), skip) {
+            if full.is_at(frame, site, x, y) {
+                return None;
             }
+            sum += black.signal(frame, site, x, y);
+            count += 1.0;
         }
     }
     Some(libm::log((sum / f64::max(count, 1.0)).max(1e-3)))
@@ -235,21 +225,11 @@ fn fit(shots: &[&[f64]]) -> Option<Vec<f64>> {
     let cells: Vec<f64> = (0..ACROSS * DOWN)
         .map(|k| shots.iter().zip(&levels).map(|(s, l)| s[k] - l).sum::<f64>() / shots.len() as f64)
         .collect();
-    let mut weights = vec![1.0; cells.len()];
-    let mut found = Vec::new();
-    for _ in 0..6 {
-        let mut normal = NormalEquations::new(TERMS);
-        for (((x, y), value), weight) in places().zip(&cells).zip(&weights) {
-            normal.add(&terms(x, y), *value, *weight);
-        }
-        found = normal.solve()?.x.as_slice().to_vec();
-        let model = |(x, y): (f64, f64)| terms(x, y).iter().zip(&found).map(|(t, c)| t * c).sum::<f64>();
-        let residuals: Vec<f64> = places().zip(&cells).map(|(p, v)| v - model(p)).collect();
-        let sigma = spread(&residuals).max(1e-9);
-        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-    }
-    found[0] = 0.0;
-    Some(found)
+    let points: Vec<_> = places().map(|(x, y)| terms(x, y)).zip(cells).collect();
+    let (found, _) = robust_fit(&points, 6)?;
+    let mut coefficients = found.x.as_slice().to_vec();
+    coefficients[0] = 0.0;
+    Some(coefficients)
 }
 
 /// Standard error of the mean slope, from slopes of single shots.
@@ -262,10 +242,7 @@ fn slope_error(shots: &[&[f64]]) -> f64 {
         }
         2.0 * sum / squares
     };
-    let slopes: Vec<f64> = shots.iter().map(slope).collect();
-    let n = slopes.len() as f64;
-    let mean = slopes.iter().sum::<f64>() / n;
-    (slopes.iter().map(|s| (s - mean).powi(2)).sum::<f64>() / (n * (n - 1.0))).sqrt()
+    scatter_of_mean(&shots.iter().map(slope).collect::<Vec<f64>>())
 }
 
 #[cfg(test)]

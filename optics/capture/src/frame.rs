@@ -3,6 +3,7 @@
 //! Places in a photograph are in pixels of the mosaic: x to the right, y down, the first pixel's centre at (0.5, 0.5).
 
 use std::fmt;
+use std::ops::Range;
 
 use optics_model::Invalid;
 
@@ -12,29 +13,47 @@ pub const MAX_SAMPLES: usize = 300_000_000;
 /// Smallest side of a frame, in pixels: a smaller one cannot show a board.
 pub const MIN_SIDE: usize = 64;
 
+/// What a column of results belongs to: one colour of a camera, or the only channel of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Colour {
     Red,
     Green,
     Blue,
+    Mono,
 }
 
 impl Colour {
+    /// The colours of a camera.
     pub const ALL: [Self; 3] = [Self::Red, Self::Green, Self::Blue];
 
+    /// Its place among the columns of its frame.
     pub fn index(self) -> usize {
-        self as usize
+        match self {
+            Self::Red | Self::Mono => 0,
+            Self::Green => 1,
+            Self::Blue => 2,
+        }
     }
 
     /// `R`, `G` or `B`: the channel's name in measurements.
     pub fn letter(self) -> &'static str {
-        ["R", "G", "B"][self.index()]
+        match self {
+            Self::Red => "R",
+            Self::Green => "G",
+            Self::Blue => "B",
+            Self::Mono => "mono",
+        }
     }
 }
 
 impl fmt::Display for Colour {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(["red", "green", "blue"][self.index()])
+        f.write_str(match self {
+            Self::Red => "red",
+            Self::Green => "green",
+            Self::Blue => "blue",
+            Self::Mono => "monochrome",
+        })
     }
 }
 
@@ -47,14 +66,10 @@ pub enum Pattern {
     Rgb,
     /// One sample per pixel of one channel: the positions of 2 × 2 pixels that it has, row by row. All four are of a
     /// monochrome camera, fewer of one colour of a mosaic behind a band-pass filter.
-    ///
-    /// Its samples are divided into three interleaved parts, which take the places of red, green and blue: each is a
-    /// measurement of its own, and [`crate::join_parts`] joins their profiles.
     One([bool; 4]),
 }
 
-/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours; or a part
-/// of these.
+/// Samples that share a filter and an amplifier: one of the four positions of a mosaic, or one of three colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Site {
     pub index: usize,
@@ -173,8 +188,23 @@ impl Frame {
         self.pattern.sites()
     }
 
+    /// What its columns of results are.
+    pub fn columns(&self) -> &'static [Colour] {
+        self.pattern.columns()
+    }
+
+    /// A value for each column.
+    pub(crate) fn each<T>(&self, value: impl FnMut(Colour) -> T) -> Vec<T> {
+        self.columns().iter().copied().map(value).collect()
+    }
+
+    /// The samples of one column.
+    pub(crate) fn sites_of(&self, colour: Colour) -> Vec<Site> {
+        self.sites().into_iter().filter(|site| site.colour == colour).collect()
+    }
+
     /// The sample of a site at one of its pixels.
-    pub(crate) fn at(&self, site: Site, x: usize, y: usize) -> u16 {
+    pub fn at(&self, site: Site, x: usize, y: usize) -> u16 {
         match self.pattern {
             Pattern::Bayer(_) | Pattern::One(_) => self.samples[y * self.width + x],
             Pattern::Rgb => self.samples[(y * self.width + x) * 3 + site.index],
@@ -198,6 +228,27 @@ impl Site {
         x >= self.column && (x - self.column).is_multiple_of(self.step)
     }
 
+    /// Its pixels within some columns and rows, every `skip`th in both directions.
+    pub fn pixels(
+        self,
+        columns: Range<usize>,
+        rows: Range<usize>,
+        skip: usize,
+    ) -> impl Iterator<Item = (usize, usize)> {
+        let (left, step) = (self.column_from(columns.start), self.step * skip);
+        let row = move |y: usize| (left..columns.end).step_by(step).map(move |x| (x, y));
+        (self.row_from(rows.start)..rows.end).step_by(step).flat_map(row)
+    }
+
+    /// Its pixel that is nearest to a place in a frame of this size.
+    pub(crate) fn nearest(self, [x, y]: [f64; 2], frame: &Frame) -> (usize, usize) {
+        let on = |v: f64, first: usize, limit: usize| {
+            let steps = ((v - 0.5 - first as f64) / self.step as f64).round().max(0.0) as usize;
+            (first + steps * self.step).min(limit - 1 - (limit - 1 - first) % self.step)
+        };
+        (on(x, self.column, frame.width), on(y, self.row, frame.height))
+    }
+
     /// Its first column from `x` on.
     pub(crate) fn column_from(self, x: usize) -> usize {
         x + (self.column + self.step - x % self.step) % self.step
@@ -207,9 +258,6 @@ impl Site {
         y + (self.row + self.step - y % self.step) % self.step
     }
 }
-
-/// Places of the three parts of a channel.
-const PARTS: [Colour; 4] = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
 
 impl Pattern {
     /// All pixels of a monochrome camera.
@@ -222,9 +270,8 @@ impl Pattern {
 
     pub fn sites(self) -> Vec<Site> {
         match self {
-            Self::Bayer(colours) => mosaic(colours),
-            Self::MONOCHROME => mosaic(PARTS),
-            Self::One(positions) => parts(positions),
+            Self::Bayer(colours) => positions(|i| Some(colours[i])),
+            Self::One(used) => positions(|i| used[i].then_some(Colour::Mono)),
             Self::Rgb => Colour::ALL
                 .map(|colour| {
                     let index = colour.index();
@@ -233,27 +280,33 @@ impl Pattern {
                 .to_vec(),
         }
     }
+
+    /// What the columns of results are: red, green and blue, or the only channel.
+    pub fn columns(self) -> &'static [Colour] {
+        match self {
+            Self::Bayer(_) | Self::Rgb => &Colour::ALL,
+            Self::One(_) => &[Colour::Mono],
+        }
+    }
+
+    /// The column in which edges are looked for: green, or the only one.
+    pub fn sharpest(self) -> Colour {
+        self.columns()[self.columns().len() / 2]
+    }
 }
 
-fn mosaic(colours: [Colour; 4]) -> Vec<Site> {
-    let site =
-        |i: usize| Site { index: i, position: i, colour: colours[i], column: i % 2, row: i / 2, step: 2 };
-    (0..4).map(site).collect()
-}
-
-/// Some positions of 2 × 2 pixels, each divided into [`PARTS`].
-fn parts(positions: [bool; 4]) -> Vec<Site> {
-    let own = (0..4).filter(|position| positions[*position]);
-    let each = own.flat_map(|position| (0..4).map(move |part| (position, part)));
-    let site = |(index, (position, part)): (usize, (usize, usize))| Site {
+/// The sites of those of 2 × 2 pixels that have a colour.
+fn positions(colour: impl Fn(usize) -> Option<Colour>) -> Vec<Site> {
+    let used = (0..4).filter_map(|position| Some((position, colour(position)?)));
+    let site = |(index, (position, colour))| Site {
         index,
         position,
-        colour: PARTS[part],
-        column: position % 2 + 2 * (part % 2),
-        row: position / 2 + 2 * (part / 2),
-        step: 4,
+        colour,
+        column: position % 2,
+        row: position / 2,
+        step: 2,
     };
-    each.enumerate().map(site).collect()
+    used.enumerate().map(site).collect()
 }
 
 impl fmt::Debug for Frame {
@@ -266,9 +319,9 @@ impl fmt::Debug for Frame {
 mod tests {
     use super::*;
 
-    /// Every pixel of a channel is in exactly one of its sites, and no other pixel is; each part has samples.
+    /// Every pixel of a channel is in exactly one of its sites, and no other pixel is; all sites are of its only column.
     #[test]
-    fn parts_of_a_channel_divide_its_pixels() {
+    fn sites_of_a_channel_divide_its_pixels() {
         let rggb = [Colour::Red, Colour::Green, Colour::Green, Colour::Blue];
         let patterns = [
             (Pattern::MONOCHROME, vec![true; 4]),
@@ -283,7 +336,7 @@ mod tests {
                 assert_eq!(owners.len(), usize::from(own[position]), "{pattern:?} {x} {y}");
                 assert!(owners.iter().all(|site| site.position == position));
             }
-            assert!(Colour::ALL.iter().all(|colour| sites.iter().any(|site| site.colour == *colour)));
+            assert!(pattern.columns() == [Colour::Mono] && sites.iter().all(|s| s.colour == Colour::Mono));
             assert!(sites.iter().enumerate().all(|(i, site)| site.index == i));
         }
     }

@@ -3,7 +3,7 @@
 use crate::board::Board;
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Photo};
+use crate::frame::Photo;
 use crate::lattice::CropCells;
 use crate::refusal::Refusal;
 
@@ -34,7 +34,8 @@ impl<'a> HazeShots<'a> {
         calibration.settings.check(&photo)?;
         let radiance = Radiance::new(calibration, &photo);
         let levels = CropCells::of(&radiance, &self.board.found.edge_frame).levels();
-        for (colour, level) in Colour::ALL.into_iter().zip(levels) {
+        let means = radiance.means();
+        for (colour, level) in photo.frame.columns().iter().copied().zip(levels) {
             let c = colour.index();
             let allowed = NOT_DARK.min(0.6 * self.board.dark[c].value.max(0.01));
             if level.value > allowed {
@@ -43,7 +44,7 @@ impl<'a> HazeShots<'a> {
             }
             let black = calibration.black().std_error() / calibration.gain[c].value;
             // The stray light of slabs is that of a frame with the board, whose share is as uncertain for all of them.
-            let glare = calibration.glare[c].std_error * radiance.mean(colour).max(self.board.frame_mean[c]);
+            let glare = calibration.glare[c].std_error * means[c].max(self.board.frame_mean[c]);
             let errors = [level.std_error, black, glare];
             let std_error = errors.iter().map(|e| e * e).sum::<f64>().sqrt();
             self.levels.push(Estimate::new(level.value, std_error));

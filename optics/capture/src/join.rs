@@ -99,12 +99,6 @@ pub(crate) fn mean(profiles: &[&EdgeProfile]) -> EdgeProfile {
     joined
 }
 
-/// The profile of a channel of which these are parts: see [`crate::Pattern::One`]. Where the parts differ by more than
-/// their noise, standard errors grow as with shots.
-pub fn join_parts(parts: &[EdgeProfile]) -> EdgeProfile {
-    join(&parts.iter().collect::<Vec<_>>()).profile
-}
-
 pub(crate) fn join(profiles: &[&EdgeProfile]) -> Joined {
     let mut profile = mean(profiles);
     let shots = profiles.len();

@@ -55,6 +55,29 @@ impl NormalEquations {
     }
 }
 
+/// Parameters of a linear model by Tukey's weights after some rounds, and the spread of the residuals; None if the rows
+/// do not determine them.
+pub(crate) fn robust_fit<const N: usize>(
+    points: &[([f64; N], f64)],
+    rounds: usize,
+) -> Option<(FittedParameters, f64)> {
+    let mut weights = vec![1.0; points.len()];
+    let mut found = None;
+    for _ in 0..rounds {
+        let mut normal = NormalEquations::new(N);
+        for ((row, value), weight) in points.iter().zip(&weights) {
+            normal.add(row, *value, *weight);
+        }
+        let solution = normal.solve()?;
+        let model = |row: &[f64; N]| row.iter().zip(solution.x.iter()).map(|(r, x)| r * x).sum::<f64>();
+        let residuals: Vec<f64> = points.iter().map(|(row, value)| value - model(row)).collect();
+        let sigma = spread(&residuals).max(1e-9);
+        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
+        found = Some((solution, sigma));
+    }
+    found
+}
+
 /// Tukey's biweight at a residual in standard deviations; its constant keeps 95 % of the efficiency with normal
 /// errors (Huber 1981).
 pub(crate) fn tukey(residual: f64) -> f64 {
@@ -85,6 +108,20 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 pub(crate) fn spread(values: &[f64]) -> f64 {
     let centre = median(&mut values.to_vec());
     1.4826 * median(&mut values.iter().map(|v| (v - centre).abs()).collect::<Vec<_>>())
+}
+
+/// Mean of those that are finite; 0 without any.
+pub(crate) fn finite_mean(values: &[f64]) -> f64 {
+    let finite = values.iter().filter(|v| v.is_finite());
+    finite.clone().sum::<f64>() / finite.count().max(1) as f64
+}
+
+/// Standard error of the mean by the scatter; 0 of a single value.
+pub(crate) fn scatter_of_mean(values: &[f64]) -> f64 {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let squares = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+    if values.len() < 2 { 0.0 } else { (squares / (n * (n - 1.0))).sqrt() }
 }
 
 /// Mean without outliers, and its standard error.

@@ -45,7 +45,6 @@ pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Area, Colour, Exposure, Frame, Levels, Pattern, Photo, Site};
 pub use haze::HazeShots;
-pub use join::join_parts;
 pub use lattice::{EdgeLine, FreeEdge, Target};
 pub use mountings::{Mountings, SampleProfile};
 pub use noise::SiteNoise;

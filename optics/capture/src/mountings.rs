@@ -6,9 +6,10 @@ use crate::blemishes::Blemish;
 use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
-use crate::frame::{Colour, Photo};
+use crate::frame::Photo;
 use crate::join::{Joined, Turned, join};
 use crate::lattice::{CropCells, FreeParts, PatchRadiance, light, movement};
+use crate::least_squares::finite_mean;
 use crate::refusal::{Refusal, Warning};
 use crate::report::ShotReport;
 
@@ -20,7 +21,7 @@ pub struct Mountings<'a> {
     what: String,
     shots: Vec<ShotReport>,
     /// Radiance factor of the frame's mean, per shot.
-    means: Vec<[f64; 3]>,
+    means: Vec<Vec<f64>>,
     /// Refusals of the shots that are left out.
     left_out: Vec<Refusal>,
     warnings: Vec<Warning>,
@@ -29,8 +30,8 @@ pub struct Mountings<'a> {
 /// Profiles of a sample with their errors.
 #[derive(Debug, Clone)]
 pub struct SampleProfile {
-    /// x is 0 at the channel's edge on the bare board; `std_errors` are due to noise alone.
-    pub profiles: [EdgeProfile; 3],
+    /// One for each column. x is 0 at its edge on the bare board; `std_errors` are due to noise alone.
+    pub profiles: Vec<EdgeProfile>,
     pub shots: Vec<ShotReport>,
     /// Errors that are common to many bins, by source, and the mean of the noise.
     pub budget: Vec<Contribution>,
@@ -56,21 +57,20 @@ impl<'a> Mountings<'a> {
         let radiance = Radiance::new(self.calibration, &photo);
         let cells = CropCells::of(&radiance, &found.edge_frame);
         let light = self.light(&free, &radiance, &cells);
-        self.warn(label, &free, light);
-        let light_factor = light;
-        let light = light.unwrap_or([Estimate::new(1.0, 0.0); 3]);
-        light::check(label, &light)?;
+        self.warn(&photo, &free, light.as_deref());
+        let light_factor = light.clone();
+        let light = light.unwrap_or_else(|| vec![Estimate::new(1.0, 0.0); photo.frame.columns().len()]);
+        light::check(&photo, &light)?;
         let radiance = radiance.under(&light);
         self.board.cells.check_covered(label, &cells.under(&light))?;
-        let origins_mm = self.board.origin_mm.map(|o| o.value);
-        let (binnings, blemishes) = bin_clean(&radiance, &found.edge_frame, origins_mm);
+        let (binnings, blemishes) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings, radiance.full)?;
         if let Some(refusal) = binnings.iter().find_map(|binning| self.check_thirds(label, binning).err()) {
             self.left_out.push(refusal);
             return Ok(());
         }
         self.warn_of_blemishes(label, &binnings, &blemishes);
-        let mean = Colour::ALL.map(|c| radiance.mean(c));
+        let means = radiance.means();
         let blur_px =
             free.blur_px.iter().flatten().copied().min_by(|a, b| a.std_error.total_cmp(&b.std_error));
         let masked: usize = binnings.iter().map(|b| b.masked).sum();
@@ -84,7 +84,7 @@ impl<'a> Mountings<'a> {
         match check_sides(&shot, self.board) {
             Ok(()) => {
                 self.shots.push(shot);
-                self.means.push(mean);
+                self.means.push(means);
             }
             Err(refusal) => self.left_out.push(refusal),
         }
@@ -93,7 +93,7 @@ impl<'a> Mountings<'a> {
 
     /// Brightness of the free board relative to the bare shots. None if the crop looks uncovered: it may lie under a
     /// slab that only dims, as may the other parts of the board, so nothing is certain to be free.
-    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &CropCells) -> Option<[Estimate; 3]> {
+    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &CropCells) -> Option<Vec<Estimate>> {
         let patches: Vec<PatchRadiance> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
         let light = light::factor(&self.board.readings, &patches, free.free.as_deref()?)?;
         let changed = light.iter().any(|l| (l.value - 1.0).abs() > NOTED);
@@ -101,8 +101,8 @@ impl<'a> Mountings<'a> {
         (!same).then_some(light)
     }
 
-    fn warn(&mut self, label: &str, free: &FreeParts, light: Option<[Estimate; 3]>) {
-        let label = label.to_owned();
+    fn warn(&mut self, photo: &Photo, free: &FreeParts, light: Option<&[Estimate]>) {
+        let label = photo.label.clone();
         match free.moved_px {
             [None, None] => self.warnings.push(Warning::Unchecked { label: label.clone() }),
             [None, _] => {
@@ -120,14 +120,14 @@ impl<'a> Mountings<'a> {
             return;
         };
         let off = |l: &Estimate| (l.value - 1.0).abs();
-        let most = Colour::ALL.into_iter().zip(&light).max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+        let most = photo.frame.columns().iter().zip(light).max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
         if let Some((colour, most)) = most.filter(|(_, most)| off(most) > NOTED) {
-            let percent = 100.0 * (most.value - 1.0);
+            let (colour, percent) = (*colour, 100.0 * (most.value - 1.0));
             self.warnings.push(Warning::LightDividedOut { label, colour, percent });
         }
     }
 
-    fn warn_of_blemishes(&mut self, label: &str, binnings: &[Binning; 3], blemishes: &[Blemish]) {
+    fn warn_of_blemishes(&mut self, label: &str, binnings: &[Binning], blemishes: &[Blemish]) {
         let masked: usize = binnings.iter().map(|b| b.masked).sum();
         let total: u32 = binnings.iter().flat_map(|b| &b.profile.counts).sum();
         let share = masked as f64 / (masked as f64 + f64::from(total)).max(1.0);
@@ -182,45 +182,46 @@ impl<'a> Mountings<'a> {
         }
         let joined = self.joined();
         let budget = self.budget(&joined);
-        let profiles = joined.map(|j| j.profile);
+        let profiles = joined.into_iter().map(|j| j.profile).collect();
         Ok(SampleProfile { profiles, shots: self.shots, budget, warnings: self.warnings })
     }
 
     /// The mean of all shots, or of those of a wedge on one side and turned by 180°.
-    fn joined(&mut self) -> [Joined; 3] {
-        let each = Colour::ALL
-            .map(|c| self.shots.iter().map(|s| &s.profiles[c.index()]).collect::<Vec<&EdgeProfile>>());
-        let joined = each.each_ref().map(|profiles| join(profiles));
+    fn joined(&mut self) -> Vec<Joined> {
+        let shot_profiles =
+            |c: usize| self.shots.iter().map(|s| &s.profiles[c]).collect::<Vec<&EdgeProfile>>();
+        let each = self.calibration.each(shot_profiles);
+        let joined: Vec<Joined> = each.iter().map(|profiles| join(profiles)).collect();
         // A slab has one wedge: the mean of the channels.
         let slope = |shot: usize| {
-            let slopes = joined.each_ref().map(|j| j.slopes[shot]);
-            let mean = |f: fn(&Estimate) -> f64| slopes.iter().map(f).sum::<f64>() / 3.0;
+            let slopes = joined.iter().map(|j| &j.slopes[shot]);
+            let mean = |f: fn(&Estimate) -> f64| slopes.clone().map(f).sum::<f64>() / joined.len() as f64;
             Estimate::new(mean(|s| s.value), mean(|s| s.std_error))
         };
         let Some(turned) = Turned::find(&(0..self.shots.len()).map(slope).collect::<Vec<_>>()) else {
             return joined;
         };
-        let joined = each.each_ref().map(|profiles| turned.join(profiles));
+        let joined = each.iter().map(|profiles| turned.join(profiles)).collect();
         let rising = self.shots.iter().zip(&turned.rises).filter(|(_, rises)| **rises);
         let labels = rising.map(|(shot, _)| shot.label.clone()).collect::<Vec<_>>().join(", ");
         self.warnings.push(Warning::Turned { labels, percent: 100.0 * turned.slope });
         joined
     }
 
-    fn budget(&self, joined: &[Joined; 3]) -> Vec<Contribution> {
+    fn budget(&self, joined: &[Joined]) -> Vec<Contribution> {
         let (calibration, board) = (self.calibration, self.board);
         let shots = self.shots.len() as f64;
         let mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / shots;
         let between = |c: usize, i: usize| joined[c].between[i] / shots.sqrt();
         let black = |c: usize| calibration.black().std_error() / calibration.gain[c].value;
         let moved = self.unseen_movement_mm();
-        let per_channel = |f: &dyn Fn(usize) -> f64| [f(0), f(1), f(2)];
+        let per_channel = |f: &dyn Fn(usize) -> f64| calibration.each(f);
         [
-            (Source::Noise, per_channel(&|c| noise(&joined[c].profile))),
-            (Source::WhiteReference, [calibration.reference_std_error; 3]),
+            (Source::Noise, per_channel(&|c| finite_mean(&joined[c].profile.std_errors))),
+            (Source::WhiteReference, per_channel(&|_| calibration.reference_std_error)),
             (Source::Drift, per_channel(&|c| self.drift(c))),
             (Source::Mounting, per_channel(&|c| between(c, 0))),
-            (Source::Linearity, calibration.linearity),
+            (Source::Linearity, calibration.linearity.clone()),
             (Source::Black, per_channel(&|c| libm::hypot(black(c), between(c, 1)))),
             (Source::Glare, per_channel(&|c| calibration.glare[c].std_error * mean(c))),
             (Source::Slope, per_channel(&|c| libm::hypot(self.slope(c), between(c, 2)))),
@@ -230,7 +231,7 @@ impl<'a> Mountings<'a> {
                     libm::hypot(libm::hypot(board.origin_mm[c].std_error, between(c, 3)), moved)
                 }),
             ),
-            (Source::Scale, [board.mm_per_px.std_error / board.mm_per_px.value; 3]),
+            (Source::Scale, per_channel(&|_| board.mm_per_px.std_error / board.mm_per_px.value)),
             (Source::Blur, per_channel(&|c| board.blur_mm[c].std_error)),
         ]
         .map(|(source, std_error)| Contribution { source, std_error })
@@ -258,7 +259,7 @@ impl<'a> Mountings<'a> {
     /// reflectance is even to [`BOARD_SLOPE`].
     fn slope(&self, c: usize) -> f64 {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
-        let of_flat = self.calibration.flat().slope_std_error()[c] * 10.0 / width_mm;
+        let of_flat = self.calibration.flat().slope_std_error(c) * 10.0 / width_mm;
         let seen = self.board.slope[c];
         let of_board = libm::hypot(libm::hypot(seen.value, seen.std_error), BOARD_SLOPE);
         1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board)
@@ -293,8 +294,3 @@ const MANY: f64 = 0.05;
 /// Deviation of a third above which a shot is refused, as a share of the bare board's contrast. Light that borders of
 /// squares 5 mm away send through a slab stays below it.
 const THIRDS: f64 = 0.02;
-
-fn noise(profile: &EdgeProfile) -> f64 {
-    let finite: Vec<f64> = profile.std_errors.iter().copied().filter(|e| e.is_finite()).collect();
-    finite.iter().sum::<f64>() / finite.len().max(1) as f64
-}

@@ -1,7 +1,7 @@
 //! Detects photographs whose colours are one channel: from a monochrome camera, or grey stored as RGB.
 
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Frame, Pattern, Site};
+use crate::frame::{Colour, Frame, Site};
 use crate::least_squares::median;
 use crate::noise::{NoiseBlock, block, corners, single};
 use crate::saturation::Saturation;
@@ -12,11 +12,8 @@ const LEAST: f64 = 1e-3;
 /// Largest median difference of blocks, in standard errors; that of noise is 0.67.
 const AGREE: f64 = 1.5;
 
-/// Whether the colours agree within noise in the brighter half of a frame; the parts of one channel are no colours.
+/// Whether the colours of a camera agree within noise in the brighter half of a frame.
 pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Saturation) -> bool {
-    if matches!(frame.pattern(), Pattern::One(_)) {
-        return false;
-    }
     let sites = frame.sites();
     let scale = |colour: Colour| sites.iter().find(|site| site.colour == colour).copied();
     let (Some(red), Some(green), Some(blue)) =
@@ -55,6 +52,7 @@ const BLOCK_SAMPLES: f64 = (crate::noise::SIDE * crate::noise::SIDE) as f64;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::frame::Pattern;
     use crate::testing::{RGGB, normal};
 
     /// Light that falls off to one side, with noise; `scale` multiplies the colours.

@@ -27,7 +27,8 @@ use exposures::ExposedWhite;
 /// The grey patches with their certified reflectances.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neutral {
-    rho: Vec<[f64; 3]>,
+    /// Per patch and channel.
+    rho: Vec<Vec<f64>>,
     std_error: f64,
     /// None if they have to be found; a single one lies in the frame's middle.
     areas: Option<Vec<Area>>,
@@ -53,7 +54,7 @@ struct PatchShot {
     seconds: Option<f64>,
     areas: Vec<Area>,
     /// Per patch and channel: mean number above black, divided by the flat, with its standard error; M/f.
-    readings: Vec<[RawReading; 3]>,
+    readings: Vec<Vec<RawReading>>,
     /// Brightness of each site relative to its channel.
     sites: Vec<f64>,
 }
@@ -62,6 +63,13 @@ struct PatchShot {
 struct AreaSamples {
     light: Vec<f64>,
     per_site: Vec<(usize, f64)>,
+}
+
+impl PatchShot {
+    /// Light of the patches in green, or in the only channel.
+    fn greens(&self) -> impl Iterator<Item = f64> {
+        self.readings.iter().map(|reading| reading[reading.len() / 2].light)
+    }
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -85,7 +93,7 @@ const EVEN: f64 = 0.05;
 impl Neutral {
     /// `rho` per patch and channel, `std_error` relative, `areas` in the same order. Without areas, the row of patches
     /// is searched for in every shot, and a single panel is taken to fill the frame's middle.
-    pub fn new(rho: Vec<[f64; 3]>, std_error: f64, areas: Option<Vec<Area>>) -> Result<Self, Invalid> {
+    pub fn new(rho: Vec<Vec<f64>>, std_error: f64, areas: Option<Vec<Area>>) -> Result<Self, Invalid> {
         if rho.is_empty() {
             return Err(Invalid::new("rho", "no patches", "at least a white panel is needed"));
         }
@@ -112,13 +120,18 @@ impl Neutral {
 
     /// The greatest reflectance of all patches.
     pub fn brightest(&self) -> f64 {
-        self.rho.as_flattened().iter().copied().fold(0.0, f64::max)
+        self.rho.iter().flatten().copied().fold(0.0, f64::max)
     }
 
     /// Index of the brightest patch: the white reference.
     pub(crate) fn white(&self) -> usize {
-        let green = |i: &usize| self.rho[*i][1];
-        (0..self.rho.len()).max_by(|a, b| green(a).total_cmp(&green(b))).unwrap_or(0)
+        let green = self.greens();
+        (0..self.rho.len()).max_by(|a, b| green[*a].total_cmp(&green[*b])).unwrap_or(0)
+    }
+
+    /// Reflectances in green, or in the only channel.
+    fn greens(&self) -> Vec<f64> {
+        self.rho.iter().map(|rho| rho[rho.len() / 2]).collect()
     }
 }
 
@@ -150,7 +163,11 @@ impl Patches {
     }
 
     pub fn add(&mut self, photo: Photo) -> Result<(), Refusal> {
-        let full = saturation(&photo);
+        let (columns, full) = (photo.frame.columns(), saturation(&photo));
+        if let Some(wrong) = self.neutral.rho.iter().find(|rho| rho.len() != columns.len()) {
+            let allowed = format!("the photographs have {} channels", columns.len());
+            return Err(Invalid::new("rho", format!("{wrong:?}"), allowed).into());
+        }
         if let Some(last) = &self.last {
             CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
@@ -178,13 +195,14 @@ impl Patches {
         let mut readings = Vec::new();
         let mut of_sites = vec![1.0; sites.len()];
         for (i, area) in areas.iter().enumerate() {
-            let mut per_channel = [RawReading { light: 0.0, std_error: 0.0, veil: 0.0 }; 3];
-            for colour in Colour::ALL {
-                let AreaSamples { light: samples, per_site } = self.samples(photo, *area, i, colour, full)?;
+            let mut per_channel = Vec::new();
+            for (colour, mean) in frame.columns().iter().zip(&means) {
+                let AreaSamples { light: samples, per_site } =
+                    self.samples(photo, *area, i, *colour, full)?;
                 let (light, std_error) = robust_mean(&samples);
                 let middle = [area.x + 0.5 * area.width, area.y + 0.5 * area.height];
-                let veil = means[colour.index()] / self.flat.at(colour, middle[0], middle[1]);
-                per_channel[colour.index()] = RawReading { light, std_error, veil };
+                let veil = mean / self.flat.at(*colour, middle[0], middle[1]);
+                per_channel.push(RawReading { light, std_error, veil });
                 if i == self.neutral.white() {
                     for (site, mean) in per_site {
                         of_sites[site] = mean / light;
@@ -208,7 +226,7 @@ impl Patches {
             settings.exposure = settings.exposure.map(|same| Exposure { time_s: exposure.time_s, ..same });
             settings.check(&photo)?;
         }
-        let readings = self.read(&photo, saturation(&photo))?.readings[self.neutral.white()];
+        let readings = self.read(&photo, saturation(&photo))?.readings.swap_remove(self.neutral.white());
         self.exposures.push(ExposedWhite { label: photo.label.clone(), time_s: exposure.time_s, readings });
         Ok(())
     }
@@ -225,7 +243,7 @@ impl Patches {
             exposures.extend(self.shots.iter().map(|shot| ExposedWhite {
                 label: shot.label.clone(),
                 time_s: exposure.time_s,
-                readings: shot.readings[white],
+                readings: shot.readings[white].clone(),
             }));
         }
         Ok(exposures)
@@ -243,7 +261,8 @@ impl Patches {
         let full = Saturation::all(f64::INFINITY);
         let quarter = |k: usize| -> Result<f64, Refusal> {
             let area = part(k % 2, k / 2, 0.5 * MIDDLE);
-            Ok(robust_mean(&self.samples(photo, area, 0, Colour::Green, full)?.light).0)
+            let colour = photo.frame.pattern().sharpest();
+            Ok(robust_mean(&self.samples(photo, area, 0, colour, full)?.light).0)
         };
         let quarters = (0..4).map(quarter).collect::<Result<Vec<_>, _>>()?;
         let (least, most) =
@@ -274,15 +293,13 @@ impl Patches {
         let mut samples = Vec::new();
         let mut per_site = Vec::new();
         let mut clipped = 0_usize;
-        for site in frame.sites().into_iter().filter(|s| s.colour == colour) {
-            let step = site.step * skip;
+        for site in frame.sites_of(colour) {
             let mut own = Vec::new();
-            for y in (site.row_from(area.y.ceil() as usize)..bottom as usize).step_by(step) {
-                for x in (site.column_from(area.x.ceil() as usize)..right as usize).step_by(step) {
-                    clipped += usize::from(full.is_at(frame, site, x, y));
-                    let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
-                    own.push(self.black.signal(frame, site, x, y) / light);
-                }
+            let columns = area.x.ceil() as usize..right as usize;
+            for (x, y) in site.pixels(columns, area.y.ceil() as usize..bottom as usize, skip) {
+                clipped += usize::from(full.is_at(frame, site, x, y));
+                let light = self.flat.at(colour, x as f64 + 0.5, y as f64 + 0.5);
+                own.push(self.black.signal(frame, site, x, y) / light);
             }
             per_site.push((site.index, robust_mean(&own).0));
             samples.append(&mut own);
@@ -300,9 +317,8 @@ impl Patches {
     fn check_alike(&self) -> Result<(), Refusal> {
         let Some((first, others)) = self.shots.split_first() else { return Ok(()) };
         for shot in others {
-            let ratio =
-                |(a, b): (&[RawReading; 3], &[RawReading; 3])| b[1].light / a[1].light.max(f64::MIN_POSITIVE);
-            let ratios: Vec<f64> = first.readings.iter().zip(&shot.readings).map(ratio).collect();
+            let ratio = |(a, b): (f64, f64)| b / a.max(f64::MIN_POSITIVE);
+            let ratios: Vec<f64> = first.greens().zip(shot.greens()).map(ratio).collect();
             let common = median(&mut ratios.clone());
             let is_other = |ratio: &f64| !(1.0 / OTHER_PATCH..=OTHER_PATCH).contains(&(ratio / common));
             if let Some(i) = ratios.iter().position(is_other) {
@@ -318,7 +334,8 @@ impl Patches {
         let Some(last) = &self.last else { return Err(Refusal::Missing { what: "shots of the patches" }) };
         let sites = last.frame.sites();
         self.check_alike()?;
-        let fitted = line::fit(&self.neutral, &self.shots, &self.with_own_exposure()?)?;
+        let columns = last.frame.columns();
+        let fitted = line::fit(&self.neutral, &self.shots, &self.with_own_exposure()?, columns)?;
         // Pairs of patch shots show one subject, flats a moved sheet; these are used only if there are no better pairs.
         let mut pairs = self.black.pairs.clone();
         pairs.extend(&self.pairs);

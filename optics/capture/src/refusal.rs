@@ -214,11 +214,11 @@ pub enum Warning {
     #[error("{label}: no light: a dark shot, which sessions list under `dark`; with light, expose longer")]
     DarkShot { label: String },
     #[error(
-        "the board's dark side is darker than a black base under the scene's coat: ρ = {:.4}, {:.4}, {:.4} in red, green, \
-         blue; the coat mirrors less of the lamps than the scene's, and its roughness is estimated in the fit",
-        .rho[0], .rho[1], .rho[2]
+        "the board's dark side is darker than a black base under the scene's coat: ρ = {}; the coat mirrors less of the lamps \
+         than the scene's, and its roughness is estimated in the fit",
+        rho.iter().map(|(colour, rho)| format!("{rho:.4} in {colour}")).collect::<Vec<_>>().join(", ")
     )]
-    DarkerThanBlack { rho: [f64; 3] },
+    DarkerThanBlack { rho: Vec<(Colour, f64)> },
     #[error("left out: {why}")]
     LeftOut { why: Box<Refusal> },
     #[error("{label}: {share:.1} % of the crop's samples were rejected as dust or scratches")]
@@ -236,6 +236,8 @@ pub enum Warning {
          grey stored as RGB; use one of the three results"
     )]
     OneColour { label: String },
+    #[error("the fit of {what} did not converge: its value and its error may be wrong")]
+    NotConverged { what: &'static str },
     #[error("noise was estimated from single photographs, since no shot was repeated")]
     NoPairs,
     #[error("times of the shots are unknown: the white reference is the mean of its shots")]

@@ -12,27 +12,27 @@ pub struct ShotReport {
     /// Movement since the first bare shot, sideways and up and down, where it could be measured.
     pub moved_px: [Option<Estimate>; 2],
     /// Brightness of the free board relative to the bare shots, per channel, where it could be measured.
-    pub light: Option<[Estimate; 3]>,
+    pub light: Option<Vec<Estimate>>,
     /// σ of lens and pixel, where a bare edge shows it.
     pub blur_px: Option<Estimate>,
     /// Ratio of the scatter of samples within bins to the sensor's noise, per channel.
-    pub scatter: [f64; 3],
+    pub scatter: Vec<f64>,
     /// Profiles of this shot alone.
-    pub profiles: [EdgeProfile; 3],
+    pub profiles: Vec<EdgeProfile>,
 }
 
 impl ShotReport {
     pub(crate) fn new(
         label: &str,
         moved_px: [Option<Estimate>; 2],
-        light: Option<[Estimate; 3]>,
+        light: Option<Vec<Estimate>>,
         blur_px: Option<Estimate>,
-        binnings: [Binning; 3],
+        binnings: Vec<Binning>,
     ) -> Self {
-        let scatter = binnings.each_ref().map(|b| b.scatter);
+        let scatter = binnings.iter().map(|b| b.scatter).collect();
         let mut rejected_px: Vec<[u32; 2]> = binnings.iter().flat_map(|b| b.rejected_px.clone()).collect();
         rejected_px.sort_unstable();
-        let profiles = binnings.map(|b| b.profile);
+        let profiles = binnings.into_iter().map(|b| b.profile).collect();
         Self { label: label.to_owned(), rejected_px, moved_px, light, blur_px, scatter, profiles }
     }
 

@@ -27,8 +27,7 @@ impl Saturation {
 
     /// The lowest of a colour's sites.
     pub fn of_colour(self, frame: &Frame, colour: Colour) -> f64 {
-        let sites = frame.sites().into_iter().filter(|site| site.colour == colour);
-        sites.map(|site| self.of(site)).fold(f64::INFINITY, f64::min)
+        frame.sites_of(colour).into_iter().map(|site| self.of(site)).fold(f64::INFINITY, f64::min)
     }
 }
 
@@ -47,10 +46,8 @@ pub(crate) fn saturation(photo: &Photo) -> Saturation {
 
 fn counts(frame: &Frame, site: Site) -> Vec<u32> {
     let mut counts = vec![0; 1 << 16];
-    for y in (site.row..frame.height()).step_by(site.step) {
-        for x in (site.column..frame.width()).step_by(site.step) {
-            counts[usize::from(frame.at(site, x, y))] += 1;
-        }
+    for (x, y) in site.pixels(0..frame.width(), 0..frame.height(), 1) {
+        counts[usize::from(frame.at(site, x, y))] += 1;
     }
     counts
 }

@@ -22,8 +22,13 @@ impl PhotoView<'_> {
         self.black.signal(&self.photo.frame, site, x, y)
     }
 
-    /// Relative brightness of green light at a place.
+    /// The column in which edges are looked for.
+    pub fn sharpest(&self) -> Colour {
+        self.photo.frame.pattern().sharpest()
+    }
+
+    /// Relative brightness of its light at a place.
     pub fn light(&self, [x, y]: [f64; 2]) -> f64 {
-        self.flat.at(Colour::Green, x, y)
+        self.flat.at(self.sharpest(), x, y)
     }
 }

@@ -8,6 +8,7 @@
 pub mod angle;
 mod canonical;
 pub mod controls;
+pub mod descent;
 pub mod digest;
 mod files;
 pub mod fit;

@@ -4,6 +4,7 @@ use super::mirror::{
     Numbered, list, matrix, mirror, mirror_enum, number, optional, optional_index, optional_number, required,
 };
 use crate::wire;
+use optics_model::descent::DescentEnd;
 use optics_model::fit::{
     Bounds, Candidate, Cause, ChannelFit, Curve, FitCurves, FitOptions, FitSettings, Interval, MaterialFit,
     Objective, Outside, PhaseModel, Refined, Suspicion, ThicknessError, Wavelet,
@@ -158,7 +159,9 @@ mirror!(Refined {
     likelihood: required,
     from_mixtures,
     second_lobe: optional,
+    descent: number,
 });
+mirror_enum!(DescentEnd { AtBound, NoDescent, OutOfSteps } or Converged);
 
 /// Accepts answers of older coordinators, which send one flag of resolution only, and no likelihood with the paper's
 /// objective.

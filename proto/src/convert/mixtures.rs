@@ -1,6 +1,6 @@
 //! Converts mixtures, and the inks found from them.
 
-use super::mirror::{list, mirror, optional, required};
+use super::mirror::{list, mirror, number, optional, required};
 use crate::wire;
 use optics_model::fit::{Agreement, InkChannel, InkFit, Mixture, MixtureFit, MixturePart, Mixtures, Unmixed};
 use optics_model::invalid::{Invalid, Result, each};
@@ -49,6 +49,7 @@ mirror!(InkChannel {
     absorption_per_mm: required,
     resolved,
     from_mixtures,
+    descent: number,
 });
 mirror!(MixtureFit { material, channel, parts: list, medium: required, agreement: optional, left_out });
 mirror!(Agreement { chi2, pixels, misfit, pull });

@@ -108,6 +108,7 @@ def _refined(wire: fits_pb2.Refined) -> Refined:
         suspicion=suspicion,
         likelihood=_likelihood(wire.likelihood),
         second_lobe=SecondLobe._of_wire(wire.second_lobe) if wire.HasField("second_lobe") else None,
+        converged=wire.descent in {fits_pb2.DESCENT_END_UNSPECIFIED, fits_pb2.DESCENT_END_AT_BOUND},
     )
 
 
@@ -235,6 +236,7 @@ def _refined_of_json(found: Mapping[str, Any]) -> Refined:
         suspicion=suspicion["cause"] if suspicion else None,
         likelihood=_likelihood_of_json(found["likelihood"]),
         second_lobe=SecondLobe._of_json(second_lobe) if second_lobe else None,
+        converged=found.get("descent", "at_bound") == "at_bound",
     )
 
 

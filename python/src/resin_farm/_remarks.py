@@ -42,7 +42,9 @@ def of_channel(material: str, fit: ChannelFit) -> Iterator[str]:
         yield f"{name}: {chi2} is too small: neighbouring pixels share their errors, or the errors are too large"
     if likelihood.outliers:
         yield f"{name}: {likelihood.outliers} of its pixels left out"
-    if not refined.resolved_at_g and fit.outside is None:
+    if not refined.converged:
+        yield f"{name}: not converged: neither the medium nor its intervals hold"
+    elif not refined.resolved_at_g and fit.outside is None:
         yield f"{name}: unresolved: {_unresolved(refined.sigma_t_per_mm)}"
     elif not refined.resolved and fit.outside is None:
         yield f"{name}: g open: σ_t and α are valid for this g only"

@@ -175,6 +175,8 @@ class Refined:
     second_lobe: SecondLobe | None = None
     """The second lobe of the phase function, at its estimate; None if the function has none. `likelihood.scene` has
     the standard errors of what was estimated, with the priors."""
+    converged: bool = True
+    """Whether the descent ended at a minimum; if not, neither the medium nor its intervals hold."""
 
     def __repr__(self) -> str:
         return _display.short(self, self._summary())

@@ -92,7 +92,7 @@ impl Session {
     pub fn neutral(&self) -> Neutral {
         let area = |[x, y, width, height]: [f64; 4]| Area { x, y, width, height };
         let areas = self.areas_px().into_iter().map(area).collect();
-        Neutral::new(self.rho.iter().map(|r| [*r; 3]).collect(), 0.005, Some(areas)).unwrap()
+        Neutral::new(self.rho.iter().map(|r| vec![*r; 3]).collect(), 0.005, Some(areas)).unwrap()
     }
 
     #[must_use]

@@ -31,7 +31,7 @@ pub struct CapturedPart {
     pub about: About,
     pub calibration: Calibration,
     pub board: Board,
-    pub rho: [BoardRho; 3],
+    pub rho: Vec<BoardRho>,
     /// Radiance factor that slip, gel and camera add everywhere; None without shots over a light trap.
     pub haze: Option<Estimate>,
     /// Factor on ρ of the light side; None without shots of the board under slip and gel.

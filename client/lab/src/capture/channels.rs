@@ -1,19 +1,16 @@
 //! The channels of a session in one form: red, green and blue, or one for each band.
-//!
-//! The photographs of a band have three interleaved parts, each with its own results. Their profiles are joined; errors
-//! that they share, such as that of the light, are averaged, and independent ones shrink.
 
-use optics_capture::{BoardRho, EdgeProfile, EdgeSfr, Estimate, Source, join_parts};
-use optics_capture::{Colour, Contribution};
+use optics_capture::{BoardRho, Calibration, EdgeProfile, EdgeSfr, Estimate, Source};
 
+use super::bands::Band;
 use super::captured::{Captured, CapturedPart, CapturedSample};
 
-/// A channel of measurements, and the columns of a part's results that it has.
+/// A channel of measurements, and its column in the results of its part.
 #[derive(Debug, Clone)]
 pub struct CapturedChannel<'a> {
     pub name: String,
     pub part: &'a CapturedPart,
-    columns: &'static [usize],
+    pub column: usize,
 }
 
 impl Captured {
@@ -34,91 +31,44 @@ pub fn profiles<'a, 'b>(
 
 impl CapturedPart {
     pub fn channels(&self) -> Vec<CapturedChannel<'_>> {
-        match &self.band {
-            Some(band) => vec![CapturedChannel { name: band.channel(), part: self, columns: &[0, 1, 2] }],
-            None => Colour::ALL
-                .map(|colour| CapturedChannel {
-                    name: colour.letter().to_owned(),
-                    part: self,
-                    columns: match colour {
-                        Colour::Red => &[0],
-                        Colour::Green => &[1],
-                        Colour::Blue => &[2],
-                    },
-                })
-                .to_vec(),
-        }
+        let names = channel_names(self.band.as_ref(), &self.calibration).into_iter();
+        names.enumerate().map(|(column, name)| CapturedChannel { name, part: self, column }).collect()
     }
 }
 
-impl CapturedChannel<'_> {
-    pub fn profile(&self, sample: &CapturedSample) -> EdgeProfile {
-        self.joined(&sample.profile.profiles)
+/// The channels of a part in measurements: the wavelength of a band, or the colours of the camera.
+pub(super) fn channel_names(band: Option<&Band>, calibration: &Calibration) -> Vec<String> {
+    let colours = calibration.columns().iter();
+    colours.map(|colour| band.map_or_else(|| colour.letter().to_owned(), Band::channel)).collect()
+}
+
+impl<'a> CapturedChannel<'a> {
+    pub fn profile(&self, sample: &'a CapturedSample) -> &'a EdgeProfile {
+        &sample.profile.profiles[self.column]
     }
 
-    pub fn bare_profile(&self) -> EdgeProfile {
-        self.joined(&self.part.board.profiles)
-    }
-
-    fn joined(&self, profiles: &[EdgeProfile; 3]) -> EdgeProfile {
-        match self.columns {
-            [c] => profiles[*c].clone(),
-            _ => join_parts(profiles),
-        }
+    pub fn bare_profile(&self) -> &'a EdgeProfile {
+        &self.part.board.profiles[self.column]
     }
 
     /// Standard deviation of the camera's blur in mm.
     pub fn blur_mm(&self) -> Estimate {
-        self.independent(&self.part.board.blur_mm)
+        self.part.board.blur_mm[self.column]
     }
 
-    /// Response of the camera to spatial frequencies: of several columns that of the first.
-    pub fn sfr(&self) -> Option<&EdgeSfr> {
-        self.part.board.sfr[self.columns[0]].as_ref()
+    /// Response of the camera to spatial frequencies.
+    pub fn sfr(&self) -> Option<&'a EdgeSfr> {
+        self.part.board.sfr[self.column].as_ref()
     }
 
     pub fn rho(&self) -> BoardRho {
-        let rho = &self.part.rho;
-        let side = |of: &dyn Fn(&BoardRho) -> Estimate| self.shared(&rho.each_ref().map(of));
-        let darker = [0, 1].map(|side| self.mean(|c| rho[c].under_darker_white[side]));
-        BoardRho { light: side(&|r| r.light), dark: side(&|r| r.dark), under_darker_white: darker }
+        self.part.rho[self.column]
     }
 
     /// Standard error of a profile's source, or of several independent ones.
     pub fn error(&self, sample: &CapturedSample, sources: &[Source]) -> f64 {
         let lines = sample.profile.budget.iter().filter(|line| sources.contains(&line.source));
-        lines.map(|line| self.of_line(sample, line).powi(2)).sum::<f64>().sqrt()
-    }
-
-    fn of_line(&self, sample: &CapturedSample, line: &Contribution) -> f64 {
-        match (line.source, self.columns) {
-            (Source::Noise, [_, ..]) if self.columns.len() > 1 => mean(&self.profile(sample).std_errors),
-            _ => self.mean(|c| line.std_error[c].powi(2)).sqrt(),
-        }
-    }
-
-    /// The mean of estimates whose errors are common to the columns.
-    pub fn shared(&self, of: &[Estimate; 3]) -> Estimate {
-        Estimate::new(self.mean(|c| of[c].value), self.mean(|c| of[c].std_error.powi(2)).sqrt())
-    }
-
-    /// The mean of estimates with independent errors, weighted by these.
-    fn independent(&self, of: &[Estimate; 3]) -> Estimate {
-        let weight = |c: usize| of[c].std_error.powi(-2);
-        let whole: f64 = self.columns.iter().map(|c| weight(*c)).sum();
-        match self.columns {
-            [c] => of[*c],
-            _ if !whole.is_finite() || whole <= 0.0 => self.shared(of),
-            columns => {
-                let sum: f64 = columns.iter().map(|c| weight(*c) * of[*c].value).sum();
-                Estimate::new(sum / whole, whole.sqrt().recip())
-            }
-        }
-    }
-
-    /// The mean over the columns.
-    pub fn mean(&self, of: impl Fn(usize) -> f64) -> f64 {
-        self.columns.iter().map(|c| of(*c)).sum::<f64>() / self.columns.len() as f64
+        lines.map(|line| line.std_error[self.column].powi(2)).sum::<f64>().sqrt()
     }
 }
 

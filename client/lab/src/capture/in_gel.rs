@@ -32,11 +32,11 @@ pub(super) fn light_side(
     let relative_error = |c: usize| {
         [dry, wet].map(|board| board.light_error(calibration, c)).into_iter().fold(0.0, libm::hypot)
     };
-    let light = [0, 1, 2].map(|c| {
-        let Estimate { value, std_error } = wet.light[c];
-        Estimate::new(value, libm::hypot(std_error, relative_error(c) * value))
-    });
-    let found = factor(scene, light, haze).context("the board in gel")?;
+    let seen = |(c, light): (usize, &Estimate)| {
+        Estimate::new(light.value, libm::hypot(light.std_error, relative_error(c) * light.value))
+    };
+    let light: Vec<Estimate> = wet.light.iter().enumerate().map(seen).collect();
+    let found = factor(scene, &light, haze).context("the board in gel")?;
     let prior = scene.priors().iter().find(|prior| prior.kind() == PriorKind::LightSide);
     if let Some((low, high)) = prior.map(|prior| prior.range(scene))
         && !(1.0 + low..=1.0 + high).contains(&found.value)
@@ -53,15 +53,15 @@ pub(super) fn light_side(
 }
 
 /// A warning if ρ under gel and that of the dry board differ.
-pub(super) fn gloss(factor: Estimate, rho: &[BoardRho; 3]) -> Option<Warning> {
-    let dry = rho.iter().map(|rho| rho.light.value).sum::<f64>() / 3.0;
+pub(super) fn gloss(factor: Estimate, rho: &[BoardRho]) -> Option<Warning> {
+    let dry = rho.iter().map(|rho| rho.light.value).sum::<f64>() / rho.len() as f64;
     let warning = Warning::Gloss { wet: dry * factor.value, std_error: dry * factor.std_error, dry };
     ((factor.value - 1.0).abs() > 3.0 * factor.std_error).then_some(warning)
 }
 
 /// The factor from the radiance factors of the light side of each channel.
-fn factor(scene: &Scene, light: [Estimate; 3], haze: Estimate) -> Result<Estimate, Invalid> {
-    let values = light.map(|side| side.value);
+fn factor(scene: &Scene, light: &[Estimate], haze: Estimate) -> Result<Estimate, Invalid> {
+    let values: Vec<f64> = light.iter().map(|side| side.value).collect();
     let found = factors(scene, &values, haze.value);
     let here = mean(&found);
     // Haze and errors of the scene are common to the channels.
@@ -75,13 +75,15 @@ fn factor(scene: &Scene, light: [Estimate; 3], haze: Estimate) -> Result<Estimat
         let there = mean(&factors(&varied.with_channels(channels)?, &values, haze.value));
         common += (there - here).powi(2);
     }
-    let scatter = found.iter().map(|factor| (factor - here).powi(2)).sum::<f64>() / 6.0;
-    let noise = light.iter().map(|side| (side.std_error / side.value).powi(2)).sum::<f64>() / 9.0;
+    let n = found.len() as f64;
+    let squares = found.iter().map(|factor| (factor - here).powi(2)).sum::<f64>();
+    let scatter = squares / f64::max(n * (n - 1.0), 1.0);
+    let noise = light.iter().map(|side| (side.std_error / side.value).powi(2)).sum::<f64>() / (n * n);
     Ok(Estimate::new(here, (scatter.max(noise) + common).sqrt()))
 }
 
 /// The factor of each channel.
-fn factors(scene: &Scene, light: &[f64; 3], haze: f64) -> Vec<f64> {
+fn factors(scene: &Scene, light: &[f64], haze: f64) -> Vec<f64> {
     let above = scene.layers().iter().take_while(|layer| layer.medium() != LayerMedium::Sample).last();
     let gel_ior = match above.map(Layer::medium) {
         Some(LayerMedium::Clear { ior, .. }) => ior,
@@ -118,7 +120,7 @@ mod tests {
         let stack = Print::new(&scene, 1.33, 1.0);
         let seen = |channel: &Channel| stack.radiance_factors(&[], &[0.97 * channel.rho_light()])[0] + 0.008;
         let light = [0, 1, 2].map(|c| Estimate::new(seen(&scene.channels()[c]), 1e-4));
-        let found = |std_error| factor(&scene, light, Estimate::new(0.008, std_error)).unwrap();
+        let found = |std_error| factor(&scene, &light, Estimate::new(0.008, std_error)).unwrap();
         let (sharp, wide) = (found(1e-4), found(4e-3));
         assert!((sharp.value - 0.97).abs() < 1e-6, "{sharp:?}");
         assert!((5e-4..5e-3).contains(&sharp.std_error), "{sharp:?}");

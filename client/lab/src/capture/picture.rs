@@ -1,7 +1,7 @@
 //! Renders small pictures of photographs in sRGB.
 
 use base64::Engine as _;
-use optics_capture::{Frame, Pattern};
+use optics_capture::Frame;
 
 /// Width of the pictures in the report, in pixels.
 const WIDTH: usize = 360;
@@ -48,28 +48,10 @@ impl Thumbnail {
 
 fn mean(frame: &Frame, left: usize, top: usize, side: usize) -> [f32; 3] {
     let (mut sums, mut counts) = ([0_u64; 3], [0_u32; 3]);
-    let samples = frame.samples();
-    for y in top..top + side {
-        for x in left..left + side {
-            match frame.pattern() {
-                Pattern::Bayer(colours) => {
-                    let c = colours[2 * (y % 2) + x % 2].index();
-                    sums[c] += u64::from(samples[y * frame.width() + x]);
-                    counts[c] += 1;
-                }
-                Pattern::Rgb => {
-                    for c in 0..3 {
-                        sums[c] += u64::from(samples[3 * (y * frame.width() + x) + c]);
-                        counts[c] += 1;
-                    }
-                }
-                Pattern::One(_) => {
-                    for c in 0..3 {
-                        sums[c] += u64::from(samples[y * frame.width() + x]);
-                        counts[c] += 1;
-                    }
-                }
-            }
+    for site in frame.sites() {
+        for (x, y) in site.pixels(left..left + side, top..top + side, 1) {
+            sums[site.colour.index()] += u64::from(frame.at(site, x, y));
+            counts[site.colour.index()] += 1;
         }
     }
     std::array::from_fn(|c| sums[c] as f32 / counts[c].max(1) as f32)
@@ -99,7 +81,7 @@ pub fn data_uri(width: usize, height: usize, rgb: &[u8]) -> String {
 
 #[cfg(test)]
 mod tests {
-    use optics_capture::Colour;
+    use optics_capture::{Colour, Pattern};
 
     use super::*;
 

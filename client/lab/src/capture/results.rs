@@ -112,7 +112,7 @@ fn measurements(captured: &Captured) -> Result<Vec<u8>> {
             ProfileSetup { blur_mm: Some(blur.value), blur_std_error_mm: Some(blur.std_error), ..known };
         let set_up: Vec<String> =
             known.values().map(|(_, value)| value.map_or_else(String::new, cell)).collect();
-        for [x, value, error] in points(&profile) {
+        for [x, value, error] in points(profile) {
             let names = [sample.about.material.clone(), channel.name.clone()];
             let numbers = [
                 sample.about.thickness_mm.to_string(),
@@ -336,8 +336,8 @@ fn board(part: &CapturedPart) -> Value {
         "edge_bend_px": estimate(board.edge.bend_px),
         "dark_side": board.edge.dark_side.to_string(),
         "corners_found": board.corners_px.len(),
-        "seen_light": by_channel(&|c| estimate(c.shared(&board.light))),
-        "seen_dark": by_channel(&|c| estimate(c.shared(&board.dark))),
+        "seen_light": by_channel(&|c| estimate(board.light[c.column])),
+        "seen_dark": by_channel(&|c| estimate(board.dark[c.column])),
         "rho_light": by_channel(&|c| estimate(c.rho().light)),
         "rho_dark": by_channel(&|c| estimate(c.rho().dark)),
         "warnings": report::texts(&board.warnings),
@@ -357,10 +357,10 @@ fn camera(part: &CapturedPart) -> Value {
         "iso": about.iso,
         "f_number": about.f_number,
         "noise": noise.collect::<Vec<_>>(),
-        "glare": by_channel(&|c| estimate(c.shared(&calibration.glare))),
-        "numbers_per_unit": by_channel(&|c| estimate(c.shared(&calibration.gain))),
-        "linearity": by_channel(&|c| json!(c.mean(|i| calibration.linearity[i]))),
-        "drift": by_channel(&|c| json!(c.mean(|i| calibration.drift[i]))),
+        "glare": by_channel(&|c| estimate(calibration.glare[c.column])),
+        "numbers_per_unit": by_channel(&|c| estimate(calibration.gain[c.column])),
+        "linearity": by_channel(&|c| json!(calibration.linearity[c.column])),
+        "drift": by_channel(&|c| json!(calibration.drift[c.column])),
         "patches_px": areas.collect::<Vec<_>>(),
         "warnings": report::texts(&calibration.warnings),
     })
@@ -378,7 +378,7 @@ fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
     let sources = sample.profile.budget.iter().map(|of| of.source);
     let budget = sources.map(|source| line(source.name(), source.unit(), &|c| c.error(sample, &[source])));
     let light = sample.profile.shots.iter();
-    let light = light.map(|shot| shot.light.map(|light| by_channel(&|c| estimate(c.shared(&light)))));
+    let light = light.map(|shot| shot.light.as_ref().map(|light| by_channel(&|c| estimate(light[c.column]))));
     json!({
         "material": sample.about.material,
         "thickness_mm": sample.about.thickness_mm,

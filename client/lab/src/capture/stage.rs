@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use optics_capture::{
-    Appearance, BareShots, BlueCutShots, Board, BoardRho, Calibration, Colour, Darks, Estimate, Flats,
-    HazeShots, Mountings, Patches, Photo, Warning,
+    Appearance, BareShots, BlueCutShots, Board, BoardRho, Calibration, Darks, Estimate, Flats, HazeShots,
+    Mountings, Patches, Photo, Warning,
 };
 use optics_model::scene::{Channel, LEAST_RHO_DARK};
 use optics_model::{Invalid, Scene};
@@ -14,6 +14,7 @@ use optics_tracer::{BareBoard, SeenBase};
 use super::band_optics::BandOptics;
 use super::bands::BandPixels;
 use super::captured::{Captured, CapturedPart, CapturedSample};
+use super::channels::channel_names;
 use super::in_gel::{gloss, light_side};
 use super::session_file::{CaptureSession, Sample, SessionPart};
 use super::shots::{Shots, turned};
@@ -54,9 +55,7 @@ impl SessionRun<'_> {
     fn part(&mut self, session: &CaptureSession, part: SessionPart) -> Result<CapturedPart> {
         let Some(band) = part.band.clone() else { return self.steps(session, part) };
         self.shots.of_band(Some(band.pixels));
-        self.steps(session, part).with_context(|| {
-            format!("band {:?} (its three interleaved parts are called red, green and blue)", band.name)
-        })
+        self.steps(session, part).with_context(|| format!("band {:?}", band.name))
     }
 
     /// All steps of a part.
@@ -67,12 +66,13 @@ impl SessionRun<'_> {
             check_monochrome(&calibration)?;
         }
         let mut board = self.board(session, [&part.bare, &part.edge], "bare board", &calibration)?;
-        let rho = board_rho(&session.scene, &mut board, calibration.reference_std_error)?;
+        let names = channel_names(part.band.as_ref(), &calibration);
+        let rho = board_rho(&session.scene, &mut board, &calibration, &names)?;
         let haze = self.haze(&part.haze, &calibration, &board)?;
         let mut wet = None;
         if let Some(haze) = haze.filter(|_| !part.in_gel.is_empty()) {
             let seen = self.board(session, [&part.in_gel, &[]], "board in gel", &calibration)?;
-            let scene = session.scene.clone().with_channels(board_channels(&rho)?)?;
+            let scene = session.scene.clone().with_channels(board_channels(&names, &rho)?)?;
             let factor = light_side(&scene, &calibration, [&board, &seen], haze)?;
             // The dry board has shown its spread.
             let others = seen.warnings.into_iter().filter(|w| !matches!(w, Warning::SpreadingBoard { .. }));
@@ -161,7 +161,7 @@ impl SessionRun<'_> {
         let mut strip = None;
         for path in &slab.shots {
             let photo = self.read(path, &label)?;
-            let x_mm = &board.profiles[1].x_mm;
+            let x_mm = &board.profiles[0].x_mm;
             if part.band.is_none() {
                 strip.get_or_insert_with(|| Strip::of(&photo.frame, board, x_mm));
             }
@@ -177,48 +177,53 @@ impl SessionRun<'_> {
     }
 }
 
-/// Largest ratio of the brightness of two parts of a monochrome sensor's pixels.
+/// Largest ratio of the brightness of two of a monochrome sensor's 2 × 2 pixels.
 const SAME_PIXELS: f64 = 1.03;
 
 /// Refuses a mosaic that is read as a monochrome camera's photograph: its pixels differ in brightness.
 fn check_monochrome(calibration: &Calibration) -> Result<()> {
-    let gains = calibration.gain.map(|gain| gain.value);
-    let (least, most) = gains.iter().fold((f64::INFINITY, 0.0_f64), |(a, b), v| (v.min(a), v.max(b)));
-    if most <= SAME_PIXELS * least {
+    let ratio = calibration.site_ratio();
+    if ratio <= SAME_PIXELS {
         return Ok(());
     }
     bail!(
         "pixels side by side differ in brightness by {:.0} %: this looks like a mosaic of colours; set `pattern` under \
          [camera], and `channel` of the band to \"R\", \"G\" or \"B\"",
-        100.0 * (most / least - 1.0)
+        100.0 * (ratio - 1.0)
     )
 }
 
 /// ρ of the board without the effect of the scene. A dark side below 0 is accepted where the priors of the scene explain
 /// it.
-fn board_rho(scene: &Scene, board: &mut Board, gain_std_error: f64) -> Result<[BoardRho; 3]> {
+fn board_rho(
+    scene: &Scene,
+    board: &mut Board,
+    calibration: &Calibration,
+    names: &[String],
+) -> Result<Vec<BoardRho>> {
     // Light and coat are the same for all channels.
     let seen = BareBoard::of(scene).context("the session's scene")?;
     let shown = Appearance { s: seen.specular, a: seen.gain, b: seen.returned };
-    let rho = board.rho(shown, gain_std_error);
+    let rho = board.rho(shown, calibration.reference_std_error);
     if rho.iter().all(BoardRho::is_plausible) {
         return Ok(rho);
     }
-    let found = scene.clone().with_channels(board_channels(&rho)?)?;
+    let found = scene.clone().with_channels(board_channels(names, &rho)?)?;
     let of_scene = SeenBase::of(&found).std_errors()?;
-    for ((colour, rho), of_scene) in Colour::ALL.into_iter().zip(&rho).zip(of_scene) {
+    let columns = || calibration.columns().iter().copied().zip(&rho);
+    for ((colour, rho), of_scene) in columns().zip(of_scene) {
         rho.check(colour, of_scene)?;
     }
-    let dark = rho.each_ref().map(|rho| rho.dark);
-    if dark.iter().any(|dark| dark.value < -3.0 * dark.std_error) {
-        board.warnings.push(Warning::DarkerThanBlack { rho: dark.map(|dark| dark.value) });
+    if rho.iter().any(|rho| rho.dark.value < -3.0 * rho.dark.std_error) {
+        let rho = columns().map(|(colour, rho)| (colour, rho.dark.value)).collect();
+        board.warnings.push(Warning::DarkerThanBlack { rho });
     }
     Ok(rho)
 }
 
 /// Channels with this board.
-fn board_channels(rho: &[BoardRho; 3]) -> Result<Vec<Channel>, Invalid> {
-    Colour::ALL.into_iter().zip(rho).map(|(colour, rho)| board_channel(colour.letter(), rho)).collect()
+fn board_channels(names: &[String], rho: &[BoardRho]) -> Result<Vec<Channel>, Invalid> {
+    names.iter().zip(rho).map(|(name, rho)| board_channel(name, rho)).collect()
 }
 
 /// A channel with this board; ρ is clamped to its range.

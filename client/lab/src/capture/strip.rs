@@ -28,7 +28,7 @@ impl Strip {
     }
 
     /// A picture of radiance factors, calibrated by `profiles`.
-    pub fn data_uri(&self, profiles: &[EdgeProfile; 3]) -> String {
+    pub fn data_uri(&self, profiles: &[EdgeProfile]) -> String {
         let width = self.x_mm.len();
         let lines = [0, 1, 2].map(|c| self.line_to(c, &profiles[c]));
         let value = |v: &[f32; 3], c: usize| lines[c].0 + lines[c].1 * f64::from(v[c]);

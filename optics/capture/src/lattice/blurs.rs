@@ -3,7 +3,6 @@
 use super::scan::{EdgePoint, Run};
 use crate::blur::{self, EdgeBins};
 use crate::estimate::Estimate;
-use crate::frame::Colour;
 use crate::view::PhotoView;
 
 /// Width of the bins, in pixels.
@@ -32,7 +31,7 @@ pub(super) fn blur_px(
     };
     for point in smooth(points) {
         let on = point.on as usize;
-        for site in frame.sites().into_iter().filter(|s| s.colour == Colour::Green) {
+        for site in frame.sites_of(view.sharpest()) {
             if !(if run == Run::Down { site.has_row(on) } else { site.has_column(on) }) {
                 continue;
             }

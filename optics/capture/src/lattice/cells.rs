@@ -3,7 +3,7 @@
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
-use crate::frame::Colour;
+use crate::frame::Site;
 use crate::least_squares::robust_mean;
 use crate::refusal::Refusal;
 
@@ -15,7 +15,7 @@ const FREE: f64 = 0.015;
 
 /// Mean radiance factor of each cell and channel, by distance from the edge within each row.
 #[derive(Debug, Clone)]
-pub(crate) struct CropCells([Vec<CellMean>; 3]);
+pub(crate) struct CropCells(Vec<Vec<CellMean>>);
 
 #[derive(Debug, Clone, Copy)]
 struct CellMean {
@@ -25,12 +25,15 @@ struct CellMean {
 
 impl CropCells {
     pub fn of(radiance: &Radiance<'_>, edge: &EdgeFrame) -> Self {
-        Self(Colour::ALL.map(|colour| (0..CELLS * CELLS).map(|k| cell(radiance, edge, colour, k)).collect()))
+        Self(radiance.frame.each(|colour| {
+            let sites = radiance.frame.sites_of(colour);
+            (0..CELLS * CELLS).map(|k| cell(radiance, edge, &sites, k)).collect()
+        }))
     }
 
     /// Mean over the crop, per channel; half of the difference between its sides counts as error.
-    pub fn levels(&self) -> [Estimate; 3] {
-        self.0.each_ref().map(|cells| {
+    pub fn levels(&self) -> Vec<Estimate> {
+        let level = |cells: &Vec<CellMean>| {
             let side = |light: bool| {
                 let of_side = cells.iter().enumerate().filter(|(k, _)| is_light(*k) == light);
                 robust_mean(&of_side.map(|(_, cell)| cell.value).collect::<Vec<_>>())
@@ -38,7 +41,8 @@ impl CropCells {
             let ([a, noise_a], [b, noise_b]) = (<[f64; 2]>::from(side(false)), <[f64; 2]>::from(side(true)));
             let std_error = libm::hypot(0.5 * libm::hypot(noise_a, noise_b), 0.5 * (a - b));
             Estimate::new(f64::midpoint(a, b), std_error)
-        })
+        };
+        self.0.iter().map(level).collect()
     }
 
     pub fn mean(shots: &[Self]) -> Self {
@@ -47,11 +51,12 @@ impl CropCells {
             let sum = |f: fn(&CellMean) -> f64| shots.iter().map(|s| f(&s.0[c][k])).sum::<f64>();
             CellMean { value: sum(|c| c.value) / n, std_error: sum(|c| c.std_error) / n / n.sqrt() }
         };
-        Self([0, 1, 2].map(|c| (0..CELLS * CELLS).map(|k| cell_mean(c, k)).collect()))
+        let cells = |c: usize| (0..CELLS * CELLS).map(|k| cell_mean(c, k)).collect();
+        Self((0..shots[0].0.len()).map(cells).collect())
     }
 
     /// These means, corrected for light that is brighter by a factor.
-    pub fn under(mut self, light: &[Estimate; 3]) -> Self {
+    pub fn under(mut self, light: &[Estimate]) -> Self {
         for (cells, light) in self.0.iter_mut().zip(light) {
             for cell in cells {
                 *cell = CellMean { value: cell.value / light.value, std_error: cell.std_error / light.value };
@@ -100,8 +105,8 @@ impl CropCells {
     }
 
     fn is_free(&self, sample: &Self, k: usize) -> bool {
-        (0..3).all(|c| {
-            let (bare, now) = (self.0[c][k], sample.0[c][k]);
+        self.0.iter().zip(&sample.0).all(|(bare, sample)| {
+            let (bare, now) = (bare[k], sample[k]);
             let noise = libm::hypot(bare.std_error, now.std_error);
             (now.value - bare.value).abs() < (FREE * bare.value).max(3.0 * noise)
         })
@@ -113,21 +118,15 @@ fn is_light(k: usize) -> bool {
     k % CELLS >= CELLS / 2
 }
 
-fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, colour: Colour, k: usize) -> CellMean {
+fn cell(radiance: &Radiance<'_>, edge: &EdgeFrame, sites: &[Site], k: usize) -> CellMean {
     const STEPS: usize = 8;
     let side = 2.0 * HALF_CROP_MM / CELLS as f64;
     let at = |i: usize, part: usize| (i as f64 + (part as f64 + 0.5) / STEPS as f64) * side - HALF_CROP_MM;
-    let sites: Vec<_> = radiance.frame.sites().into_iter().filter(|s| s.colour == colour).collect();
     let mut values = Vec::new();
     for part in 0..STEPS * STEPS {
-        let [x, y] = edge.px([at(k % CELLS, part % STEPS), at(k / CELLS, part / STEPS)]);
-        for site in &sites {
-            let on = |v: f64, first: usize, limit: usize| {
-                let steps = ((v - 0.5 - first as f64) / site.step as f64).round().max(0.0) as usize;
-                (first + steps * site.step).min(limit - 1 - (limit - 1 - first) % site.step)
-            };
-            let (x, y) =
-                (on(x, site.column, radiance.frame.width()), on(y, site.row, radiance.frame.height()));
+        let px = edge.px([at(k % CELLS, part % STEPS), at(k / CELLS, part / STEPS)]);
+        for site in sites {
+            let (x, y) = site.nearest(px, radiance.frame);
             values.push(radiance.sample(*site, x, y).value);
         }
     }

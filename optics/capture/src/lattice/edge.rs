@@ -4,7 +4,7 @@ use super::lines::{BoardLine, EdgeStretch};
 use super::pose::Pose;
 use super::scan::Run;
 use crate::estimate::Estimate;
-use crate::least_squares::{NormalEquations, spread, tukey};
+use crate::least_squares::robust_fit;
 use crate::refusal::{Refusal, Side};
 
 /// Half of the crop's sides, in mm: the paper's 1 × 1 cm.
@@ -175,32 +175,11 @@ struct Straight {
 /// Fits offset and slope within the crop, and the remaining bow b (along² − h²/3), whose height is b h², h being half of
 /// the crop's side.
 fn straighten(frame: &mut EdgeFrame, stretch: &EdgeStretch) -> Option<Straight> {
-    let places: Vec<[f64; 2]> = stretch
-        .points
-        .iter()
-        .map(|p| frame.mm(p.px(frame.run)))
-        .map(|[d, t]| [frame.sign * d, t])
-        .filter(|[_, t]| t.abs() <= HALF_CROP_MM)
-        .collect();
-    let rows = |t: f64| [1.0, t, t * t - HALF_CROP_MM * HALF_CROP_MM / 3.0];
-    let mut weights = vec![1.0; places.len()];
-    let mut found = None;
-    let mut sigma = 0.0;
-    for _ in 0..10 {
-        let mut normal = NormalEquations::new(3);
-        for ([d, t], w) in places.iter().zip(&weights) {
-            normal.add(&rows(*t), *d, *w);
-        }
-        let solution = normal.solve()?;
-        let residuals: Vec<f64> = places
-            .iter()
-            .map(|[d, t]| d - rows(*t).iter().zip(solution.x.iter()).map(|(r, x)| r * x).sum::<f64>())
-            .collect();
-        sigma = spread(&residuals).max(1e-9);
-        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-        found = Some(solution);
-    }
-    let solution = found?;
+    let row = |t: f64| [1.0, t, t * t - HALF_CROP_MM * HALF_CROP_MM / 3.0];
+    let places = stretch.points.iter().map(|p| frame.mm(p.px(frame.run)));
+    let places = places.filter(|[_, t]| t.abs() <= HALF_CROP_MM);
+    let places: Vec<([f64; 3], f64)> = places.map(|[d, t]| (row(t), frame.sign * d)).collect();
+    let (solution, sigma) = robust_fit(&places, 10)?;
     (frame.offset_mm, frame.slope) = (solution.x[0], solution.x[1]);
     let height = HALF_CROP_MM * HALF_CROP_MM;
     Some(Straight {

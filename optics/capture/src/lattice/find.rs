@@ -1,5 +1,7 @@
 //! Finds the board in a photograph, and the free edges that show how sharp it is.
 
+use optics_model::descent::DescentEnd;
+
 use super::Target;
 use super::edge::{EdgeFrame, EdgeLine, choose, dark_side, place};
 use super::lines::{BoardLine, EdgeStretch, number, stretches};
@@ -17,6 +19,8 @@ pub(crate) struct LocatedBoard {
     pub edge: EdgeLine,
     /// Relative standard error of lengths in the frame's middle.
     pub scale_std_error: f64,
+    /// How the descent to its pose ended.
+    pub end: DescentEnd,
     pub corners_px: Vec<[f64; 2]>,
     pub seen: BoardEdges,
 }
@@ -62,7 +66,8 @@ pub(crate) fn find(view: PhotoView<'_>, target: Target) -> Result<LocatedBoard, 
     }
     let (edge_frame, edge) = place(&photo.label, line, stretch, fitted.pose, target.square_mm, size)?;
     let corners_px = corners(&down, &across, &fitted.pose, size);
-    Ok(LocatedBoard { edge_frame, edge, scale_std_error: fitted.scale_std_error, corners_px, seen })
+    let pose::FittedPose { scale_std_error, end, .. } = fitted;
+    Ok(LocatedBoard { edge_frame, edge, scale_std_error, end, corners_px, seen })
 }
 
 /// A straight edge between black and white.

@@ -9,7 +9,7 @@ use super::lines::EdgeStretch;
 use super::scan::{EdgePoint, Run};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
-use crate::frame::Colour;
+use crate::frame::Photo;
 use crate::least_squares::{median, robust_mean, spread};
 use crate::refusal::Refusal;
 
@@ -55,10 +55,13 @@ pub(crate) struct Patch<'a> {
 }
 
 /// Mean radiance factor of a patch in each colour.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct PatchRadiance {
-    value: [f64; 3],
-    variance: [f64; 3],
+#[derive(Debug, Clone)]
+pub(crate) struct PatchRadiance(Vec<RadianceMean>);
+
+#[derive(Debug, Clone, Copy)]
+struct RadianceMean {
+    value: f64,
+    variance: f64,
 }
 
 /// Points of an edge that share a patch.
@@ -95,23 +98,26 @@ impl<'a> Patch<'a> {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
-        let (mut sums, mut variances, mut counts) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        let mut sums = vec![(0.0, 0.0, 0.0); frame.columns().len()];
         for on in self.on[0] as usize..=self.on[1] as usize {
             let edge = self.stretch.at(on as f64 + 0.5);
             let offset = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
             let [from, to] = [edge + offset, edge + offset + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
             for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
                 for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
-                    let (c, sample) = (site.colour.index(), radiance.sample(site, x, y));
-                    sums[c] += sample.value;
-                    variances[c] += sample.variance;
-                    counts[c] += 1.0;
+                    let sample = radiance.sample(site, x, y);
+                    let (value, variance, count) = &mut sums[site.colour.index()];
+                    *value += sample.value;
+                    *variance += sample.variance;
+                    *count += 1.0;
                 }
             }
         }
-        let over =
-            |of: [f64; 3], power: i32| std::array::from_fn(|c| of[c] / f64::max(counts[c], 1.0).powi(power));
-        PatchRadiance { value: over(sums, 1), variance: over(variances, 2) }
+        let mean = |(value, variance, count): (f64, f64, f64)| {
+            let n = f64::max(count, 1.0);
+            RadianceMean { value: value / n, variance: variance / n.powi(2) }
+        };
+        PatchRadiance(sums.into_iter().map(mean).collect())
     }
 }
 
@@ -119,21 +125,18 @@ impl PatchRadiance {
     /// The mean of each patch over several shots.
     pub fn mean(shots: &[Vec<Self>]) -> Vec<Self> {
         let n = shots.len() as f64;
-        let mean = |k: usize| {
-            let sum = |f: &dyn Fn(&Self) -> f64| shots.iter().map(|s| f(&s[k])).sum::<f64>();
-            Self {
-                value: std::array::from_fn(|c| sum(&|r| r.value[c]) / n),
-                variance: std::array::from_fn(|c| sum(&|r| r.variance[c]) / (n * n)),
-            }
+        let mean = |k: usize, c: usize| {
+            let sum = |f: fn(&RadianceMean) -> f64| shots.iter().map(|shot| f(&shot[k].0[c])).sum::<f64>();
+            RadianceMean { value: sum(|r| r.value) / n, variance: sum(|r| r.variance) / (n * n) }
         };
-        (0..shots.first().map_or(0, Vec::len)).map(mean).collect()
+        let patches = shots.first().map_or(&[][..], |first| first).iter().enumerate();
+        patches.map(|(k, patch)| Self((0..patch.0.len()).map(|c| mean(k, c)).collect())).collect()
     }
 }
 
 /// Brightness of a shot relative to the bare shots at the free patches, in each colour.
-pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<[Estimate; 3]> {
-    let [red, green, blue] = [0, 1, 2].map(|c| channel_factor(bare, shot, free, c));
-    Some([red?, green?, blue?])
+pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<Vec<Estimate>> {
+    (0..bare.first()?.0.len()).map(|c| channel_factor(bare, shot, free, c)).collect()
 }
 
 /// Brightness in one colour. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
@@ -145,10 +148,11 @@ pub(crate) fn channel_factor(
     c: usize,
 ) -> Option<Estimate> {
     let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
-    let relative = |r: &PatchRadiance| r.variance[c].sqrt() / r.value[c];
-    let sound = pairs.filter(|(bare, shot)| bare.value[c] > 0.0 && shot.value[c] > 0.0);
+    let relative = |r: RadianceMean| r.variance.sqrt() / r.value;
+    let sound = pairs.map(|(bare, shot)| (bare.0[c], shot.0[c]));
+    let sound = sound.filter(|(bare, shot)| bare.value > 0.0 && shot.value > 0.0);
     let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
-        sound.map(|(b, s)| (s.value[c] / b.value[c], libm::hypot(relative(b), relative(s)))).unzip();
+        sound.map(|(b, s)| (s.value / b.value, libm::hypot(relative(b), relative(s)))).unzip();
     if ratios.len() < PATCHES {
         return None;
     }
@@ -174,16 +178,16 @@ fn less_chance(factor: Estimate) -> Estimate {
 const DIVIDED_OUT: f64 = 0.055;
 
 /// Refuses a shot whose light differs too much from that of the bare shots.
-pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
+pub(crate) fn check(photo: &Photo, light: &[Estimate]) -> Result<(), Refusal> {
     let beyond = |l: &Estimate| (l.value - 1.0).abs() - 3.0 * l.std_error > DIVIDED_OUT;
-    let changes = Colour::ALL.into_iter().zip(light).filter(|(_, l)| beyond(l));
+    let changes = photo.frame.columns().iter().zip(light).filter(|(_, l)| beyond(l));
     match changes.max_by(|a, b| (a.1.value - 1.0).abs().total_cmp(&(b.1.value - 1.0).abs())) {
         None => Ok(()),
         Some((colour, change)) => {
             let percent = 100.0 * (change.value - 1.0);
             Err(Refusal::LightChanged {
-                label: label.to_owned(),
-                colour,
+                label: photo.label.clone(),
+                colour: *colour,
                 percent,
                 allowed: 100.0 * DIVIDED_OUT,
             })
@@ -192,21 +196,21 @@ pub(crate) fn check(label: &str, light: &[Estimate; 3]) -> Result<(), Refusal> {
 }
 
 /// Relative error of the mean light of several shots: their differences, and the unevenness of these.
-pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>]) -> [f64; 3] {
+pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>], columns: usize) -> Vec<f64> {
     let n = shots.len() as f64;
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =
             shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
         factor(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
     });
-    let mut squares = [0.0; 3];
+    let mut squares = vec![0.0_f64; columns];
     for factor in against_others {
         for (sum, f) in squares.iter_mut().zip(factor) {
             // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
             *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
         }
     }
-    squares.map(f64::sqrt)
+    squares.into_iter().map(f64::sqrt).collect()
 }
 
 #[cfg(test)]

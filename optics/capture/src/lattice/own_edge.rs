@@ -2,8 +2,7 @@
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
 use crate::calibration::Radiance;
-use crate::frame::Colour;
-use crate::least_squares::{NormalEquations, robust_mean, spread, tukey};
+use crate::least_squares::{robust_fit, robust_mean};
 
 /// Strips across the edge, samples across each for its mean, and the tangent of the largest angle to the board's edge.
 const STRIPS: usize = 40;
@@ -21,24 +20,13 @@ pub(crate) fn own_edge(radiance: &Radiance<'_>, board: &EdgeFrame) -> Option<Edg
     let crossings: Vec<StripCrossing> = strips.filter_map(|y| crossing(radiance, board, y)).collect();
     let rising = crossings.iter().filter(|c| c.rises).count();
     let rises = 2 * rising > crossings.len();
-    let places: Vec<[f64; 2]> =
-        crossings.iter().filter(|c| c.rises == rises).map(|c| [c.x_mm, c.y_mm]).collect();
+    let places = crossings.iter().filter(|c| c.rises == rises);
+    let places: Vec<([f64; 2], f64)> = places.map(|c| ([1.0, c.y_mm], c.x_mm)).collect();
     if places.len() * 4 < STRIPS * 3 {
         return None;
     }
-    let mut weights = vec![1.0; places.len()];
-    let mut line = [0.0; 2];
-    for _ in 0..10 {
-        let mut normal = NormalEquations::new(2);
-        for ([x, y], weight) in places.iter().zip(&weights) {
-            normal.add(&[1.0, *y], *x, *weight);
-        }
-        let solution = normal.solve()?;
-        line = [solution.x[0], solution.x[1]];
-        let residuals: Vec<f64> = places.iter().map(|[x, y]| x - line[0] - line[1] * y).collect();
-        let sigma = spread(&residuals).max(1e-9);
-        weights = residuals.iter().map(|r| tukey(r / sigma)).collect();
-    }
+    let (found, _) = robust_fit(&places, 10)?;
+    let line = [found.x[0], found.x[1]];
     (line[1].abs() < STEEPEST).then(|| board.moved(line, rises))
 }
 
@@ -51,19 +39,14 @@ struct StripCrossing {
 }
 
 fn crossing(radiance: &Radiance<'_>, board: &EdgeFrame, y_mm: f64) -> Option<StripCrossing> {
-    let sites: Vec<_> = radiance.frame.sites().into_iter().filter(|s| s.colour == Colour::Green).collect();
+    let sites = radiance.frame.sites_of(radiance.frame.pattern().sharpest());
     let strip_mm = 2.0 * HALF_CROP_MM / STRIPS as f64;
     let value = |x_mm: f64| {
         let along = |k: usize| y_mm + ((k as f64 + 0.5) / ACROSS as f64 - 0.5) * strip_mm;
         let values = (0..ACROSS).map(|k| {
-            let [x, y] = board.px([x_mm, along(k)]);
             let site = sites[k % sites.len()];
-            let on = |v: f64, first: usize, limit: usize| {
-                let steps = ((v - 0.5 - first as f64) / site.step as f64).round().max(0.0) as usize;
-                (first + steps * site.step).min(limit - 1 - (limit - 1 - first) % site.step)
-            };
-            let frame = radiance.frame;
-            radiance.sample(site, on(x, site.column, frame.width()), on(y, site.row, frame.height())).value
+            let (x, y) = site.nearest(board.px([x_mm, along(k)]), radiance.frame);
+            radiance.sample(site, x, y).value
         });
         values.sum::<f64>() / ACROSS as f64
     };

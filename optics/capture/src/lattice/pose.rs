@@ -4,6 +4,8 @@
 //! X = (p₀ + p₁ u′ₓ + p₂ u′ᵧ)/(1 + p₆ u′ₓ + p₇ u′ᵧ), Y likewise with p₃, p₄, p₅: a homography behind one radial term
 //! (Brown 1966). X and Y count squares.
 
+use optics_model::descent::{Descended, Descent, DescentEnd, DescentStep};
+
 use super::lines::BoardLine;
 use super::scan::Run;
 use crate::least_squares::{FittedParameters, NormalEquations, spread, tukey};
@@ -45,6 +47,7 @@ pub(crate) struct FittedPose {
     pub pose: Pose,
     /// Relative standard error of lengths in the frame's middle.
     pub scale_std_error: f64,
+    pub end: DescentEnd,
 }
 
 impl Pose {
@@ -136,7 +139,7 @@ pub(crate) fn fit(down: &[BoardLine], across: &[BoardLine], size: [f64; 2]) -> R
         }
     }
     let scale_std_error = libm::hypot(best.scale_error(), open);
-    Ok(FittedPose { pose: best.pose, scale_std_error })
+    Ok(FittedPose { pose: best.pose, scale_std_error, end: best.end })
 }
 
 /// Start of the fit, from the first two lines of a direction that has two.
@@ -169,31 +172,39 @@ struct PoseFit {
     freedom: Freedom,
     solution: FittedParameters,
     sigma: f64,
+    end: DescentEnd,
 }
 
-/// Gauss–Newton with Tukey's weights.
+/// Steps in which all points count, since they still find the place; then they have Tukey's weights.
+const ROUGH: usize = 4;
+/// The tolerance is the square of a step in squares of the board.
+const DESCENT: Descent = Descent { most_steps: 14, tolerance: 1e-16 };
+const LEAST_STEPS: usize = 7;
+/// Share of its standard error within which the last of all steps counts as none.
+const SMALL: f64 = 0.05;
+
 fn solve(start: Pose, ties: &[Tie], freedom: Freedom) -> Option<PoseFit> {
-    let mut pose = start;
-    let mut sigma = f64::INFINITY;
-    let mut solution = None;
-    for round in 0..14 {
-        let residuals: Vec<f64> = ties.iter().map(|t| residual(&pose, t)).collect();
-        sigma = spread(&residuals).max(1e-5);
+    // The pose after a number of steps, with the solution and the spread of the residuals before the last.
+    let step = |(from, taken, ..): &(Pose, usize, f64, Option<FittedParameters>)| {
+        let residuals: Vec<f64> = ties.iter().map(|t| residual(from, t)).collect();
+        let sigma = spread(&residuals).max(1e-5);
         let mut normal = NormalEquations::new(freedom.count());
         for (tie, r) in ties.iter().zip(&residuals) {
-            // The first iterations still find the place, so all points count.
-            let weight = if round < 4 { 1.0 } else { tukey(r / sigma) };
-            normal.add(&gradient(&pose, tie, freedom), -r, weight / (sigma * sigma));
+            let weight = if *taken < ROUGH { 1.0 } else { tukey(r / sigma) };
+            normal.add(&gradient(from, tie, freedom), -r, weight / (sigma * sigma));
         }
-        let step = normal.solve()?;
-        freedom.apply(&mut pose, step.x.as_slice());
-        let settled = round > 5 && step.x.amax() < 1e-8;
-        solution = Some(step);
-        if settled {
-            break;
-        }
-    }
-    Some(PoseFit { pose, freedom, solution: solution?, sigma })
+        let (solution, mut pose) = (normal.solve()?, *from);
+        freedom.apply(&mut pose, solution.x.as_slice());
+        let predicted = solution.x.amax().powi(2);
+        Some(DescentStep { to: (pose, taken + 1, sigma, Some(solution)), predicted })
+    };
+    let Descended { at, end } = DESCENT.whole(LEAST_STEPS, (start, 0, f64::INFINITY, None), step);
+    let (pose, _, sigma, solution) = at;
+    let solution = solution.filter(|_| end != DescentEnd::NoDescent)?;
+    // Tukey's weights let steps shrink slowly: one that is small against its error is the last as well.
+    let is_small = |i: usize| solution.x[i].abs() < SMALL * solution.std_error(i);
+    let end = if (0..freedom.count()).all(is_small) { DescentEnd::Converged } else { end };
+    Some(PoseFit { pose, freedom, solution, sigma, end })
 }
 
 /// Pixels between a point and its line.

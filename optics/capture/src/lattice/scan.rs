@@ -8,7 +8,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::frame::Colour;
+use crate::frame::Site;
 use crate::view::PhotoView;
 
 /// Direction in which a line of the board runs.
@@ -56,12 +56,9 @@ impl Contrast {
         let frame = view.frame();
         let mut values = Vec::new();
         let skip = (frame.width() * frame.height() / 200_000).isqrt().max(1);
-        for site in frame.sites().into_iter().filter(|s| s.colour == Colour::Green) {
-            for y in (site.row..frame.height()).step_by(site.step * skip) {
-                for x in (site.column..frame.width()).step_by(site.step * skip) {
-                    values.push(view.signal(site, x, y));
-                }
-            }
+        for site in frame.sites_of(view.sharpest()) {
+            let pixels = site.pixels(0..frame.width(), 0..frame.height(), skip);
+            values.extend(pixels.map(|(x, y)| view.signal(site, x, y)));
         }
         values.sort_by(f64::total_cmp);
         let part = |hundredths: usize| values[values.len() * hundredths / 100];
@@ -128,27 +125,25 @@ impl EdgeScan {
     }
 
     fn line(&self, view: PhotoView<'_>, run: Run, on: usize, range: Range<usize>) -> Vec<EdgePoint> {
-        let greens = view.frame().sites().into_iter().filter(|s| s.colour == Colour::Green);
-        let mut found = Vec::new();
-        for site in greens {
-            let (first, scanned) = match run {
-                Run::Down => (site.column_from(range.start), site.has_row(on)),
-                Run::Across => (site.row_from(range.start), site.has_column(on)),
-            };
-            if !scanned {
-                continue;
-            }
-            let value = |i: usize| match run {
-                Run::Down => view.signal(site, i, on),
-                Run::Across => view.signal(site, on, i),
-            };
-            let values: Vec<f64> = (first..range.end).step_by(site.step).map(value).collect();
-            let line = ScanLine { values: &values, first: first as f64 + 0.5, pitch: site.step as f64 };
-            let middle = on as f64 + 0.5;
-            let light = |at| view.light(if run == Run::Down { [at, middle] } else { [middle, at] });
-            found.extend(self.crossings(&line, on as f64 + 0.5, light));
-        }
-        found
+        let is_on = |site: &Site| if run == Run::Down { site.has_row(on) } else { site.has_column(on) };
+        let mut sites: Vec<Site> = view.frame().sites_of(view.sharpest()).into_iter().filter(is_on).collect();
+        let from = |site: &Site| match run {
+            Run::Down => site.column_from(range.start),
+            Run::Across => site.row_from(range.start),
+        };
+        sites.sort_by_key(from);
+        let Some(first) = sites.first().map(from) else { return Vec::new() };
+        // In a monochrome frame two sites alternate.
+        let pitch = sites[0].step / sites.len();
+        let value = |i: usize| {
+            let site = sites[(i - first) / pitch % sites.len()];
+            if run == Run::Down { view.signal(site, i, on) } else { view.signal(site, on, i) }
+        };
+        let values: Vec<f64> = (first..range.end).step_by(pitch).map(value).collect();
+        let line = ScanLine { values: &values, first: first as f64 + 0.5, pitch: pitch as f64 };
+        let middle = on as f64 + 0.5;
+        let light = |at| view.light(if run == Run::Down { [at, middle] } else { [middle, at] });
+        self.crossings(&line, middle, light)
     }
 
     fn crossings(&self, line: &ScanLine<'_>, on: f64, light: impl Fn(f64) -> f64) -> Vec<EdgePoint> {

@@ -23,11 +23,11 @@ pub(super) const LEAST: usize = 3;
 pub(super) struct ExposedWhite {
     pub label: String,
     pub time_s: f64,
-    pub readings: [RawReading; 3],
+    pub readings: Vec<RawReading>,
 }
 
 /// Greatest deviation from proportionality, per channel.
-pub(super) fn linearity(exposures: &[ExposedWhite]) -> Result<[f64; 3], Refusal> {
+pub(super) fn linearity(exposures: &[ExposedWhite], columns: &[Colour]) -> Result<Vec<f64>, Refusal> {
     let times: Vec<f64> = exposures.iter().map(|e| e.time_s).collect();
     let longest = times.iter().fold(0.0, |most: f64, t| most.max(*t));
     let shortest = times.iter().fold(f64::INFINITY, |least: f64, t| least.min(*t));
@@ -41,24 +41,27 @@ pub(super) fn linearity(exposures: &[ExposedWhite]) -> Result<[f64; 3], Refusal>
     let stated = deviations(exposures, &times);
     let exact: Option<Vec<f64>> = times.iter().map(|t| exact(*t)).collect();
     let found = exact.map(|exact| deviations(exposures, &exact)).into_iter().chain([stated]);
-    let most = |each: &Vec<[f64; 3]>| each.as_flattened().iter().fold(0.0, |most: f64, d| most.max(d.abs()));
+    let most = |each: &Vec<Vec<f64>>| each.iter().flatten().fold(0.0, |most: f64, d| most.max(d.abs()));
     let best = found.min_by(|a, b| most(a).total_cmp(&most(b))).unwrap_or_default();
     for (exposure, deviations) in exposures.iter().zip(&best) {
-        for (colour, deviation) in Colour::ALL.into_iter().zip(deviations) {
+        for (colour, deviation) in columns.iter().copied().zip(deviations) {
             if deviation.is_nan() || deviation.abs() > NOT_LINEAR {
                 let (label, percent) = (exposure.label.clone(), 100.0 * deviation);
                 return Err(Refusal::NotProportional { label, colour, percent });
             }
         }
     }
-    Ok(Colour::ALL.map(|c| best.iter().fold(0.0, |most: f64, d| most.max(d[c.index()].abs()))))
+    let greatest = |c: usize| best.iter().fold(0.0, |most: f64, d| most.max(d[c].abs()));
+    Ok((0..columns.len()).map(greatest).collect())
 }
 
 /// Relative deviations of the numbers per second from those of the longest exposure.
-fn deviations(exposures: &[ExposedWhite], times_s: &[f64]) -> Vec<[f64; 3]> {
+fn deviations(exposures: &[ExposedWhite], times_s: &[f64]) -> Vec<Vec<f64>> {
     let longest = (0..times_s.len()).max_by(|a, b| times_s[*a].total_cmp(&times_s[*b])).unwrap_or(0);
     let rate = |i: usize, c: usize| exposures[i].readings[c].light / times_s[i];
-    (0..times_s.len()).map(|i| [0, 1, 2].map(|c| rate(i, c) / rate(longest, c) - 1.0)).collect()
+    let deviation = |i: usize, c: usize| rate(i, c) / rate(longest, c) - 1.0;
+    let columns = exposures[longest].readings.len();
+    (0..times_s.len()).map(|i| (0..columns).map(|c| deviation(i, c)).collect()).collect()
 }
 
 /// The power of ∛2 that a camera means by a nominal time; none if the time is no nominal one.
@@ -79,7 +82,7 @@ mod tests {
     fn exposures(times: &[(f64, f64)]) -> Vec<ExposedWhite> {
         let exposure = |(time_s, light): &(f64, f64)| {
             let reading = RawReading { light: *light, std_error: 1.0, veil: 0.0 };
-            ExposedWhite { label: format!("{time_s} s"), time_s: *time_s, readings: [reading; 3] }
+            ExposedWhite { label: format!("{time_s} s"), time_s: *time_s, readings: vec![reading; 3] }
         };
         times.iter().map(exposure).collect()
     }
@@ -91,7 +94,7 @@ mod tests {
         let powers = [1.0 / 64.0, 1.0 / 32.0, 1.0 / 16.0];
         for true_s in [nominal, powers] {
             let pairs: Vec<_> = nominal.into_iter().zip(true_s.map(|t| 4e4 * t)).collect();
-            assert!(linearity(&exposures(&pairs)).unwrap()[1] < 1e-9, "{true_s:?}");
+            assert!(linearity(&exposures(&pairs), &Colour::ALL).unwrap()[1] < 1e-9, "{true_s:?}");
         }
         assert_eq!(exact(1.0 / 60.0), Some(1.0 / 64.0));
         assert_eq!(exact(0.0171), None);
@@ -102,11 +105,11 @@ mod tests {
     #[test]
     fn curves_are_refused_with_their_shot() {
         let curved = |by: f64| exposures(&[(0.01, 1e3 * (1.0 + by)), (0.02, 2e3), (0.04, 4e3)]);
-        let refused = linearity(&curved(-0.02)).unwrap_err().to_string();
+        let refused = linearity(&curved(-0.02), &Colour::ALL).unwrap_err().to_string();
         assert!(refused.starts_with("0.01 s: the red samples are 2.00 % below"), "{refused}");
-        assert!((linearity(&curved(0.005)).unwrap()[2] - 0.005).abs() < 1e-9);
+        assert!((linearity(&curved(0.005), &Colour::ALL).unwrap()[2] - 0.005).abs() < 1e-9);
         for few in [&[(0.01, 1.0), (0.04, 4.0)][..], &[(0.030, 3.0), (0.035, 3.5), (0.040, 4.0)]] {
-            let refused = linearity(&exposures(few)).unwrap_err();
+            let refused = linearity(&exposures(few), &Colour::ALL).unwrap_err();
             assert!(matches!(refused, Refusal::FewExposures { .. }), "{refused}");
         }
     }

@@ -30,16 +30,16 @@ struct Tiles {
     side_px: usize,
     columns: usize,
     rows: usize,
-    light: [Vec<f64>; 3],
+    light: Vec<Vec<f64>>,
     floor: f64,
 }
 
 /// An even rectangle. Lengths in tiles.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 struct EvenRegion {
     middle: [f64; 2],
     size: [f64; 2],
-    light: [f64; 3],
+    light: Vec<f64>,
     tiles: usize,
 }
 
@@ -102,17 +102,15 @@ impl Tiles {
         let side_px = (width.min(height) / TILES).max(2).next_multiple_of(2);
         let (columns, rows) = (width / side_px, height / side_px);
         let tiles = |colour: Colour| -> Vec<f64> {
-            let sites: Vec<_> = frame.sites().into_iter().filter(|s| s.colour == colour).collect();
+            let sites = frame.sites_of(colour);
             let tile = |k: usize| {
                 let (left, top) = (k % columns * side_px, k / columns * side_px);
                 let (mut sum, mut count) = (0.0, 0_usize);
                 for site in &sites {
-                    let step = side_px.div_ceil(site.step * SAMPLES) * site.step;
-                    for y in (site.row_from(top)..top + side_px).step_by(step) {
-                        for x in (site.column_from(left)..left + side_px).step_by(step) {
-                            sum += view.signal(*site, x, y);
-                            count += 1;
-                        }
+                    let skip = side_px.div_ceil(site.step * SAMPLES);
+                    for (x, y) in site.pixels(left..left + side_px, top..top + side_px, skip) {
+                        sum += view.signal(*site, x, y);
+                        count += 1;
                     }
                 }
                 let middle = [left, top].map(|v| (v + side_px / 2) as f64);
@@ -120,13 +118,24 @@ impl Tiles {
             };
             (0..columns * rows).map(tile).collect()
         };
-        let light = Colour::ALL.map(tiles);
-        let brightest = light[1].iter().copied().fold(0.0, f64::max);
+        let light = frame.each(tiles);
+        let brightest = light[light.len() / 2].iter().copied().fold(0.0, f64::max);
         Self { side_px, columns, rows, light, floor: EVEN.1 * brightest }
     }
 
+    /// Light in green, or in the only channel.
+    fn green(&self) -> &[f64] {
+        &self.light[self.light.len() / 2]
+    }
+
+    /// The mean of some tiles in each column.
+    fn mean(&self, tiles: &[usize]) -> Vec<f64> {
+        let mean = |light: &Vec<f64>| robust_mean(&tiles.iter().map(|t| light[*t]).collect::<Vec<_>>()).0;
+        self.light.iter().map(mean).collect()
+    }
+
     fn alike(&self, a: usize, b: usize) -> bool {
-        let (a, b) = (self.light[1][a], self.light[1][b]);
+        let (a, b) = (self.green()[a], self.green()[b]);
         (a - b).abs() < EVEN.0 * 0.5 * (a + b).abs() + self.floor
     }
 
@@ -184,10 +193,7 @@ impl Tiles {
         if !inside || !filled || width.min(height) < SHORTEST {
             return None;
         }
-        let light = [0, 1, 2].map(|c| {
-            let values: Vec<f64> = tiles.iter().map(|t| self.light[c][*t]).collect();
-            robust_mean(&values).0
-        });
+        let light = self.mean(tiles);
         let middle = [0.5 * (left + right + 1) as f64, 0.5 * (top + bottom + 1) as f64];
         Some(EvenRegion { middle, size: [width as f64, height as f64], light, tiles: tiles.len() })
     }
@@ -196,21 +202,21 @@ impl Tiles {
     fn row(
         &self,
         regions: &[EvenRegion],
-        rho: &[[f64; 3]],
+        rho: &[Vec<f64>],
         (a, i): (&EvenRegion, usize),
         (b, j): (&EvenRegion, usize),
     ) -> Option<PatchRow> {
+        let green = |patch: usize| rho[patch][rho[patch].len() / 2];
         // Numbers per ρ, from the brighter one, where stray light matters less.
-        let (bright, of) = if rho[i][1] > rho[j][1] { (a, i) } else { (b, j) };
+        let (bright, of) = if green(i) > green(j) { (a, i) } else { (b, j) };
         if bright.light.iter().any(|light| *light <= self.floor) {
             return None;
         }
-        let per_rho = [0, 1, 2].map(|c| bright.light[c] / rho[of][c]);
-        let deviation = |light: &[f64; 3], patch: usize| -> Option<f64> {
+        let per_rho: Vec<f64> = bright.light.iter().zip(&rho[of]).map(|(light, rho)| light / rho).collect();
+        let deviation = |light: &[f64], patch: usize| -> Option<f64> {
             let mut sum = 0.0;
-            for c in 0..3 {
-                let expected = rho[patch][c];
-                let off = (light[c] / per_rho[c] - expected) / (LEVEL.0 * expected + LEVEL.1);
+            for ((light, per_rho), expected) in light.iter().zip(&per_rho).zip(&rho[patch]) {
+                let off = (light / per_rho - expected) / (LEVEL.0 * expected + LEVEL.1);
                 if off.abs() > 1.0 {
                     return None;
                 }
@@ -236,7 +242,7 @@ impl Tiles {
     }
 
     /// Brightness of the inner part of a patch; None if it is uneven or outside the frame.
-    fn even(&self, row: &PatchRow, patch: usize) -> Option<[f64; 3]> {
+    fn even(&self, row: &PatchRow, patch: usize) -> Option<Vec<f64>> {
         let area = row.area(patch, 1);
         let inside = area.x >= 0.0 && area.y >= 0.0;
         if !inside || area.x + area.width > self.columns as f64 || area.y + area.height > self.rows as f64 {
@@ -250,10 +256,10 @@ impl Tiles {
             .filter(|(x, y)| *x < self.columns && *y < self.rows)
             .map(|(x, y)| y * self.columns + x)
             .collect();
-        let light =
-            [0, 1, 2].map(|c| robust_mean(&tiles.iter().map(|t| self.light[c][*t]).collect::<Vec<_>>()).0);
+        let light = self.mean(&tiles);
         // Dust may lie on some tiles.
-        let odd = |t: &&usize| (self.light[1][**t] - light[1]).abs() > 2.0 * EVEN.0 * light[1] + self.floor;
+        let green = light[light.len() / 2];
+        let odd = |t: &&usize| (self.green()[**t] - green).abs() > 2.0 * EVEN.0 * green + self.floor;
         (tiles.iter().filter(odd).count() * 10 <= tiles.len()).then_some(light)
     }
 }

@@ -26,10 +26,10 @@ const LINEAR_POWERS: std::ops::Range<f64> = 0.85..1.15;
 #[derive(Debug, Default)]
 pub(super) struct FittedLine {
     pub patches: Vec<PatchReading>,
-    pub gain: [Estimate; 3],
-    pub glare: [Estimate; 3],
-    pub linearity: [f64; 3],
-    pub drift: [f64; 3],
+    pub gain: Vec<Estimate>,
+    pub glare: Vec<Estimate>,
+    pub linearity: Vec<f64>,
+    pub drift: Vec<f64>,
     pub light: LampDrift,
     pub warnings: Vec<Warning>,
 }
@@ -38,27 +38,31 @@ pub(super) fn fit(
     neutral: &Neutral,
     shots: &[PatchShot],
     exposures: &[ExposedWhite],
+    columns: &[Colour],
 ) -> Result<FittedLine, Refusal> {
     check_gamma(neutral, &shots[0])?;
     let mut fitted = FittedLine::default();
-    let brightness: Vec<[f64; 3]> = relative(shots);
-    check_drift(shots, &brightness, &mut fitted)?;
+    let brightness = relative(shots, columns.len());
+    fitted.drift = drift(shots, &brightness, columns)?;
     fitted.light = light(shots, &brightness, &mut fitted.warnings);
     let places = shots.first().map_or(&[][..], |shot| &shot.areas);
-    let reading =
-        |(rho, area): (&[f64; 3], &Area)| PatchReading { rho: *rho, area: *area, ..PatchReading::default() };
+    let reading = |(rho, area): (&Vec<f64>, &Area)| PatchReading {
+        rho: rho.clone(),
+        area: *area,
+        ..PatchReading::default()
+    };
     let mut readings: Vec<PatchReading> = neutral.rho.iter().zip(places).map(reading).collect();
-    for colour in Colour::ALL {
-        let c = colour.index();
-        let means = mean_readings(shots, &brightness, c);
-        channel(neutral, &means, colour, &mut fitted, &mut readings)?;
+    for colour in columns {
+        let means = mean_readings(shots, &brightness, colour.index());
+        channel(neutral, &means, *colour, &mut fitted, &mut readings)?;
     }
     fitted.patches = readings;
     if !exposures.is_empty() {
-        let found = exposures::linearity(exposures)?;
+        let found = exposures::linearity(exposures, columns)?;
         // Patches show as much of it as there is at their levels.
-        let by_patches = if neutral.rho.len() < LEAST { [0.0; 3] } else { fitted.linearity };
-        fitted.linearity = [0, 1, 2].map(|c| found[c].max(by_patches[c]));
+        let larger = |(found, by_patches): (&f64, &f64)| found.max(*by_patches);
+        let by_both = found.iter().zip(&fitted.linearity).map(larger).collect();
+        fitted.linearity = if neutral.rho.len() < LEAST { found } else { by_both };
     } else if neutral.rho.len() < LEAST {
         let patches = if neutral.rho.len() == 1 { "one patch" } else { "two patches" };
         fitted.warnings.push(Warning::LinearityUnknown { patches });
@@ -70,7 +74,7 @@ pub(super) fn fit(
 }
 
 /// Mean of all shots, each scaled to the mean brightness.
-fn mean_readings(shots: &[PatchShot], brightness: &[[f64; 3]], c: usize) -> Vec<RawReading> {
+fn mean_readings(shots: &[PatchShot], brightness: &[Vec<f64>], c: usize) -> Vec<RawReading> {
     let n = shots.len() as f64;
     (0..shots[0].readings.len())
         .map(|i| {
@@ -106,26 +110,27 @@ fn channel(
     for (i, (patch, reading)) in patches.iter_mut().zip(readings).enumerate() {
         let rho = neutral.rho[i][c];
         let expected = k * rho + glare.value * reading.veil;
-        patch.deviation[c] = reading.light / expected - 1.0;
+        let deviation = reading.light / expected - 1.0;
+        patch.deviation.push(deviation);
         let own = libm::hypot(neutral.std_error * rho * k, reading.std_error) / expected;
-        if patch.deviation[c].is_nan() || patch.deviation[c].abs() > NOT_LINEAR.max(3.0 * own) {
-            let deviation = 100.0 * patch.deviation[c];
+        if deviation.is_nan() || deviation.abs() > NOT_LINEAR.max(3.0 * own) {
+            let deviation = 100.0 * deviation;
             return Err(Refusal::NotLinear { colour, patch: i + 1, rho, deviation });
         }
     }
     let gain = (of_white.light - glare.value * of_white.veil) / rho;
     let gain_error = libm::hypot(of_white.std_error, glare.std_error * of_white.veil) / rho;
-    fitted.gain[c] = Estimate::new(gain, gain_error);
-    fitted.glare[c] = glare;
+    fitted.gain.push(Estimate::new(gain, gain_error));
+    fitted.glare.push(glare);
     for (patch, reading) in patches.iter_mut().zip(readings) {
         let value = (reading.light - glare.value * reading.veil) / gain;
-        patch.value[c] = Estimate::new(value, reading.std_error / gain);
+        patch.value.push(Estimate::new(value, reading.std_error / gain));
     }
     // L = kρ + γM + qρ²: half-way, it deviates from the line through black and white by qρ/2.
     let curved =
         || regress(neutral, readings, c, true).map(|curve| (0.5 * rho * curve.x[2] / curve.x[0]).abs());
-    fitted.linearity[c] =
-        if readings.len() < LEAST { NOT_LINEAR } else { curved().unwrap_or(0.0).min(NOT_LINEAR) };
+    let linearity = if readings.len() < LEAST { NOT_LINEAR } else { curved().unwrap_or(0.0).min(NOT_LINEAR) };
+    fitted.linearity.push(linearity);
     Ok(())
 }
 
@@ -143,17 +148,17 @@ fn regress(neutral: &Neutral, readings: &[RawReading], c: usize, curved: bool) -
 }
 
 /// Brightness of each shot relative to the mean of all, weighted by light.
-fn relative(shots: &[PatchShot]) -> Vec<[f64; 3]> {
-    let light = |shot: &PatchShot| -> [f64; 3] {
-        std::array::from_fn(|c| shot.readings.iter().map(|r| r[c].light).sum::<f64>())
-    };
-    let all: Vec<[f64; 3]> = shots.iter().map(light).collect();
-    let mean: [f64; 3] = std::array::from_fn(|c| all.iter().map(|l| l[c]).sum::<f64>() / all.len() as f64);
-    all.into_iter().map(|l| std::array::from_fn(|c| l[c] / mean[c])).collect()
+fn relative(shots: &[PatchShot], columns: usize) -> Vec<Vec<f64>> {
+    let light = |shot: &PatchShot, c: usize| shot.readings.iter().map(|r| r[c].light).sum::<f64>();
+    let mean = |c: usize| shots.iter().map(|shot| light(shot, c)).sum::<f64>() / shots.len() as f64;
+    let means: Vec<f64> = (0..columns).map(mean).collect();
+    let to_means = |shot| means.iter().enumerate().map(|(c, mean)| light(shot, c) / mean).collect();
+    shots.iter().map(to_means).collect()
 }
 
-fn check_drift(shots: &[PatchShot], brightness: &[[f64; 3]], fitted: &mut FittedLine) -> Result<(), Refusal> {
-    for colour in Colour::ALL {
+/// Largest relative change of the light between shots, in each column.
+fn drift(shots: &[PatchShot], brightness: &[Vec<f64>], columns: &[Colour]) -> Result<Vec<f64>, Refusal> {
+    let of_colour = |colour: &Colour| {
         let c = colour.index();
         let order = |a: &usize, b: &usize| brightness[*a][c].total_cmp(&brightness[*b][c]);
         let least = (0..shots.len()).min_by(order).unwrap_or(0);
@@ -162,28 +167,27 @@ fn check_drift(shots: &[PatchShot], brightness: &[[f64; 3]], fitted: &mut Fitted
         let drift = brightness[last][c] / brightness[first][c] - 1.0;
         if drift.abs() > DRIFT {
             let (first, last) = (shots[first].label.clone(), shots[last].label.clone());
-            return Err(Refusal::LightDrifted { colour, percent: 100.0 * drift, first, last });
+            return Err(Refusal::LightDrifted { colour: *colour, percent: 100.0 * drift, first, last });
         }
-        fitted.drift[c] = drift;
-    }
-    Ok(())
+        Ok(drift)
+    };
+    columns.iter().map(of_colour).collect()
 }
 
-fn light(shots: &[PatchShot], brightness: &[[f64; 3]], warnings: &mut Vec<Warning>) -> LampDrift {
-    let n = shots.len() as f64;
+fn light(shots: &[PatchShot], brightness: &[Vec<f64>], warnings: &mut Vec<Warning>) -> LampDrift {
+    let (n, columns) = (shots.len() as f64, brightness[0].len());
     if shots.len() < 2 {
         warnings.push(Warning::NoDrift);
-        return LampDrift { at: Vec::new(), std_error: [0.5 * DRIFT; 3], shots: 1 };
+        return LampDrift { at: Vec::new(), std_error: vec![0.5 * DRIFT; columns], shots: 1 };
     }
-    let std_error = std::array::from_fn(|c| {
-        (brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
-    });
+    let scatter = |c: usize| brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0);
+    let std_error = (0..columns).map(|c| scatter(c).sqrt()).collect();
     let times: Option<Vec<f64>> = shots.iter().map(|s| s.seconds).collect();
     let Some(times) = times else {
         warnings.push(Warning::NoTimes);
         return LampDrift { at: Vec::new(), std_error, shots: shots.len() };
     };
-    let mut at: Vec<_> = times.into_iter().zip(brightness.iter().copied()).collect();
+    let mut at: Vec<_> = times.into_iter().zip(brightness.iter().cloned()).collect();
     at.sort_by(|a, b| a.0.total_cmp(&b.0));
     at.dedup_by(|later, earlier| later.0 <= earlier.0);
     LampDrift { at, std_error, shots: shots.len() }
@@ -192,9 +196,9 @@ fn light(shots: &[PatchShot], brightness: &[[f64; 3]], warnings: &mut Vec<Warnin
 /// Refuses brightness that follows a power of ρ other than the first. Patches in the wrong order follow no power.
 fn check_gamma(neutral: &Neutral, shot: &PatchShot) -> Result<(), Refusal> {
     // Stray light is a large part of black patches.
-    let sound = neutral.rho.iter().zip(&shot.readings).filter(|(rho, _)| rho[1] > BLACK);
+    let sound = neutral.greens().into_iter().zip(shot.greens()).filter(|(rho, _)| *rho > BLACK);
     let points: Vec<[f64; 2]> =
-        sound.map(|(rho, reading)| [libm::log(rho[1]), libm::log(reading[1].light.max(1e-3))]).collect();
+        sound.map(|(rho, light)| [libm::log(rho), libm::log(light.max(1e-3))]).collect();
     let mut normal = NormalEquations::new(2);
     for [rho, light] in &points {
         normal.add(&[1.0, *rho], *light, 1.0);

@@ -110,8 +110,9 @@ impl Found<'_, '_> {
         let correlation = if both > 0.0 { entry(LN_SIGMA_T, LN_ONE_MINUS_G) / both } else { 0.0 };
         let free_g = !self.system.unknowns[slots[LN_ONE_MINUS_G]].held;
         let [sigma_t, albedo, g, reduced, absorption] = intervals;
-        let resolved = is_resolved(&sigma_t, &albedo);
-        let resolved_at_g = resolved || (free_g && self.resolved_at_g(goodness.inflation));
+        let is_minimum = self.state.end.is_minimum();
+        let resolved = is_minimum && is_resolved(&sigma_t, &albedo);
+        let resolved_at_g = resolved || (is_minimum && free_g && self.resolved_at_g(goodness.inflation));
         let errors = self.errors(&linear);
         let misfit = goodness.misfit();
         let nuisances = self.nuisances(&covariance, &normal.reduced);
@@ -139,6 +140,7 @@ impl Found<'_, '_> {
             misfit,
             suspicion: self.suspicion(&goodness, &nuisances),
             from_mixtures: false,
+            descent: self.state.end,
             second_lobe: second_lobe(self.grid().scene(), self.system, self.state, 0),
             likelihood: Likelihood {
                 chi2: goodness.chi2,

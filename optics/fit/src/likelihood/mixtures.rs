@@ -27,9 +27,9 @@ use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, ROOT_CO_ALBEDO};
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::anisotropies::curve_nm;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
-use crate::likelihood::system::descent::{COARSE, FINE};
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::{Unknown, inverse_over_free};
+use crate::likelihood::system::{COARSE, FINE};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::Term;
 use crate::likelihood::term::blend::{Blend, Ink, InkPart};
@@ -245,6 +245,7 @@ impl<'a> Unmixing<'a, '_> {
             unknowns,
             of_scene: whole.of_scene.clone(),
             coupling: None,
+            most_steps: whole.most_steps,
         };
         let mut own = Vec::new();
         for slab in self.slabs.iter().filter(|s| s.left_out.is_none()) {
@@ -263,7 +264,7 @@ impl<'a> Unmixing<'a, '_> {
                 own.push(from.own[i].clone());
             }
         }
-        (system, State { x, own, cost: f64::INFINITY }, inks)
+        (system, State::new(x, own), inks)
     }
 
     /// Adds the unknowns of every ink in every channel.

@@ -1,6 +1,5 @@
 //! Evaluates profiles that share unknowns: −2 ln L of all of them together, and its quadratic.
 
-pub(crate) mod descent;
 pub(crate) mod minimum;
 pub(crate) mod part;
 pub(crate) mod priors;
@@ -9,6 +8,7 @@ pub(crate) mod settle;
 pub(crate) mod unknowns;
 
 use nalgebra::{DMatrix, DVector};
+use optics_model::descent::DescentEnd;
 use rayon::prelude::*;
 
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SIGMA_T, Line, Point};
@@ -18,6 +18,12 @@ use crate::surrogate::Surrogate;
 use quantity::Quantity;
 use unknowns::{SceneUnknown, Unknown, Unknowns, free, inverse_over_free};
 
+/// Tolerances of −2 ln L: of a start that is refined later, and of an estimate, which is then off by at most 1 % of its
+/// standard error.
+pub(crate) const COARSE: f64 = 0.5;
+pub(crate) const FINE: f64 = 1e-4;
+/// Most steps of a descent, which none should need.
+pub(crate) const MOST_STEPS: usize = 400;
 /// Number of terms from which on other threads are worth waking.
 const MANY: usize = 4;
 
@@ -48,6 +54,8 @@ pub(crate) struct System<'a> {
     /// The unknowns that are quantities of the scene.
     pub of_scene: Vec<SceneUnknown>,
     pub coupling: Option<Coupling>,
+    /// Most steps of a descent.
+    pub most_steps: usize,
 }
 
 /// Values of all unknowns, and −2 ln L there.
@@ -57,6 +65,8 @@ pub(crate) struct State {
     /// Each profile's own unknowns.
     pub own: Vec<Line>,
     pub cost: f64,
+    /// How the descent to it ended.
+    pub end: DescentEnd,
 }
 
 /// Half of the second derivative and −½ of the gradient of −2 ln L; profiles' own unknowns are eliminated.
@@ -76,7 +86,7 @@ impl<'a> System<'a> {
         of_scene: Vec<SceneUnknown>,
     ) -> (Self, State) {
         let own = profiles.iter().map(|(term, ..)| vec![0.0; term.own_count()]).collect();
-        let state = State { x: DVector::from_vec(unknowns.x), own, cost: f64::INFINITY };
+        let state = State::new(DVector::from_vec(unknowns.x), own);
         let (mut terms, mut surrogates, mut slots) = (Vec::new(), Vec::new(), Vec::new());
         for (term, surrogate, of_term) in profiles {
             terms.push(term);
@@ -84,7 +94,14 @@ impl<'a> System<'a> {
             slots.push(of_term);
         }
         let unknowns = unknowns.all;
-        (Self { terms, surrogates, slots, unknowns, of_scene, coupling: None }, state)
+        (Self { terms, surrogates, slots, unknowns, of_scene, coupling: None, most_steps: MOST_STEPS }, state)
+    }
+}
+
+impl State {
+    /// A state whose cost is not known yet, and to which no descent has led.
+    pub(crate) fn new(x: DVector<f64>, own: Vec<Line>) -> Self {
+        Self { x, own, cost: f64::INFINITY, end: DescentEnd::default() }
     }
 }
 

@@ -4,19 +4,21 @@ mod budget;
 mod formula;
 mod scene;
 
+use optics_model::descent::DescentEnd;
 use optics_model::fit::{Bounds, FitOptions, FitSettings, Interval, Nuisance, Objective, Refined};
 use optics_model::scene::{Channel, DARKER_WHITE, Scene, Sensor};
 use optics_model::{Grid, MeasuredProfile, Measurement, Medium, ProfileSetup, Walks};
 
 use crate::dictionary::FitDictionary;
 use crate::fit;
+use crate::likelihood::answer::Found;
 use crate::likelihood::point::SHARED;
 use crate::likelihood::problem::ChannelData;
-use crate::likelihood::problem::assembly::{Sharing, assemble};
+use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
 use crate::likelihood::problem::channel::{self, ChannelMinimum};
 use crate::likelihood::problem::start::Start;
-use crate::likelihood::system::descent::FINE;
 use crate::likelihood::system::unknowns::inverse_over_free;
+use crate::likelihood::system::{COARSE, FINE};
 use crate::surrogate::coordinates;
 use crate::testing::{
     changed, dense, dense_axes, dictionary_of, exact_record, exact_set_up, noisy_profile, noisy_records,
@@ -263,6 +265,30 @@ fn estimates_do_not_depend_on_the_tolerance() {
             assert!(moved < 0.01, "{medium:?}: unknown {i} moves by {moved} standard errors");
         }
     }
+}
+
+/// A descent with too few steps is marked as such, and its medium counts as undetermined; one with enough is not.
+#[test]
+fn unfinished_descents_are_marked() {
+    let measurement = measured(MEDIUM, 3, Flaws::default());
+    let options = FitOptions::new(FitSettings { g: Bounds::fixed(MEDIUM.2), ..settings() }).unwrap();
+    let data = ChannelData::new(dictionary(), &measurement, 0, "G", &options).unwrap();
+    let surrogates = data.surrogates();
+    let medium = coordinates(&Medium::new(MEDIUM.0, MEDIUM.1, MEDIUM.2).unwrap());
+    let refined = |most_steps: Option<usize>| {
+        let (one, media) = (std::slice::from_ref(&data), [medium]);
+        let (Assembly { mut system, .. }, state) =
+            assemble(one, &[&surrogates[0]], &media, 0.0, Sharing::default());
+        system.most_steps = most_steps.unwrap_or(system.most_steps);
+        let state = system.approach(state, COARSE);
+        let state = system.settle(state);
+        let found = Found { data: &data, system: &system, state: &state, sample_ior: 1.5, common_g: None };
+        found.refined()
+    };
+    let (whole, short) = (refined(None), refined(Some(0)));
+    assert!(whole.descent.is_minimum() && whole.resolved, "{:?}", whole.descent);
+    assert_eq!(short.descent, DescentEnd::OutOfSteps);
+    assert!(!short.resolved && !short.resolved_at_g);
 }
 
 /// The reference is stated 1.5 % too bright: levels are too high, and so is the dictionary's ρ.

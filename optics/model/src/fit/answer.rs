@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use super::budget::SourceShare;
 use super::suspicion::Suspicion;
+use crate::descent::DescentEnd;
 use crate::medium::Medium;
 use crate::phase::SecondLobe;
 use crate::scene::Scope;
@@ -100,6 +101,15 @@ pub struct Refined {
     /// The second lobe of the phase function, at its estimate; missing if the function has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub second_lobe: Option<SecondLobe>,
+    /// How the descent to this medium ended. If not at a minimum, nothing counts as resolved, and the intervals do not
+    /// hold; missing if it converged.
+    #[serde(skip_serializing_if = "is_default")]
+    pub descent: DescentEnd,
+}
+
+/// Whether a field is left out of JSON.
+pub(super) fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Refined {

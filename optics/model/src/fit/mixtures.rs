@@ -5,7 +5,8 @@
 
 use serde::Serialize;
 
-use super::answer::{Common, Interval, MaterialFit, Refined};
+use super::answer::{Common, Interval, MaterialFit, Refined, is_default};
+use crate::descent::DescentEnd;
 use crate::invalid::{Invalid, Result};
 use crate::medium::Medium;
 
@@ -181,6 +182,9 @@ pub struct InkChannel {
     pub resolved: bool,
     /// The ink's own slabs, if there are any, do not determine them.
     pub from_mixtures: bool,
+    /// How the descent of all inks ended, as in [`Refined`].
+    #[serde(skip_serializing_if = "is_default")]
+    pub descent: DescentEnd,
 }
 
 impl InkChannel {
@@ -192,7 +196,7 @@ impl InkChannel {
         refined.reduced_scattering_per_mm = self.reduced_scattering_per_mm;
         refined.absorption_per_mm = self.absorption_per_mm;
         (refined.resolved, refined.resolved_at_g) = (self.resolved, self.resolved);
-        refined.from_mixtures = true;
+        (refined.from_mixtures, refined.descent) = (true, self.descent);
         // The values from the slabs alone belong to another medium.
         (refined.covariance, refined.correlation, refined.valley) = ([[0.0; 3]; 3], 0.0, false);
     }

@@ -101,7 +101,7 @@ fn changed_light_is_divided_out() {
         let found = slabs(|photo| dimmed(photo, |_, _| factor)).unwrap();
         let off = Off::from_clean(&found);
         println!("light × {factor}: {off:?}");
-        let light = found.shots[1].light.unwrap()[1];
+        let light = found.shots[1].light.as_ref().unwrap()[1];
         assert!((light.value / factor - 1.0).abs() < 3.0 * light.std_error + 2e-4, "{light:?}");
         assert!(light.std_error < 1e-3, "{light:?}");
         assert!(off.mean.abs() < 3e-4 && off.gain < 1e-3, "{off:?}");

@@ -122,7 +122,7 @@ fn geometry_is_recovered_for_all_cameras() {
 fn stated_errors_match_the_scatter() {
     let session = session();
     let count = effort_or(12, 20);
-    let (mut stated, mut profiles) = ([0.0; 3], Vec::new());
+    let (mut stated, mut profiles): (_, Vec<Vec<Vec<f64>>>) = ([0.0; 3], Vec::new());
     let calibration = calibrate(session, &PLAIN).unwrap();
     let board = find(session, &calibration, &PLAIN).unwrap();
     for seed in 0..count {
@@ -132,13 +132,13 @@ fn stated_errors_match_the_scatter() {
             let square = p.std_errors.iter().map(|e| e * e).sum::<f64>();
             stated[c] += square / (p.values.len() as f64 * count as f64);
         }
-        profiles.push(sample.profiles.map(|p| p.values));
+        profiles.push(sample.profiles.into_iter().map(|p| p.values).collect());
     }
     for (c, stated) in stated.iter().enumerate() {
         let bins = profiles[0][c].len();
         let mean = |k: usize| profiles.iter().map(|p| p[c][k]).sum::<f64>() / count as f64;
         let means: Vec<f64> = (0..bins).map(mean).collect();
-        let off = |p: &[Vec<f64>; 3], k: usize| p[c][k] - means[k];
+        let off = |p: &[Vec<f64>], k: usize| p[c][k] - means[k];
         let (mut squares, mut products) = (0.0, 0.0);
         for p in &profiles {
             for k in 1..bins {

@@ -86,7 +86,7 @@ fn with_panel(camera: Camera, exposures: &[f64]) -> Result<Calibration, Refusal>
     let black = darks.finish(&session.shoot(What::Bare, 0, &PLAIN))?;
     let mut flats = Flats::new(&black);
     shots(&session, What::Sheet, 2, &PLAIN).into_iter().try_for_each(|photo| flats.add(photo))?;
-    let neutral = Neutral::new(vec![[0.9; 3]], 0.005, None)?;
+    let neutral = Neutral::new(vec![vec![0.9; 3]], 0.005, None)?;
     let mut patches = Patches::new(black, flats.finish()?, neutral);
     for i in 10..12 {
         patches.add(session.shoot(What::Sheet, i, &PLAIN))?;

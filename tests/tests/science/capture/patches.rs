@@ -7,7 +7,7 @@ use super::stage::{PLAIN, calibrate, calibrate_after, calibrate_by, session, sla
 
 /// Greys whose places have to be found.
 fn greys(rho: &[f64]) -> Neutral {
-    Neutral::new(rho.iter().map(|r| [*r; 3]).collect(), 0.005, None).expect("greys of a chart are valid")
+    Neutral::new(rho.iter().map(|r| vec![*r; 3]).collect(), 0.005, None).expect("greys of a chart are valid")
 }
 
 /// The calibration with shots of this subject as patches.

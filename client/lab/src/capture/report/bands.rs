@@ -65,6 +65,6 @@ fn chart(channel: &CapturedChannel) -> String {
         EdgeCurve { channel: label, x_mm, values, std_errors }
     };
     let curves: Vec<EdgeCurve> =
-        all.iter().map(|(label, profile)| curve((label.as_str(), profile))).collect();
+        all.iter().map(|(label, profile)| curve((label.as_str(), *profile))).collect();
     edge_figure(&curves).svg()
 }

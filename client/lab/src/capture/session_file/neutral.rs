@@ -116,11 +116,11 @@ impl NeutralTable {
         light: Option<&Spectrum>,
         scene: &Scene,
     ) -> Result<Neutral, Invalid> {
-        let rho: Vec<[f64; 3]> = match (&self.rho, band) {
+        let rho: Vec<Vec<f64>> = match (&self.rho, band) {
             (NeutralRho::Each(rho), _) => rho.iter().map(|rho| rho.of(band)).collect::<Result<_, _>>()?,
             (NeutralRho::Table(file), Some(band)) => {
                 let patches = Spectrum::read_in(folder, "neutral.rho", file)?;
-                let mean = |patch| Ok([band.mean("neutral.rho", patch, light)?; 3]);
+                let mean = |patch| Ok(vec![band.mean("neutral.rho", patch, light)?]);
                 patches.iter().map(mean).collect::<Result<_, _>>()?
             }
             (NeutralRho::Table(file), None) => {
@@ -130,20 +130,20 @@ impl NeutralTable {
         };
         let area = |[x, y, width, height]: &[f64; 4]| Area { x: *x, y: *y, width: *width, height: *height };
         let areas = self.areas_px.as_ref().map(|areas| areas.iter().map(area).collect());
-        let is_white = rho.as_flattened().iter().any(|rho| *rho > WHITE);
+        let is_white = rho.iter().flatten().any(|rho| *rho > WHITE);
         let [factor, of_geometry] = self.seen(scene, is_white)?;
         let std_error = libm::hypot(self.std_error.unwrap_or(NEUTRAL_STD_ERROR), of_geometry);
-        let rho = rho.into_iter().map(|patch| patch.map(|rho| rho * factor)).collect();
+        let rho = rho.into_iter().map(|patch| patch.into_iter().map(|rho| rho * factor).collect()).collect();
         Neutral::new(rho, std_error, areas).map_err(|e| e.within("neutral"))
     }
 }
 
 impl Rho {
-    /// Its values in the columns of a part; a band has one value.
-    fn of(&self, band: Option<&Band>) -> Result<[f64; 3], Invalid> {
+    /// Its values in the columns of a part: one for a band, otherwise those of red, green and blue.
+    fn of(&self, band: Option<&Band>) -> Result<Vec<f64>, Invalid> {
         match self {
-            Self::All(value) => Ok([*value; 3]),
-            Self::Each(values) if band.is_none() => Ok(*values),
+            Self::All(value) => Ok(vec![*value; if band.is_some() { 1 } else { 3 }]),
+            Self::Each(values) if band.is_none() => Ok(values.to_vec()),
             Self::Each(values) => {
                 let allowed = "bands need one number a patch, or a table over wavelength";
                 Err(Invalid::new("neutral.rho", format!("{values:?}"), allowed))

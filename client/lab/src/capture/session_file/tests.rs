@@ -155,7 +155,7 @@ fn bands_have_their_own_photographs() {
     assert_eq!(channels.collect::<Vec<_>>(), ["450", "630"]);
     let white = |nm: f64| 0.8 + 0.15 * (nm - 400.0) / 300.0;
     for (part, nm) in session.parts.iter().zip([450.0, 630.0]) {
-        let expected = Neutral::new(vec![[white(nm); 3], [0.4; 3], [0.1; 3]], 0.01, None).unwrap();
+        let expected = Neutral::new(vec![vec![white(nm)], vec![0.4], vec![0.1]], 0.01, None).unwrap();
         let rho = |neutral: &Neutral| format!("{neutral:.9?}");
         assert_eq!(rho(&part.neutral), rho(&expected));
     }

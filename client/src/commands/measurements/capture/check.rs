@@ -120,9 +120,9 @@ fn text(path: &Path, seen: &Result<UsableShot>) -> String {
         Err(error) => return format!("{name}: {}", warning(&format!("not usable: {}", reason(path, error)))),
         Ok(seen) => seen,
     };
-    let percent = |shares: [f64; 3]| shares.map(|share| format!("{:.0}", 100.0 * share)).join("/");
-    let mut words =
-        vec![format!("{name}: usable, brightest {} % of full (R/G/B)", percent(check.brightness_share))];
+    let percent = |share: &f64| format!("{:.0}", 100.0 * share);
+    let brightest = check.brightness_share.iter().map(percent).collect::<Vec<_>>().join("/");
+    let mut words = vec![format!("{name}: usable, brightest {brightest} % of full (R/G/B)")];
     let edges = check.edges.iter().zip(["sideways", "up and down"]);
     words.extend(edges.filter_map(|(edge, way)| {
         let edge = edge.as_ref()?;

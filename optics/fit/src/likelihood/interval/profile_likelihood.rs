@@ -94,8 +94,7 @@ impl ProfileLikelihood<'_> {
         };
         match reach(wanted, deviation, furthest, |distance| root_rise(distance, &mut warm)) {
             Some(distance) => {
-                // If another quantity cannot follow any further, the dictionary ends the interval, not the data.
-                let open = warm.as_ref().is_some_and(|state| self.system.at_end(state, quantity));
+                let open = warm.as_ref().is_some_and(|state| self.is_open(state, quantity));
                 IntervalEnd { value: from + side * distance, open }
             }
             None => open,
@@ -153,8 +152,14 @@ impl ProfileLikelihood<'_> {
     fn confirmed(&self, state: State, held: &HeldQuantity, wanted: f64) -> Option<IntervalEnd> {
         let found = self.system.descend(state, Some(held), TOLERANCE);
         let rise = (found.cost - self.optimum.cost).max(0.0).sqrt();
-        let open = || self.system.at_end(&found, held.quantity);
+        let open = || self.is_open(&found, held.quantity);
         ((rise / wanted - 1.0).abs() < CLOSE).then(|| IntervalEnd { value: held.at, open: open() })
+    }
+
+    /// Whether the data allow values beyond an end. If another quantity cannot follow any further, the dictionary ends the
+    /// interval, not the data; and where a descent did not find its minimum, the true end lies further away.
+    fn is_open(&self, at_end: &State, quantity: Quantity) -> bool {
+        !at_end.end.is_minimum() || self.system.at_end(at_end, quantity)
     }
 
     /// A state at this value of the quantity, which the other unknowns follow as if all were linear.
@@ -188,7 +193,7 @@ fn is_inside(unknowns: &[Unknown], x: &DVector<f64>) -> bool {
 fn halfway(from: &State, to: &State) -> State {
     let between = |(a, b): (&Line, &Line)| a.iter().zip(b).map(|(a, b)| 0.5 * (a + b)).collect();
     let own = from.own.iter().zip(&to.own).map(between).collect();
-    State { x: (&from.x + &to.x) * 0.5, own, cost: f64::INFINITY }
+    State::new((&from.x + &to.x) * 0.5, own)
 }
 
 /// A step to where the quadratic has the required rise.

@@ -7,7 +7,7 @@ use crate::likelihood::interval::chi2::exceedance;
 use crate::likelihood::interval::profile_likelihood::{ProfileLikelihood, interval};
 use crate::likelihood::point::{LN_ONE_MINUS_G, LN_SCALE};
 use crate::likelihood::problem::assembly::{Assembly, Sharing};
-use crate::likelihood::system::descent::FINE;
+use crate::likelihood::system::FINE;
 use crate::likelihood::system::part::slot_in;
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::eliminate;
@@ -126,7 +126,8 @@ impl<'a> Joint<'a> {
         system.terms.iter_mut().zip(&mut state.own).for_each(|(term, own)| term.count_alike(own, 1.0));
         let used = whole.used_by(&terms);
         let common: Vec<usize> = self.common.iter().map(|slot| slot_in(&used, *slot)).collect();
-        let state = descend_with(&mut system, state, &common);
+        let mut state = descend_with(&mut system, state, &common);
+        state.end = state.end.max(self.state.end);
         (system, state)
     }
 

@@ -9,7 +9,7 @@ use optics_model::fit::{Cause, Suspicion};
 
 use super::minimum::Joint;
 use crate::likelihood::point::{BLUR, LN_SCALE, LN_THICKNESS, SHARED};
-use crate::likelihood::system::descent::{COARSE, FINE};
+use crate::likelihood::system::{COARSE, FINE};
 use crate::likelihood::system::{State, System};
 use crate::likelihood::term::{Own, Term};
 

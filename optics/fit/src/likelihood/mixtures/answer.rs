@@ -91,8 +91,9 @@ impl<'a, 'b> Solution<'a, 'b> {
             // For an absorber 1 − α must be determined, for others α.
             let a = found.albedo;
             let co_albedo = Interval { low: 1.0 - a.high, high: 1.0 - a.low, ..a };
-            let resolved =
-                is_resolved(&found.sigma_t_per_mm, &a) || is_resolved(&found.sigma_t_per_mm, &co_albedo);
+            let descent = self.solved.state.end;
+            let of_either = [a, co_albedo].iter().any(|share| is_resolved(&found.sigma_t_per_mm, share));
+            let resolved = descent.is_minimum() && of_either;
             InkChannel {
                 channel: name.to_owned(),
                 medium: medium(ink_medium(*ink, x)),
@@ -102,6 +103,7 @@ impl<'a, 'b> Solution<'a, 'b> {
                 reduced_scattering_per_mm: found.reduced_scattering_per_mm,
                 absorption_per_mm: found.absorption_per_mm,
                 resolved,
+                descent,
                 from_mixtures: !self.resolved_alone(channel, i),
             }
         };

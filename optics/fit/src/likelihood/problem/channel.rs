@@ -3,7 +3,7 @@
 use crate::likelihood::problem::ChannelData;
 use crate::likelihood::problem::assembly::{Assembly, Sharing, assemble};
 use crate::likelihood::problem::start::{Scan, Start};
-use crate::likelihood::system::descent::COARSE;
+use crate::likelihood::system::COARSE;
 use crate::likelihood::system::{State, System};
 use crate::surrogate::Surrogate;
 

@@ -10,6 +10,7 @@
 
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use optics_model::MeasuredProfile;
+use optics_model::descent::{Descent, DescentStep};
 use optics_model::fit::FitSettings;
 
 use crate::dictionary::FitDictionary;
@@ -17,7 +18,6 @@ use crate::dictionary::view::View;
 use crate::dictionary::wide::wide;
 use crate::likelihood::point::Line;
 use crate::likelihood::problem::form::{QuadraticForm, loose_columns, smoothed};
-use crate::likelihood::system::descent::{Descent, DescentStep};
 use crate::likelihood::term::robust::without_specks;
 use crate::surrogate::resample::resample;
 use crate::surrogate::{Neighbours, Surrogate};
@@ -322,8 +322,8 @@ impl Scan<'_> {
             let to = self.step(from, held, damping)?;
             Some(DescentStep { predicted: from.fall(to), to: self.parabola(surrogate, to, scale) })
         };
-        let decrement = |from: &Parabola| self.step(from, held, 0.0).map_or(0.0, |to| from.fall(to));
-        let found = DESCENT.run(start, |p| p.cost, decrement, step);
+        let decrement = |from: &Parabola| self.step(from, held, 0.0).map(|to| from.fall(to));
+        let found = DESCENT.damped(start, |p| p.cost, decrement, step).at;
         Start { medium: found.x, ior, cost: found.cost }
     }
 

@@ -3,8 +3,8 @@
 use std::cell::OnceCell;
 
 use nalgebra::{DMatrix, DVector};
+use optics_model::descent::{Descended, Descent, DescentStep};
 
-use crate::likelihood::system::descent::{Descent, DescentStep};
 use crate::likelihood::system::quantity::Quantity;
 use crate::likelihood::system::unknowns::{clamped, limited_step};
 use crate::likelihood::system::{Normal, State, System};
@@ -13,8 +13,6 @@ use crate::likelihood::term::reduced::Reduced;
 
 /// Information below which an unknown is hardly determined, in units in which it is of the order of 1.
 const UNDETERMINED: f64 = 100.0;
-/// Maximum number of steps, which no descent should reach.
-const MOST_STEPS: usize = 400;
 
 /// A quantity held at a value by a stiff quadratic penalty.
 #[derive(Debug, Clone, Copy)]
@@ -50,10 +48,16 @@ impl System<'_> {
         let decrement = |place: &Evaluation| {
             let normal = place.normal(self);
             let own: f64 = normal.reduced.iter().map(Reduced::own_decrement).sum();
-            own + self.shared_decrement(&place.state.x, normal, held)
+            Some(own + self.shared_decrement(&place.state.x, normal, held)?)
         };
-        let descent = Descent { most_steps: MOST_STEPS, tolerance };
-        descent.run(self.evaluate(from), total, decrement, step).state
+        let descent = Descent { most_steps: self.most_steps, tolerance };
+        let Descended { at, end } = descent.damped(self.evaluate(from), total, decrement, step);
+        let is_held = |i: usize| {
+            let ((low, high), x) = (self.unknowns[i].limits, at.state.x[i]);
+            x <= low || x >= high
+        };
+        let end = end.within(self.free().into_iter().any(is_held));
+        State { end, ..at.state }
     }
 
     fn evaluate(&self, mut state: State) -> Evaluation {
@@ -98,10 +102,15 @@ impl System<'_> {
     }
 
     /// The fall of −2 ln L that is predicted for an undamped step of the shared unknowns.
-    fn shared_decrement(&self, x: &DVector<f64>, normal: &Normal, held: Option<&HeldQuantity>) -> f64 {
+    fn shared_decrement(
+        &self,
+        x: &DVector<f64>,
+        normal: &Normal,
+        held: Option<&HeldQuantity>,
+    ) -> Option<f64> {
         let (information, downhill) = with_spring(x, normal, held);
-        let step = limited_step(&self.unknowns, x, &information, &downhill);
-        step.map_or(0.0, |step| 2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
+        let step = limited_step(&self.unknowns, x, &information, &downhill)?;
+        Some(2.0 * downhill.dot(&step) - step.dot(&(&information * &step)))
     }
 }
 

@@ -92,8 +92,9 @@ impl System<'_> {
                 .map(|u| SceneUnknown { slot: place(&u.slot), ..*u })
                 .collect(),
             coupling: Some(coupling),
+            most_steps: self.most_steps,
         };
         let own = terms.iter().map(|i| state.own[*i].clone()).collect();
-        (system, State { x: centre, own, cost: f64::INFINITY })
+        (system, State { end: state.end, ..State::new(centre, own) })
     }
 }
