@@ -4,7 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use farm_link::{AccessError, CoordinatorAccess, LocalSocket, Role, Tokens};
+use farm_link::{AccessError, CoordinatorAccess, LocalSocket, Role};
 use tokio::net::{TcpListener, TcpSocket};
 use tonic::transport::ServerTlsConfig;
 
@@ -63,14 +63,6 @@ impl Gate {
         match self {
             Self::File(access) => Some(access.server_tls()),
             Self::Everybody | Self::OwnUser => None,
-        }
-    }
-
-    /// The tokens that are accepted; None if there are no tokens.
-    pub(crate) fn tokens(&self) -> Option<Arc<Tokens>> {
-        match self {
-            Self::Everybody | Self::OwnUser => None,
-            Self::File(access) => Some(access.tokens()),
         }
     }
 

@@ -66,7 +66,7 @@ impl Calibration {
         &self.flat
     }
 
-    /// What its columns are: the colours of a camera, or the only channel.
+    /// Its columns: the colours of a camera, or the only channel.
     pub fn columns(&self) -> &'static [Colour] {
         self.settings.pattern.columns()
     }

@@ -13,7 +13,7 @@ pub const MAX_SAMPLES: usize = 300_000_000;
 /// Smallest side of a frame, in pixels: a smaller one cannot show a board.
 pub const MIN_SIDE: usize = 64;
 
-/// What a column of results belongs to: one colour of a camera, or the only channel of a frame.
+/// The subject of a column of results: one colour of a camera, or the only channel of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Colour {
     Red,
@@ -188,7 +188,7 @@ impl Frame {
         self.pattern.sites()
     }
 
-    /// What its columns of results are.
+    /// Its columns of results.
     pub fn columns(&self) -> &'static [Colour] {
         self.pattern.columns()
     }
@@ -281,7 +281,7 @@ impl Pattern {
         }
     }
 
-    /// What the columns of results are: red, green and blue, or the only channel.
+    /// The columns of results: red, green and blue, or the only channel.
     pub fn columns(self) -> &'static [Colour] {
         match self {
             Self::Bayer(_) | Self::Rgb => &Colour::ALL,

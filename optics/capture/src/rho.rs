@@ -39,7 +39,7 @@ impl Appearance {
 impl Board {
     /// ρ of both sides in each column. `gain_std_error` is the relative error of the white reference, common to both.
     pub fn rho(&self, shown: Appearance, gain_std_error: f64) -> Vec<BoardRho> {
-        let of_sides = |(light, dark): (&Estimate, &Estimate)| {
+        let column_rho = |(light, dark): (&Estimate, &Estimate)| {
             let sides = [*light, *dark];
             let with =
                 |e: Estimate| Estimate::new(e.value, libm::hypot(e.std_error, gain_std_error * e.value));
@@ -47,7 +47,7 @@ impl Board {
             let darker = |seen: Estimate| Estimate::new(DARKER_WHITE * seen.value, seen.std_error);
             BoardRho { light, dark, under_darker_white: sides.map(|seen| shown.rho(darker(seen)).value) }
         };
-        self.light.iter().zip(&self.dark).map(of_sides).collect()
+        self.light.iter().zip(&self.dark).map(column_rho).collect()
     }
 }
 

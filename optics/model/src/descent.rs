@@ -135,6 +135,7 @@ mod tests {
         r * r + s * s - to_r * to_r - to_s * to_s
     }
 
+    #[expect(clippy::unnecessary_wraps, reason = "a descent takes steps that may be unknown")]
     fn step([x, y]: &[f64; 2], damping: f64) -> Option<DescentStep<[f64; 2]>> {
         let [r, s] = residuals([*x, *y]);
         let (a, b, c) = (400.0 * x * x + 1.0, -200.0 * x, 100.0);

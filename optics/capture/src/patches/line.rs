@@ -158,7 +158,7 @@ fn relative(shots: &[PatchShot], columns: usize) -> Vec<Vec<f64>> {
 
 /// Largest relative change of the light between shots, in each column.
 fn drift(shots: &[PatchShot], brightness: &[Vec<f64>], columns: &[Colour]) -> Result<Vec<f64>, Refusal> {
-    let of_colour = |colour: &Colour| {
+    let colour_drift = |colour: &Colour| {
         let c = colour.index();
         let order = |a: &usize, b: &usize| brightness[*a][c].total_cmp(&brightness[*b][c]);
         let least = (0..shots.len()).min_by(order).unwrap_or(0);
@@ -171,7 +171,7 @@ fn drift(shots: &[PatchShot], brightness: &[Vec<f64>], columns: &[Colour]) -> Re
         }
         Ok(drift)
     };
-    columns.iter().map(of_colour).collect()
+    columns.iter().map(colour_drift).collect()
 }
 
 fn light(shots: &[PatchShot], brightness: &[Vec<f64>], warnings: &mut Vec<Warning>) -> LampDrift {

@@ -35,7 +35,7 @@ pub struct CapturedRow {
 pub fn captured_rows(captured: &Captured) -> Vec<CapturedRow> {
     let row = |(channel, sample): (&CapturedChannel, &CapturedSample)| {
         let (profile, blur) = (channel.profile(sample), channel.blur_mm());
-        let [dark, light] = ends(&profile);
+        let [dark, light] = ends(profile);
         CapturedRow {
             sample: sample.about.label(),
             material: sample.about.material.clone(),
