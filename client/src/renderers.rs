@@ -287,8 +287,8 @@ mod tests {
             assert!(!line.trim_end_matches("-->").contains("--"), "{line}");
         }
         let python = mitsuba_dict(&media);
-        assert!(python.lines().nth(3).is_some_and(|line| line.starts_with("    # ")), "{python}");
-        assert_eq!(python.lines().nth(4), Some(r#"    "x_scene_Skin1_Shape_y_c": {"#));
+        assert!(python.lines().nth(4).is_some_and(|line| line.starts_with("    # ")), "{python}");
+        assert_eq!(python.lines().nth(5), Some(r#"    "x_scene_Skin1_Shape_y_c": {"#));
         let pbrt = pbrt(&media);
         let statements: Vec<_> = pbrt.lines().filter(|line| !line.starts_with('#')).collect();
         assert_eq!(statements[0], r#"MakeNamedMedium "x_scene_Skin1_Shape_y_c""#);

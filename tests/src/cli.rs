@@ -80,11 +80,16 @@ pub fn begin_to_submit(folder: &Path, grid: &str) -> String {
     let mut command = farmctl(folder);
     let submit = command.args(["submit", grid]).env("FARM_PACE_MS", "60000").stderr(Stdio::piped()).spawn();
     let mut submit = submit.expect("farmctl starts");
-    let mut line = String::new();
-    BufReader::new(submit.stderr.take().expect("it is piped")).read_line(&mut line).unwrap();
+    let line = first_progress(submit.stderr.take().expect("it is piped"));
     submit.kill().expect("it still runs");
     submit.wait().unwrap();
     line
+}
+
+/// The first line of progress, after the forecast.
+pub fn first_progress(stderr: impl std::io::Read) -> String {
+    let lines = BufReader::new(stderr).lines().map(|line| line.expect("it is text"));
+    lines.into_iter().find(|line| line.contains("of the work")).unwrap_or_default()
 }
 
 /// Rows of a profile that rises from 0.1 to 0.8, over twice the width if the slab is twice as thick.

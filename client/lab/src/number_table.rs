@@ -1,7 +1,7 @@
 //! Reads small tables of numbers as instruments and spreadsheets write them: with lines before the names of the columns,
 //! any usual separator, decimal commas and missing numbers.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 
 use crate::measurement_file::is_missing;
 
@@ -45,9 +45,8 @@ impl NumberTable {
             names.pop();
         }
         let row = |(text, line): (&str, usize)| {
-            let row = NumberRow::parse(&cells(text, separator), &names, separator);
-            let NumberRow { numbers, .. } = row.with_context(|| format!("line {line}"))?;
-            Ok(NumberRow { line, numbers })
+            let numbers = numbers(&cells(text, separator), &names, separator);
+            Ok(NumberRow { line, numbers: numbers.map_err(|error| anyhow!("line {line}: {error}"))? })
         };
         let rows: Vec<NumberRow> =
             lines().skip_while(|(_, at)| *at <= head).map(row).collect::<Result<_>>()?;
@@ -58,23 +57,21 @@ impl NumberTable {
     }
 }
 
-impl NumberRow {
-    fn parse(cells: &[String], names: &[String], separator: Option<char>) -> Result<Self> {
-        if cells.len() < names.len() || cells[names.len()..].iter().any(|cell| !cell.is_empty()) {
-            bail!("{} numbers where the names are {}", cells.len(), names.len());
-        }
-        let number = |(cell, name): (&String, &String)| {
-            if is_missing(cell) {
-                return Ok(None);
-            }
-            let plain = cell.replace('\u{2212}', "-");
-            let plain = if separator == Some(',') { plain } else { plain.replace(',', ".") };
-            let number = plain.trim_end_matches('%').trim_end().parse().ok().filter(|v: &f64| v.is_finite());
-            number.map(Some).with_context(|| format!("{name} = {cell:?} is no number"))
-        };
-        let numbers = cells.iter().zip(names).map(number).collect::<Result<_>>()?;
-        Ok(Self { line: 0, numbers })
+/// The numbers of a row's cells.
+fn numbers(cells: &[String], names: &[String], separator: Option<char>) -> Result<Vec<Option<f64>>> {
+    if cells.len() < names.len() || cells[names.len()..].iter().any(|cell| !cell.is_empty()) {
+        bail!("{} numbers where the names are {}", cells.len(), names.len());
     }
+    let number = |(cell, name): (&String, &String)| {
+        if is_missing(cell) {
+            return Ok(None);
+        }
+        let plain = cell.replace('\u{2212}', "-");
+        let plain = if separator == Some(',') { plain } else { plain.replace(',', ".") };
+        let number = plain.trim_end_matches('%').trim_end().parse().ok().filter(|v: &f64| v.is_finite());
+        number.map(Some).with_context(|| format!("{name} = {cell:?} is no number"))
+    };
+    cells.iter().zip(names).map(number).collect()
 }
 
 /// The cells of a line without quotes; None separates at blanks.

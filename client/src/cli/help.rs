@@ -32,7 +32,7 @@ Other commands, each with its --help; `farmctl --help-all` describes them:
 
 /// Headings and names of the options that only `--help-all` shows.
 const SPECIAL: [&str; 4] = [OBJECTIVE, SEARCH, SET_UP, FIGURES];
-const SPECIAL_OPTIONS: [&str; 11] = [
+const SPECIAL_OPTIONS: [&str; 14] = [
     "server",
     "access",
     "local",
@@ -42,8 +42,11 @@ const SPECIAL_OPTIONS: [&str; 11] = [
     "g_change",
     "bound",
     "mu_std_error",
-    "sigma_t_range",
-    "albedo_range",
+    "second_lobe",
+    "phase_function",
+    "plot_changes",
+    "change",
+    "threads",
 ];
 
 /// Option that shows all verbs and options.

@@ -11,10 +11,9 @@ mod surroundings;
 mod verbs;
 mod web;
 
-use std::io::{BufRead as _, BufReader};
 use std::process::Command;
 
-use farm_tests::cli::{GRID, HEAD, fails, farm, folder, json, keys, rows, run_line, write};
+use farm_tests::cli::{GRID, HEAD, fails, farm, first_progress, folder, json, keys, rows, run_line, write};
 use farm_tests::process::{Ran, farmctl, program, run};
 
 /// The JSON of the commands is of their kind. The shapes are in a snapshot of `farmctl`, apart from these.
@@ -108,10 +107,8 @@ fn interrupted_submission_can_continue_later() {
         .unwrap();
     let pid = submit.id().to_string();
     // After the first line of progress it can be interrupted. The pipe's buffer holds the rest.
-    let mut progress = BufReader::new(submit.stderr.take().unwrap());
-    let mut line = String::new();
-    progress.read_line(&mut line).unwrap();
-    assert!(line.contains("of the work"), "{line}");
+    let mut stderr = submit.stderr.take().unwrap();
+    assert!(first_progress(&mut stderr).contains("of the work"));
     assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
     let ran: Ran = submit.wait_with_output().unwrap().into();
     assert_eq!(ran.code, 130, "{}", ran.stdout);

@@ -3,7 +3,7 @@
 use super::*;
 
 /// Waits until the coordinator has settled all checks.
-async fn settled(farm: &Farm) {
+pub(super) async fn settled(farm: &Farm) {
     let waiting = || farm.overview().checks.2;
     tokio::time::timeout(std::time::Duration::from_secs(20), async {
         while waiting() > 0 {
@@ -12,6 +12,8 @@ async fn settled(farm: &Farm) {
     })
     .await
     .expect("the checks are settled");
+    // The coordinator holds it until the verdict is carried out.
+    drop(farm.store.ledger().exclusive().await);
     farm.scheduler.settled().await;
 }
 

@@ -27,7 +27,8 @@ async fn receive(farm: &Arc<Farm>, pieces: Vec<Piece>) -> Result<Vec<Result<Outc
     farm.receive(&machine, tokio_stream::iter(pieces.into_iter().map(Ok))).await
 }
 
-/// If one result is refused, the others of its stream are stored. A worker that contradicts itself loses all its records.
+/// If one result is refused, the others of its stream are stored. A worker that contradicts itself loses all its records,
+/// and the job has those of the coordinator.
 #[tokio::test]
 async fn refused_result_does_not_end_its_stream() {
     let (farm, worker, _dir) = begun(0.0).await;
@@ -40,9 +41,10 @@ async fn refused_result_does_not_end_its_stream() {
     let [Ok(first), Err(Refusal::Unwanted(_)), Ok(third)] = &delivered[..] else { panic!("{delivered:?}") };
     assert_eq!([first.kind(), third.kind()], [OutcomeKind::Stored; 2]);
     assert_eq!(jobs_done(&farm), 2);
-    for (value, kind, left) in [(0.25, OutcomeKind::Duplicate, 2), (0.75, OutcomeKind::Conflict, 0)] {
+    for (value, kind, left) in [(0.25, OutcomeKind::Duplicate, 2), (0.75, OutcomeKind::Conflict, 1)] {
         let again = receive(&farm, pieces(&worker, &leases[0], value)).await.unwrap();
         assert!(matches!(&again[..], [Ok(outcome)] if outcome.kind() == kind), "{again:?}");
+        super::judge::settled(&farm).await;
         assert_eq!(jobs_done(&farm), left, "{kind:?}");
     }
 }

@@ -1,6 +1,6 @@
 //! Tables of spectrophotometers.
 
-use optics_model::Measurement;
+use optics_model::{MeasuredProfile, Measurement};
 
 use super::{error, parse};
 
@@ -104,7 +104,9 @@ fn repeated_patches_have_their_mean() {
     assert!(note.contains("2 patches (4 readings, whose means are taken)"), "{note}");
     assert!((values[0] - 0.502).abs() < 1e-12 && values.len() == 6, "{values:?}");
     let file = parse(&with_rows("", rows));
-    let errors: Vec<f64> = file.materials[0].profiles().iter().map(|p| p.std_errors().unwrap()[0]).collect();
+    // A patch is a profile of equal pixels, whose mean has its error.
+    let error = |p: &MeasuredProfile| p.std_errors().unwrap()[0] / (p.values().len() as f64).sqrt();
+    let errors: Vec<f64> = file.materials[0].profiles().iter().map(error).collect();
     let n = 3.0_f64.sqrt();
     assert!((errors[0] * n - 0.002).abs() < 1e-9 && (errors[1] * n - 0.001).abs() < 1e-9, "{errors:?}");
 }
@@ -120,7 +122,7 @@ fn lines_of_tables_are_read_as_programs_write_them() {
     ] {
         let file = parse(&with_rows("", rows));
         assert_eq!(file.materials[0].material(), "light grey", "{rows}");
-        assert_eq!(file.materials[0].profiles()[2].values(), [0.7], "{rows}");
+        assert_eq!(file.materials[0].profiles()[2].values()[0], 0.7, "{rows}");
     }
     let quoted = with_rows("", "a 0.5 0.6 0.7").replace("BEGIN_DATA_FORMAT", "\"BEGIN_DATA_FORMAT\"");
     assert_eq!(parse(&quoted).materials.len(), 1);

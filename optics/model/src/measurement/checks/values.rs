@@ -6,6 +6,8 @@ use super::{Kind, Seen, edge};
 /// Radiance factors above this do not occur: a white slab on a white base has 1, and a measurement whose white reference
 /// is off by the factor μ = 0.8 has 1.25.
 const LARGEST: f64 = 1.5;
+/// The same for patches, which are one number: fluorescent ones have more at one wavelength.
+const LARGEST_OF_PATCH: f64 = 3.0;
 
 const FROM_RAW: &str =
     "take linear raw values, subtract the dark picture and divide by the picture of a white reference";
@@ -14,8 +16,9 @@ const EIGHT_BIT: &str = "all values are multiples of 1/255, as from an 8-bit pic
 
 /// Finds values above 1.5: a refusal if a tenth of the pixels has them, a warning for fewer, as with glints.
 pub(super) fn too_large(values: &[f64]) -> Option<Seen> {
-    let first = values.iter().position(|v| *v > LARGEST)?;
-    let count = values.iter().filter(|v| **v > LARGEST).count();
+    let largest = if values.iter().all(|v| *v == values[0]) { LARGEST_OF_PATCH } else { LARGEST };
+    let first = values.iter().position(|v| *v > largest)?;
+    let count = values.iter().filter(|v| **v > largest).count();
     let most = values.iter().copied().fold(f64::MIN, f64::max);
     if count * 10 < values.len() {
         let pixels = if count == 1 { "one pixel has".to_owned() } else { format!("{count} pixels have") };
