@@ -45,8 +45,8 @@ Examples:
   farmctl simulate --sigma-t 6 --albedo 0.9991 --g 0.4 --thickness 0.5 > profile.csv
 
 Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted; for a dictionary: 3 some jobs
-failed, 4 some jobs are in quarantine, 5 cancelled, 6 still running when --timeout ran out, 7 machines
-disagree about some jobs, 8 deleted while it was waited for.";
+failed, 4 some are in quarantine, 5 cancelled, 6 still running when --timeout ran out, 7 results of
+some jobs are disputed, 8 deleted while it was waited for; 9 an answer that could not be kept.";
 
 #[derive(Debug, Subcommand)]
 enum Command {

@@ -360,6 +360,14 @@ mod tests {
         MediaFile::new(&fits, &errors, &with)
     }
 
+    /// Programs write whole numbers without a point, as browsers do.
+    #[test]
+    fn whole_numbers_of_media_are_read() {
+        let text = media().text().unwrap().replace(".0,", ",").replace(".0\n", "\n");
+        let read = MediaFile::from_json(serde_json::from_str(&text).unwrap()).unwrap();
+        assert_eq!(read, media());
+    }
+
     /// A file is read as it was written, from its folder, too; the scene keeps its uncertain numbers.
     #[test]
     fn media_files_survive() {

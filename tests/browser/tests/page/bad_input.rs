@@ -24,7 +24,7 @@ async fn every_bad_measurement_is_explained() {
     };
     let files: Vec<(&str, Vec<u8>, &str)> = vec![
         ("empty.csv", vec![], "is empty"),
-        ("picture.csv", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec(), "this is not text"),
+        ("picture.csv", b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec(), "this is a photograph"),
         ("book.csv", b"PK\x03\x04\x14\0\x06\0".to_vec(), "spreadsheet"),
         ("nothing.csv", HEAD.into(), "no rows"),
         ("columns.csv", good.replace("x_mm", "place").into(), "x_mm"),

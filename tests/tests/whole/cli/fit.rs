@@ -59,7 +59,7 @@ fn mixtures_give_their_inks() {
     let command = ["measure", "chart.csv", "--dictionary", "grid", "--mixtures", "mix.toml", "--mu", "1"];
     let text = run(dir, &command);
     assert!(
-        text.stdout.contains("inks, from all their mixtures together"),
+        text.stdout.contains("Inks, from all their mixtures together"),
         "{} {}",
         text.stdout,
         text.stderr

@@ -27,22 +27,23 @@ walks = 5000
 derivatives = true
 ";
 
-/// A call that delivers a valid result byte by byte, and would take hours; returns its code.
+/// A call that delivers a valid result byte by byte after its header, while its lease lasts, and would take hours; returns
+/// its code.
 async fn trickle(farm: &Farm) -> tokio::task::JoinHandle<Option<Code>> {
     let grid = farm_tests::grids::grid_of(GRID);
     let mut worker = farm.test_worker("slow").await.unwrap();
     let lease = worker.acquire(1).await.unwrap().remove(0);
     let messages = worker.messages(&lease, on_wire(&traced(&grid, lease.key.job as usize)));
-    let mut bytes = Vec::new();
-    for part in messages {
+    let mut framed = messages.into_iter().map(|part| {
         let message = part.encode_to_vec();
-        bytes.push(0);
-        bytes.extend((message.len() as u32).to_be_bytes());
-        bytes.extend(message);
-    }
-    let frames = tokio_stream::iter(bytes)
-        .map(|byte| Ok::<_, Infallible>(http_body::Frame::data(Bytes::from(vec![byte]))))
-        .throttle(Duration::from_millis(20));
+        [&[0][..], &(message.len() as u32).to_be_bytes(), &message].concat()
+    });
+    let header = framed.next().unwrap();
+    let rest =
+        tokio_stream::iter(framed.flatten()).map(|byte| vec![byte]).throttle(Duration::from_millis(20));
+    let frames = tokio_stream::iter([header])
+        .chain(rest)
+        .map(|bytes| Ok::<_, Infallible>(http_body::Frame::data(Bytes::from(bytes))));
     let body = tonic::body::Body::new(StreamBody::new(frames));
     let request = http::Request::post(format!("{}/farm.v1.Leases/Complete", farm.url()))
         .header("content-type", "application/grpc")

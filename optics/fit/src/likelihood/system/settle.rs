@@ -1,7 +1,6 @@
 //! Leads a system from a first minimum to the final one: adds the noise of the records, and leaves out dust.
 
 use nalgebra::{Cholesky, DVector};
-use optics_model::descent::DescentEnd;
 use rayon::prelude::*;
 
 use crate::likelihood::point::{Line, SHARED};
@@ -61,14 +60,11 @@ impl<'a> System<'a> {
         // The noise of the responses grows with the quantities of the scene, and responses follow a medium to first order.
         for _ in 0..MOVES {
             if !self.is_far(&state, &modes_at) {
-                return state;
+                break;
             }
             modes_at = state.clone();
             self.add_modes(&mut state);
             state = self.descend(state, None, FINE);
-        }
-        if self.is_far(&state, &modes_at) {
-            state.end = DescentEnd::OutOfSteps;
         }
         state
     }

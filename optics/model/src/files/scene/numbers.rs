@@ -59,6 +59,11 @@ impl<'de> Deserialize<'de> for LayerNumber {
                 Ok(LayerNumber::Exact(number as f64))
             }
 
+            // JSON has integers without a sign, TOML has none.
+            fn visit_u64<E>(self, number: u64) -> Result<LayerNumber, E> {
+                Ok(LayerNumber::Exact(number as f64))
+            }
+
             fn visit_str<E>(self, name: &str) -> Result<LayerNumber, E> {
                 Ok(LayerNumber::SameAs(name.to_owned()))
             }
