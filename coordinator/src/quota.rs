@@ -1,7 +1,7 @@
 //! Bounds what callers take of the coordinator: each amount counts against the limits of one or several keys.
 //!
-//! What is held comes back when it is dropped; what is spent comes back with time. `docs/design/access.md` has the table of
-//! all quotas.
+//! An amount that is held comes back when it is dropped, one that is spent with time. `docs/design/access.md` has the table
+//! of all quotas.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::sync::atomic::{AtomicU64, Ordering};

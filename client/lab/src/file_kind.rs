@@ -71,7 +71,7 @@ impl FileKind {
     }
 }
 
-/// What was read. In the place of an error, another if the bytes are those of another kind of file than `what`.
+/// The result of reading a file. An error is replaced if the bytes are those of another kind of file than `what`.
 pub fn or_other_kind<T>(read: Result<T>, bytes: &[u8], what: &str) -> Result<T> {
     read.map_err(|error| {
         let words = FileKind::recognised(bytes).map(FileKind::words);

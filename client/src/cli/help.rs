@@ -120,7 +120,7 @@ mod tests {
 
     /// The help of each verb fits on a screen, and `--help-all` has what it leaves out.
     #[test]
-    fn help_of_a_verb_fits_on_a_screen() {
+    fn help_of_verbs_fits_a_screen() {
         for verb in Cli::command().get_subcommands().filter(|verb| !verb.has_subcommands()) {
             let text = help(&["farmctl", verb.get_name(), "--help"]);
             assert!(text.lines().count() <= 48, "{} lines: {text}", text.lines().count());

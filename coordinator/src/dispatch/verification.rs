@@ -118,8 +118,8 @@ impl Verification {
         let check = check.or_insert(Check { claims: Vec::new(), is_disputed: true, rank: 0 });
         let new = Claim { by: Some(by), digest: arrived.digest };
         for claim in first.into_iter().chain([new]) {
-            let of_one = check.claims.iter().filter(|known| known.by == claim.by).count();
-            if of_one < CLAIMS_OF_ONE && !check.claims.contains(&claim) {
+            let claims_of = check.claims.iter().filter(|known| known.by == claim.by).count();
+            if claims_of < CLAIMS_OF_ONE && !check.claims.contains(&claim) {
                 check.claims.push(claim);
                 self.changed.insert(part);
             }
@@ -295,8 +295,8 @@ impl Verification {
     #[cfg(debug_assertions)]
     pub fn check(&self, schedule: &Schedule) -> Result<(), String> {
         for (part, Check { claims, .. }) in &self.checks {
-            let of_one = |by| claims.iter().filter(|claim| claim.by == by).count();
-            let is_bounded = claims.iter().all(|claim| of_one(claim.by) <= CLAIMS_OF_ONE);
+            let claims_of = |by| claims.iter().filter(|claim| claim.by == by).count();
+            let is_bounded = claims.iter().all(|claim| claims_of(claim.by) <= CLAIMS_OF_ONE);
             if claims.is_empty() || !is_bounded || schedule.by_id(part.dictionary).is_none() {
                 return Err(format!("{part:?} is checked with the claims {claims:?}"));
             }

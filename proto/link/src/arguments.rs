@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(read(&["program", "--number", "8"]).number, 8);
     }
 
-    /// Of the verbs that are like a mistyped one, the nearest is suggested.
+    /// A mistyped verb is answered with the nearest one.
     #[test]
     fn nearest_verb_is_suggested() {
         let verbs = ["slurm", "serve", "restore", "resume", "measurements", "measure"];

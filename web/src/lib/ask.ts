@@ -95,7 +95,7 @@ export type Measured = {
 };
 
 export type Predicted = {
-  channels: { channel: string; bases: { base: { name: string }; radiance_factor: number; std_error: number; interval: [number, number] }[] }[];
+  channels: { channel: string; bases: { base: string; radiance_factor: number; std_error: number; interval: [number, number] }[] }[];
   colours: {
     bases: { lab: [number, number, number]; lab_std_errors: [number, number, number]; srgb: [number, number, number] | null }[];
     contrast_ratio: [number, number] | null;

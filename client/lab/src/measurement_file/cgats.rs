@@ -254,7 +254,7 @@ impl CgatsTable {
         }
     }
 
-    /// The number for a perfect white: that of `SPECTRAL_NORM`, or 1 or 100 as the values tell.
+    /// The number for a perfect white: that of `SPECTRAL_NORM`, or 1 or 100 by all values.
     fn white(&self, bands: &[(usize, f64)]) -> Result<f64> {
         match self.number("SPECTRAL_NORM")? {
             Some(white) if white > 0.0 => return Ok(white),

@@ -17,7 +17,7 @@ const WALKS: u64 = 12_500;
 /// Most sets of jobs that are traced.
 const MOST: usize = 32;
 
-/// What a dictionary takes on this machine.
+/// Time and room that a dictionary takes on this machine.
 #[derive(Debug)]
 pub(super) struct Forecast {
     time: Duration,

@@ -83,7 +83,7 @@ fn with_rows(keyword: &str, rows: &str) -> String {
 
 /// The white is 1 or 100 by all values together, or by SPECTRAL_NORM; where both are possible it is asked for.
 #[test]
-fn white_is_told_by_all_values() {
+fn white_follows_from_all_values() {
     let fluorescent = read("", "paper 1.59 0.84 0.85");
     assert!(
         fluorescent.0.contains("of 1 for white") && fluorescent.1 == [1.59, 0.84, 0.85],
@@ -92,7 +92,7 @@ fn white_is_told_by_all_values() {
     let dark = "black 1.2 1.2 1.1";
     assert!(error(&with_rows("", dark)).contains("Add the line SPECTRAL_NORM 100"));
     assert_eq!(read("SPECTRAL_NORM 100", dark).1[..2], [0.012, 0.012]);
-    // A white tells that a dark patch is in per cent.
+    // With a white the dark patch is known to be in per cent.
     assert_eq!(read("", &format!("{dark}\nwhite 88 90 91")).1[..2], [0.012, 0.012]);
 }
 
@@ -113,7 +113,7 @@ fn repeated_patches_have_their_mean() {
 
 /// Sets may have several lines; names between tabs may have blanks; spreadsheets put lines into quotes.
 #[test]
-fn lines_of_tables_are_read_as_programs_write_them() {
+fn lines_are_read_as_programs_write_them() {
     for rows in [
         "\"light grey\" 0.5\n0.6\n0.7",
         "light grey\t0.5\t0.6\t0.7",

@@ -6,7 +6,7 @@ use super::{Kind, Seen, edge};
 /// Radiance factors above this do not occur: a white slab on a white base has 1, and a measurement whose white reference
 /// is off by the factor μ = 0.8 has 1.25.
 const LARGEST: f64 = 1.5;
-/// The same for patches, which are one number: fluorescent ones have more at one wavelength.
+/// This limit for patches, which are one number: fluorescent ones have more at one wavelength.
 const LARGEST_OF_PATCH: f64 = 3.0;
 
 const FROM_RAW: &str =
