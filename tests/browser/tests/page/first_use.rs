@@ -97,17 +97,19 @@ async fn fills(browser: &Browser) {
     assert!(done <= 36);
 }
 
-/// A press on the map moves the crosshair there, and the address contains the position.
+/// A press on the map, once it is there, moves the crosshair, and the address contains the position.
 async fn follows_the_crosshair(browser: &Browser) {
-    let map = browser.css("section[aria-label=Explore] .holder").await;
-    map.scroll_into_view().await.unwrap();
-    browser.driver.action_chain().move_to_element_with_offset(&map, 30, 20).click().perform().await.unwrap();
-    let url = browser.driver.current_url().await.unwrap();
-    let place = url.fragment().unwrap();
-    assert!(
-        place.starts_with("/measure?") && place.contains("sigma_t=") && place.contains("albedo="),
-        "{url}"
-    );
+    let pressed = browser.wait("crosshair", SOON, async |browser| {
+        let map = browser.driver.find(By::Css("section[aria-label=Explore] .holder")).await.ok()?;
+        map.scroll_into_view().await.ok()?;
+        let press = browser.driver.action_chain().move_to_element_with_offset(&map, 30, 20).click();
+        press.perform().await.ok()?;
+        let url = browser.driver.current_url().await.ok()?;
+        let place = url.fragment()?.to_owned();
+        Some(place).filter(|place| place.contains("sigma_t=") && place.contains("albedo="))
+    });
+    let place = pressed.await;
+    assert!(place.starts_with("/measure?"), "{place}");
 }
 
 /// The page's table contains the numbers that `farmctl measure` prints for the same file.
