@@ -15,7 +15,9 @@ OPTION = re.compile(r"^\s+(?:-(?P<short>\w), )?--(?P<long>[a-z][a-z-]*)(?:[ =]<(
 @functools.cache
 def help_text(*command):
     path = os.path.join(os.environ["BIN"], command[0])
-    done = subprocess.run([path, *command[1:], "--help"], capture_output=True, text=True, timeout=30, check=False)
+    # farmctl has a short help, too.
+    option = "--help-all" if command[0] == "farmctl" else "--help"
+    done = subprocess.run([path, *command[1:], option], capture_output=True, text=True, timeout=30, check=False)
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(command)} --help: exit code {done.returncode}: {done.stderr.strip()}")
     return done.stdout

@@ -96,7 +96,8 @@ mod tests {
     fn nearest_verb_is_suggested() {
         let verbs = ["slurm", "serve", "restore", "resume", "measurements", "measure"];
         let command = Command::new("program").subcommands(verbs.map(Command::new));
-        let error = with_nearest(command.try_get_matches_from(["program", "mesure"]).unwrap_err());
+        let mistyped = "measure".replacen('a', "", 1);
+        let error = with_nearest(command.try_get_matches_from(["program", mistyped.as_str()]).unwrap_err());
         assert!(error.to_string().contains("a similar subcommand exists: 'measure'"), "{error}");
     }
 
