@@ -198,8 +198,10 @@ impl Shared {
         let place = || self.open_calls.hold(vec![Limit::new(peer, OPEN_CALLS)], 1);
         let place = is_open.then(place).transpose()?;
         let key = caller.as_ref().map_or_else(|| permission::machine(extensions).address, Caller::label);
-        let limits =
-            vec![Limit::of_all(self.held_bytes.saturating_mul(SHARES)), Limit::new(key, self.held_bytes)];
+        let limits = vec![
+            Limit::all_callers(self.held_bytes.saturating_mul(SHARES)),
+            Limit::new(key, self.held_bytes),
+        ];
         let bytes = Arc::new(self.bytes.hold(limits, 0)?);
         let held = (request.uri().path() != STREAMED).then(|| bytes.clone());
         let body = std::mem::take(request.body_mut());

@@ -28,7 +28,7 @@ impl Limit {
     }
 
     /// A limit of all callers together.
-    pub fn of_all(most: u64) -> Self {
+    pub fn all_callers(most: u64) -> Self {
         Self::new(ALL, most)
     }
 
@@ -36,7 +36,7 @@ impl Limit {
     /// share only the first.
     pub fn shared(caller: &str, own: u64, all: u64) -> Vec<Self> {
         let own = (!caller.is_empty()).then(|| Self::new(caller, own));
-        std::iter::once(Self::of_all(all)).chain(own).collect()
+        std::iter::once(Self::all_callers(all)).chain(own).collect()
     }
 
     /// Checks an amount that is counted elsewhere.
@@ -279,7 +279,7 @@ mod tests {
     use super::*;
 
     fn limits(caller: &str, own: u64, all: u64) -> Vec<Limit> {
-        vec![Limit::of_all(all), Limit::new(caller, own)]
+        vec![Limit::all_callers(all), Limit::new(caller, own)]
     }
 
     /// Starts a call that waits for an amount, and lets it begin.

@@ -18,7 +18,7 @@ pub(crate) fn inks_blocks(unmixed: &Unmixed) -> Vec<Block> {
         let row = |(ink, c): (&InkFit, &InkChannel)| {
             let star = if c.from_mixtures { "*" } else { "" };
             let names = vec![short(&ink.material), format!("{}{star}", c.channel)];
-            [names, cells(ChannelSummary::of_ink(c))].concat()
+            [names, cells(ChannelSummary::ink(c))].concat()
         };
         channels.map(row).collect()
     };

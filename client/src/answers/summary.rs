@@ -36,7 +36,7 @@ impl ChannelSummary {
     }
 
     /// Inks may absorb much, so that their absorption is known well.
-    pub(super) fn of_ink(c: &InkChannel) -> Self {
+    pub(super) fn ink(c: &InkChannel) -> Self {
         let intervals = [c.reduced_scattering_per_mm, c.absorption_per_mm, c.sigma_t_per_mm, c.albedo, c.g];
         Self::new(with_intervals(&c.medium, intervals), 3, c.resolved)
     }

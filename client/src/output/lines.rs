@@ -30,10 +30,7 @@ fn part(block: &Block) -> String {
         Block::Files(files) => joined(files, |(names, text)| named(&(names.join(", "), text.clone()))),
         Block::Table(table) if table.rows.is_empty() => String::new(),
         // Shares need the whole width.
-        Block::Table(all) if !all.shares.is_empty() => {
-            let head = all.head.iter().map(|column| column.name.clone()).collect();
-            joined(&[vec![head], all.rows.clone()].concat(), |row| wrapped(&row.join(": ")))
-        }
+        Block::Table(all) if !all.shares.is_empty() => joined(&all.rows, |row| wrapped(&row.join(": "))),
         Block::Table(all) => table(all),
         Block::Preformatted(text) => text.clone(),
         Block::Folded(_, content) => lines(content),

@@ -20,8 +20,7 @@ use super::{Means, OTHER_METHOD, Shared};
 
 /// Largest piece that is passed to the connection, which keeps it until the caller reads.
 const PIECE: usize = 64 << 10;
-/// Time limit until a message of an answer is read, in addition to the time for its bytes. Streams give up earlier, and
-/// their status has to be delivered after that.
+/// Time limit until a message of an answer is read, in addition to the time for its bytes.
 const PATIENCE: Duration = Duration::from_secs(150);
 /// Slowest rate in bytes per second, from which the time for the bytes follows.
 const SLOWEST: usize = 64 << 10;

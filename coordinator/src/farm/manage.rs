@@ -75,7 +75,7 @@ impl Farm {
             }
         });
         let more = plan.entries() as u64;
-        Limit::of_all(ENTRIES).check(all, more, what, delete)?;
+        Limit::all_callers(ENTRIES).check(all, more, what, delete)?;
         if !by.shares_as().is_empty() {
             Limit::new(by.key(), ENTRIES_OF_ONE).check(own, more, what, delete)?;
             Limit::new(by.key(), DICTIONARIES_OF_ONE).check(count, 1, "dictionaries", "delete some")?;

@@ -51,7 +51,7 @@ impl ResultRoom {
         tokio::select! {
             biased;
             held = self.bytes.wait(limits(machine, BYTES), bytes as u64) => taken.held.push(held),
-            overdraft = self.overdraft.wait(vec![Limit::of_all(1)], 1) => taken.overdraft = Some(overdraft),
+            overdraft = self.overdraft.wait(vec![Limit::all_callers(1)], 1) => taken.overdraft = Some(overdraft),
         }
     }
 
@@ -69,7 +69,7 @@ impl ResultRoom {
 /// Half of all is for one token, whatever the number of its machines, and a quarter for one machine.
 fn limits(machine: &Machine, all: u64) -> Vec<Limit> {
     let token = format!("token {}", machine.token);
-    vec![Limit::of_all(all), Limit::new(token, all / 2), Limit::new(machine.identity(), all / 4)]
+    vec![Limit::all_callers(all), Limit::new(token, all / 2), Limit::new(machine.identity(), all / 4)]
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ mod tests {
             (None, true, (vec![2], Some(Code::Unavailable))),
         ] {
             let shutdown = CancellationToken::new();
-            let place = quota.hold(vec![Limit::of_all(1)], 1).unwrap();
+            let place = quota.hold(vec![Limit::all_callers(1)], 1).unwrap();
             let mut stream = outgoing(Countdown(2, error), |item| item, shutdown.clone(), place);
             let (mut items, mut code) = (Vec::new(), None);
             while let Some(item) = stream.next().await {

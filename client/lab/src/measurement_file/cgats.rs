@@ -31,8 +31,9 @@ pub(super) fn is(text: &str) -> bool {
 
 /// Refuses a table of spectra without the keywords of CGATS, as some programs write it by default.
 pub(super) fn refuse_other_spectra(text: &str) -> Result<()> {
-    let is_head =
-        |line: &str| words(line).iter().enumerate().filter_map(|(i, name)| band((i, name))).count() >= 5;
+    // Numbers of a table may look like wavelengths.
+    let is_named = |name: &&String| name.starts_with(char::is_alphabetic) && band((0, name)).is_some();
+    let is_head = |line: &str| words(line).iter().filter(is_named).count() >= 5;
     if text.lines().take(100).any(|line| is_head(&line.replace([',', ';'], " "))) {
         bail!("this is a table of spectra without the keywords of CGATS: export it as CGATS (ISO 28178)");
     }

@@ -12,6 +12,7 @@ use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::SubmitRequest;
 use optics_model::Grid;
 use optics_model::grid::NoiseLevel;
+use tokio::task::block_in_place;
 
 use super::following::{self, follow};
 use super::forecast::Forecast;
@@ -132,6 +133,12 @@ fn is_done(known: &DictionaryStatus, grid: &Grid) -> bool {
     known.state() == DictionaryState::Done && known.grid.clone().without_responses() == *grid
 }
 
+/// Whether nothing of a grid is left to compute.
+async fn is_ended(connection: &Connection, name: &DictionaryName, grid: &Grid) -> bool {
+    let known = following::get(connection, name).await;
+    known.is_ok_and(|known| known.state() == DictionaryState::Done && known.grid == *grid)
+}
+
 async fn submit(
     connection: &Connection,
     name: &DictionaryName,
@@ -139,7 +146,9 @@ async fn submit(
     args: &SubmitArgs,
     quiet: bool,
 ) -> Result<(DictionaryStatus, SubmitEnd)> {
-    let forecast = (connection.is_embedded() && !quiet).then(|| Forecast::new(grid));
+    let is_wanted = connection.is_embedded() && !quiet && !is_ended(connection, name, grid).await;
+    // This command's worker begins with the submission, and would slow the jobs that are timed.
+    let forecast = is_wanted.then(|| block_in_place(|| Forecast::new(grid)));
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
     let mut status = DictionaryStatus::try_from(submitted)?;

@@ -2,6 +2,7 @@
 
 #[cfg(test)]
 mod tests;
+mod wavelengths;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -30,6 +31,7 @@ use crate::prints::errors::{ErrorKey, changes, sum_std_error};
 use crate::prints::geometry::Geometry;
 use crate::prints::slabs::NamedSlab;
 use crate::prints::view::{PrintView, materials_of};
+use wavelengths::{left_out, measured_at};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -194,7 +196,8 @@ fn validated(
     let compared: BTreeSet<&str> = of_patches.iter().flatten().map(|p| p.channel.as_str()).collect();
     let channels = view.names().into_iter().filter(|name| compared.contains(name)).map(str::to_owned);
     let channels: Vec<String> = channels.collect();
-    let left_out = left_out(&patches, &channels);
+    let measured = patches.iter().flat_map(|patch| &patch.values).map(|(channel, ..)| *channel);
+    let left_out = left_out(measured, &channels);
     let patches = of_patches.into_iter().flatten().collect();
     Ok(ValidateJson { geometry: options.geometry.name(), channels, left_out, patches, chi2, inks, colours })
 }
@@ -232,11 +235,6 @@ fn of_material<'a>(
     }
     Ok(patches)
 }
-
-/// Widest gap between two wavelengths of a chart within which values are interpolated.
-const WIDEST_GAP_NM: f64 = 20.0;
-/// Wavelengths this near to those that are compared take part in the interpolation.
-const SPACING_NM: f64 = 10.0;
 
 /// Value and standard error of a patch, whose pixels all have its value.
 fn value_of(profile: &MeasuredProfile, material: &str) -> Result<(f64, f64)> {
@@ -285,44 +283,6 @@ fn compared(
         })
     };
     Ok((0..names.len()).filter_map(comparison).collect())
-}
-
-/// Value and standard error in a channel of the media: that of the same channel, or between two wavelengths. None if the
-/// chart has neither.
-fn measured_at(name: &str, measured: &[(&str, f64, f64)]) -> Option<(f64, f64)> {
-    if let Some((_, value, error)) = measured.iter().find(|(channel, ..)| *channel == name) {
-        return Some((*value, *error));
-    }
-    let nm = wavelength_nm(name)?;
-    let places = || measured.iter().filter_map(|m| Some((wavelength_nm(m.0)?, m.1, m.2)));
-    let below = places().filter(|(at, ..)| *at <= nm).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let above = places().filter(|(at, ..)| *at >= nm).min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let gap = above.0 - below.0;
-    if gap > WIDEST_GAP_NM {
-        return None;
-    }
-    let share = if gap > 0.0 { (nm - below.0) / gap } else { 0.0 };
-    let mean = |a: f64, b: f64| a + share * (b - a);
-    Some((mean(below.1, above.1), libm::hypot((1.0 - share) * below.2, share * above.2)))
-}
-
-/// Channels of the chart beyond those that are compared.
-fn left_out(patches: &[ChartPatch], compared: &[String]) -> Vec<String> {
-    let nm: Vec<f64> = compared.iter().filter_map(|name| wavelength_nm(name)).collect();
-    let (first, last) =
-        (nm.iter().copied().fold(f64::INFINITY, f64::min), nm.iter().copied().fold(0.0, f64::max));
-    let is_used = |channel: &str| {
-        let is_between =
-            wavelength_nm(channel).is_some_and(|nm| nm > first - SPACING_NM && nm < last + SPACING_NM);
-        is_between || compared.iter().any(|name| name == channel)
-    };
-    let mut names: Vec<String> = Vec::new();
-    for (channel, ..) in patches.iter().flat_map(|patch| &patch.values) {
-        if !is_used(channel) && !names.iter().any(|name| name == channel) {
-            names.push((*channel).to_owned());
-        }
-    }
-    names
 }
 
 /// The difference of measured and predicted colour; None unless the channels are wavelengths of the visible range.

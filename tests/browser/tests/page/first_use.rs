@@ -166,7 +166,7 @@ async fn same_numbers(browser: &Browser, answer: &Value) {
 async fn same_tables_as_the_report(browser: &Browser, report: &Path) {
     let report = std::fs::read_to_string(report).unwrap();
     for title in ["Estimates of the set-up", "Error budget of σ_t"] {
-        let (_, table) = report.split_once(&format!("<h3>{title}</h3>")).unwrap();
+        let (_, table) = report.split_once(&format!("<h3>{title}")).unwrap();
         let (table, _) = table.split_once("</table>").unwrap();
         let cells = table.split("<td").skip(1).map(|cell| cell.split(['>', '<']).nth(1).unwrap());
         let cells: Vec<&str> = cells.collect();

@@ -108,7 +108,7 @@ pub fn budget_blocks(budget: &ErrorBudget) -> Vec<Block> {
         shares,
         ..ValueTable::new("channel | 95 % | shares of the variance", budget.channels.iter().map(row))
     };
-    vec![Block::heading(3, "Error budget of σ_t"), table.block()]
+    vec![Block::heading(3, "Error budget of σ_t (95 %): shares of the variance"), table.block()]
 }
 
 impl Simulated {

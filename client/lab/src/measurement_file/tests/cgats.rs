@@ -138,4 +138,6 @@ fn other_tables_of_spectra_are_refused() {
         let message = error(&format!("Lab reference\tD50\n\n{names}\n"));
         assert!(message.contains("export it as CGATS"), "{message}");
     }
+    let counts = error("512,600,700,800,900\n513,601,702,803,904\n");
+    assert!(counts.contains("the first line has numbers"), "{counts}");
 }

@@ -53,19 +53,3 @@ fn inks_share_their_error_over_patches() {
     // Variances in 1e-4: own 4, gains 2 · 4, the medium 16.
     assert!((found.z - 4.0 / 28_f64.sqrt()).abs() < 1e-9 && found.patches == 2, "{found:?}");
 }
-
-/// Between two wavelengths of a chart values are interpolated, with their errors; not over a wide gap or beyond its ends.
-#[test]
-fn wavelengths_of_charts_are_interpolated() {
-    let chart = [("385", 0.2, 0.01), ("395", 0.3, 0.01), ("450", 0.5, 0.01), ("R", 0.7, 0.02)];
-    let (value, error) = measured_at("390", &chart).unwrap();
-    assert!((value - 0.25).abs() < 1e-12 && (error - 0.01 / 2_f64.sqrt()).abs() < 1e-12, "{value} {error}");
-    assert_eq!(measured_at("385", &chart), Some((0.2, 0.01)));
-    assert_eq!(measured_at("R", &chart), Some((0.7, 0.02)));
-    for outside in ["380", "420", "460", "G"] {
-        assert_eq!(measured_at(outside, &chart), None, "{outside}");
-    }
-    let slab = NamedSlab { shares: Vec::new(), thickness_mm: 1.0 };
-    let patch = ChartPatch { material: "white", slab, values: chart.to_vec() };
-    assert_eq!(left_out(&[patch], &["390".to_owned()]), ["450", "R"]);
-}

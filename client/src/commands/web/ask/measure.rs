@@ -210,7 +210,7 @@ impl MeasuredAnswer {
     pub async fn ask(state: &PageState, mut asked: MeasureInputs) -> Result<Self> {
         if let Some(id) = &asked.source.kept {
             let kept = kept(state, id).await?;
-            return block_in_place(|| Self::of_kept(state, kept));
+            return block_in_place(|| Self::from_kept(state, kept));
         }
         let keep = asked.keep.take();
         let mut prepared = Prepared::read(state, asked).await?;
@@ -235,7 +235,7 @@ impl MeasuredAnswer {
     }
 
     /// Its folder is that of a capture of this page.
-    fn of_kept(state: &PageState, kept: KeptAnswer) -> Result<Self> {
+    fn from_kept(state: &PageState, kept: KeptAnswer) -> Result<Self> {
         let KeptAnswer { summary, request, materials, found, options, grid } = kept;
         let folder = state.captures.folder(&summary.source).ok();
         let folder = folder.map(|folder| SessionFolder::open(&folder)).transpose()?;
