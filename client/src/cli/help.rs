@@ -29,7 +29,10 @@ Other commands, each with its --help; `farmctl --help-all` describes them:
                  delete, export
   the paper      fit, scale, map, profile, similar
   the farm       serve, workers, events, doctor, backup, restore, health, access, slurm
-  the shell      completions, manual";
+  the shell      completions, manual
+
+With every command: --data DIR for another folder than ./farm-data, --server URL or --access FILE
+for a farm elsewhere, --local for this machine in any case.";
 
 /// Headings and names of the options that only `--help-all` shows.
 const SPECIAL: [&str; 4] = [OBJECTIVE, SEARCH, SET_UP, FIGURES];
@@ -49,6 +52,9 @@ const SPECIAL_OPTIONS: [&str; 14] = [
     "change",
     "threads",
 ];
+
+/// Options below these headings that most need.
+const USUAL_OPTIONS: [&str; 2] = ["mu", "session"];
 
 /// Option that shows all verbs and options.
 pub(crate) const HELP_ALL: &str = "--help-all";
@@ -71,9 +77,11 @@ pub(crate) fn with_help(command: Command, all: bool) -> Command {
 /// The command and all below it with a short and a long help.
 fn with_two_helps(command: Command) -> Command {
     let shortened = |argument: Arg| {
-        let is_special = argument.get_help_heading().is_some_and(|heading| SPECIAL.contains(&heading))
-            || SPECIAL_OPTIONS.contains(&argument.get_id().as_str());
-        argument.hide_short_help(is_special)
+        let id = argument.get_id().as_str();
+        let is_special = SPECIAL_OPTIONS.contains(&id)
+            || argument.get_help_heading().is_some_and(|heading| SPECIAL.contains(&heading));
+        let is_usual = USUAL_OPTIONS.contains(&id);
+        argument.hide_short_help(is_special && !is_usual)
     };
     let short = Arg::new("help").short('h').long("help").action(ArgAction::HelpShort);
     let long = Arg::new("help_all").long("help-all").action(ArgAction::HelpLong);

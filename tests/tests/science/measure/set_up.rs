@@ -96,7 +96,14 @@ fn false_alarms(fits: &[MaterialFit]) -> Vec<String> {
         let at_end = scene.clone().filter(|e| e.at_end).map(|e| format!("{} at its end", e.quantity));
         let conflicts = scene.filter(|e| e.is_conflict()).map(|e| format!("{} in conflict", e.quantity));
         let unexplained = (r.likelihood.probability < 1e-3).then(|| "unexplained".to_owned());
-        suspicion.into_iter().chain(at_end).chain(conflicts).chain(unexplained).collect::<Vec<_>>()
+        let unended = (!r.descent.is_minimum()).then(|| "not converged".to_owned());
+        suspicion
+            .into_iter()
+            .chain(unended)
+            .chain(at_end)
+            .chain(conflicts)
+            .chain(unexplained)
+            .collect::<Vec<_>>()
     };
     fits.iter().flat_map(|m| &m.channels).filter_map(|c| c.refined.as_ref()).flat_map(alarms).collect()
 }
