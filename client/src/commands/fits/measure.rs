@@ -34,7 +34,7 @@ use question::{Answer, Question, ask};
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  farmctl measure materials.csv                        with the dictionary `lab`, computed if it is lacking
+  farmctl measure materials.csv                        with `lab`, computed if lacking
   farmctl measure examples/white.csv --dictionary paper
   farmctl measure white                                what `farmctl capture` wrote there
   farmctl measure materials.csv -o media --plot media.svg

@@ -49,7 +49,7 @@ pub(super) fn left_out<'a>(measured: impl Iterator<Item = &'a str>, compared: &[
 mod tests {
     use super::*;
 
-    /// Between two wavelengths of a chart values are interpolated, with their errors; not over a wide gap or beyond its ends.
+    /// Between two wavelengths of a chart values are interpolated, with their errors, but not over a wide gap.
     #[test]
     fn wavelengths_of_charts_are_interpolated() {
         let chart = [("385", 0.2, 0.01), ("395", 0.3, 0.01), ("450", 0.5, 0.01), ("R", 0.7, 0.02)];
