@@ -42,7 +42,7 @@ impl Darks {
             CameraSettings::of(last).check(&photo)?;
         }
         let samples = photo.frame.samples();
-        let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
+        let share = zeros_percent(&photo);
         if share > ZEROS_PERCENT && photo.frame.pattern() != Pattern::Rgb {
             return Err(Refusal::BlackSubtracted { label: photo.label, share });
         }
@@ -129,9 +129,14 @@ impl Black {
         let mut warnings = vec![Warning::NoDark];
         if sites.iter().all(|site| levels[site.position] == 0.0) {
             if photo.frame.pattern() != Pattern::Rgb {
-                let samples = photo.frame.samples();
-                let share = 100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64;
-                return Err(Refusal::BlackSubtracted { label: photo.label.clone(), share });
+                let (label, share) = (photo.label.clone(), zeros_percent(photo));
+                // A level of 0 in a file whose samples do not show it is no level.
+                let is_cut = share > ZEROS_PERCENT;
+                return Err(if is_cut {
+                    Refusal::BlackSubtracted { label, share }
+                } else {
+                    Refusal::BlackUnknown { label }
+                });
             }
             warnings.push(Warning::BlackSubtracted);
         }
@@ -149,6 +154,12 @@ impl Black {
         let departure = self.map.as_ref().map_or(0.0, |map| f64::from(map[index(frame, site, x, y)]));
         f64::from(frame.at(site, x, y)) - self.levels[site.index].value - departure
     }
+}
+
+/// Share of the samples that are 0, in percent.
+fn zeros_percent(photo: &Photo) -> f64 {
+    let samples = photo.frame.samples();
+    100.0 * samples.iter().filter(|s| **s == 0).count() as f64 / samples.len() as f64
 }
 
 fn index(frame: &Frame, site: Site, x: usize, y: usize) -> usize {

@@ -5,7 +5,7 @@ use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::Photo;
-use crate::lattice::{PatchRadiance, light, movement};
+use crate::lattice::{LightChange, PatchRadiance, movement};
 use crate::least_squares::robust_mean;
 use crate::mountings::SampleProfile;
 use crate::refusal::Refusal;
@@ -45,31 +45,35 @@ impl<'a> BlueCutShots<'a> {
         self.calibration.settings.check(&photo)?;
         let label = &photo.label;
         let found = &self.board.found;
-        let free = found.seen.free_parts(self.calibration.view(&photo));
+        let free = found.seen.free_parts(self.calibration.view(&photo), &found.edge_frame);
         movement::check(label, &free.moved_px)?;
         let radiance = Radiance::new(self.calibration, &photo);
-        let patches: Vec<PatchRadiance> = found.seen.patches().map(|p| p.read(&radiance)).collect();
+        let patches: Vec<PatchRadiance> =
+            found.seen.patches().map(|p| p.read(&radiance, &found.edge_frame)).collect();
         let refused = |seen: String| Refusal::NoBlueCut { label: label.clone(), seen };
         let no_board = || refused("no part of the board is free of the slab".to_owned());
         let free = free.free.as_deref().ok_or_else(no_board)?;
         // Where no blue is left, its factor cannot be measured.
-        let factor = |c: usize| light::channel_factor(&self.board.readings, &patches, free, c);
-        let (red, green) = factor(0).zip(factor(1)).ok_or_else(no_board)?;
-        let blue = factor(2).map_or(0.0, |blue| blue.value);
-        if blue > LEFT * green.value {
-            let (percent, allowed) = (100.0 * blue / green.value, 100.0 * LEFT);
+        let change = |c: usize| LightChange::measured(&self.board.readings, &patches, free, c);
+        let (red, green) = change(0).zip(change(1)).ok_or_else(no_board)?;
+        let (blue, whole) = (change(2).map_or(0.0, |blue| blue.factor.value), green.factor.value);
+        if blue > LEFT * whole {
+            let (percent, allowed) = (100.0 * blue / whole, 100.0 * LEFT);
             let seen =
                 format!("{percent:.0} % of the blue light are left, against green, {allowed} % are allowed");
             return Err(refused(seen));
         }
         // The rest of blue is not used.
-        let lamps = [red, green, Estimate::new(1.0, 0.0)];
-        let radiance = radiance.under(&lamps);
+        let lamps = [red, green, LightChange::default()];
+        let radiance = radiance.under(&lamps, &self.board.fields, found.edge_frame);
         let (binnings, _) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings[..2], radiance.full)?;
         let share = |c: usize| {
             let Estimate { value, std_error } = excited(&self.whole.profiles[c], &binnings[c].profile)?;
-            Some(Estimate::new(value, libm::hypot(std_error, lamps[c].std_error / lamps[c].value)))
+            Some(Estimate::new(
+                value,
+                libm::hypot(std_error, lamps[c].factor.std_error / lamps[c].factor.value),
+            ))
         };
         self.shares.push([share(0), share(1)]);
         self.label.clone_from(label);

@@ -8,14 +8,14 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::Photo;
 use crate::lattice::{
-    CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, find,
-    own_edge,
+    CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LightField, LocatedBoard, PatchRadiance, Target,
+    find, own_edge,
 };
 use crate::lattice::{light, movement};
 use crate::least_squares::{FittedParameters, NormalEquations, scatter_of_mean};
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
-use crate::saturation::Saturation;
+use crate::saturation::{CLIPPED, Saturation};
 use crate::sfr::EdgeSfr;
 
 /// Accumulates shots of the bare board.
@@ -27,6 +27,8 @@ pub struct BareShots<'a> {
     cells: Vec<CropCells>,
     /// Brightness of each shot at the patches of the first.
     readings: Vec<Vec<PatchRadiance>>,
+    /// Light over the board, per shot.
+    fields: Vec<Vec<LightField>>,
     shots: Vec<ShotReport>,
     /// Radiance factor of the frame's mean, per shot.
     means: Vec<Vec<f64>>,
@@ -61,13 +63,14 @@ pub struct Board {
     pub dark: Vec<Estimate>,
     pub shots: Vec<ShotReport>,
     pub warnings: Vec<Warning>,
-    /// Slope of the light side, relative per 10 mm: of the light that the flat does not correct, and of the board
-    /// itself.
+    /// Slope of the light side, relative per 10 mm, which is left after all corrections.
     pub slope: Vec<Estimate>,
     pub(crate) found: LocatedBoard,
     pub(crate) cells: CropCells,
     /// Brightness at the patches of `found`.
     pub(crate) readings: Vec<PatchRadiance>,
+    /// Light over the board that the flat does not have.
+    pub(crate) fields: Vec<LightField>,
     /// Relative error of the mean light of the bare shots: their spread, and its unevenness.
     pub(crate) light_std_error: Vec<f64>,
     /// Radiance factor of the frame's mean.
@@ -77,9 +80,21 @@ pub struct Board {
 impl<'a> BareShots<'a> {
     pub fn new(calibration: &'a Calibration, target: Target) -> Result<Self, Invalid> {
         target.check()?;
-        let (cells, readings, shots, fine) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        let (blurs, means, warnings) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { calibration, target, found: None, cells, readings, shots, means, fine, blurs, warnings })
+        let (cells, readings, fields, shots) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (means, fine, blurs, warnings) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Ok(Self {
+            calibration,
+            target,
+            found: None,
+            cells,
+            readings,
+            fields,
+            shots,
+            means,
+            fine,
+            blurs,
+            warnings,
+        })
     }
 
     #[expect(clippy::needless_pass_by_value, reason = "all steps take their photographs; others keep them")]
@@ -101,13 +116,18 @@ impl<'a> BareShots<'a> {
         let found = self.found.get_or_insert(found);
         let edge_frame = found.edge_frame;
         let radiance = Radiance::new(self.calibration, &photo);
-        let readings: Vec<PatchRadiance> = found.seen.patches().map(|p| p.read(&radiance)).collect();
+        let readings: Vec<PatchRadiance> =
+            found.seen.patches().map(|p| p.read(&radiance, &edge_frame)).collect();
         let light =
-            self.readings.first().and_then(|bare| light::factor(bare, &readings, seen.free.as_deref()?));
+            self.readings.first().and_then(|bare| light::changes(bare, &readings, seen.free.as_deref()?));
         if let Some(light) = &light {
             light::check(&photo, light)?;
         }
+        let fields = LightField::measured(&readings);
+        light::check_field(&photo, &fields, !self.calibration.flat().is_missing())?;
+        let radiance = radiance.levelled(fields.clone(), edge_frame);
         let binnings = self.bins(&photo, &radiance, &edge_frame)?;
+        self.fields.push(fields);
         self.fine.push(fine_bins(&radiance, &edge_frame));
         self.cells.push(CropCells::of(&radiance, &edge_frame));
         self.means.push(radiance.means());
@@ -218,6 +238,12 @@ impl<'a> BareShots<'a> {
             let Estimate { value: mm, std_error: std_error_mm } = spread_mm;
             self.warnings.push(Warning::SpreadingBoard { mm, std_error_mm });
         }
+        let fields = LightField::mean(&self.fields);
+        let turned = calibration.columns().iter().zip(&fields).filter(|(_, field)| !field.is_even());
+        let steepest = turned.map(|(colour, field)| (*colour, 100.0 * field.steepest()));
+        if let Some((colour, percent)) = steepest.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) {
+            self.warnings.push(Warning::UnevenBoard { colour, percent });
+        }
         let edge_frame = found.edge_frame;
         let scale = edge_frame.mm_per_px();
         let sfr = |c: usize| EdgeSfr::of(&fine[c], fits[c].origin.value, fits[c].blur.value, scale);
@@ -240,6 +266,7 @@ impl<'a> BareShots<'a> {
             frame_mean: calibration.each(frame_mean),
             profiles,
             readings: PatchRadiance::mean(&self.readings),
+            fields,
             shots: self.shots,
             warnings: self.warnings,
             found,
@@ -268,9 +295,6 @@ impl Board {
         self.found.edge_frame.mm([x_px, y_px])
     }
 }
-
-/// Share of clipped samples above which a shot is refused.
-const CLIPPED: f64 = 1e-3;
 
 pub(crate) fn check_clipped(photo: &Photo, binnings: &[Binning], full: Saturation) -> Result<(), Refusal> {
     match binnings.iter().find(|b| b.clipped_share > CLIPPED) {

@@ -5,6 +5,7 @@ use crate::camera_settings::CameraSettings;
 use crate::estimate::Estimate;
 use crate::flat::Flat;
 use crate::frame::{Area, Colour, Frame, Photo, Site};
+use crate::lattice::{EdgeFrame, LightChange, LightField};
 use crate::noise::SiteNoise;
 use crate::refusal::Warning;
 use crate::saturation::{Saturation, saturation};
@@ -111,9 +112,11 @@ pub(crate) struct Radiance<'a> {
     pub full: Saturation,
     /// M per channel.
     means: Vec<f64>,
-    /// γ M per channel.
+    /// γ M per channel, and what the shot has more of it than the bare shots.
     veil: Vec<f64>,
     gain: Vec<f64>,
+    /// Light over the board that the flat does not have; None where there is none.
+    fields: Option<(EdgeFrame, Vec<LightField>)>,
 }
 
 /// One sample as a radiance factor.
@@ -130,14 +133,21 @@ impl<'a> Radiance<'a> {
         let means = frame_means(&calibration.black, &photo.frame);
         let veil = calibration.glare.iter().zip(&means).map(|(glare, mean)| glare.value * mean).collect();
         let gain = calibration.gain.iter().zip(&light).map(|(gain, light)| gain.value * light).collect();
-        Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain }
+        Self { frame: &photo.frame, calibration, full: saturation(photo), means, veil, gain, fields: None }
     }
 
-    /// These radiances under light that is brighter by a factor than interpolated for its time.
-    pub fn under(mut self, light: &[Estimate]) -> Self {
-        for (gain, light) in self.gain.iter_mut().zip(light) {
-            *gain *= light.value;
+    /// These radiances corrected for light that differs from the bare shots', whose fields are given.
+    pub fn under(mut self, light: &[LightChange], fields: &[LightField], edge: EdgeFrame) -> Self {
+        for ((gain, veil), light) in self.gain.iter_mut().zip(&mut self.veil).zip(light) {
+            *veil += light.offset.value * *gain;
+            *gain *= light.factor.value;
         }
+        self.levelled(fields.iter().zip(light).map(|(field, light)| field.under(light)).collect(), edge)
+    }
+
+    /// These radiances corrected for uneven light over the board.
+    pub fn levelled(mut self, fields: Vec<LightField>, edge: EdgeFrame) -> Self {
+        self.fields = (!fields.iter().all(LightField::is_even)).then_some((edge, fields));
         self
     }
 
@@ -150,7 +160,10 @@ impl<'a> Radiance<'a> {
         let c = site.colour.index();
         let signal = self.calibration.black.signal(self.frame, site, x, y);
         let flat = self.calibration.flat.at(site.colour, x as f64 + 0.5, y as f64 + 0.5);
-        let per_unit = flat * self.gain[c] * self.calibration.site_gain[site.index];
+        let field = self.fields.as_ref().map_or(1.0, |(edge, fields)| {
+            fields[c].at(edge.mm([x as f64 + 0.5, y as f64 + 0.5]).map(|mm| 0.1 * mm))
+        });
+        let per_unit = flat * field * self.gain[c] * self.calibration.site_gain[site.index];
         RadianceSample {
             value: (signal - self.veil[c]) / per_unit,
             variance: self.calibration.noise[site.index].variance(signal) / (per_unit * per_unit),

@@ -67,6 +67,8 @@ pub fn check_shot(photo: &Photo, darks: Darks) -> Result<ShotCheck, Refusal> {
         check.warnings = vec![Warning::DarkShot { label: photo.label.clone() }];
         return Ok(check);
     }
+    one_colour::check_unmixed(photo)?;
+    one_colour::check_period(photo)?;
     if one_colour::are_one(&photo.frame, black.levels(), full) {
         check.warnings.push(Warning::OneColour { label: photo.label.clone() });
     }

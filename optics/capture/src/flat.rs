@@ -12,7 +12,7 @@ use crate::frame::{Colour, Frame, Photo};
 use crate::least_squares::{median, robust_fit, robust_mean, scatter_of_mean, spread};
 use crate::noise::Pairs;
 use crate::refusal::{Refusal, TURNED, UNLIKE, Warning};
-use crate::saturation::{Saturation, saturation};
+use crate::saturation::{CLIPPED, Saturation, saturation};
 
 /// Cells of the grid on which a flat is fitted.
 const ACROSS: usize = 36;
@@ -189,34 +189,50 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
 /// ln of the mean light of each cell.
 fn grid(photo: &Photo, black: &Black, colour: Colour, full: Saturation) -> Result<Vec<f64>, Refusal> {
     let frame = &photo.frame;
-    let cells: Vec<_> =
-        (0..ACROSS * DOWN).into_par_iter().map(|k| cell(frame, black, colour, full, k)).collect();
-    let clipped = cells.iter().filter(|c| c.is_none()).count();
-    if clipped > 0 {
-        let share = 100.0 * clipped as f64 / cells.len() as f64;
+    let cells: Vec<Cell> =
+        (0..ACROSS * DOWN).into_par_iter().map(|k| Cell::new(frame, black, colour, full, k)).collect();
+    let sum = |count: fn(&Cell) -> usize| cells.iter().map(count).sum::<usize>() as f64;
+    let share = sum(|cell| cell.clipped) / sum(|cell| cell.samples);
+    if share > CLIPPED {
         let place = "the sheet".to_owned();
         let level = full.of_colour(frame, colour);
-        return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level });
+        return Err(Refusal::Clipped {
+            label: photo.label.clone(),
+            colour,
+            place,
+            share: 100.0 * share,
+            level,
+        });
     }
-    Ok(cells.into_iter().flatten().collect())
+    Ok(cells.iter().map(|cell| cell.log_light).collect())
 }
 
-fn cell(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize) -> Option<f64> {
-    let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
-    let (columns, rows) = (range(k % ACROSS, ACROSS, frame.width()), range(k / ACROSS, DOWN, frame.height()));
-    // A few thousand samples give a cell's mean to 0.01 %.
-    let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
-    let (mut sum, mut count) = (0.0, 0.0);
-    for site in frame.sites_of(colour) {
-        for (x, y) in site.pixels(columns.clone(), rows.clone(), skip) {
-            if full.is_at(frame, site, x, y) {
-                return None;
+/// Samples of one cell: their number, those that are clipped, and ln of the mean of the others.
+struct Cell {
+    samples: usize,
+    clipped: usize,
+    log_light: f64,
+}
+
+impl Cell {
+    fn new(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize) -> Self {
+        let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
+        let (columns, rows) =
+            (range(k % ACROSS, ACROSS, frame.width()), range(k / ACROSS, DOWN, frame.height()));
+        // A few thousand samples give a cell's mean to 0.01 %.
+        let skip = (columns.len() * rows.len() / 16_000).isqrt().max(1);
+        let (mut sums, mut counts) = ([0.0; 2], [0; 2]);
+        for site in frame.sites_of(colour) {
+            for (x, y) in site.pixels(columns.clone(), rows.clone(), skip) {
+                let is_clipped = usize::from(full.is_at(frame, site, x, y));
+                sums[is_clipped] += black.signal(frame, site, x, y);
+                counts[is_clipped] += 1;
             }
-            sum += black.signal(frame, site, x, y);
-            count += 1.0;
         }
+        let used = usize::from(counts[0] == 0);
+        let mean = sums[used] / f64::max(counts[used] as f64, 1.0);
+        Self { samples: counts[0] + counts[1], clipped: counts[1], log_light: libm::log(mean.max(1e-3)) }
     }
-    Some(libm::log((sum / f64::max(count, 1.0)).max(1e-3)))
 }
 
 /// Coefficients common to all shots, the first one 0.

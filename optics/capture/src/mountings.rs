@@ -6,11 +6,11 @@ use crate::blemishes::Blemish;
 use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
-use crate::frame::Photo;
+use crate::frame::{Colour, Photo};
 use crate::join::{Joined, Turned, join};
-use crate::lattice::{CropCells, FreeParts, PatchRadiance, light, movement};
+use crate::lattice::{BOARD_SLOPE, CropCells, FreeParts, LightChange, PatchRadiance, light, movement};
 use crate::least_squares::finite_mean;
-use crate::refusal::{Refusal, Warning};
+use crate::refusal::{Change, Refusal, Warning};
 use crate::report::ShotReport;
 
 /// Accumulates the shots of one sample, each a mounting of its stack on the board.
@@ -51,18 +51,17 @@ impl<'a> Mountings<'a> {
         self.calibration.settings.check(&photo)?;
         let label = &photo.label;
         let found = &self.board.found;
-        let free = found.seen.free_parts(self.calibration.view(&photo));
+        let free = found.seen.free_parts(self.calibration.view(&photo), &found.edge_frame);
         movement::check(label, &free.moved_px)?;
         movement::check_blur(label, &found.seen, &free.blur_px)?;
         let radiance = Radiance::new(self.calibration, &photo);
-        let cells = CropCells::of(&radiance, &found.edge_frame);
-        let light = self.light(&free, &radiance, &cells);
+        let light = self.light(&free, &radiance);
         self.warn(&photo, &free, light.as_deref());
         let light_factor = light.clone();
-        let light = light.unwrap_or_else(|| vec![Estimate::new(1.0, 0.0); photo.frame.columns().len()]);
+        let light = light.unwrap_or_else(|| vec![LightChange::default(); photo.frame.columns().len()]);
         light::check(&photo, &light)?;
-        let radiance = radiance.under(&light);
-        self.board.cells.check_covered(label, &cells.under(&light))?;
+        let radiance = radiance.under(&light, &self.board.fields, found.edge_frame);
+        self.board.cells.check_covered(label, &CropCells::of(&radiance, &found.edge_frame))?;
         let (binnings, blemishes) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings, radiance.full)?;
         if let Some(refusal) = binnings.iter().find_map(|binning| self.check_thirds(label, binning).err()) {
@@ -91,17 +90,23 @@ impl<'a> Mountings<'a> {
         Ok(())
     }
 
-    /// Brightness of the free board relative to the bare shots. None if the crop looks uncovered: it may lie under a
-    /// slab that only dims, as may the other parts of the board, so nothing is certain to be free.
-    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>, cells: &CropCells) -> Option<Vec<Estimate>> {
-        let patches: Vec<PatchRadiance> = self.board.found.seen.patches().map(|p| p.read(radiance)).collect();
-        let light = light::factor(&self.board.readings, &patches, free.free.as_deref()?)?;
-        let changed = light.iter().any(|l| (l.value - 1.0).abs() > NOTED);
-        let same = changed && self.board.cells.is_bare(&cells.clone().under(&light));
+    /// Light of the free board relative to the bare shots. None if the edge in the crop looks free as well: it lies under
+    /// a slab, which may only dim, and so may the other parts of the board.
+    fn light(&self, free: &FreeParts, radiance: &Radiance<'_>) -> Option<Vec<LightChange>> {
+        let edge = &self.board.found.edge_frame;
+        let patches: Vec<PatchRadiance> =
+            self.board.found.seen.patches().map(|p| p.read(radiance, edge)).collect();
+        let is_free = free.free.as_deref()?;
+        let light = light::changes(&self.board.readings, &patches, is_free)?;
+        let changed =
+            |l: &LightChange| (l.factor.value - 1.0).abs() > NOTED || l.offset.value.abs() > NOTED_OFFSET;
+        let in_crop = || patches.iter().zip(is_free).filter(|(patch, _)| patch.is_in_crop());
+        let covered = in_crop().filter(|(_, is_free)| !**is_free).count();
+        let same = light.iter().any(changed) && 2 * covered < in_crop().count();
         (!same).then_some(light)
     }
 
-    fn warn(&mut self, photo: &Photo, free: &FreeParts, light: Option<&[Estimate]>) {
+    fn warn(&mut self, photo: &Photo, free: &FreeParts, light: Option<&[LightChange]>) {
         let label = photo.label.clone();
         match free.moved_px {
             [None, None] => self.warnings.push(Warning::Unchecked { label: label.clone() }),
@@ -119,11 +124,34 @@ impl<'a> Mountings<'a> {
             }
             return;
         };
-        let off = |l: &Estimate| (l.value - 1.0).abs();
-        let most = photo.frame.columns().iter().zip(light).max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
-        if let Some((colour, most)) = most.filter(|(_, most)| off(most) > NOTED) {
-            let (colour, percent) = (*colour, 100.0 * (most.value - 1.0));
-            self.warnings.push(Warning::LightDividedOut { label, colour, percent });
+        let factor = |l: &LightChange| Estimate::new(l.factor.value - 1.0, l.factor.std_error);
+        for (change, (colour, most), noted) in [
+            (Change::Factor, light::largest(photo, light, factor), NOTED),
+            (Change::Offset, light::largest(photo, light, |l| l.offset), NOTED_OFFSET),
+            (Change::Slope, light::largest(photo, light, |l| l.slope[0]), NOTED),
+        ] {
+            if most.value.abs() > noted {
+                self.note_change(&label, change, colour, 100.0 * most.value);
+            }
+        }
+    }
+
+    /// One warning for all shots with the same change, with the largest of them.
+    fn note_change(&mut self, label: &str, what: Change, colour: Colour, percent: f64) {
+        let same = self.warnings.iter_mut().find_map(|warning| match warning {
+            Warning::LightCorrected { labels, change, colour, percent } if *change == what => {
+                Some((labels, colour, percent))
+            }
+            _ => None,
+        });
+        if let Some((labels, old_colour, old_percent)) = same {
+            labels.push_str(&format!(", {label}"));
+            if percent.abs() > old_percent.abs() {
+                (*old_colour, *old_percent) = (colour, percent);
+            }
+        } else {
+            let labels = label.to_owned();
+            self.warnings.push(Warning::LightCorrected { labels, change: what, colour, percent });
         }
     }
 
@@ -222,7 +250,15 @@ impl<'a> Mountings<'a> {
             (Source::Drift, per_channel(&|c| self.drift(c))),
             (Source::Mounting, per_channel(&|c| between(c, 0))),
             (Source::Linearity, calibration.linearity.clone()),
-            (Source::Black, per_channel(&|c| libm::hypot(black(c), between(c, 1)))),
+            (
+                Source::Black,
+                per_channel(&|c| {
+                    libm::hypot(
+                        libm::hypot(black(c), between(c, 1)),
+                        self.mean_error(c, |light| light.offset.std_error),
+                    )
+                }),
+            ),
             (Source::Glare, per_channel(&|c| calibration.glare[c].std_error * mean(c))),
             (Source::Slope, per_channel(&|c| libm::hypot(self.slope(c), between(c, 2)))),
             (
@@ -245,7 +281,7 @@ impl<'a> Mountings<'a> {
         let one = self.calibration.light.std_error[c];
         let of_reference = one / (self.calibration.light.shots.max(1) as f64).sqrt();
         let of_shots = self.shots.iter().map(|shot| match &shot.light {
-            Some(light) => light[c].std_error / light[c].value,
+            Some(light) => light[c].factor.std_error / light[c].factor.value,
             None if self.shots.len() < 2 => one,
             None => 0.0,
         });
@@ -255,14 +291,25 @@ impl<'a> Mountings<'a> {
         libm::hypot(libm::hypot(libm::hypot(of_reference, of_shots), of_bare), gain.std_error / gain.value)
     }
 
-    /// Error of the slope of the light across the crop, per 10 mm: that of the flat, or of the bare board, whose own
-    /// reflectance is even to [`BOARD_SLOPE`].
+    /// Error of the mean of all shots by an error of the light of each.
+    fn mean_error(&self, c: usize, error: impl Fn(&LightChange) -> f64) -> f64 {
+        let lights = self.shots.iter().filter_map(|shot| shot.light.as_ref());
+        let squares: f64 = lights.map(|light| error(&light[c]).powi(2)).sum();
+        squares.sqrt() / self.shots.len() as f64
+    }
+
+    /// Error of the slope of the light across the crop, per 10 mm: that of the flat and of lamps that turn after it, together
+    /// with that of the bare board, whose own reflectance is even to [`BOARD_SLOPE`]; where these contradict each other,
+    /// that of the board alone.
     fn slope(&self, c: usize) -> f64 {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
-        let of_flat = self.calibration.flat().slope_std_error(c) * 10.0 / width_mm;
-        let seen = self.board.slope[c];
-        let of_board = libm::hypot(libm::hypot(seen.value, seen.std_error), BOARD_SLOPE);
-        1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board)
+        let of_flat = libm::hypot(self.calibration.flat().slope_std_error(c) * 10.0 / width_mm, light::SLOPE);
+        let (seen, field) = (self.board.slope[c], self.board.fields[c]);
+        let error = libm::hypot(seen.std_error, BOARD_SLOPE);
+        let of_board = libm::hypot(seen.value, error).min(field.slope_std_error);
+        let contradict = !field.is_even() || seen.value.abs() > 3.0 * libm::hypot(error, of_flat);
+        let common = if contradict { of_board } else { 1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board) };
+        libm::hypot(common, self.mean_error(c, |light| light.slope[0].std_error))
     }
 
     /// Movement across the edge that may have remained undetected.
@@ -276,14 +323,13 @@ impl<'a> Mountings<'a> {
     }
 }
 
-/// Relative slope per 10 mm of the reflectance of a printed square.
-const BOARD_SLOPE: f64 = 0.001;
-
 /// Standard error of a movement across the edge that cannot be measured, in pixels: half the bound for refusal.
 const UNSEEN_PX: f64 = 0.05;
 
-/// Relative change of the light above which a warning reports that it is divided out.
+/// Relative change of the light, and its slope per 10 mm, above which a warning reports that it is divided out; and the
+/// offset above which one reports that it is subtracted.
 const NOTED: f64 = 0.005;
+const NOTED_OFFSET: f64 = 0.001;
 
 /// Share of masked samples above which a warning is given.
 const MASKED: f64 = 1e-3;

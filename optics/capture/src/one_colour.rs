@@ -1,9 +1,11 @@
-//! Detects photographs whose colours are one channel: from a monochrome camera, or grey stored as RGB.
+//! Detects photographs whose colours are one channel, from a monochrome camera or grey stored as RGB, and those whose
+//! colours are mixed by a matrix, or lie in another mosaic.
 
 use crate::estimate::Estimate;
-use crate::frame::{Colour, Frame, Site};
+use crate::frame::{Colour, Frame, Pattern, Photo, Site};
 use crate::least_squares::median;
 use crate::noise::{NoiseBlock, block, corners, single};
+use crate::refusal::Refusal;
 use crate::saturation::Saturation;
 
 /// Smallest relative error of a block's mean: pixels differ in their response.
@@ -41,6 +43,70 @@ pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Saturation)
     !differs(0) && !differs(2)
 }
 
+/// Largest correlation of the noise of two colours, opposite in sign, of which nothing but a matrix is the cause: sharing of
+/// details when a mosaic is interpolated gives positive ones.
+const OPPOSITE: f64 = 0.12;
+
+/// Refuses three samples per pixel whose noise is of opposite sign: a matrix to another colour space, whose weights are
+/// partly negative, mixes the channels.
+pub(crate) fn check_unmixed(photo: &Photo) -> Result<(), Refusal> {
+    let frame = &photo.frame;
+    if frame.pattern() != Pattern::Rgb {
+        return Ok(());
+    }
+    let sites = frame.sites();
+    let correlation = |a: usize, b: usize| {
+        let bend = |site: Site, x: usize, y: usize| {
+            let [left, own, right] = [x - 1, x, x + 1].map(|x| i32::from(frame.at(site, x, y)));
+            (left + right - 2 * own).signum()
+        };
+        let (mut sum, mut count) = (0, 0);
+        for y in (0..frame.height()).step_by((frame.height() / ROWS).max(1)) {
+            for x in 1..frame.width() - 1 {
+                let product = bend(sites[a], x, y) * bend(sites[b], x, y);
+                (sum, count) = (sum + product, count + product.abs());
+            }
+        }
+        // The correlation of normal variables whose signs agree this often: edges hardly change it.
+        libm::sin(0.5 * std::f64::consts::PI * f64::from(sum) / f64::from(count.max(1)))
+    };
+    let pairs = [(0, 1), (1, 2), (0, 2)].map(|(a, b)| (sites[a].colour, sites[b].colour, correlation(a, b)));
+    let (one, other, correlation) =
+        pairs.into_iter().fold(pairs[0], |least, p| if p.2 < least.2 { p } else { least });
+    if correlation < -OPPOSITE {
+        return Err(Refusal::MixedColours { label: photo.label.clone(), one, other, correlation });
+    }
+    Ok(())
+}
+
+/// Refuses a mosaic whose samples repeat after four rows or columns instead of two.
+pub(crate) fn check_period(photo: &Photo) -> Result<(), Refusal> {
+    let frame = &photo.frame;
+    let Pattern::Bayer(_) = frame.pattern() else { return Ok(()) };
+    let (mut sums, mut counts) = ([0.0; 16], [0.0; 16]);
+    for y in 0..frame.height() {
+        for (x, sample) in frame.samples()[y * frame.width()..][..frame.width()].iter().enumerate() {
+            let phase = x % 4 + 4 * (y % 4);
+            sums[phase] += f64::from(*sample);
+            counts[phase] += 1.0;
+        }
+    }
+    let mean = |x: usize, y: usize| sums[x + 4 * y] / counts[x + 4 * y];
+    let differs = (0..4).any(|place| {
+        let (x, y) = (place % 2, place / 2);
+        let same = [mean(x, y), mean(x + 2, y), mean(x, y + 2), mean(x + 2, y + 2)];
+        let [least, most] = [f64::min, f64::max].map(|f| same.into_iter().reduce(f).unwrap_or(0.0));
+        most - least > PERIOD * most
+    });
+    if differs { Err(Refusal::FourPixels { label: photo.label.clone() }) } else { Ok(()) }
+}
+
+/// Difference of means of the same place of a mosaic, two rows or columns apart, as a share.
+const PERIOD: f64 = 0.02;
+
+/// Rows that are compared.
+const ROWS: usize = 200;
+
 /// Difference of two blocks, in standard errors.
 fn difference(a: NoiseBlock, b: NoiseBlock) -> f64 {
     let variance = (a.variance + b.variance) / BLOCK_SAMPLES;
@@ -52,7 +118,7 @@ const BLOCK_SAMPLES: f64 = (crate::noise::SIDE * crate::noise::SIDE) as f64;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::Pattern;
+    use crate::frame::Levels;
     use crate::testing::{RGGB, normal};
 
     /// Light that falls off to one side, with noise; `scale` multiplies the colours.
@@ -89,5 +155,51 @@ mod tests {
         // White-balanced, before a board that is nearly grey.
         assert!(!one(mosaic, [1.0, 1.0, 0.99], false), "balanced");
         assert!(!one(Pattern::Rgb, [1.01, 1.0, 1.0], false), "balanced");
+    }
+
+    /// A matrix between colour spaces is found by the noise, whatever the light; three channels of their own are not.
+    #[test]
+    fn colour_matrices_are_refused() {
+        let plain = frame(Pattern::Rgb, [0.6, 1.0, 0.7], false);
+        let mixed = |matrix: [[f64; 3]; 3]| {
+            let pixels = plain.samples().chunks(3).flat_map(|rgb| {
+                matrix.map(|row| {
+                    let sum: f64 = row.iter().zip(rgb).map(|(m, v)| m * f64::from(*v)).sum();
+                    (500.0 + sum).clamp(0.0, 65_535.0) as u16
+                })
+            });
+            let frame = Frame::new(400, 300, Pattern::Rgb, pixels.collect()).unwrap();
+            let label = "it".to_owned();
+            check_unmixed(&Photo { label, frame, levels: Levels::default(), seconds: None, exposure: None })
+        };
+        let srgb = [[1.9, -0.7, -0.2], [-0.25, 1.6, -0.35], [0.05, -0.55, 1.5]];
+        let refusal = mixed(srgb).unwrap_err();
+        assert!(
+            matches!(refusal, Refusal::MixedColours { correlation, .. } if correlation < -0.4),
+            "{refusal}"
+        );
+        let balanced = [[1.75, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.4]];
+        let shared = [[1.0, 0.2, 0.0], [0.2, 1.0, 0.2], [0.0, 0.2, 1.0]];
+        assert_eq!([mixed(balanced), mixed(shared)], [Ok(()), Ok(())]);
+    }
+
+    /// Two by two pixels of one colour, and rows of two sensitivities, are refused; a mosaic is not.
+    #[test]
+    fn mosaics_of_four_pixels_are_refused() {
+        let plain = frame(RGGB, [0.6, 1.0, 0.7], false);
+        let scaled = |factor: fn(usize, usize) -> f64| {
+            let samples = plain.samples().iter().enumerate();
+            let samples = samples.map(|(i, s)| (f64::from(*s) * factor(i % 400, i / 400)) as u16).collect();
+            let frame = Frame::new(400, 300, plain.pattern(), samples).unwrap();
+            let label = "it".to_owned();
+            check_period(&Photo { label, frame, levels: Levels::default(), seconds: None, exposure: None })
+        };
+        assert_eq!(scaled(|_, _| 1.0), Ok(()));
+        for factor in [
+            |x: usize, y: usize| if (x / 2 + y / 2).is_multiple_of(2) { 1.0 } else { 0.8 },
+            |_: usize, y: usize| if (y / 2).is_multiple_of(2) { 1.0 } else { 0.25 },
+        ] {
+            assert!(matches!(scaled(factor), Err(Refusal::FourPixels { .. })));
+        }
     }
 }

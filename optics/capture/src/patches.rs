@@ -15,7 +15,7 @@ use crate::least_squares::{median, robust_mean};
 use crate::noise::Pairs;
 use crate::one_colour;
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
-use crate::saturation::{Saturation, saturation};
+use crate::saturation::{CLIPPED, Saturation, saturation};
 use crate::view::PhotoView;
 
 mod exposures;
@@ -172,6 +172,8 @@ impl Patches {
             CameraSettings::of(last).check(&photo)?;
             self.pairs.add(&last.frame, &photo.frame, self.black.levels(), full);
         } else {
+            one_colour::check_unmixed(&photo)?;
+            one_colour::check_period(&photo)?;
             self.pairs.add_single(&photo.frame, self.black.levels(), full);
             if one_colour::are_one(&photo.frame, self.black.levels(), full) {
                 self.warnings.push(Warning::OneColour { label: photo.label.clone() });
@@ -304,8 +306,9 @@ impl Patches {
             per_site.push((site.index, robust_mean(&own).0));
             samples.append(&mut own);
         }
-        if clipped * 1000 > samples.len() {
-            let share = 100.0 * clipped as f64 / samples.len() as f64;
+        let share = clipped as f64 / samples.len().max(1) as f64;
+        if share > CLIPPED {
+            let share = 100.0 * share;
             let place = format!("patch {}", index + 1);
             let level = full.of_colour(frame, colour);
             return Err(Refusal::Clipped { label: photo.label.clone(), colour, place, share, level });

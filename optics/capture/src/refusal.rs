@@ -48,7 +48,7 @@ pub enum Refusal {
     )]
     GammaCoded { label: String, exponent: f64 },
     #[error(
-        "{label}: {share:.0} % of the dark samples are 0: the black level is already subtracted and the noise cut \
+        "{label}: {share:.0} % of the samples without light are 0: the black level is already subtracted and the noise cut \
          off; give the raw file"
     )]
     BlackSubtracted { label: String, share: f64 },
@@ -109,6 +109,17 @@ pub enum Refusal {
     )]
     LightChanged { label: String, colour: Colour, percent: f64, allowed: f64 },
     #[error(
+        "{label}: light and dark squares of the free board are brighter by {percent:+.1} % of white in {colour} than in the bare \
+         shots, up to {allowed} % are subtracted: the black level or stray light changed; shade the lens, let the camera warm \
+         up, and repeat this shot or the bare board"
+    )]
+    LightAdded { label: String, colour: Colour, percent: f64, allowed: f64 },
+    #[error(
+        "{label}: the light over the board rises by {percent:+.1} % per 10 mm in {colour} against {since}; up to {allowed} % are \
+         divided out: leave the lamps where they are, and repeat the flat, the board or this shot"
+    )]
+    LightTurned { label: String, colour: Colour, percent: f64, allowed: f64, since: &'static str },
+    #[error(
         "{label}: the dark side of the edge is {found}, but {expected} in the session file; change `dark_side`, or give the \
          file as the camera wrote it, if a viewer turned it"
     )]
@@ -153,6 +164,16 @@ pub enum Refusal {
         "{label}: {what} is {found}, but {expected} in the shots before; use one camera with fixed settings"
     )]
     Mixed { label: String, what: &'static str, found: String, expected: String },
+    #[error(
+        "{label}: the noise of {one} is opposite to that of {other} (correlation {correlation:.2}), so a colour matrix has mixed \
+         the channels; give the raw file, or develop without a colour space and balance (`dcraw -4 -T -o 0 -r 1 1 1 1`)"
+    )]
+    MixedColours { label: String, one: Colour, other: Colour, correlation: f64 },
+    #[error(
+        "{label}: samples repeat after four pixels and not after two: a mosaic of 2 × 2 pixels of one colour (quad Bayer), or rows \
+         of two sensitivities (dual ISO); set the camera to binned output, or to one ISO"
+    )]
+    FourPixels { label: String },
     #[error("{label}: {seen}: {cause}")]
     Unlike { label: String, seen: String, cause: &'static str },
     #[error("there are no {what}, and nothing can replace them")]
@@ -202,10 +223,13 @@ pub enum Warning {
         "{label}: the free parts of the board do not show whether the light has changed since the bare shots"
     )]
     LightUnchecked { label: String },
+    #[error("{labels}: {change}: by {percent:+.2} % in {colour} at most")]
+    LightCorrected { labels: String, change: Change, colour: Colour, percent: f64 },
     #[error(
-        "{label}: the free board's light differs by {percent:+.1} % in {colour} from the bare shots'; this is divided out"
+        "the light over the bare board is not that of the flat shots: in {colour} it rises by {percent:+.2} % per 10 mm, or \
+         bends; this is divided out, but lamps that stay in place need no correction"
     )]
-    LightDividedOut { label: String, colour: Colour, percent: f64 },
+    UnevenBoard { colour: Colour, percent: f64 },
     #[error(
         "{label}: {share:.1} % of the crop masked for {} of up to {area_mm2:.2} mm², {x_mm:+.1} mm from the edge",
         if *count == 1 { "a speck or scratch".to_owned() } else { format!("{count} specks or scratches") }
@@ -272,6 +296,29 @@ impl std::fmt::Display for Side {
             Self::Right => "right",
             Self::Top => "top",
             Self::Bottom => "bottom",
+        })
+    }
+}
+
+/// What differs between the light of a shot and that of the bare shots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Change {
+    Factor,
+    Offset,
+    Slope,
+}
+
+impl std::fmt::Display for Change {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Factor => "the free board is brighter or darker than in the bare shots, which is divided out",
+            Self::Offset => {
+                "dark and light squares of the free board are brighter alike, as by a black level that drifts or by stray light, \
+                 which is subtracted, in shares of white"
+            }
+            Self::Slope => {
+                "the light over the free board has turned since the bare shots, which is divided out, per 10 mm"
+            }
         })
     }
 }

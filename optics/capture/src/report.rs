@@ -2,6 +2,7 @@
 
 use crate::bins::{Binning, EdgeProfile};
 use crate::estimate::Estimate;
+use crate::lattice::LightChange;
 
 /// One shot of a bare board or of a sample.
 #[derive(Debug, Clone)]
@@ -11,8 +12,8 @@ pub struct ShotReport {
     pub rejected_px: Vec<[u32; 2]>,
     /// Movement since the first bare shot, sideways and up and down, where it could be measured.
     pub moved_px: [Option<Estimate>; 2],
-    /// Brightness of the free board relative to the bare shots, per channel, where it could be measured.
-    pub light: Option<Vec<Estimate>>,
+    /// Light of the free board relative to the bare shots, per channel, where it could be measured.
+    pub light: Option<Vec<LightChange>>,
     /// σ of lens and pixel, where a bare edge shows it.
     pub blur_px: Option<Estimate>,
     /// Ratio of the scatter of samples within bins to the sensor's noise, per channel.
@@ -25,7 +26,7 @@ impl ShotReport {
     pub(crate) fn new(
         label: &str,
         moved_px: [Option<Estimate>; 2],
-        light: Option<Vec<Estimate>>,
+        light: Option<Vec<LightChange>>,
         blur_px: Option<Estimate>,
         binnings: Vec<Binning>,
     ) -> Self {

@@ -4,6 +4,9 @@ use rayon::prelude::*;
 
 use crate::frame::{Colour, Frame, Photo, Site};
 
+/// Share of clipped samples above which a shot is refused: a sensor has fewer defective pixels.
+pub(crate) const CLIPPED: f64 = 1e-3;
+
 /// Numbers at and above which samples of each site are clipped.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Saturation([f64; 4]);
@@ -73,10 +76,14 @@ fn shown(counts: &[u32]) -> f64 {
         above += n;
         above > few
     });
-    let between = |from: f64, to: f64| counts[from.ceil() as usize..to.ceil() as usize].iter().sum::<u32>();
+    let between = |from: f64, to: f64| {
+        let end = (to.ceil() as usize).min(counts.len());
+        counts[from.ceil() as usize..end].iter().sum::<u32>()
+    };
     let pile = |(top, width): (usize, f64)| {
-        let [far, near] = [7.5, 1.0].map(|widths| (1.0 - widths * width) * top as f64);
-        let (piled, below) = (between(near, counts.len() as f64), between(far, near));
+        let [far, near, over] = [-7.5, -1.0, 1.0].map(|widths| (1.0 + widths * width) * top as f64);
+        // Defective pixels have numbers that differ.
+        let (piled, below) = (between(near, over + 1.0), between(far, near));
         // There are fewer samples above any brightness than below, except where they pile up.
         (piled > few && piled > 2 * below).then_some(near)
     };

@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use optics_capture::{Colour, EdgeProfile, Estimate, Source};
+use optics_capture::{Colour, EdgeProfile, Estimate, LightChange, Source};
 use optics_model::ProfileSetup;
 use optics_model::grid::Axes;
 use optics_model::{GridFile, SceneFile, SceneRef, scene::Channel};
@@ -378,7 +378,7 @@ fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
     let sources = sample.profile.budget.iter().map(|of| of.source);
     let budget = sources.map(|source| line(source.name(), source.unit(), &|c| c.error(sample, &[source])));
     let light = sample.profile.shots.iter();
-    let light = light.map(|shot| shot.light.as_ref().map(|light| by_channel(&|c| estimate(light[c.column]))));
+    let light = light.map(|shot| shot.light.as_ref().map(|light| by_channel(&|c| change(&light[c.column]))));
     json!({
         "material": sample.about.material,
         "thickness_mm": sample.about.thickness_mm,
@@ -387,6 +387,14 @@ fn sample(part: &CapturedPart, sample: &CapturedSample) -> Value {
         "fluorescence": sample.fluorescence.map(fluorescence),
         "budget": Value::Object(budget.chain([thickness, blur]).collect()),
         "warnings": report::texts(&sample.profile.warnings),
+    })
+}
+
+fn change(light: &LightChange) -> Value {
+    json!({
+        "factor": estimate(light.factor),
+        "offset": estimate(light.offset),
+        "slope_per_10_mm": light.slope.map(estimate),
     })
 }
 

@@ -55,16 +55,6 @@ impl CropCells {
         Self((0..shots[0].0.len()).map(cells).collect())
     }
 
-    /// These means, corrected for light that is brighter by a factor.
-    pub fn under(mut self, light: &[Estimate]) -> Self {
-        for (cells, light) in self.0.iter_mut().zip(light) {
-            for cell in cells {
-                *cell = CellMean { value: cell.value / light.value, std_error: cell.std_error / light.value };
-            }
-        }
-        self
-    }
-
     /// Shares of the dark and the light side of the crop that look uncovered, `self` being the bare board.
     fn free_shares(&self, sample: &Self) -> [f64; 2] {
         let share = |side: bool| {

@@ -1,16 +1,17 @@
 //! Measures the light of a shot relative to that of the bare shots, from the parts of the board that are not covered by
-//! the slab.
+//! the slab: a factor, an offset and a slope.
 //!
-//! At a free edge, both sides are brighter by the same factor. A slab that scatters makes the dark side too bright for
-//! it, and one that does not scatter dims the light side. So among the edges whose dark side is as dark as the bare
-//! one, those with the brightest common light side are free.
+//! At a free edge, the contrast of both sides is multiplied by the same factor, whatever is added to both. A slab lowers the
+//! contrast, by scattering, absorption or reflection. So edges with the highest common contrast are free.
 
+use super::edge::{EdgeFrame, HALF_CROP_MM};
+use super::field::LightField;
 use super::lines::EdgeStretch;
 use super::scan::{EdgePoint, Run};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
-use crate::frame::Photo;
-use crate::least_squares::{median, robust_mean, spread};
+use crate::frame::{Colour, Photo};
+use crate::least_squares::{FittedParameters, NormalEquations, median, spread, tukey};
 use crate::refusal::Refusal;
 
 /// Deviation from the most frequent ratio within which ratios count as equal: noise of one row or column.
@@ -43,10 +44,11 @@ pub(super) fn brightest(mut ratios: Vec<f64>) -> Option<f64> {
     Some(centre)
 }
 
-/// Pixels on the light side of an edge, next to some of its points.
+/// Pixels on one side of an edge, next to some of its points.
 #[derive(Debug)]
 pub(crate) struct Patch<'a> {
     stretch: &'a EdgeStretch,
+    is_light: bool,
     /// Rows or columns, and the number of them that have a point.
     on: [f64; 2],
     points: usize,
@@ -54,14 +56,19 @@ pub(crate) struct Patch<'a> {
     reach_px: f64,
 }
 
-/// Mean radiance factor of a patch in each colour.
+/// Mean radiance factor of a patch in each column.
 #[derive(Debug, Clone)]
-pub(crate) struct PatchRadiance(Vec<RadianceMean>);
+pub(crate) struct PatchRadiance {
+    pub is_light: bool,
+    /// Place relative to the crop's middle, across the edge and along it, in units of 10 mm.
+    pub place: [f64; 2],
+    pub means: Vec<RadianceMean>,
+}
 
 #[derive(Debug, Clone, Copy)]
-struct RadianceMean {
-    value: f64,
-    variance: f64,
+pub(crate) struct RadianceMean {
+    pub value: f64,
+    pub variance: f64,
 }
 
 /// Points of an edge that share a patch.
@@ -74,13 +81,12 @@ const WIDTH_PX: f64 = 10.0;
 const PATCHES: usize = 3;
 
 impl<'a> Patch<'a> {
+    /// The patches along a stretch, on both of its sides.
     pub(super) fn of(stretch: &'a EdgeStretch, reach_px: f64) -> impl Iterator<Item = Self> {
         let groups = stretch.points.chunks(GROUP).filter(|group| 2 * group.len() > GROUP);
-        groups.map(move |group| Self {
-            stretch,
-            on: [group[0].on, group[group.len() - 1].on],
-            points: group.len(),
-            reach_px,
+        groups.flat_map(move |group| {
+            let on = [group[0].on, group[group.len() - 1].on];
+            [true, false].map(|is_light| Self { stretch, is_light, on, points: group.len(), reach_px })
         })
     }
 
@@ -94,15 +100,16 @@ impl<'a> Patch<'a> {
         free.iter().filter(own).count() >= self.points
     }
 
-    pub fn read(&self, radiance: &Radiance<'_>) -> PatchRadiance {
+    pub fn read(&self, radiance: &Radiance<'_>, edge: &EdgeFrame) -> PatchRadiance {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
         let mut sums = vec![(0.0, 0.0, 0.0); frame.columns().len()];
+        let is_after = self.stretch.rises == self.is_light;
+        let offset = if is_after { self.reach_px } else { -self.reach_px - WIDTH_PX };
         for on in self.on[0] as usize..=self.on[1] as usize {
-            let edge = self.stretch.at(on as f64 + 0.5);
-            let offset = if self.stretch.rises { self.reach_px } else { -self.reach_px - WIDTH_PX };
-            let [from, to] = [edge + offset, edge + offset + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
+            let at = self.stretch.at(on as f64 + 0.5);
+            let [from, to] = [at + offset, at + offset + WIDTH_PX].map(|v| v.clamp(0.0, end) as usize);
             for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
                 for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
                     let sample = radiance.sample(site, x, y);
@@ -117,53 +124,166 @@ impl<'a> Patch<'a> {
             let n = f64::max(count, 1.0);
             RadianceMean { value: value / n, variance: variance / n.powi(2) }
         };
-        PatchRadiance(sums.into_iter().map(mean).collect())
+        let on = f64::midpoint(self.on[0], self.on[1]);
+        let at = self.stretch.at(on) + offset + 0.5 * WIDTH_PX;
+        let place = edge.mm(if down { [at, on] } else { [on, at] }).map(|mm| 0.1 * mm);
+        PatchRadiance { is_light: self.is_light, place, means: sums.into_iter().map(mean).collect() }
     }
 }
 
 impl PatchRadiance {
+    /// Whether it lies within the crop.
+    pub fn is_in_crop(&self) -> bool {
+        self.place.iter().all(|at| 10.0 * at.abs() < HALF_CROP_MM)
+    }
+
     /// The mean of each patch over several shots.
     pub fn mean(shots: &[Vec<Self>]) -> Vec<Self> {
         let n = shots.len() as f64;
         let mean = |k: usize, c: usize| {
-            let sum = |f: fn(&RadianceMean) -> f64| shots.iter().map(|shot| f(&shot[k].0[c])).sum::<f64>();
+            let sum = |f: fn(&RadianceMean) -> f64| shots.iter().map(|s| f(&s[k].means[c])).sum::<f64>();
             RadianceMean { value: sum(|r| r.value) / n, variance: sum(|r| r.variance) / (n * n) }
         };
         let patches = shots.first().map_or(&[][..], |first| first).iter().enumerate();
-        patches.map(|(k, patch)| Self((0..patch.0.len()).map(|c| mean(k, c)).collect())).collect()
+        let mean_patch = |(k, patch): (usize, &Self)| {
+            let means = (0..patch.means.len()).map(|c| mean(k, c)).collect();
+            Self { means, ..*patch }
+        };
+        patches.map(mean_patch).collect()
     }
 }
 
-/// Brightness of a shot relative to the bare shots at the free patches, in each colour.
-pub(crate) fn factor(bare: &[PatchRadiance], shot: &[PatchRadiance], free: &[bool]) -> Option<Vec<Estimate>> {
-    (0..bare.first()?.0.len()).map(|c| channel_factor(bare, shot, free, c)).collect()
+/// Light of a shot in one column, against that of the bare board b: (factor + slope · place) b + offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LightChange {
+    pub factor: Estimate,
+    /// As a radiance factor: of a black level that drifts, and of stray light.
+    pub offset: Estimate,
+    /// Relative, per 10 mm across the edge and along it.
+    pub slope: [Estimate; 2],
 }
 
-/// Brightness in one colour. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
-/// this error of the factor does not decrease with their number.
-pub(crate) fn channel_factor(
+/// Standard deviation of a slope between shots, per 10 mm: the prior, which counts where the free board lies on one side of
+/// the slab.
+pub(crate) const SLOPE: f64 = 0.002;
+
+/// Standard errors beyond which an offset or a slope is corrected, and their least values.
+const CERTAIN: f64 = 4.0;
+const LEAST_OFFSET: f64 = 2e-4;
+const LEAST_SLOPE: f64 = 5e-4;
+
+/// Standard error of an offset that is subtracted, as a share: stray light is not the same everywhere.
+const OFFSET_UNEVEN: f64 = 0.1;
+
+/// The terms of a change: factor, offset, and the slopes.
+const TERMS: usize = 4;
+
+impl Default for LightChange {
+    /// The same light.
+    fn default() -> Self {
+        let none = Estimate::default();
+        Self { factor: Estimate::new(1.0, 0.0), offset: none, slope: [none; 2] }
+    }
+}
+
+/// Light of a shot relative to the bare shots by the free patches, in each column.
+pub(crate) fn changes(
     bare: &[PatchRadiance],
     shot: &[PatchRadiance],
     free: &[bool],
-    c: usize,
-) -> Option<Estimate> {
-    let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
-    let relative = |r: RadianceMean| r.variance.sqrt() / r.value;
-    let sound = pairs.map(|(bare, shot)| (bare.0[c], shot.0[c]));
-    let sound = sound.filter(|(bare, shot)| bare.value > 0.0 && shot.value > 0.0);
-    let (ratios, mut noise): (Vec<f64>, Vec<f64>) =
-        sound.map(|(b, s)| (s.value / b.value, libm::hypot(relative(b), relative(s)))).unzip();
-    if ratios.len() < PATCHES {
-        return None;
+) -> Option<Vec<LightChange>> {
+    (0..bare.first()?.means.len()).map(|c| LightChange::measured(bare, shot, free, c)).collect()
+}
+
+/// A free patch in a bare shot and in another one.
+struct PatchPair {
+    is_light: bool,
+    row: [f64; TERMS],
+    value: f64,
+    variance: f64,
+}
+
+impl LightChange {
+    /// Change in one column. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
+    /// this error of the factor does not decrease with their number.
+    pub(crate) fn measured(
+        bare: &[PatchRadiance],
+        shot: &[PatchRadiance],
+        free: &[bool],
+        c: usize,
+    ) -> Option<Self> {
+        let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
+        let pairs = pairs.map(|(bare, shot)| {
+            let (b, s) = (bare.means[c], shot.means[c]);
+            let row = [b.value, 1.0, b.value * bare.place[0], b.value * bare.place[1]];
+            PatchPair { is_light: bare.is_light, row, value: s.value, variance: b.variance + s.variance }
+        });
+        let sound = |p: &PatchPair| !p.is_light || (p.row[0] > 0.0 && p.value > 0.0);
+        let pairs: Vec<PatchPair> = pairs.filter(sound).collect();
+        if pairs.iter().filter(|p| p.is_light).count() < PATCHES {
+            return None;
+        }
+        let (whole, uneven) = fit(&pairs, [true; TERMS])?;
+        let is_certain = |i: usize, least: f64| whole.x[i].abs() > least.max(CERTAIN * whole.std_error(i));
+        let sloped = (2..TERMS).any(|i| is_certain(i, LEAST_SLOPE));
+        let used = [true, is_certain(1, LEAST_OFFSET), sloped, sloped];
+        let (found, uneven) =
+            if used == [true; TERMS] { (whole.clone(), uneven) } else { fit(&pairs, used)? };
+        // What is not corrected counts as error.
+        let term = |i: usize| {
+            if used[i] {
+                Estimate::new(found.x[i], found.std_error(i))
+            } else {
+                Estimate::new(0.0, libm::hypot(whole.x[i], whole.std_error(i)))
+            }
+        };
+        let factor = less_chance(Estimate::new(found.x[0], found.std_error(0)));
+        let offset = term(1);
+        let relative = |e: Estimate| Estimate::new(e.value / factor.value, e.std_error / factor.value);
+        let errors = [factor.std_error, factor.value * uneven, whole.std_error(0)];
+        Some(Self {
+            factor: Estimate::new(factor.value, errors.iter().map(|e| e * e).sum::<f64>().sqrt()),
+            offset: Estimate::new(offset.value, libm::hypot(offset.std_error, OFFSET_UNEVEN * offset.value)),
+            slope: [relative(term(2)), relative(term(3))],
+        })
     }
-    let n = ratios.len() as f64;
-    let (value, _) = robust_mean(&ratios);
-    let noise = median(&mut noise);
-    // Three standard deviations of a spread due to chance.
-    let chance = noise * noise * (1.0 + 3.0 * (2.7 / n).sqrt());
-    let uneven = ((spread(&ratios) / value).powi(2) - chance).max(0.0).sqrt();
-    let steady = less_chance(Estimate::new(value, value * noise / n.sqrt()));
-    Some(Estimate::new(steady.value, libm::hypot(steady.std_error, value * uneven)))
+}
+
+/// Robust fit of some of the terms, and the unevenness of the light: relative, beyond the noise of the patches.
+fn fit(pairs: &[PatchPair], used: [bool; TERMS]) -> Option<(FittedParameters, f64)> {
+    let mut weights = vec![1.0; pairs.len()];
+    let mut uneven = 0.0;
+    let mut found = None;
+    for _ in 0..8 {
+        let mut normal = NormalEquations::new(TERMS);
+        let variance = |p: &PatchPair| p.variance + (uneven * p.row[0]).powi(2);
+        for (p, weight) in pairs.iter().zip(&weights) {
+            let row: [f64; TERMS] = std::array::from_fn(|i| if used[i] { p.row[i] } else { 0.0 });
+            normal.add(&row, p.value, weight / variance(p));
+        }
+        for i in 0..TERMS {
+            let mut row = [0.0; TERMS];
+            row[i] = 1.0;
+            // A term that is not used is 0.
+            let weight = if used[i] { SLOPE.powi(-2) } else { 1.0 };
+            if !used[i] || i > 1 {
+                normal.add(&row, 0.0, weight);
+            }
+        }
+        let solution = normal.solve()?;
+        let model = |p: &PatchPair| p.row.iter().zip(solution.x.iter()).map(|(r, x)| r * x).sum::<f64>();
+        let residuals: Vec<f64> = pairs.iter().map(|p| p.value - model(p)).collect();
+        let light = || pairs.iter().zip(&residuals).filter(|(p, _)| p.is_light);
+        let shares: Vec<f64> = light().map(|(p, r)| r / p.row[0]).collect();
+        let noise = median(&mut light().map(|(p, _)| p.variance / p.row[0].powi(2)).collect::<Vec<_>>());
+        // Three standard deviations of a spread due to chance.
+        let chance = noise * (1.0 + 3.0 * (2.7 / shares.len() as f64).sqrt());
+        uneven = (spread(&shares).powi(2) - chance).max(0.0).sqrt();
+        let sigma = |p: &PatchPair| (p.variance + (uneven * p.row[0]).powi(2)).sqrt();
+        weights = pairs.iter().zip(&residuals).map(|(p, r)| tukey(r / sigma(p))).collect();
+        found = Some((solution, uneven));
+    }
+    found
 }
 
 /// Shrinks a change by up to three standard errors, so that steady light is left unchanged. The shrinkage is added to
@@ -174,25 +294,59 @@ fn less_chance(factor: Estimate) -> Estimate {
     Estimate::new(factor.value - lost.copysign(change), libm::hypot(factor.std_error, lost))
 }
 
+/// Largest offset that is subtracted, and largest slope per 10 mm that is divided out.
+const SUBTRACTED: f64 = 0.03;
+const LEVELLED: f64 = 0.03;
+
 /// Largest relative change of the light that is divided out: 5 %, plus the flicker of lamps.
 const DIVIDED_OUT: f64 = 0.055;
 
 /// Refuses a shot whose light differs too much from that of the bare shots.
-pub(crate) fn check(photo: &Photo, light: &[Estimate]) -> Result<(), Refusal> {
-    let beyond = |l: &Estimate| (l.value - 1.0).abs() - 3.0 * l.std_error > DIVIDED_OUT;
-    let changes = photo.frame.columns().iter().zip(light).filter(|(_, l)| beyond(l));
-    match changes.max_by(|a, b| (a.1.value - 1.0).abs().total_cmp(&(b.1.value - 1.0).abs())) {
-        None => Ok(()),
-        Some((colour, change)) => {
-            let percent = 100.0 * (change.value - 1.0);
-            Err(Refusal::LightChanged {
-                label: photo.label.clone(),
-                colour: *colour,
-                percent,
-                allowed: 100.0 * DIVIDED_OUT,
-            })
+pub(crate) fn check(photo: &Photo, light: &[LightChange]) -> Result<(), Refusal> {
+    let beyond = |(colour, change): (Colour, Estimate), allowed: f64| {
+        let is_beyond = change.value.abs() - 3.0 * change.std_error > allowed;
+        is_beyond.then_some((colour, 100.0 * change.value, 100.0 * allowed))
+    };
+    let label = photo.label.clone();
+    if let Some((colour, percent, allowed)) = beyond(largest(photo, light, |l| l.offset), SUBTRACTED) {
+        return Err(Refusal::LightAdded { label, colour, percent, allowed });
+    }
+    for axis in 0..2 {
+        if let Some((colour, percent, allowed)) = beyond(largest(photo, light, |l| l.slope[axis]), LEVELLED) {
+            return Err(Refusal::LightTurned { label, colour, percent, allowed, since: "the bare shots" });
         }
     }
+    let factor = |l: &LightChange| Estimate::new(l.factor.value - 1.0, l.factor.std_error);
+    match beyond(largest(photo, light, factor), DIVIDED_OUT) {
+        Some((colour, percent, allowed)) => Err(Refusal::LightChanged { label, colour, percent, allowed }),
+        None => Ok(()),
+    }
+}
+
+/// Refuses a bare shot whose light is too uneven for a correction.
+pub(crate) fn check_field(photo: &Photo, fields: &[LightField], has_flat: bool) -> Result<(), Refusal> {
+    let slopes = photo.frame.columns().iter().zip(fields).map(|(colour, field)| (*colour, field.steepest()));
+    match slopes.max_by(|a, b| a.1.abs().total_cmp(&b.1.abs())) {
+        Some((colour, slope)) if slope.abs() > LEVELLED => Err(Refusal::LightTurned {
+            label: photo.label.clone(),
+            colour,
+            percent: 100.0 * slope,
+            allowed: 100.0 * LEVELLED,
+            since: if has_flat { "the flat shots" } else { "even light, since there are no flat shots" },
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// The column in which something of the light has changed most.
+pub(crate) fn largest(
+    photo: &Photo,
+    light: &[LightChange],
+    change: impl Fn(&LightChange) -> Estimate,
+) -> (Colour, Estimate) {
+    let changes = photo.frame.columns().iter().copied().zip(light.iter().map(change));
+    let most = changes.max_by(|a, b| a.1.value.abs().total_cmp(&b.1.value.abs()));
+    most.unwrap_or((Colour::Mono, Estimate::default()))
 }
 
 /// Relative error of the mean light of several shots: their differences, and the unevenness of these.
@@ -201,11 +355,12 @@ pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>], columns: usize) -> Vec<f64
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =
             shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
-        factor(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
+        changes(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
     });
     let mut squares = vec![0.0_f64; columns];
-    for factor in against_others {
-        for (sum, f) in squares.iter_mut().zip(factor) {
+    for change in against_others {
+        for (sum, change) in squares.iter_mut().zip(change) {
+            let f = change.factor;
             // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
             *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
         }

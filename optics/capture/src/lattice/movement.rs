@@ -1,11 +1,12 @@
 //! Checks that camera and board have not moved since the bare shots, by the free edges of the board.
 
 use super::blurs::blur_px;
+use super::edge::{EdgeFrame, HALF_CROP_MM};
 use super::light::{FLICKER, Patch, brightest};
 use super::lines::EdgeStretch;
 use super::scan::{EdgePoint, EdgeScan, Run};
 use crate::estimate::Estimate;
-use crate::least_squares::robust_mean;
+use crate::least_squares::{median, robust_mean};
 use crate::refusal::Refusal;
 use crate::view::PhotoView;
 
@@ -64,9 +65,9 @@ impl BoardEdges {
         let within = self.scan.reach_px * 6.0;
         let light = self.light(&points, within);
         let moved_px = std::array::from_fn(|i| {
-            displacement(&self.stretches[i], &points[i], within, self.levels(light.unwrap_or(1.0)))
+            displacement(&self.stretches[i], &points[i], within, self.levels(light.unwrap_or_default()))
         });
-        let free = light.map(|light| self.free(&points, light));
+        let free = light.map(|light| self.free(&points, light, UNEVEN));
         FreeParts { moved_px, blur_px: other.blur_px, free }
     }
 
@@ -79,8 +80,8 @@ impl BoardEdges {
         self.stretches[i].iter().flat_map(|s| Patch::of(s, self.scan.reach_px + 1.0))
     }
 
-    /// Finds the edges of the board that are not covered by a slab.
-    pub fn free_parts(&self, view: PhotoView<'_>) -> FreeParts {
+    /// Finds the edges of the board that are not covered by a slab, which lies on the edge in use.
+    pub fn free_parts(&self, view: PhotoView<'_>, edge: &EdgeFrame) -> FreeParts {
         let mut points = self.edges(view, 1.0);
         let mut light = self.light(&points, NEAR_PX);
         for brightness in OTHER_LIGHT {
@@ -93,8 +94,11 @@ impl BoardEdges {
                 points = others;
             }
         }
-        let levels = self.levels(light.unwrap_or(1.0));
-        let free = light.map(|light| self.free(&points, light));
+        let levels = self.levels(light.unwrap_or_default());
+        let free = light.map(|light| {
+            let of_high = if self.scatters(&points, light, edge) { UNEVEN } else { FLICKER };
+            self.free(&points, light, of_high)
+        });
         let mut parts = FreeParts { free, ..FreeParts::default() };
         for (i, (run, points)) in RUNS.into_iter().zip(points).enumerate() {
             let is_own =
@@ -125,24 +129,41 @@ impl BoardEdges {
         })
     }
 
-    /// Brightness of the free board relative to the bare shot.
-    fn light(&self, points: &[Vec<EdgePoint>; 2], within: f64) -> Option<f64> {
-        let mut ratios = Vec::new();
-        for (stretches, points) in self.stretches.iter().zip(points) {
-            for point in points {
-                let Some(bare) = near(stretches, point, within) else { continue };
-                let ratio = point.high / bare.high;
-                if bare.is_dark(point, self.levels(ratio)) {
-                    ratios.push(ratio);
-                }
-            }
-        }
-        brightest(ratios)
+    /// Light of the free board relative to the bare shot.
+    fn light(&self, points: &[Vec<EdgePoint>; 2], within: f64) -> Option<FreeLight> {
+        let pairs = self.stretches.iter().zip(points).flat_map(|(stretches, points)| {
+            points.iter().filter_map(move |point| Some((point, near(stretches, point, within)?)))
+        });
+        let light = |(point, bare): (&EdgePoint, Bare)| {
+            let factor = (point.high - point.low) / (bare.high - bare.low);
+            FreeLight { factor, offset: point.low - factor * bare.low }
+        };
+        let possible = |l: &FreeLight| l.offset.abs() < OFFSET * l.factor * self.scan.contrast.range();
+        let all: Vec<FreeLight> = pairs.map(light).filter(possible).collect();
+        let factor = brightest(all.iter().map(|l| l.factor).collect())?;
+        let own = all.iter().filter(|l| (l.factor / factor - 1.0).abs() < FLICKER);
+        Some(FreeLight { factor, offset: median(&mut own.map(|l| l.offset).collect::<Vec<_>>()) })
     }
 
-    /// Whether each patch is free, under light of this brightness.
-    fn free(&self, points: &[Vec<EdgePoint>; 2], light: f64) -> Vec<bool> {
-        let levels = LevelBounds { of_high: FLICKER, ..self.levels(light) };
+    /// Whether the slab in the crop makes its dark side brighter than the free board's: then every edge whose dark side is as
+    /// dark as that is free, however uneven the light.
+    fn scatters(&self, points: &[Vec<EdgePoint>; 2], light: FreeLight, edge: &EdgeFrame) -> bool {
+        let levels = self.levels(light);
+        let in_crop =
+            |run: Run, point: &EdgePoint| edge.mm(point.px(run)).iter().all(|mm| mm.abs() < HALF_CROP_MM);
+        let (mut dark, mut all) = (0, 0);
+        for (i, run) in RUNS.into_iter().enumerate() {
+            for point in points[i].iter().filter(|point| in_crop(run, point)) {
+                let Some(bare) = near(&self.stretches[i], point, NEAR_PX) else { continue };
+                (dark, all) = (dark + usize::from(bare.is_dark(point, levels)), all + 1);
+            }
+        }
+        2 * dark <= all
+    }
+
+    /// Whether each patch is free, under this light: the light side deviates by `of_high` of the contrast at most.
+    fn free(&self, points: &[Vec<EdgePoint>; 2], light: FreeLight, of_high: f64) -> Vec<bool> {
+        let levels = LevelBounds { of_high, ..self.levels(light) };
         let free_patches = |i: usize| {
             let is_free = |p: &&EdgePoint| {
                 near(&self.stretches[i], p, NEAR_PX).is_some_and(|bare| bare.fits(p, levels))
@@ -153,7 +174,7 @@ impl BoardEdges {
         [free_patches(0), free_patches(1)].concat()
     }
 
-    fn levels(&self, light: f64) -> LevelBounds {
+    fn levels(&self, light: FreeLight) -> LevelBounds {
         LevelBounds { light, range: self.scan.contrast.range(), of_high: LEVELS[1] }
     }
 
@@ -182,6 +203,12 @@ const NEAR_PX: f64 = 12.0;
 /// deviate by more; at these bounds the edge shifts by less than 0.1 px.
 const LEVELS: [f64; 2] = [0.004, 0.012];
 
+/// Deviation of a free edge's light side, where the slab scatters: slopes of the light.
+const UNEVEN: f64 = 0.1;
+
+/// Largest offset of a free edge, as a share of its contrast.
+const OFFSET: f64 = 0.2;
+
 /// Brightnesses that are tried if no edges are found under the bare shots' light.
 const OTHER_LIGHT: [f64; 6] = [0.8, 1.25, 0.64, 1.56, 0.5, 2.0];
 
@@ -198,10 +225,29 @@ struct Bare {
     high: f64,
 }
 
-/// Conditions for comparing levels: the shot's light relative to the bare shot's, and the bare contrast.
+/// Light of a shot relative to the bare shot, by its edges: a factor, and what is added to both sides, in numbers.
+#[derive(Debug, Clone, Copy)]
+struct FreeLight {
+    factor: f64,
+    offset: f64,
+}
+
+impl Default for FreeLight {
+    fn default() -> Self {
+        Self { factor: 1.0, offset: 0.0 }
+    }
+}
+
+impl FreeLight {
+    fn level(self, bare: f64) -> f64 {
+        self.factor * bare + self.offset
+    }
+}
+
+/// Conditions for comparing levels: the shot's light, and the bare contrast.
 #[derive(Debug, Clone, Copy)]
 struct LevelBounds {
-    light: f64,
+    light: FreeLight,
     range: f64,
     /// Accepted deviation of the light level, as a share of the contrast.
     of_high: f64,
@@ -209,12 +255,12 @@ struct LevelBounds {
 
 impl Bare {
     fn is_dark(&self, point: &EdgePoint, levels: LevelBounds) -> bool {
-        (point.low - levels.light * self.low).abs() < LEVELS[0] * levels.light * levels.range
+        (point.low - levels.light.level(self.low)).abs() < LEVELS[0] * levels.light.factor * levels.range
     }
 
     fn fits(&self, point: &EdgePoint, levels: LevelBounds) -> bool {
-        let off = (point.high - levels.light * self.high).abs();
-        self.is_dark(point, levels) && off < levels.of_high * levels.light * levels.range
+        let off = (point.high - levels.light.level(self.high)).abs();
+        self.is_dark(point, levels) && off < levels.of_high * levels.light.factor * levels.range
     }
 }
 

@@ -23,7 +23,7 @@ fn figure(captured: &Captured, part: &CapturedPart, shot: &ShotReport) -> Option
         words.push(format!("moved {} px", moved.join(", ")));
     }
     words.extend(shot.light.as_ref().map(|light| {
-        let percent = light.iter().map(|l| fixed(100.0 * (l.value - 1.0), 2));
+        let percent = light.iter().map(|l| fixed(100.0 * (l.factor.value - 1.0), 2));
         format!("light {} %", percent.collect::<Vec<_>>().join(", "))
     }));
     words.push(format!("rejected {}", shot.rejected_px.len()));
