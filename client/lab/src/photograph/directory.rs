@@ -279,4 +279,10 @@ tags! {
     WHITE = 50717 "WhiteLevel";
     ACTIVE_AREA = 50829 "ActiveArea";
     MASKED_AREAS = 50830 "MaskedAreas";
+    ROW_INTERLEAVE = 50975 "RowInterleaveFactor";
+    SUB_TILE = 50974 "SubTileBlockSize";
+    COLUMN_INTERLEAVE = 52547 "ColumnInterleaveFactor";
+    FILL_ORDER = 266 "FillOrder";
+    OPCODES_1 = 51008 "OpcodeList1";
+    OPCODES_2 = 51009 "OpcodeList2";
 }

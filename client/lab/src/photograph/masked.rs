@@ -12,6 +12,9 @@ const ODD: f64 = 0.05;
 /// Largest difference between the margins and the level in the file, as a share of its range: beyond it, light reaches
 /// them.
 const LIT: f64 = 0.005;
+/// Largest difference between the halves of a margin nearer to the picture and farther from it, likewise: light that leaks
+/// falls off.
+const UNEVEN: f64 = 0.0005;
 /// Largest number of rectangles.
 const MOST_AREAS: usize = 16;
 
@@ -33,6 +36,7 @@ pub(super) fn black(
         UnreadablePhotograph::tag(Tag::MASKED_AREAS.name, format_args!("{areas:?}"), allowed)
     };
     let corner = [0, 1].map(|i| active.get(i).copied().unwrap_or(0) as usize);
+    let range = whole.white.unwrap_or([65_535.0; 4]);
     let mut found: [Vec<u16>; 4] = Default::default();
     if areas.len() > 4 * MOST_AREAS {
         return Err(refused());
@@ -40,18 +44,31 @@ pub(super) fn black(
     for area in areas.chunks(4) {
         let area = <[u64; 4]>::try_from(area).map_err(|_| refused())?;
         let [top, left, bottom, right] = within(area, whole).ok_or_else(refused)?;
+        // Halves across the shorter side, by place of the mosaic.
+        let mut halves: [[Vec<u16>; 4]; 2] = Default::default();
         for y in top..bottom {
             for x in left..right {
+                let is_wide = right - left > bottom - top;
+                let second = if is_wide { 2 * y >= top + bottom } else { 2 * x >= left + right };
                 let place = (y + corner[0]) % 2 * 2 + (x + corner[1]) % 2;
-                found[place].push(whole.samples[y * whole.width + x]);
+                halves[usize::from(second)][place].push(whole.samples[y * whole.width + x]);
             }
+        }
+        let uneven = |i: usize| {
+            let [one, other] = halves.each_ref().map(|half| middle(half[i].clone()));
+            (one - other).abs() > UNEVEN * (range[i] - stated[i])
+        };
+        if (0..4).any(uneven) {
+            return Ok(None);
+        }
+        for (place, samples) in halves.into_iter().flat_map(|half| half.into_iter().enumerate()) {
+            found[place].extend(samples);
         }
     }
     if found.iter().any(|samples| samples.len() < FEWEST) {
         return Ok(None);
     }
     let levels = found.map(middle);
-    let range = whole.white.unwrap_or([65_535.0; 4]);
     let dark = (0..4).all(|i| (levels[i] - stated[i]).abs() < LIT * (range[i] - stated[i]).max(1.0));
     Ok(dark.then_some(levels))
 }

@@ -199,12 +199,17 @@ fn margins_are_cut_and_companding_undone() {
 
 /// A mosaic of 46 × 40 pixels; its six left columns receive no light, and some of them are defective.
 fn with_masked_margin(light_in_margin: u16) -> Maker {
+    with_margin(|_| light_in_margin)
+}
+
+/// Likewise, with light in each column of the margin.
+fn with_margin(light: impl Fn(u16) -> u16) -> Maker {
     let sample = |i: u16| -> u16 {
         let (x, y) = (i % 46, i / 46);
         match (x, y) {
             (0..6, 7) => 9000,
             // The active area begins at column 6: its first column is even.
-            (0..6, _) => 500 + 10 * (y % 2) + x % 2 + light_in_margin,
+            (0..6, _) => 500 + 10 * (y % 2) + x % 2 + light(x),
             _ => 5000,
         }
     };
@@ -219,16 +224,53 @@ fn masked_margins_give_the_black_level() {
     let black = |maker: &Maker| maker.decode().unwrap().black.unwrap();
     // 60 samples per position are too few to estimate it; 300 are enough.
     assert_eq!(black(&with_masked_margin(0)), [505.0; 4]);
-    let tall = |light: u16| {
-        let one = with_masked_margin(light);
+    let tall_margin = |one: Maker| {
         Maker { height: 200, strip: one.strip.repeat(5), ..one.clone() }
             .with(50_829, &[0, 6, 200, 46])
             .with(50_830, &[0, 0, 200, 6])
     };
+    let tall = |light: u16| tall_margin(with_masked_margin(light));
     assert_eq!(black(&tall(0)), [500.0, 501.0, 510.0, 511.0]);
     assert_eq!(black(&tall(1000)), [505.0; 4], "light fell on the margin");
+    assert_eq!(black(&tall_margin(with_margin(|x| 20 * x))), [505.0; 4], "light leaks into the margin");
     let refused = tall(0).with(50_830, &[0, 0, 205, 6]).refused();
     assert!(refused.contains("MaskedAreas") && refused.contains("within 46 × 200 pixels"), "{refused}");
+}
+
+/// Tags that change what samples mean are named, unless they leave them as they are.
+#[test]
+fn tags_that_change_samples_are_named() {
+    // A list of one operation: its number, version, flags, and eight bytes of data.
+    let list = |id: u32| -> Vec<u32> {
+        let words = [1, id, 0x0103_0000, 0, 8, 0, 0];
+        words.into_iter().flat_map(|word: u32| word.to_be_bytes().map(u32::from)).collect()
+    };
+    let with_list = |tag: u16, id: u32| {
+        let mut maker = Maker::dng();
+        maker.tags.push((tag, 7, list(id)));
+        maker
+    };
+    assert!(with_list(51_009, 9).decode().is_ok(), "a gain map is in the flats as well");
+    let refused = with_list(51_009, 8).refused();
+    assert!(refused.contains("OpcodeList2 = MapPolynomial") && refused.contains("not applied"), "{refused}");
+    assert!(with_list(51_008, 7).refused().contains("OpcodeList1 = MapTable"));
+    for (tag, name) in
+        [(50_975, "RowInterleaveFactor"), (52_547, "ColumnInterleaveFactor"), (266, "FillOrder")]
+    {
+        assert!(Maker::dng().with(tag, &[1]).decode().is_ok());
+        let refused = Maker::dng().with(tag, &[2]).refused();
+        assert!(refused.contains(name) && refused.contains("another order"), "{refused}");
+    }
+    assert!(Maker::dng().with(339, &[3]).refused().contains("whole numbers of 16 bits"));
+}
+
+/// Black levels of a mosaic need no dimensions if there are four of them.
+#[test]
+fn black_levels_need_no_dimensions() {
+    let black = |levels: &[u32]| Maker::dng().with(50_714, levels).decode().unwrap().black;
+    assert_eq!(black(&[60, 61, 62, 63]), Some([60.0, 61.0, 62.0, 63.0]));
+    assert_eq!(black(&[64; 16]), Some([64.0; 4]));
+    assert_eq!(black(&[64, 65, 66, 67, 68]), None);
 }
 
 fn png(colour: png_crate::ColorType, depth: png_crate::BitDepth, gamma: Option<f32>) -> Vec<u8> {

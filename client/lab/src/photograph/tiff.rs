@@ -32,6 +32,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Photograph, UnreadablePhotograph> {
     if let Some(seen) = not_linear(picture) {
         return Err(UnreadablePhotograph::NotLinear { seen });
     }
+    check_meaning(picture)?;
     let chunks = Chunks::new(bytes, picture, layout.samples_per_pixel(), bits)?;
     let (width, height) = (chunks.width(), chunks.height());
     let mut samples = chunks.read()?;
@@ -120,6 +121,47 @@ fn pictures(all: &[Directory], chosen: &Directory) -> usize {
     all.iter().filter(alike).count().max(stated.unwrap_or(1))
 }
 
+/// Operations on samples that change their relation to light, by their numbers in a list of opcodes (DNG 1.4). A gain map is
+/// in the flats as well.
+const NOT_LINEAR: [(u32, &str); 4] =
+    [(7, "MapTable"), (8, "MapPolynomial"), (10, "DeltaPerRow"), (11, "DeltaPerColumn")];
+
+/// Refuses tags that change what samples mean, and that are not applied.
+fn check_meaning(picture: &Directory) -> Result<(), UnreadablePhotograph> {
+    let orders = [Tag::ROW_INTERLEAVE, Tag::COLUMN_INTERLEAVE, Tag::SUB_TILE, Tag::FILL_ORDER];
+    for tag in orders {
+        let values = picture.whole(tag)?;
+        if values.iter().any(|value| *value != 1) {
+            let allowed = "samples in another order are not read; write them in rows with a DNG converter";
+            return Err(UnreadablePhotograph::tag(tag.name, format_args!("{values:?}"), allowed));
+        }
+    }
+    for tag in [Tag::OPCODES_1, Tag::OPCODES_2] {
+        let ids = picture.raw(tag).map(opcodes).unwrap_or_default();
+        if let Some((_, name)) = NOT_LINEAR.iter().find(|(id, _)| ids.contains(id)) {
+            let allowed =
+                "it changes samples and is not applied; convert with a DNG converter that applies it";
+            return Err(UnreadablePhotograph::tag(tag.name, name, allowed));
+        }
+    }
+    Ok(())
+}
+
+/// The numbers of a list's operations: each has a number, a version, flags, the size of its data, and these.
+fn opcodes(list: &[u8]) -> Vec<u32> {
+    let number = |at: usize| Some(u32::from_be_bytes(list.get(at..at + 4)?.try_into().ok()?));
+    let mut at = 4;
+    let mut ids = Vec::new();
+    while let (Some(id), Some(size)) = (number(at), number(at + 12)) {
+        ids.push(id);
+        at = at.saturating_add(16).saturating_add(size as usize);
+        if at > list.len() {
+            break;
+        }
+    }
+    ids
+}
+
 /// Bits per sample.
 fn bits(picture: &Directory) -> Result<u32, UnreadablePhotograph> {
     let bits = picture.whole(Tag::BITS)?;
@@ -134,8 +176,8 @@ fn bits(picture: &Directory) -> Result<u32, UnreadablePhotograph> {
     if matches!(picture.whole_of(Tag::SAMPLE_FORMAT)?, Some(format) if format != 1) {
         return Err(UnreadablePhotograph::tag(
             Tag::SAMPLE_FORMAT.name,
-            "no whole numbers",
-            "allowed is 1, whole numbers",
+            "floating point or signed",
+            "write whole numbers of 16 bits",
         ));
     }
     match first {
@@ -242,9 +284,9 @@ fn black(picture: &Directory, layout: SampleLayout) -> Result<Option<[f64; 4]>, 
         ));
     }
     Ok(match (layout, levels.as_slice(), size.as_slice()) {
-        (_, [all], _) => Some([*all; 4]),
+        (_, [all, others @ ..], _) if others.iter().all(|level| level == all) => Some([*all; 4]),
         (SampleLayout::Rgb, [r, g, b], _) => Some([*r, *g, *b, *g]),
-        (SampleLayout::Mosaic(_), [a, b, c, d], [2, 2]) => Some([*a, *b, *c, *d]),
+        (SampleLayout::Mosaic(_), [a, b, c, d], [2, 2] | []) => Some([*a, *b, *c, *d]),
         (SampleLayout::Mosaic(_), [a, b], [1, 2]) => Some([*a, *b, *a, *b]),
         (SampleLayout::Mosaic(_), [a, b], [2, 1]) => Some([*a, *a, *b, *b]),
         _ => None,
