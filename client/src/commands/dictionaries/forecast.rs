@@ -10,11 +10,12 @@ use tokio::time::Instant;
 
 use crate::output::{duration, grouped};
 
-/// Time after which no more jobs are traced.
-const ENOUGH: Duration = Duration::from_millis(500);
-/// Walks of a job that are traced: those of a chunk.
+/// Time after which no more jobs are traced, if there are enough.
+const ENOUGH: Duration = Duration::from_secs(1);
+/// Walks of a chunk, which one thread traces at a time.
 const WALKS: u64 = 12_500;
-/// Most sets of jobs that are traced.
+/// Fewest and most sets of jobs that are traced.
+const FEWEST: usize = 3;
 const MOST: usize = 32;
 
 /// Time and room that a dictionary takes on this machine.
@@ -32,7 +33,7 @@ impl Forecast {
         let mut times = Vec::new();
         for set in evenly(MOST.min(sets.len())).map(|place| &sets[(place * sets.len() as f64) as usize]) {
             times.push(set_time(grid, set));
-            if start.elapsed() > ENOUGH {
+            if start.elapsed() > ENOUGH && times.len() >= FEWEST {
                 break;
             }
         }
@@ -61,20 +62,34 @@ fn evenly(count: usize) -> impl Iterator<Item = f64> {
     (1..=count as u32).map(|i| f64::from(i.reverse_bits()) / (f64::from(u32::MAX) + 1.0))
 }
 
-/// Seconds that all walks of jobs that share them take.
+/// Seconds that jobs that share their walks take: what does not depend on their number, and the rest by two numbers of
+/// walks that occupy all threads.
 fn set_time(grid: &Grid, set: &[u32]) -> f64 {
     let walks = set.iter().map(|job| grid.walks_of(*job as usize).get()).max().unwrap_or(WALKS);
-    let traced = walks.min(WALKS);
+    let round = WALKS * rayon::current_num_threads() as u64;
+    let [few, more] = [round, 3 * round].map(|number| number.min(walks));
+    // Tables that many sets share are made by the first run.
+    let _ = traced_time(grid, set, few);
+    let short = traced_time(grid, set, few);
+    if more == few {
+        return short;
+    }
+    let per_walk = (traced_time(grid, set, more) - short).max(0.0) / (more - few) as f64;
+    short + per_walk * (walks - few) as f64
+}
+
+/// Seconds that this number of walks takes.
+fn traced_time(grid: &Grid, set: &[u32], walks: u64) -> f64 {
     let shortened = |job: &u32| {
         let scene = grid.scene_of(*job as usize).clone();
         let job = JobSpec::of(grid, *job as usize);
         let albedo = job.albedo().to_vec();
-        JobSpec::new(scene, job.point(), albedo, Walks::new(traced)?, job.seed(), job.derivatives())
+        JobSpec::new(scene, job.point(), albedo, Walks::new(walks)?, job.seed(), job.derivatives())
     };
     let Ok(jobs) = set.iter().map(shortened).collect::<Result<Vec<_>, _>>() else { return 0.0 };
     let start = Instant::now();
     let _ = optics_layers::records_of_set(&jobs, &AtomicBool::new(false));
-    start.elapsed().as_secs_f64() * walks as f64 / traced as f64
+    start.elapsed().as_secs_f64()
 }
 
 #[cfg(test)]
