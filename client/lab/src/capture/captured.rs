@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use farm_figures::numbers::with_error;
-use optics_capture::{Board, BoardRho, Calibration, Estimate, SampleProfile};
+use optics_capture::{Board, BoardRho, Calibration, Estimate, SampleProfile, Warning};
 
 use super::bands::Band;
 use super::session_file::{CaptureSession, Sample};
@@ -53,9 +53,20 @@ impl Captured {
     /// All warnings: about the session's numbers, the set-up, the samples, and the profiles as they are read back from their
     /// file.
     pub fn warnings(&self, file: &Path, notes: &[Note]) -> Vec<String> {
-        let of_parts = self.parts.iter().flat_map(CapturedPart::warnings);
+        self.texts(file, notes, |_| true)
+    }
+
+    /// Warnings after which something may have to be done, and the number of photographs with masked specks.
+    pub fn findings(&self, file: &Path, notes: &[Note]) -> (Vec<String>, usize) {
+        let samples = self.parts.iter().flat_map(|part| &part.samples);
+        let masked = samples.flat_map(|sample| &sample.profile.warnings).filter(|w| w.is_note()).count();
+        (self.texts(file, notes, |warning| !warning.is_note()), masked)
+    }
+
+    fn texts(&self, file: &Path, notes: &[Note], is_shown: impl Fn(&Warning) -> bool) -> Vec<String> {
+        let parts = self.parts.iter().flat_map(|part| part.warnings(&is_shown));
         let notes = notes.iter().map(|note| format!("{}: {}", file.display(), note.text));
-        self.session.doubts.iter().cloned().chain(of_parts).chain(notes).collect()
+        self.session.doubts.iter().cloned().chain(parts).chain(notes).collect()
     }
 }
 
@@ -74,10 +85,10 @@ impl CapturedPart {
     }
 
     /// Warnings about a part: those of a band begin with its name.
-    fn warnings(&self) -> Vec<String> {
+    fn warnings(&self, is_shown: impl Fn(&Warning) -> bool) -> Vec<String> {
         let set_up = self.calibration.warnings.iter().chain(&self.board.warnings).map(ToString::to_string);
         let samples = self.samples.iter().flat_map(|sample| {
-            sample.profile.warnings.iter().map(|w| {
+            sample.profile.warnings.iter().filter(|w| is_shown(w)).map(|w| {
                 let (text, label) = (w.to_string(), sample.about.label());
                 if text.starts_with(&label) { text } else { format!("{label}: {text}") }
             })

@@ -96,7 +96,13 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
         output.answer("capture", &data, || {
             let mut blocks = vec![captured_table(&rows).block()];
             blocks.extend(set_up(&captured).map(Block::Paragraph));
-            blocks.push(Block::warnings(&warnings));
+            let (findings, masked) = captured.findings(&folder.join(FILES[0]), &notes);
+            blocks.push(Block::warnings(&findings));
+            if masked > 0 {
+                let text =
+                    format!("specks and scratches are masked in {masked} photographs: see report.html");
+                blocks.push(Block::Aside(text));
+            }
             let written = format!("written to {}: {}", folder.display(), FILES.join(", "));
             blocks.push(Block::Preformatted(written));
             blocks
