@@ -5,8 +5,9 @@ use crate::board::{Board, check_clipped};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::Photo;
-use crate::lattice::{LightChange, PatchRadiance, movement};
+use crate::lattice::{PatchRadiance, light, movement};
 use crate::least_squares::robust_mean;
+use crate::light_field::LightChange;
 use crate::mountings::SampleProfile;
 use crate::refusal::Refusal;
 
@@ -54,7 +55,7 @@ impl<'a> BlueCutShots<'a> {
         let no_board = || refused("no part of the board is free of the slab".to_owned());
         let free = free.free.as_deref().ok_or_else(no_board)?;
         // Where no blue is left, its factor cannot be measured.
-        let change = |c: usize| LightChange::measured(&self.board.readings, &patches, free, c);
+        let change = |c: usize| light::change(&self.board.readings, &patches, free, c);
         let (red, green) = change(0).zip(change(1)).ok_or_else(no_board)?;
         let (blue, whole) = (change(2).map_or(0.0, |blue| blue.factor.value), green.factor.value);
         if blue > LEFT * whole {
@@ -65,7 +66,7 @@ impl<'a> BlueCutShots<'a> {
         }
         // The rest of blue is not used.
         let lamps = [red, green, LightChange::default()];
-        let radiance = radiance.under(&lamps, &self.board.fields, found.edge_frame);
+        let radiance = radiance.under(&lamps, &self.board.fields, found.edge_frame.plane());
         let (binnings, _) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings[..2], radiance.full)?;
         let share = |c: usize| {

@@ -8,11 +8,12 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::Photo;
 use crate::lattice::{
-    CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LightField, LocatedBoard, PatchRadiance, Target,
+    CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, fields,
     find, own_edge,
 };
 use crate::lattice::{light, movement};
 use crate::least_squares::{FittedParameters, NormalEquations, scatter_of_mean};
+use crate::light_field::LightField;
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
 use crate::report::ShotReport;
 use crate::saturation::{CLIPPED, Saturation};
@@ -123,9 +124,9 @@ impl<'a> BareShots<'a> {
         if let Some(light) = &light {
             light::check(&photo, light)?;
         }
-        let fields = LightField::measured(&readings);
+        let fields = fields(&readings);
         light::check_field(&photo, &fields, !self.calibration.flat().is_missing())?;
-        let radiance = radiance.levelled(fields.clone(), edge_frame);
+        let radiance = radiance.levelled(fields.clone(), edge_frame.plane());
         let binnings = self.bins(&photo, &radiance, &edge_frame)?;
         self.fields.push(fields);
         self.fine.push(fine_bins(&radiance, &edge_frame));

@@ -5,7 +5,7 @@ use crate::camera_settings::CameraSettings;
 use crate::estimate::Estimate;
 use crate::flat::Flat;
 use crate::frame::{Area, Colour, Frame, Photo, Site};
-use crate::lattice::{EdgeFrame, LightChange, LightField};
+use crate::light_field::{BoardPlane, LightChange, LightField};
 use crate::noise::SiteNoise;
 use crate::refusal::Warning;
 use crate::saturation::{Saturation, saturation};
@@ -116,7 +116,7 @@ pub(crate) struct Radiance<'a> {
     veil: Vec<f64>,
     gain: Vec<f64>,
     /// Light over the board that the flat does not have; None where there is none.
-    fields: Option<(EdgeFrame, Vec<LightField>)>,
+    fields: Option<(BoardPlane, Vec<LightField>)>,
 }
 
 /// One sample as a radiance factor.
@@ -137,17 +137,17 @@ impl<'a> Radiance<'a> {
     }
 
     /// These radiances corrected for light that differs from the bare shots', whose fields are given.
-    pub fn under(mut self, light: &[LightChange], fields: &[LightField], edge: EdgeFrame) -> Self {
+    pub fn under(mut self, light: &[LightChange], fields: &[LightField], plane: BoardPlane) -> Self {
         for ((gain, veil), light) in self.gain.iter_mut().zip(&mut self.veil).zip(light) {
             *veil += light.offset.value * *gain;
             *gain *= light.factor.value;
         }
-        self.levelled(fields.iter().zip(light).map(|(field, light)| field.under(light)).collect(), edge)
+        self.levelled(fields.iter().zip(light).map(|(field, light)| field.under(light)).collect(), plane)
     }
 
     /// These radiances corrected for uneven light over the board.
-    pub fn levelled(mut self, fields: Vec<LightField>, edge: EdgeFrame) -> Self {
-        self.fields = (!fields.iter().all(LightField::is_even)).then_some((edge, fields));
+    pub fn levelled(mut self, fields: Vec<LightField>, plane: BoardPlane) -> Self {
+        self.fields = (!fields.iter().all(LightField::is_even)).then_some((plane, fields));
         self
     }
 
@@ -160,9 +160,10 @@ impl<'a> Radiance<'a> {
         let c = site.colour.index();
         let signal = self.calibration.black.signal(self.frame, site, x, y);
         let flat = self.calibration.flat.at(site.colour, x as f64 + 0.5, y as f64 + 0.5);
-        let field = self.fields.as_ref().map_or(1.0, |(edge, fields)| {
-            fields[c].at(edge.mm([x as f64 + 0.5, y as f64 + 0.5]).map(|mm| 0.1 * mm))
-        });
+        let field = self
+            .fields
+            .as_ref()
+            .map_or(1.0, |(plane, fields)| fields[c].at(plane.place([x as f64 + 0.5, y as f64 + 0.5])));
         let per_unit = flat * field * self.gain[c] * self.calibration.site_gain[site.index];
         RadianceSample {
             value: (signal - self.veil[c]) / per_unit,

@@ -189,9 +189,9 @@ fn places() -> impl Iterator<Item = (f64, f64)> {
 /// ln of the mean light of each cell.
 fn grid(photo: &Photo, black: &Black, colour: Colour, full: Saturation) -> Result<Vec<f64>, Refusal> {
     let frame = &photo.frame;
-    let cells: Vec<Cell> =
-        (0..ACROSS * DOWN).into_par_iter().map(|k| Cell::new(frame, black, colour, full, k)).collect();
-    let sum = |count: fn(&Cell) -> usize| cells.iter().map(count).sum::<usize>() as f64;
+    let cells: Vec<FlatCell> =
+        (0..ACROSS * DOWN).into_par_iter().map(|k| FlatCell::new(frame, black, colour, full, k)).collect();
+    let sum = |count: fn(&FlatCell) -> usize| cells.iter().map(count).sum::<usize>() as f64;
     let share = sum(|cell| cell.clipped) / sum(|cell| cell.samples);
     if share > CLIPPED {
         let place = "the sheet".to_owned();
@@ -208,13 +208,13 @@ fn grid(photo: &Photo, black: &Black, colour: Colour, full: Saturation) -> Resul
 }
 
 /// Samples of one cell: their number, those that are clipped, and ln of the mean of the others.
-struct Cell {
+struct FlatCell {
     samples: usize,
     clipped: usize,
     log_light: f64,
 }
 
-impl Cell {
+impl FlatCell {
     fn new(frame: &Frame, black: &Black, colour: Colour, full: Saturation, k: usize) -> Self {
         let range = |i: usize, n: usize, side: usize| i * side / n..(i + 1) * side / n;
         let (columns, rows) =

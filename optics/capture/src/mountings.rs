@@ -8,9 +8,10 @@ use crate::calibration::{Calibration, Radiance};
 use crate::estimate::{Contribution, Estimate, Source};
 use crate::frame::{Colour, Photo};
 use crate::join::{Joined, Turned, join};
-use crate::lattice::{BOARD_SLOPE, CropCells, FreeParts, LightChange, PatchRadiance, light, movement};
+use crate::lattice::{BOARD_SLOPE, CropCells, FreeParts, PatchRadiance, light, movement};
 use crate::least_squares::finite_mean;
-use crate::refusal::{Change, Refusal, Warning};
+use crate::light_field::LightChange;
+use crate::refusal::{Correction, Refusal, Warning};
 use crate::report::ShotReport;
 
 /// Accumulates the shots of one sample, each a mounting of its stack on the board.
@@ -60,7 +61,7 @@ impl<'a> Mountings<'a> {
         let light_factor = light.clone();
         let light = light.unwrap_or_else(|| vec![LightChange::default(); photo.frame.columns().len()]);
         light::check(&photo, &light)?;
-        let radiance = radiance.under(&light, &self.board.fields, found.edge_frame);
+        let radiance = radiance.under(&light, &self.board.fields, found.edge_frame.plane());
         self.board.cells.check_covered(label, &CropCells::of(&radiance, &found.edge_frame))?;
         let (binnings, blemishes) = bin_clean(&radiance, &found.edge_frame, &self.board.origin_mm);
         check_clipped(&photo, &binnings, radiance.full)?;
@@ -126,9 +127,9 @@ impl<'a> Mountings<'a> {
         };
         let factor = |l: &LightChange| Estimate::new(l.factor.value - 1.0, l.factor.std_error);
         for (change, (colour, most), noted) in [
-            (Change::Factor, light::largest(photo, light, factor), NOTED),
-            (Change::Offset, light::largest(photo, light, |l| l.offset), NOTED_OFFSET),
-            (Change::Slope, light::largest(photo, light, |l| l.slope[0]), NOTED),
+            (Correction::Factor, light::largest(photo, light, factor), NOTED),
+            (Correction::Offset, light::largest(photo, light, |l| l.offset), NOTED_OFFSET),
+            (Correction::Slope, light::largest(photo, light, |l| l.slope[0]), NOTED),
         ] {
             if most.value.abs() > noted {
                 self.note_change(&label, change, colour, 100.0 * most.value);
@@ -137,7 +138,7 @@ impl<'a> Mountings<'a> {
     }
 
     /// One warning for all shots with the same change, with the largest of them.
-    fn note_change(&mut self, label: &str, what: Change, colour: Colour, percent: f64) {
+    fn note_change(&mut self, label: &str, what: Correction, colour: Colour, percent: f64) {
         let same = self.warnings.iter_mut().find_map(|warning| match warning {
             Warning::LightCorrected { labels, change, colour, percent } if *change == what => {
                 Some((labels, colour, percent))
@@ -298,9 +299,9 @@ impl<'a> Mountings<'a> {
         squares.sqrt() / self.shots.len() as f64
     }
 
-    /// Error of the slope of the light across the crop, per 10 mm: that of the flat and of lamps that turn after it, together
-    /// with that of the bare board, whose own reflectance is even to [`BOARD_SLOPE`]; where these contradict each other,
-    /// that of the board alone.
+    /// Error of the slope of the light across the crop, per 10 mm: that of the flat and of lamps that turn after it,
+    /// together with that of the bare board, whose own reflectance is even to [`BOARD_SLOPE`]; where these contradict
+    /// each other, that of the board alone.
     fn slope(&self, c: usize) -> f64 {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
         let of_flat = libm::hypot(self.calibration.flat().slope_std_error(c) * 10.0 / width_mm, light::SLOPE);

@@ -99,7 +99,7 @@ pub enum Refusal {
     )]
     NotSlanted { label: String, angle_deg: f64, needed_deg: f64 },
     #[error(
-        "the light drifted by {percent:+.2} % in {colour} between {first} and {last}, 0.5 % are allowed; let the lamps \
+        "the light drifted by {percent:+.2} % in {colour} between {first} and {last}, 2 % are allowed; let the lamps \
          warm up, shoot the patches more often"
     )]
     LightDrifted { colour: Colour, percent: f64, first: String, last: String },
@@ -224,7 +224,7 @@ pub enum Warning {
     )]
     LightUnchecked { label: String },
     #[error("{labels}: {change}: by {percent:+.2} % in {colour} at most")]
-    LightCorrected { labels: String, change: Change, colour: Colour, percent: f64 },
+    LightCorrected { labels: String, change: Correction, colour: Colour, percent: f64 },
     #[error(
         "the light over the bare board is not that of the flat shots: in {colour} it rises by {percent:+.2} % per 10 mm, or \
          bends; this is divided out, but lamps that stay in place need no correction"
@@ -276,6 +276,11 @@ pub enum Warning {
          assumed; add a black patch"
     )]
     GlareUnknown { percent: f64 },
+    #[error(
+        "the light drifted by {percent:+.2} % in {colour} between the shots of the patches: it is interpolated in time, and half of \
+         it is an error of all values; let the lamps warm up, shoot the patches more often"
+    )]
+    Drifted { colour: Colour, percent: f64 },
     #[error("no shots of the patches after the samples: drift of the light is unknown")]
     NoDrift,
 }
@@ -300,15 +305,15 @@ impl std::fmt::Display for Side {
     }
 }
 
-/// What differs between the light of a shot and that of the bare shots.
+/// A correction of the light of a shot to that of the bare shots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Change {
+pub enum Correction {
     Factor,
     Offset,
     Slope,
 }
 
-impl std::fmt::Display for Change {
+impl std::fmt::Display for Correction {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Factor => "the free board is brighter or darker than in the bare shots, which is divided out",

@@ -2,7 +2,7 @@
 
 use crate::bins::{Binning, EdgeProfile};
 use crate::estimate::Estimate;
-use crate::lattice::LightChange;
+use crate::light_field::LightChange;
 
 /// One shot of a bare board or of a sample.
 #[derive(Debug, Clone)]

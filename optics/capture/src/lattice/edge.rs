@@ -5,6 +5,7 @@ use super::pose::Pose;
 use super::scan::Run;
 use crate::estimate::Estimate;
 use crate::least_squares::robust_fit;
+use crate::light_field::BoardPlane;
 use crate::refusal::{Refusal, Side};
 
 /// Half of the crop's sides, in mm: the paper's 1 × 1 cm.
@@ -76,6 +77,16 @@ impl EdgeFrame {
             self.sign = -self.sign;
         }
         self
+    }
+
+    /// The plane about the crop's middle.
+    pub fn plane(&self) -> BoardPlane {
+        const STEP_PX: f64 = 10.0;
+        let origin_px = self.px([0.0, 0.0]);
+        let [by_x, by_y] = [[STEP_PX, 0.0], [0.0, STEP_PX]].map(|step| {
+            self.mm([origin_px[0] + step[0], origin_px[1] + step[1]]).map(|mm| 0.1 * mm / STEP_PX)
+        });
+        BoardPlane { origin_px, per_px: [[by_x[0], by_y[0]], [by_x[1], by_y[1]]] }
     }
 
     pub fn mm_per_px(&self) -> f64 {

@@ -5,13 +5,13 @@
 //! contrast, by scattering, absorption or reflection. So edges with the highest common contrast are free.
 
 use super::edge::{EdgeFrame, HALF_CROP_MM};
-use super::field::LightField;
 use super::lines::EdgeStretch;
 use super::scan::{EdgePoint, Run};
 use crate::calibration::Radiance;
 use crate::estimate::Estimate;
 use crate::frame::{Colour, Photo};
 use crate::least_squares::{FittedParameters, NormalEquations, median, spread, tukey};
+use crate::light_field::{LightChange, LightField};
 use crate::refusal::Refusal;
 
 /// Deviation from the most frequent ratio within which ratios count as equal: noise of one row or column.
@@ -153,16 +153,6 @@ impl PatchRadiance {
     }
 }
 
-/// Light of a shot in one column, against that of the bare board b: (factor + slope · place) b + offset.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LightChange {
-    pub factor: Estimate,
-    /// As a radiance factor: of a black level that drifts, and of stray light.
-    pub offset: Estimate,
-    /// Relative, per 10 mm across the edge and along it.
-    pub slope: [Estimate; 2],
-}
-
 /// Standard deviation of a slope between shots, per 10 mm: the prior, which counts where the free board lies on one side of
 /// the slab.
 pub(crate) const SLOPE: f64 = 0.002;
@@ -178,21 +168,13 @@ const OFFSET_UNEVEN: f64 = 0.1;
 /// The terms of a change: factor, offset, and the slopes.
 const TERMS: usize = 4;
 
-impl Default for LightChange {
-    /// The same light.
-    fn default() -> Self {
-        let none = Estimate::default();
-        Self { factor: Estimate::new(1.0, 0.0), offset: none, slope: [none; 2] }
-    }
-}
-
 /// Light of a shot relative to the bare shots by the free patches, in each column.
 pub(crate) fn changes(
     bare: &[PatchRadiance],
     shot: &[PatchRadiance],
     free: &[bool],
 ) -> Option<Vec<LightChange>> {
-    (0..bare.first()?.means.len()).map(|c| LightChange::measured(bare, shot, free, c)).collect()
+    (0..bare.first()?.means.len()).map(|c| change(bare, shot, free, c)).collect()
 }
 
 /// A free patch in a bare shot and in another one.
@@ -203,50 +185,47 @@ struct PatchPair {
     variance: f64,
 }
 
-impl LightChange {
-    /// Change in one column. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
-    /// this error of the factor does not decrease with their number.
-    pub(crate) fn measured(
-        bare: &[PatchRadiance],
-        shot: &[PatchRadiance],
-        free: &[bool],
-        c: usize,
-    ) -> Option<Self> {
-        let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
-        let pairs = pairs.map(|(bare, shot)| {
-            let (b, s) = (bare.means[c], shot.means[c]);
-            let row = [b.value, 1.0, b.value * bare.place[0], b.value * bare.place[1]];
-            PatchPair { is_light: bare.is_light, row, value: s.value, variance: b.variance + s.variance }
-        });
-        let sound = |p: &PatchPair| !p.is_light || (p.row[0] > 0.0 && p.value > 0.0);
-        let pairs: Vec<PatchPair> = pairs.filter(sound).collect();
-        if pairs.iter().filter(|p| p.is_light).count() < PATCHES {
-            return None;
-        }
-        let (whole, uneven) = fit(&pairs, [true; TERMS])?;
-        let is_certain = |i: usize, least: f64| whole.x[i].abs() > least.max(CERTAIN * whole.std_error(i));
-        let sloped = (2..TERMS).any(|i| is_certain(i, LEAST_SLOPE));
-        let used = [true, is_certain(1, LEAST_OFFSET), sloped, sloped];
-        let (found, uneven) =
-            if used == [true; TERMS] { (whole.clone(), uneven) } else { fit(&pairs, used)? };
-        // What is not corrected counts as error.
-        let term = |i: usize| {
-            if used[i] {
-                Estimate::new(found.x[i], found.std_error(i))
-            } else {
-                Estimate::new(0.0, libm::hypot(whole.x[i], whole.std_error(i)))
-            }
-        };
-        let factor = less_chance(Estimate::new(found.x[0], found.std_error(0)));
-        let offset = term(1);
-        let relative = |e: Estimate| Estimate::new(e.value / factor.value, e.std_error / factor.value);
-        let errors = [factor.std_error, factor.value * uneven, whole.std_error(0)];
-        Some(Self {
-            factor: Estimate::new(factor.value, errors.iter().map(|e| e * e).sum::<f64>().sqrt()),
-            offset: Estimate::new(offset.value, libm::hypot(offset.std_error, OFFSET_UNEVEN * offset.value)),
-            slope: [relative(term(2)), relative(term(3))],
-        })
+/// Change in one column. Where patches differ by more than noise, the light is uneven, for example by bands of flicker;
+/// this error of the factor does not decrease with their number.
+pub(crate) fn change(
+    bare: &[PatchRadiance],
+    shot: &[PatchRadiance],
+    free: &[bool],
+    c: usize,
+) -> Option<LightChange> {
+    let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
+    let pairs = pairs.map(|(bare, shot)| {
+        let (b, s) = (bare.means[c], shot.means[c]);
+        let row = [b.value, 1.0, b.value * bare.place[0], b.value * bare.place[1]];
+        PatchPair { is_light: bare.is_light, row, value: s.value, variance: b.variance + s.variance }
+    });
+    let sound = |p: &PatchPair| !p.is_light || (p.row[0] > 0.0 && p.value > 0.0);
+    let pairs: Vec<PatchPair> = pairs.filter(sound).collect();
+    if pairs.iter().filter(|p| p.is_light).count() < PATCHES {
+        return None;
     }
+    let (whole, uneven) = fit(&pairs, [true; TERMS])?;
+    let is_certain = |i: usize, least: f64| whole.x[i].abs() > least.max(CERTAIN * whole.std_error(i));
+    let sloped = (2..TERMS).any(|i| is_certain(i, LEAST_SLOPE));
+    let used = [true, is_certain(1, LEAST_OFFSET), sloped, sloped];
+    let (found, uneven) = if used == [true; TERMS] { (whole.clone(), uneven) } else { fit(&pairs, used)? };
+    // A term that is not corrected counts as error.
+    let term = |i: usize| {
+        if used[i] {
+            Estimate::new(found.x[i], found.std_error(i))
+        } else {
+            Estimate::new(0.0, libm::hypot(whole.x[i], whole.std_error(i)))
+        }
+    };
+    let factor = less_chance(Estimate::new(found.x[0], found.std_error(0)));
+    let offset = term(1);
+    let relative = |e: Estimate| Estimate::new(e.value / factor.value, e.std_error / factor.value);
+    let errors = [factor.std_error, factor.value * uneven, whole.std_error(0)];
+    Some(LightChange {
+        factor: Estimate::new(factor.value, errors.iter().map(|e| e * e).sum::<f64>().sqrt()),
+        offset: Estimate::new(offset.value, libm::hypot(offset.std_error, OFFSET_UNEVEN * offset.value)),
+        slope: [relative(term(2)), relative(term(3))],
+    })
 }
 
 /// Robust fit of some of the terms, and the unevenness of the light: relative, beyond the noise of the patches.

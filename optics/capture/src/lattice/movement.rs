@@ -82,13 +82,13 @@ impl BoardEdges {
 
     /// Finds the edges of the board that are not covered by a slab, which lies on the edge in use.
     pub fn free_parts(&self, view: PhotoView<'_>, edge: &EdgeFrame) -> FreeParts {
-        let mut points = self.edges(view, 1.0);
+        let mut points = self.edges(view, [1.0, 0.0]);
         let mut light = self.light(&points, NEAR_PX);
-        for brightness in OTHER_LIGHT {
+        for other in OTHER_LIGHT {
             if light.is_some() {
                 break;
             }
-            let others = self.edges(view, brightness);
+            let others = self.edges(view, other);
             light = self.light(&others, NEAR_PX);
             if light.is_some() {
                 points = others;
@@ -111,9 +111,9 @@ impl BoardEdges {
         parts
     }
 
-    /// Edges near those of the bare board, under light of this brightness.
-    fn edges(&self, view: PhotoView<'_>, brightness: f64) -> [Vec<EdgePoint>; 2] {
-        let scan = EdgeScan { contrast: self.scan.contrast.under(brightness), ..self.scan };
+    /// Edges near those of the bare board, under light of this brightness and with this share of the contrast added.
+    fn edges(&self, view: PhotoView<'_>, [brightness, added]: [f64; 2]) -> [Vec<EdgePoint>; 2] {
+        let scan = EdgeScan { contrast: self.scan.contrast.under(brightness, added), ..self.scan };
         std::array::from_fn(|i| {
             let run = RUNS[i];
             let end = if run == Run::Down { view.frame().width() } else { view.frame().height() };
@@ -145,8 +145,8 @@ impl BoardEdges {
         Some(FreeLight { factor, offset: median(&mut own.map(|l| l.offset).collect::<Vec<_>>()) })
     }
 
-    /// Whether the slab in the crop makes its dark side brighter than the free board's: then every edge whose dark side is as
-    /// dark as that is free, however uneven the light.
+    /// Whether the slab in the crop makes its dark side brighter than the free board's: then every edge whose dark side
+    /// is as dark as that is free, however uneven the light.
     fn scatters(&self, points: &[Vec<EdgePoint>; 2], light: FreeLight, edge: &EdgeFrame) -> bool {
         let levels = self.levels(light);
         let in_crop =
@@ -207,10 +207,12 @@ const LEVELS: [f64; 2] = [0.004, 0.012];
 const UNEVEN: f64 = 0.1;
 
 /// Largest offset of a free edge, as a share of its contrast.
-const OFFSET: f64 = 0.2;
+const OFFSET: f64 = 0.35;
 
-/// Brightnesses that are tried if no edges are found under the bare shots' light.
-const OTHER_LIGHT: [f64; 6] = [0.8, 1.25, 0.64, 1.56, 0.5, 2.0];
+/// Brightnesses, and shares of the contrast that are added, which are tried if no edges are found under the bare shots'
+/// light.
+const OTHER_LIGHT: [[f64; 2]; 8] =
+    [[0.8, 0.0], [1.25, 0.0], [0.64, 0.0], [1.56, 0.0], [0.5, 0.0], [2.0, 0.0], [0.9, 0.15], [0.7, 0.2]];
 
 /// Number of the longest free stretches that are used for the blur.
 const LONGEST: usize = 3;

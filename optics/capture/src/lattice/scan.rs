@@ -70,9 +70,10 @@ impl Contrast {
         self.white - self.black
     }
 
-    /// The contrast of the same board under other light.
-    pub fn under(self, brightness: f64) -> Self {
-        Self { black: self.black * brightness, white: self.white * brightness }
+    /// The contrast of the same board under other light, with a share of the contrast added.
+    pub fn under(self, brightness: f64, added: f64) -> Self {
+        let added = added * self.range();
+        Self { black: self.black * brightness + added, white: self.white * brightness + added }
     }
 
     fn middle(&self) -> f64 {

@@ -18,7 +18,11 @@ const LEAST: usize = 3;
 const GLARE: Estimate = Estimate { value: 0.01, std_error: 0.01 };
 
 /// Relative change of the light between shots above which a session is refused.
-const DRIFT: f64 = 0.005;
+const DRIFT: f64 = 0.02;
+
+/// Change above which a warning is given, and standard error of light that was measured once.
+const NOTED_DRIFT: f64 = 0.005;
+const UNKNOWN_DRIFT: f64 = 0.0025;
 
 /// Powers of ρ beyond which a picture counts as gamma-coded.
 const LINEAR_POWERS: std::ops::Range<f64> = 0.85..1.15;
@@ -44,6 +48,7 @@ pub(super) fn fit(
     let mut fitted = FittedLine::default();
     let brightness = relative(shots, columns.len());
     fitted.drift = drift(shots, &brightness, columns)?;
+    fitted.warnings.extend(drifted(columns, &fitted.drift));
     fitted.light = light(shots, &brightness, &mut fitted.warnings);
     let places = shots.first().map_or(&[][..], |shot| &shot.areas);
     let reading = |(rho, area): (&Vec<f64>, &Area)| PatchReading {
@@ -174,11 +179,18 @@ fn drift(shots: &[PatchShot], brightness: &[Vec<f64>], columns: &[Colour]) -> Re
     columns.iter().map(colour_drift).collect()
 }
 
+/// The warning about a drift that makes the larger part of the gain's error.
+fn drifted(columns: &[Colour], drift: &[f64]) -> Option<Warning> {
+    let most = columns.iter().zip(drift).max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+    let (colour, drift) = most.filter(|(_, drift)| drift.abs() > NOTED_DRIFT)?;
+    Some(Warning::Drifted { colour: *colour, percent: 100.0 * drift })
+}
+
 fn light(shots: &[PatchShot], brightness: &[Vec<f64>], warnings: &mut Vec<Warning>) -> LampDrift {
     let (n, columns) = (shots.len() as f64, brightness[0].len());
     if shots.len() < 2 {
         warnings.push(Warning::NoDrift);
-        return LampDrift { at: Vec::new(), std_error: vec![0.5 * DRIFT; columns], shots: 1 };
+        return LampDrift { at: Vec::new(), std_error: vec![UNKNOWN_DRIFT; columns], shots: 1 };
     }
     let scatter = |c: usize| brightness.iter().map(|b| (b[c] - 1.0).powi(2)).sum::<f64>() / (n - 1.0);
     let std_error = (0..columns).map(|c| scatter(c).sqrt()).collect();

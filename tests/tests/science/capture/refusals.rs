@@ -4,9 +4,9 @@ use std::sync::OnceLock;
 
 use farm_tests::photograph::{Board, Camera, Dust, Look, Random, Session, Slab, What};
 use farm_tests::statistics::effort_or;
-use optics_capture::{Frame, Refusal, Side, Warning};
+use optics_capture::{Frame, Refusal, Side, Source, Warning};
 
-use super::stage::{PLAIN, board, calibrate, find, measure, slab};
+use super::stage::{Measured, PLAIN, board, calibrate, find, measure, slab};
 
 /// A camera with fewer pixels, which suffice for checks.
 fn small() -> Camera {
@@ -47,7 +47,7 @@ fn either(random: &mut Random, amount: f64) -> f64 {
 /// A fault of a session, of a size from 0 to 1 that is random, and whether a refusal names it.
 type Fault = (&'static str, fn(f64, &mut Random) -> Session, fn(&Refusal) -> bool);
 
-const FAULTS: [Fault; 12] = [
+const FAULTS: [Fault; 14] = [
     (
         "clipped",
         |size, _| {
@@ -128,12 +128,25 @@ const FAULTS: [Fault; 12] = [
     (
         "light drifted",
         |size, random| {
-            let change = either(random, 0.009 + 0.02 * size);
+            let change = either(random, 0.026 + 0.02 * size);
             let mut session = good();
             session.brightness = vec![(What::Chart, 1, 1.0 + change)];
             session
         },
         |r| matches!(r, Refusal::LightDrifted { .. }),
+    ),
+    (
+        "stray light",
+        |size, _| with_slab(&Camera { glare: 0.11 + 0.2 * size, ..small() }, &slab()),
+        |r| matches!(r, Refusal::LightAdded { .. }),
+    ),
+    (
+        "lamps turned",
+        |size, random| {
+            let slope = [small().slope[0] + either(random, 0.16 + 0.1 * size), small().slope[1]];
+            with_slab(&Camera { slope, ..small() }, &slab())
+        },
+        |r| matches!(r, Refusal::LightTurned { .. } | Refusal::LightChanged { .. }),
     ),
 ];
 
@@ -198,6 +211,25 @@ fn good_sessions_are_not_refused() {
     }
     println!("{} of {count} good sessions refused: {refused:#?}", refused.len());
     assert!(refused.len() as f64 <= 0.01 * count as f64, "{refused:#?}");
+}
+
+/// Lamps that fade by up to 2 % between the shots of the patches make an error of the gain that holds the change.
+#[test]
+fn drift_of_lamps_widens_the_gain() {
+    for change in [0.985, 0.993, 1.015] {
+        let mut session = good();
+        let last = [(What::Chart, 1), (What::Bare, 0), (What::Bare, 1), (What::Slab, 0), (What::Slab, 1)];
+        session.brightness = last.map(|(what, index)| (what, index, change)).to_vec();
+        let [steady, drifted] = [&good(), &session].map(|s| measure(s, &PLAIN, 2).unwrap());
+        let level = |found: &Measured| found.sample.profiles[1].values.iter().sum::<f64>();
+        let off = level(&drifted) / level(&steady) - 1.0;
+        let budget = drifted.sample.budget.iter().find(|line| line.source == Source::Drift).unwrap();
+        let error = budget.std_error[1];
+        println!("{change}: {off:+.4}, stated {error:.4}");
+        assert!(off.abs() < 2.0 * error && error < (change - 1.0_f64).abs(), "{off} ± {error}");
+        let warnings = &drifted.calibration.warnings;
+        assert!(warnings.iter().any(|w| matches!(w, Warning::Drifted { .. })), "{warnings:?}");
+    }
 }
 
 /// A dark side that is given wrongly is noticed.
