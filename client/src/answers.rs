@@ -9,6 +9,7 @@ mod likelihood;
 mod options;
 mod remarks;
 mod scale;
+mod screen;
 mod summary;
 #[cfg(test)]
 mod tests;
@@ -28,6 +29,7 @@ pub(crate) use inks::inks_blocks;
 pub(crate) use options::{MeasurementAnswer, SetUpJson, UsedOptions};
 pub(crate) use remarks::all_remarks;
 pub(crate) use scale::{common_blocks, common_text, low_scale, scale_blocks};
+pub(crate) use screen::screen_blocks;
 pub(crate) use summary::ChannelSummary;
 pub(crate) use verdict::verdict;
 

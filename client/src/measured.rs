@@ -16,9 +16,10 @@ use serde::Serialize;
 
 use crate::answers::{
     FitsReport, MeasureAnswer, Remark, UsedOptions, common_blocks, fits_blocks, inks_blocks, low_scale,
-    media_files, verdict,
+    media_files, screen_blocks, verdict,
 };
 use crate::output::{envelope, now_unix_s, utc, write_whole};
+use crate::slurm::shell_quoted;
 
 /// Files of media, with their purpose.
 const WRITTEN: &str = "table.csv, media.json (for `farmctl predict`), uncertainty.html (statement of uncertainty), \
@@ -32,9 +33,29 @@ pub(crate) fn blocks(found: &MeasureAnswer, report: &FitsReport) -> Vec<Block> {
     blocks.push(Block::Remarks(low.into_iter().collect()));
     blocks.extend(fits_blocks(report));
     blocks.extend(found.unmixed.as_ref().map(inks_blocks).unwrap_or_default());
-    let kept = found.kept.as_ref();
-    blocks.extend(kept.map(|id| Block::Preformatted(format!("kept: `farmctl measurements show {id}`"))));
+    blocks.extend(kept(found));
     blocks
+}
+
+/// The first screen, with the folder that has the media.
+pub(crate) fn screen(found: &MeasureAnswer, folder: Option<&Path>) -> Vec<Block> {
+    let mut blocks = screen_blocks(&found.common, &found.materials);
+    let low = low_scale(&found.common, &found.materials).map(Remark::warning);
+    blocks.push(Block::Remarks(low.into_iter().collect()));
+    blocks.extend(found.unmixed.as_ref().map(inks_blocks).unwrap_or_default());
+    let rest = "`measure -v` shows all quantities, the set-up, and the error budget";
+    let next = folder.zip(found.materials.first()).map(|(folder, fit)| {
+        let (shown, print) = (shell_quoted(&folder.display().to_string()), shell_quoted(&format!("{}:1", fit.material)));
+        format!("written to {shown}: media.json, uncertainty.html, media for renderers; how 1 mm of it looks: `farmctl predict {shown} {print}`")
+    });
+    blocks.extend(next.into_iter().chain([rest.to_owned()]).map(Block::Aside));
+    blocks.extend(kept(found));
+    blocks
+}
+
+fn kept(found: &MeasureAnswer) -> Option<Block> {
+    let id = found.kept.as_ref()?;
+    Some(Block::Preformatted(format!("kept: `farmctl measurements show {id}`")))
 }
 
 /// The line about a folder with the media; `others` are further files, each followed by a comma.

@@ -1,5 +1,5 @@
 //! The error budget of the intervals of σ_t as text: the share of the variance that each source of error makes, and which
-//! source to improve first.
+//! source to improve.
 
 use optics_model::fit::{ErrorSource, MaterialFit, Refined, SourceShare};
 use serde::Serialize;
@@ -52,15 +52,28 @@ pub fn error_budget(fits: &[MaterialFit]) -> Option<ErrorBudget> {
             .collect(),
     };
     Some(ErrorBudget {
-        first: format!(
-            "{}, {:.0} % of the variance of σ_t on average, without which its interval would be {} times as wide at most: {}",
-            source_name(first),
-            100.0 * share,
-            significant((1.0 - share).max(0.0).sqrt(), 2),
-            remedy(first.source)
-        ),
+        first: improvement(first, share, &with_budget),
         channels: with_budget.into_iter().map(channel).collect(),
     })
+}
+
+/// The half-width of σ_t with and without the source, in per cent, as the median of the channels; only the source where all
+/// are open.
+fn improvement(first: &SourceShare, share: f64, with_budget: &[(String, &Refined)]) -> String {
+    let (name, remedy) = (source_name(first), remedy(first.source));
+    let half_percent = |r: &Refined| {
+        let ends = &r.sigma_t_per_mm;
+        let is_closed = !ends.open_low && !ends.open_high;
+        is_closed.then(|| 50.0 * (ends.high - ends.low) / r.best.medium.sigma_t_per_mm())
+    };
+    let mut halves: Vec<f64> = with_budget.iter().filter_map(|(_, r)| half_percent(r)).collect();
+    halves.sort_by(f64::total_cmp);
+    let Some(half) = halves.get(halves.len() / 2) else {
+        return format!("{name} leaves σ_t open: {remedy}");
+    };
+    let without = half * (1.0 - share).max(0.0).sqrt();
+    let [without, half] = [without, *half].map(|percent| significant(percent, 2));
+    format!("without the error of {name}, σ_t would be ± {without} %, not ± {half} %: {remedy}")
 }
 
 /// Sources with large shares, the largest first.
@@ -181,8 +194,10 @@ mod tests {
         let ChannelBudget { about, sigma_t, shares, .. } = &found.channels[0];
         assert_eq!((about.as_str(), sigma_t.as_str()), ("white G", "5.4…6.6 / mm"));
         assert_eq!(shares, "g 75 %, thickness 12 %, noise 8 %, gel thickness 5 %");
-        assert!(found.first.starts_with(
-            "g, 75 % of the variance of σ_t on average, without which its interval would be 0.5 times as wide at most: give g"
-        ), "{}", found.first);
+        assert!(
+            found.first.starts_with("without the error of g, σ_t would be ± 5 %, not ± 10 %: give g"),
+            "{}",
+            found.first
+        );
     }
 }

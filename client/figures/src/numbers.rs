@@ -33,7 +33,10 @@ pub fn to_error(value: f64, std_error: f64, digits: i32) -> [String; 2] {
     if !(std_error > 0.0 && std_error.is_finite()) {
         return [minus(&significant(value, 4)), significant(std_error, 1)];
     }
-    let decimals = (digits - 1 - libm::log10(std_error).floor() as i32).clamp(0, 12) as usize;
+    let decimals = |error: f64| (digits - 1 - libm::log10(error).floor() as i32).clamp(0, 12) as usize;
+    // 0.0997 is 0.10.
+    let rounded = format!("{std_error:.*}", decimals(std_error)).parse().unwrap_or(std_error);
+    let decimals = decimals(rounded);
     [fixed(value, decimals), format!("{std_error:.decimals$}")]
 }
 
@@ -115,7 +118,7 @@ mod tests {
     fn value_has_the_decimals_of_its_error() {
         let message = |value, error| with_error(value, error);
         assert_eq!(message(-0.0701, 0.0038), "−0.070 ± 0.004");
-        assert_eq!(message(0.5, 0.0096), "0.500 ± 0.010");
+        assert_eq!(message(0.5, 0.0096), "0.50 ± 0.01");
         assert_eq!(message(123.4, 20.0), "123 ± 20");
         assert_eq!(message(-0.0001, 0.004), "0.000 ± 0.004");
         assert_eq!(message(0.5, 0.0), "0.5 ± 0");

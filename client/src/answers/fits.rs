@@ -51,7 +51,7 @@ pub(crate) fn objective(fits: &[MaterialFit], assumed: Option<String>) -> Vec<St
 }
 
 /// A row for each channel, which begins with material and channel.
-fn rows(fits: &[MaterialFit], cells: impl Fn(&ChannelFit) -> Vec<String>) -> Vec<Vec<String>> {
+pub(super) fn rows(fits: &[MaterialFit], cells: impl Fn(&ChannelFit) -> Vec<String>) -> Vec<Vec<String>> {
     let channels = fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c)));
     let row = |(fit, c): (&MaterialFit, &ChannelFit)| {
         let star = if c.refined.as_ref().is_some_and(|r| r.from_mixtures) { "*" } else { "" };

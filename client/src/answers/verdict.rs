@@ -44,7 +44,8 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
     let in_doubt = (!doubtful.is_empty())
         .then(|| format!("Doubtful, for reasons given as warnings: {}.", doubtful.join(", ")));
     let is_valley = channels().any(|(_, c)| c.refined.as_ref().is_some_and(|r| r.valley));
-    let trade_off = is_valley.then(|| {
+    // That only a given g determines σ_t says it as well.
+    let trade_off = (is_valley && open.is_empty()).then(|| {
         "σ_t and g trade off: σ_s(1 − g) and σ_a are the numbers to compare, and a renderer needs σ_t, α and g of one row \
          together."
             .to_owned()

@@ -43,8 +43,7 @@ Examples:
 pub(crate) struct MeasureArgs {
     /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
     /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it does not exist.
-    /// Without --dictionary, a farm on this machine that has none computes `lab` first, and continues one that
-    /// was interrupted.
+    /// Without --dictionary, a farm on this machine that has none computes `lab` first.
     measurements: PathBuf,
     #[command(flatten)]
     pub(crate) options: OptionArgs,
@@ -87,6 +86,9 @@ pub(crate) struct MeasureArgs {
     /// Compare the intervals with the Cramér–Rao bound: the least errors that these pixels allow.
     #[arg(long)]
     bound: bool,
+    /// Show the whole answer, not only its first screen.
+    #[arg(long, short)]
+    verbose: bool,
     /// Keep question and answer with the farm, for `farmctl measurements` and the page.
     #[arg(long, value_name = "TITLE", num_args = 0..=1, require_equals = true, default_missing_value = "")]
     keep: Option<String>,
@@ -116,6 +118,7 @@ impl MeasureArgs {
             g_spread: None,
             g_change: None,
             bound: false,
+            verbose: false,
             keep: None,
             output: None,
             plot: None,
@@ -142,6 +145,8 @@ pub(crate) struct Inputs {
     pub(crate) own: Option<WantedDictionary>,
     mixtures: Option<PathBuf>,
     bound: bool,
+    /// The whole answer instead of its first screen.
+    whole: bool,
     keep: Option<Keep>,
     output: Option<PathBuf>,
     plot: Option<PathBuf>,
@@ -188,6 +193,7 @@ impl Inputs {
             own,
             mixtures: args.mixtures,
             bound: args.bound,
+            whole: args.verbose || args.bound || options.objective() == Objective::Paper,
             keep,
             output: args.output,
             figure: args.figure.size()?,
@@ -298,6 +304,9 @@ pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Res
         None => None,
     };
     output.answer("measure", &data, || {
+        if !inputs.whole {
+            return [measured::screen(&found, folder), drawn(&pictures)].concat();
+        }
         let mut blocks = [measured::blocks(&found, &report), drawn(&pictures)].concat();
         if inputs.folder.is_some() {
             blocks.extend(error_budget(&found.materials).iter().flat_map(budget_blocks));

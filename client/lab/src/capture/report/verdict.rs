@@ -38,7 +38,7 @@ impl MeasureVerdict {
             ));
         }
         let first = self.improve_first.as_ref();
-        blocks.extend(first.map(|first| Block::paragraph(format!("To improve first: {first}."))));
+        blocks.extend(first.map(|first| Block::paragraph(format!("To improve: {first}."))));
         blocks
     }
 }
