@@ -7,11 +7,12 @@ use crate::blur::{self, EdgeBins};
 use crate::calibration::{Calibration, Radiance};
 use crate::estimate::Estimate;
 use crate::frame::Photo;
+use crate::lattice::light::{self, LightErrors};
+use crate::lattice::movement;
 use crate::lattice::{
     CropCells, EdgeFrame, EdgeLine, FreeParts, HALF_CROP_MM, LocatedBoard, PatchRadiance, Target, fields,
     find, own_edge,
 };
-use crate::lattice::{light, movement};
 use crate::least_squares::{FittedParameters, NormalEquations, scatter_of_mean};
 use crate::light_field::LightField;
 use crate::refusal::{ONE_TURNED, Refusal, Warning};
@@ -72,8 +73,8 @@ pub struct Board {
     pub(crate) readings: Vec<PatchRadiance>,
     /// Light over the board that the flat does not have.
     pub(crate) fields: Vec<LightField>,
-    /// Relative error of the mean light of the bare shots: their spread, and its unevenness.
-    pub(crate) light_std_error: Vec<f64>,
+    /// Errors of the mean light of the bare shots, by their differences.
+    pub(crate) light_errors: Vec<LightErrors>,
     /// Radiance factor of the frame's mean.
     pub(crate) frame_mean: Vec<f64>,
 }
@@ -263,7 +264,7 @@ impl<'a> BareShots<'a> {
             dark: calibration.each(|c| level(&profiles[c], -1.0)),
             slope: calibration.each(|c| slope(&profiles[c])),
             cells: CropCells::mean(&self.cells),
-            light_std_error: light::spread_of(&self.readings, profiles.len()),
+            light_errors: light::spread_of(&self.readings, profiles.len()),
             frame_mean: calibration.each(frame_mean),
             profiles,
             readings: PatchRadiance::mean(&self.readings),
@@ -283,7 +284,7 @@ impl Board {
 
     /// Relative error of the light of its shots, against those of the patches.
     pub fn light_error(&self, calibration: &Calibration, c: usize) -> f64 {
-        libm::hypot(self.light_std_error[c], calibration.light.std_error[c])
+        libm::hypot(self.light_errors[c].factor, calibration.light.std_error[c])
     }
 
     /// The pixel at a distance from the edge, positive on its light side, and a place along it.

@@ -124,6 +124,8 @@ pub(crate) struct Radiance<'a> {
 pub(crate) struct RadianceSample {
     pub value: f64,
     pub variance: f64,
+    /// Radiance factor of an offset of 1 over even light.
+    pub of_offset: f64,
     pub clipped: bool,
 }
 
@@ -168,6 +170,7 @@ impl<'a> Radiance<'a> {
         RadianceSample {
             value: (signal - self.veil[c]) / per_unit,
             variance: self.calibration.noise[site.index].variance(signal) / (per_unit * per_unit),
+            of_offset: self.gain[c] / per_unit,
             clipped: self.full.is_at(self.frame, site, x, y),
         }
     }

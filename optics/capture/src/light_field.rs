@@ -12,6 +12,14 @@ pub struct LightChange {
     pub slope: [Estimate; 2],
 }
 
+impl LightChange {
+    /// The greater slope.
+    pub(crate) fn steepest(&self) -> Estimate {
+        let [across, along] = self.slope;
+        if across.value.abs() > along.value.abs() { across } else { along }
+    }
+}
+
 impl Default for LightChange {
     /// Unchanged light.
     fn default() -> Self {

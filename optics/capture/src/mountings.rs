@@ -129,7 +129,7 @@ impl<'a> Mountings<'a> {
         for (change, (colour, most), noted) in [
             (Correction::Factor, light::largest(photo, light, factor), NOTED),
             (Correction::Offset, light::largest(photo, light, |l| l.offset), NOTED_OFFSET),
-            (Correction::Slope, light::largest(photo, light, |l| l.slope[0]), NOTED),
+            (Correction::Slope, light::largest(photo, light, LightChange::steepest), NOTED),
         ] {
             if most.value.abs() > noted {
                 self.note_change(&label, change, colour, 100.0 * most.value);
@@ -242,7 +242,6 @@ impl<'a> Mountings<'a> {
         let shots = self.shots.len() as f64;
         let mean = |c: usize| self.means.iter().map(|m| m[c]).sum::<f64>() / shots;
         let between = |c: usize, i: usize| joined[c].between[i] / shots.sqrt();
-        let black = |c: usize| calibration.black().std_error() / calibration.gain[c].value;
         let moved = self.unseen_movement_mm();
         let per_channel = |f: &dyn Fn(usize) -> f64| calibration.each(f);
         [
@@ -251,17 +250,9 @@ impl<'a> Mountings<'a> {
             (Source::Drift, per_channel(&|c| self.drift(c))),
             (Source::Mounting, per_channel(&|c| between(c, 0))),
             (Source::Linearity, calibration.linearity.clone()),
-            (
-                Source::Black,
-                per_channel(&|c| {
-                    libm::hypot(
-                        libm::hypot(black(c), between(c, 1)),
-                        self.mean_error(c, |light| light.offset.std_error),
-                    )
-                }),
-            ),
+            (Source::Black, per_channel(&|c| self.offset(c, between(c, 1)))),
             (Source::Glare, per_channel(&|c| calibration.glare[c].std_error * mean(c))),
-            (Source::Slope, per_channel(&|c| libm::hypot(self.slope(c), between(c, 2)))),
+            (Source::Slope, per_channel(&|c| self.slope(c, between(c, 2)))),
             (
                 Source::Origin,
                 per_channel(&|c| {
@@ -280,7 +271,10 @@ impl<'a> Mountings<'a> {
     fn drift(&self, c: usize) -> f64 {
         let gain = self.calibration.gain[c];
         let one = self.calibration.light.std_error[c];
-        let of_reference = one / (self.calibration.light.shots.max(1) as f64).sqrt();
+        let light = &self.calibration.light;
+        // Without times every shot may have the light of any.
+        let averaged = if light.at.is_empty() { 1.0 } else { light.shots.max(1) as f64 };
+        let of_reference = one / averaged.sqrt();
         let of_shots = self.shots.iter().map(|shot| match &shot.light {
             Some(light) => light[c].factor.std_error / light[c].factor.value,
             None if self.shots.len() < 2 => one,
@@ -288,29 +282,44 @@ impl<'a> Mountings<'a> {
         });
         let of_shots = of_shots.fold(0.0, libm::hypot) / self.shots.len() as f64;
         let compared = self.shots.iter().any(|shot| shot.light.is_some());
-        let of_bare = if compared { self.board.light_std_error[c] } else { 0.0 };
+        let of_bare = if compared { self.board.light_errors[c].factor } else { 0.0 };
         libm::hypot(libm::hypot(libm::hypot(of_reference, of_shots), of_bare), gain.std_error / gain.value)
     }
 
-    /// Error of the mean of all shots by an error of the light of each.
-    fn mean_error(&self, c: usize, error: impl Fn(&LightChange) -> f64) -> f64 {
-        let lights = self.shots.iter().filter_map(|shot| shot.light.as_ref());
-        let squares: f64 = lights.map(|light| error(&light[c]).powi(2)).sum();
-        squares.sqrt() / self.shots.len() as f64
+    /// Error of the mean of all shots by an error of the light of each; of a single shot whose light is not known, the one
+    /// given. Several such shots show it by their scatter.
+    fn mean_error(&self, c: usize, error: impl Fn(&LightChange) -> f64, unknown: f64) -> f64 {
+        let squares = self.shots.iter().map(|shot| match &shot.light {
+            Some(light) => error(&light[c]).powi(2),
+            None if self.shots.len() < 2 => unknown * unknown,
+            None => 0.0,
+        });
+        squares.sum::<f64>().sqrt() / self.shots.len() as f64
+    }
+
+    /// Error of an offset: of black level and shots, and of the bare shots.
+    fn offset(&self, c: usize, between: f64) -> f64 {
+        let black = self.calibration.black().std_error() / self.calibration.gain[c].value;
+        let of_shots = self.mean_error(c, |light| light.offset.std_error, NOTED_OFFSET);
+        [black, between, of_shots, self.board.light_errors[c].offset].into_iter().fold(0.0, libm::hypot)
     }
 
     /// Error of the slope of the light across the crop, per 10 mm: that of the flat and of lamps that turn after it,
     /// together with that of the bare board, whose own reflectance is even to [`BOARD_SLOPE`]; where these contradict
     /// each other, that of the board alone.
-    fn slope(&self, c: usize) -> f64 {
+    fn slope(&self, c: usize, between: f64) -> f64 {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
         let of_flat = libm::hypot(self.calibration.flat().slope_std_error(c) * 10.0 / width_mm, light::SLOPE);
         let (seen, field) = (self.board.slope[c], self.board.fields[c]);
         let error = libm::hypot(seen.std_error, BOARD_SLOPE);
-        let of_board = libm::hypot(seen.value, error).min(field.slope_std_error);
-        let contradict = !field.is_even() || seen.value.abs() > 3.0 * libm::hypot(error, of_flat);
+        let departs_from = |other: f64| seen.value.abs() > 3.0 * libm::hypot(error, other);
+        let of_crop = libm::hypot(seen.value, error);
+        let field_error = field.slope_std_error;
+        let of_board = if departs_from(field_error) { of_crop } else { of_crop.min(field_error) };
+        let contradict = !field.is_even() || departs_from(of_flat);
         let common = if contradict { of_board } else { 1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board) };
-        libm::hypot(common, self.mean_error(c, |light| light.slope[0].std_error))
+        let of_shots = self.mean_error(c, |light| light.slope[0].std_error, light::SLOPE);
+        [common, between, of_shots, self.board.light_errors[c].slope].into_iter().fold(0.0, libm::hypot)
     }
 
     /// Movement across the edge that may have remained undetected.

@@ -47,6 +47,9 @@ pub(crate) fn are_one(frame: &Frame, black: &[Estimate], saturation: Saturation)
 /// details when a mosaic is interpolated gives positive ones.
 const OPPOSITE: f64 = 0.12;
 
+/// Fewest places that determine it.
+const FEWEST: i32 = 2000;
+
 /// Refuses three samples per pixel whose noise is of opposite sign: a matrix to another colour space, whose weights are
 /// partly negative, mixes the channels.
 pub(crate) fn check_unmixed(photo: &Photo) -> Result<(), Refusal> {
@@ -67,8 +70,11 @@ pub(crate) fn check_unmixed(photo: &Photo) -> Result<(), Refusal> {
                 (sum, count) = (sum + product, count + product.abs());
             }
         }
+        if count < FEWEST {
+            return 0.0;
+        }
         // The correlation of normal variables whose signs agree this often: edges hardly change it.
-        libm::sin(0.5 * std::f64::consts::PI * f64::from(sum) / f64::from(count.max(1)))
+        libm::sin(0.5 * std::f64::consts::PI * f64::from(sum) / f64::from(count))
     };
     let pairs = [(0, 1), (1, 2), (0, 2)].map(|(a, b)| (sites[a].colour, sites[b].colour, correlation(a, b)));
     let (one, other, correlation) =
@@ -84,7 +90,7 @@ pub(crate) fn check_period(photo: &Photo) -> Result<(), Refusal> {
     let frame = &photo.frame;
     let Pattern::Bayer(_) = frame.pattern() else { return Ok(()) };
     let (width, height) = (frame.width(), frame.height());
-    let skip = 4 * (width * height / PAIRS).isqrt().max(1);
+    let skip = 4 * (width * height / (16 * PAIRS)).isqrt().max(1);
     let at = |x: usize, y: usize| f64::from(frame.samples()[y * width + x]).max(1.0);
     // The median ratio to the sample two columns or rows on, of each place among four by four: scenes hardly change it.
     let ratio = |place: usize, [right, down]: [usize; 2]| {

@@ -48,7 +48,7 @@ pub enum Refusal {
     )]
     GammaCoded { label: String, exponent: f64 },
     #[error(
-        "{label}: {share:.0} % of the samples without light are 0: the black level is already subtracted and the noise cut \
+        "{label}: {share:.0} % of the samples are 0: the black level is already subtracted and the noise cut \
          off; give the raw file"
     )]
     BlackSubtracted { label: String, share: f64 },
@@ -227,7 +227,7 @@ pub enum Warning {
     LightCorrected { labels: String, change: Correction, colour: Colour, percent: f64 },
     #[error(
         "the light over the bare board is not that of the flat shots: in {colour} it rises by {percent:+.2} % per 10 mm, or \
-         bends; this is divided out, but lamps that stay in place need no correction"
+         bends; this is divided out as the lamps', which should stay in place; a board whose print is uneven looks alike"
     )]
     UnevenBoard { colour: Colour, percent: f64 },
     #[error(
@@ -277,8 +277,8 @@ pub enum Warning {
     )]
     GlareUnknown { percent: f64 },
     #[error(
-        "the light drifted by {percent:+.2} % in {colour} between the shots of the patches: it is interpolated in time, and half of \
-         it is an error of all values; let the lamps warm up, shoot the patches more often"
+        "the light drifted by {percent:+.2} % in {colour} between the shots of the patches, which widens the error of all values; \
+         let the lamps warm up, shoot the patches more often"
     )]
     Drifted { colour: Colour, percent: f64 },
     #[error("no shots of the patches after the samples: drift of the light is unknown")]

@@ -55,6 +55,9 @@ pub(super) fn black(
             }
         }
         let uneven = |i: usize| {
+            if halves.iter().any(|half| half[i].len() < FEWEST / 4) {
+                return false;
+            }
             let [one, other] = halves.each_ref().map(|half| middle(half[i].clone()));
             (one - other).abs() > UNEVEN * (range[i] - stated[i])
         };

@@ -69,7 +69,10 @@ fn set_time(grid: &Grid, set: &[u32]) -> f64 {
     let round = WALKS * rayon::current_num_threads() as u64;
     let [few, more] = [round, 3 * round].map(|number| number.min(walks));
     // Tables that many sets share are made by the first run.
-    let _ = traced_time(grid, set, few);
+    let first = traced_time(grid, set, few);
+    if first > ENOUGH.as_secs_f64() {
+        return first * walks as f64 / few as f64;
+    }
     let short = traced_time(grid, set, few);
     if more == few {
         return short;

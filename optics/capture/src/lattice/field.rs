@@ -7,7 +7,7 @@ use crate::light_field::LightField;
 /// Standard deviation of the reflectance of a printed board: its slope per 10 mm.
 pub(crate) const BOARD_SLOPE: f64 = 0.001;
 
-/// Fewest light patches, and the largest standard error of the slope, with which a field counts as seen.
+/// Fewest light patches, and the largest standard error of a slope, with which a field counts as seen; twice that of bends.
 const PATCHES: usize = 12;
 const SEEN: f64 = 0.002;
 
@@ -33,10 +33,11 @@ fn field(patches: &[PatchRadiance], c: usize) -> Option<LightField> {
     let bent = robust_fit(&points, 8);
     let straight: Vec<_> = points.iter().map(|(row, value)| ([row[0], row[1], row[2]], *value)).collect();
     let straight = robust_fit(&straight, 8);
-    // Patches on few lines do not determine a bend.
-    let errors = |fit: &(FittedParameters, f64)| fit.0.std_error(1) * fit.1;
-    let (found, sigma) =
-        bent.filter(|fit| errors(fit) < SEEN).or(straight.filter(|fit| errors(fit) < SEEN))?;
+    // Patches on few lines do not determine a bend, or a slope along them.
+    let is_seen = |(found, sigma): &(FittedParameters, f64)| {
+        (1..found.x.len()).all(|i| found.std_error(i) * sigma < if i < 3 { SEEN } else { 2.0 * SEEN })
+    };
+    let (found, sigma) = bent.filter(is_seen).or_else(|| straight.filter(is_seen))?;
     let value = |i: usize| if i < found.x.len() { found.x[i] } else { 0.0 };
     let error = |i: usize| libm::hypot(sigma * found.std_error(i), BOARD_SLOPE);
     let is_certain = (1..found.x.len()).any(|i| value(i).abs() > CERTAIN * error(i));

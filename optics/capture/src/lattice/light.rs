@@ -63,6 +63,8 @@ pub(crate) struct PatchRadiance {
     /// Place relative to the crop's middle, across the edge and along it, in units of 10 mm.
     pub place: [f64; 2],
     pub means: Vec<RadianceMean>,
+    /// Radiance factor of an offset of 1 over even light, in each column.
+    pub of_offset: Vec<f64>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -104,7 +106,7 @@ impl<'a> Patch<'a> {
         let down = self.stretch.run == Run::Down;
         let frame = radiance.frame;
         let end = if down { frame.width() } else { frame.height() } as f64;
-        let mut sums = vec![(0.0, 0.0, 0.0); frame.columns().len()];
+        let mut sums = vec![(0.0, 0.0, 0.0, 0.0); frame.columns().len()];
         let is_after = self.stretch.rises == self.is_light;
         let offset = if is_after { self.reach_px } else { -self.reach_px - WIDTH_PX };
         for on in self.on[0] as usize..=self.on[1] as usize {
@@ -113,21 +115,23 @@ impl<'a> Patch<'a> {
             for (x, y) in (from..to).map(|at| if down { (at, on) } else { (on, at) }) {
                 for site in frame.sites().into_iter().filter(|s| s.has_row(y) && s.has_column(x)) {
                     let sample = radiance.sample(site, x, y);
-                    let (value, variance, count) = &mut sums[site.colour.index()];
+                    let (value, variance, of_offset, count) = &mut sums[site.colour.index()];
                     *value += sample.value;
                     *variance += sample.variance;
+                    *of_offset += sample.of_offset;
                     *count += 1.0;
                 }
             }
         }
-        let mean = |(value, variance, count): (f64, f64, f64)| {
-            let n = f64::max(count, 1.0);
+        let mean = |(value, variance, _, count): &(f64, f64, f64, f64)| {
+            let n = count.max(1.0);
             RadianceMean { value: value / n, variance: variance / n.powi(2) }
         };
+        let of_offset = sums.iter().map(|(.., of_offset, count)| of_offset / f64::max(*count, 1.0)).collect();
         let on = f64::midpoint(self.on[0], self.on[1]);
         let at = self.stretch.at(on) + offset + 0.5 * WIDTH_PX;
         let place = edge.mm(if down { [at, on] } else { [on, at] }).map(|mm| 0.1 * mm);
-        PatchRadiance { is_light: self.is_light, place, means: sums.into_iter().map(mean).collect() }
+        PatchRadiance { is_light: self.is_light, place, means: sums.iter().map(mean).collect(), of_offset }
     }
 }
 
@@ -147,7 +151,7 @@ impl PatchRadiance {
         let patches = shots.first().map_or(&[][..], |first| first).iter().enumerate();
         let mean_patch = |(k, patch): (usize, &Self)| {
             let means = (0..patch.means.len()).map(|c| mean(k, c)).collect();
-            Self { means, ..*patch }
+            Self { means, ..patch.clone() }
         };
         patches.map(mean_patch).collect()
     }
@@ -196,19 +200,21 @@ pub(crate) fn change(
     let pairs = bare.iter().zip(shot).zip(free).filter(|(_, free)| **free).map(|(pair, _)| pair);
     let pairs = pairs.map(|(bare, shot)| {
         let (b, s) = (bare.means[c], shot.means[c]);
-        let row = [b.value, 1.0, b.value * bare.place[0], b.value * bare.place[1]];
+        let row = [b.value, bare.of_offset[c], b.value * bare.place[0], b.value * bare.place[1]];
         PatchPair { is_light: bare.is_light, row, value: s.value, variance: b.variance + s.variance }
     });
-    let sound = |p: &PatchPair| !p.is_light || (p.row[0] > 0.0 && p.value > 0.0);
+    let sound = |p: &PatchPair| p.variance > 0.0 && (!p.is_light || (p.row[0] > 0.0 && p.value > 0.0));
     let pairs: Vec<PatchPair> = pairs.filter(sound).collect();
     if pairs.iter().filter(|p| p.is_light).count() < PATCHES {
         return None;
     }
-    let (whole, uneven) = fit(&pairs, [true; TERMS])?;
+    let whole_fit = fit(&pairs, [true; TERMS], SLOPE)?;
+    let whole = &whole_fit.found;
     let is_certain = |i: usize, least: f64| whole.x[i].abs() > least.max(CERTAIN * whole.std_error(i));
     let sloped = (2..TERMS).any(|i| is_certain(i, LEAST_SLOPE));
     let used = [true, is_certain(1, LEAST_OFFSET), sloped, sloped];
-    let (found, uneven) = if used == [true; TERMS] { (whole.clone(), uneven) } else { fit(&pairs, used)? };
+    // A slope that is certain has no prior.
+    let LightFit { found, uneven, dark_scatter } = fit(&pairs, used, LEVELLED)?;
     // A term that is not corrected counts as error.
     let term = |i: usize| {
         if used[i] {
@@ -219,50 +225,72 @@ pub(crate) fn change(
     };
     let factor = less_chance(Estimate::new(found.x[0], found.std_error(0)));
     let offset = term(1);
+    let offset_error =
+        [offset.std_error, OFFSET_UNEVEN * offset.value, dark_scatter].into_iter().fold(0.0, libm::hypot);
     let relative = |e: Estimate| Estimate::new(e.value / factor.value, e.std_error / factor.value);
     let errors = [factor.std_error, factor.value * uneven, whole.std_error(0)];
     Some(LightChange {
         factor: Estimate::new(factor.value, errors.iter().map(|e| e * e).sum::<f64>().sqrt()),
-        offset: Estimate::new(offset.value, libm::hypot(offset.std_error, OFFSET_UNEVEN * offset.value)),
+        offset: Estimate::new(offset.value, offset_error),
         slope: [relative(term(2)), relative(term(3))],
     })
 }
 
-/// Robust fit of some of the terms, and the unevenness of the light: relative, beyond the noise of the patches.
-fn fit(pairs: &[PatchPair], used: [bool; TERMS]) -> Option<(FittedParameters, f64)> {
+/// Some of the terms, the unevenness of the light, relative, and the scatter of dark patches, both beyond their noise.
+struct LightFit {
+    found: FittedParameters,
+    uneven: f64,
+    dark_scatter: f64,
+}
+
+/// Robust fit of some of the terms, with the prior of slopes.
+fn fit(pairs: &[PatchPair], used: [bool; TERMS], slope_prior: f64) -> Option<LightFit> {
     let mut weights = vec![1.0; pairs.len()];
-    let mut uneven = 0.0;
-    let mut found = None;
+    let (mut uneven, mut dark_scatter) = (0.0, 0.0);
+    let mut fitted = None;
     for _ in 0..8 {
+        let variance = |p: &PatchPair, uneven: f64, dark_scatter: f64| {
+            let excess = if p.is_light { uneven * p.row[0] } else { dark_scatter };
+            p.variance + excess * excess
+        };
         let mut normal = NormalEquations::new(TERMS);
-        let variance = |p: &PatchPair| p.variance + (uneven * p.row[0]).powi(2);
         for (p, weight) in pairs.iter().zip(&weights) {
             let row: [f64; TERMS] = std::array::from_fn(|i| if used[i] { p.row[i] } else { 0.0 });
-            normal.add(&row, p.value, weight / variance(p));
+            normal.add(&row, p.value, weight / variance(p, uneven, dark_scatter));
         }
         for i in 0..TERMS {
             let mut row = [0.0; TERMS];
             row[i] = 1.0;
             // A term that is not used is 0.
-            let weight = if used[i] { SLOPE.powi(-2) } else { 1.0 };
+            let weight = if used[i] { slope_prior.powi(-2) } else { 1.0 };
             if !used[i] || i > 1 {
                 normal.add(&row, 0.0, weight);
             }
         }
-        let solution = normal.solve()?;
-        let model = |p: &PatchPair| p.row.iter().zip(solution.x.iter()).map(|(r, x)| r * x).sum::<f64>();
+        let found = normal.solve()?;
+        let model = |p: &PatchPair| p.row.iter().zip(found.x.iter()).map(|(r, x)| r * x).sum::<f64>();
         let residuals: Vec<f64> = pairs.iter().map(|p| p.value - model(p)).collect();
-        let light = || pairs.iter().zip(&residuals).filter(|(p, _)| p.is_light);
-        let shares: Vec<f64> = light().map(|(p, r)| r / p.row[0]).collect();
-        let noise = median(&mut light().map(|(p, _)| p.variance / p.row[0].powi(2)).collect::<Vec<_>>());
-        // Three standard deviations of a spread due to chance.
-        let chance = noise * (1.0 + 3.0 * (2.7 / shares.len() as f64).sqrt());
-        uneven = (spread(&shares).powi(2) - chance).max(0.0).sqrt();
-        let sigma = |p: &PatchPair| (p.variance + (uneven * p.row[0]).powi(2)).sqrt();
+        let excess = |is_light: bool, scale: fn(&PatchPair) -> f64| {
+            let kind = pairs.iter().zip(&residuals).filter(move |(p, _)| p.is_light == is_light);
+            let (all, variances): (Vec<f64>, Vec<f64>) =
+                kind.map(|(p, r)| (r / scale(p), p.variance / scale(p).powi(2))).unzip();
+            beyond_noise(&all, variances)
+        };
+        (uneven, dark_scatter) = (excess(true, |p| p.row[0]), excess(false, |_| 1.0));
+        let sigma = |p: &PatchPair| variance(p, uneven, dark_scatter).sqrt();
         weights = pairs.iter().zip(&residuals).map(|(p, r)| tukey(r / sigma(p))).collect();
-        found = Some((solution, uneven));
+        fitted = Some(LightFit { found, uneven, dark_scatter });
     }
-    found
+    fitted
+}
+
+/// Spread beyond three standard deviations of a spread by noise of these variances; 0 without values.
+fn beyond_noise(values: &[f64], mut variances: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let chance = median(&mut variances) * (1.0 + 3.0 * (2.7 / values.len() as f64).sqrt());
+    (spread(values).powi(2) - chance).max(0.0).sqrt()
 }
 
 /// Shrinks a change by up to three standard errors, so that steady light is left unchanged. The shrinkage is added to
@@ -282,21 +310,21 @@ const DIVIDED_OUT: f64 = 0.055;
 
 /// Refuses a shot whose light differs too much from that of the bare shots.
 pub(crate) fn check(photo: &Photo, light: &[LightChange]) -> Result<(), Refusal> {
-    let beyond = |(colour, change): (Colour, Estimate), allowed: f64| {
-        let is_beyond = change.value.abs() - 3.0 * change.std_error > allowed;
-        is_beyond.then_some((colour, 100.0 * change.value, 100.0 * allowed))
+    let beyond = |change: fn(&LightChange) -> Estimate, allowed: f64| {
+        let certain = |l: &&LightChange| change(l).value.abs() - 3.0 * change(l).std_error > allowed;
+        let columns = photo.frame.columns().iter().copied().zip(light).filter(|(_, l)| certain(l));
+        let most = columns.max_by(|a, b| change(a.1).value.abs().total_cmp(&change(b.1).value.abs()))?;
+        Some((most.0, 100.0 * change(most.1).value, 100.0 * allowed))
     };
     let label = photo.label.clone();
-    if let Some((colour, percent, allowed)) = beyond(largest(photo, light, |l| l.offset), SUBTRACTED) {
+    if let Some((colour, percent, allowed)) = beyond(|l| l.offset, SUBTRACTED) {
         return Err(Refusal::LightAdded { label, colour, percent, allowed });
     }
-    for axis in 0..2 {
-        if let Some((colour, percent, allowed)) = beyond(largest(photo, light, |l| l.slope[axis]), LEVELLED) {
-            return Err(Refusal::LightTurned { label, colour, percent, allowed, since: "the bare shots" });
-        }
+    if let Some((colour, percent, allowed)) = beyond(LightChange::steepest, LEVELLED) {
+        return Err(Refusal::LightTurned { label, colour, percent, allowed, since: "the bare shots" });
     }
     let factor = |l: &LightChange| Estimate::new(l.factor.value - 1.0, l.factor.std_error);
-    match beyond(largest(photo, light, factor), DIVIDED_OUT) {
+    match beyond(factor, DIVIDED_OUT) {
         Some((colour, percent, allowed)) => Err(Refusal::LightChanged { label, colour, percent, allowed }),
         None => Ok(()),
     }
@@ -328,23 +356,44 @@ pub(crate) fn largest(
     most.unwrap_or((Colour::Mono, Estimate::default()))
 }
 
-/// Relative error of the mean light of several shots: their differences, and the unevenness of these.
-pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>], columns: usize) -> Vec<f64> {
+/// Errors of the mean light of several shots.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct LightErrors {
+    /// Relative.
+    pub factor: f64,
+    /// As a radiance factor.
+    pub offset: f64,
+    /// Relative, per 10 mm across the edge.
+    pub slope: f64,
+}
+
+/// Errors of the mean light of several shots: their differences, and the errors of these.
+pub(crate) fn spread_of(shots: &[Vec<PatchRadiance>], columns: usize) -> Vec<LightErrors> {
     let n = shots.len() as f64;
     let against_others = (0..shots.len()).filter_map(|j| {
         let others: Vec<_> =
             shots.iter().enumerate().filter(|(k, _)| *k != j).map(|(_, s)| s.clone()).collect();
         changes(&PatchRadiance::mean(&others), &shots[j], &vec![true; shots[j].len()])
     });
-    let mut squares = vec![0.0_f64; columns];
+    let mut squares = vec![[0.0_f64; 3]; columns];
     for change in against_others {
-        for (sum, change) in squares.iter_mut().zip(change) {
-            let f = change.factor;
-            // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
-            *sum += ((f.value - 1.0).powi(2) + f.std_error.powi(2)) * (n - 1.0) / n.powi(3);
+        for (sums, l) in squares.iter_mut().zip(change) {
+            let parts = [
+                (l.factor.value - 1.0, l.factor),
+                (l.offset.value, l.offset),
+                (l.slope[0].value, l.slope[0]),
+            ];
+            for (sum, (value, estimate)) in sums.iter_mut().zip(parts) {
+                // A shot's difference from the mean of the others is n/(n − 1) times that from the mean of all.
+                *sum += (value.powi(2) + estimate.std_error.powi(2)) * (n - 1.0) / n.powi(3);
+            }
         }
     }
-    squares.into_iter().map(f64::sqrt).collect()
+    let errors = |sums: [f64; 3]| {
+        let [factor, offset, slope] = sums.map(f64::sqrt);
+        LightErrors { factor, offset, slope }
+    };
+    squares.into_iter().map(errors).collect()
 }
 
 #[cfg(test)]
