@@ -38,7 +38,8 @@ pub(crate) fn screen_blocks(common: &Common, fits: &[MaterialFit]) -> Vec<Block>
     let left = warnings.len().saturating_sub(WARNINGS);
     blocks.push(Block::Remarks(warnings.into_iter().take(WARNINGS).collect()));
     if left > 0 {
-        blocks.push(Block::paragraph(format!("and {left} more warnings: -v")));
+        let plural = if left > 1 { "s" } else { "" };
+        blocks.push(Block::paragraph(format!("and {left} more warning{plural}: -v")));
     }
     blocks
         .extend(error_budget(fits).map(|budget| Block::paragraph(format!("To improve: {}.", budget.first))));

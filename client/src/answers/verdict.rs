@@ -37,9 +37,21 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
         0 => "No medium is determined whole.".to_owned(),
         n => format!("{n} of {all} media are determined."),
     };
-    let if_given = (!open.is_empty()).then(|| {
-        format!("σ_s(1 − g) and σ_a are determined, σ_t and α only if g is given: {}.", open.join(", "))
-    });
+    let if_given = |known: &str, named: Vec<String>| {
+        let sentence = format!("{known}, σ_t and α only if g is given: {}.", named.join(", "));
+        (!named.is_empty()).then_some(sentence)
+    };
+    let is_bounded = |c: &ChannelFit| {
+        let absorption = c.refined.as_ref().map(|r| r.absorption_per_mm);
+        absorption.is_some_and(|i| i.open_low || i.open_high)
+    };
+    let if_given = [
+        if_given("σ_s(1 − g) and σ_a are determined", named(&|c| at_g(c) && !whole(c) && !is_bounded(c))),
+        if_given(
+            "σ_s(1 − g) is determined, σ_a has a bound",
+            named(&|c| at_g(c) && !whole(c) && is_bounded(c)),
+        ),
+    ];
     let nothing = (!unknown.is_empty()).then(|| format!("Undetermined: {}.", unknown.join(", ")));
     let in_doubt = (!doubtful.is_empty())
         .then(|| format!("Doubtful, for reasons given as warnings: {}.", doubtful.join(", ")));
@@ -56,7 +68,7 @@ pub(crate) fn verdict(fits: &[MaterialFit]) -> MeasureVerdict {
             .into_iter()
             .chain([determined])
             .chain(in_doubt)
-            .chain(if_given)
+            .chain(if_given.into_iter().flatten())
             .chain(nothing)
             .chain(trade_off)
             .collect(),

@@ -99,9 +99,9 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
             let (findings, masked) = captured.findings(&folder.join(FILES[0]), &notes);
             blocks.push(Block::warnings(&findings));
             if masked > 0 {
-                let text =
-                    format!("specks and scratches are masked in {masked} photographs: see report.html");
-                blocks.push(Block::Aside(text));
+                let plural = if masked > 1 { "s" } else { "" };
+                let text = "specks and scratches are masked, as report.html shows, in";
+                blocks.push(Block::Aside(format!("{text} {masked} photograph{plural}")));
             }
             let written = format!("written to {}: {}", folder.display(), FILES.join(", "));
             blocks.push(Block::Preformatted(written));

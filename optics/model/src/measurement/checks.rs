@@ -23,6 +23,8 @@ pub enum Kind {
     BrightPixels,
     /// All values are multiples of 1/255.
     EightBit,
+    /// All values have one decimal.
+    FewDigits,
     /// x counts pixels.
     PixelNumbers,
     /// x is in a unit other than mm.
@@ -50,6 +52,7 @@ impl Kind {
             Self::ValuesTooLarge => "VALUES_TOO_LARGE",
             Self::BrightPixels => "BRIGHT_PIXELS",
             Self::EightBit => "EIGHT_BIT",
+            Self::FewDigits => "FEW_DIGITS",
             Self::PixelNumbers => "PIXEL_NUMBERS",
             Self::UnitOfX => "UNIT_OF_X",
             Self::UnitOfThickness => "UNIT_OF_THICKNESS",
@@ -128,11 +131,15 @@ pub fn check(materials: &[Measurement]) -> Vec<Finding> {
 /// The checks of one profile. The checks of its shape need sound numbers.
 fn alone(profile: &MeasuredProfile) -> Vec<Seen> {
     let (x, values) = (profile.x_mm(), profile.values());
-    let mut seen: Vec<Seen> =
-        [values::too_large(values), position::of_x(x), position::of_thickness(profile.thickness_mm())]
-            .into_iter()
-            .flatten()
-            .collect();
+    let mut seen: Vec<Seen> = [
+        values::too_large(values),
+        values::too_coarse(values),
+        position::of_x(x),
+        position::of_thickness(profile.thickness_mm()),
+    ]
+    .into_iter()
+    .flatten()
+    .collect();
     if seen.iter().any(|s| s.certain) {
         return seen;
     }

@@ -210,6 +210,22 @@ fn srgb(v: f64) -> f64 {
     if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * libm::pow(v, 1.0 / 2.4) - 0.055 }
 }
 
+/// Values of one decimal are refused as such, and those of two are not.
+#[test]
+fn values_of_one_decimal_are_refused() {
+    for sample in samples().iter().filter(|s| s.sensor != 2) {
+        let rounded = |digits: f64| {
+            let traced = sample.find("R", 0.5).map(|v| (digits * v).round() / digits);
+            let varies = traced.values.iter().any(|v| *v != traced.values[0]);
+            let findings = measured(vec![traced.measured(false)]);
+            (varies, findings.iter().any(|f| f.kind == Kind::FewDigits && f.certain))
+        };
+        let (varies, refused) = rounded(10.0);
+        assert_eq!(refused, varies, "{}", sample.name);
+        assert!(!rounded(100.0).1, "{}", sample.name);
+    }
+}
+
 /// Values of 8 bits are noted, and refused only where a gamma curve shows.
 #[test]
 fn eight_bit_values_are_noted() {

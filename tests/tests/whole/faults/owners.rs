@@ -126,7 +126,7 @@ fn kept_measurements_have_owners_and_survive() {
     wait_for("alice has access", SOON, || {
         (by(&farm, "alice", &["submit", "grid.toml", "--wait", "-q"]).code == 0).then_some(())
     });
-    let measure = ["measure", "m.csv", "--dictionary", "grid", "--mu", "1", "--keep=first print"];
+    let measure = ["measure", "m.csv", "--dictionary", "grid", "--mu", "1", "-v", "--keep=first print"];
     let kept = by(&farm, "alice", &measure);
     assert_eq!(kept.code, 0, "{}", kept.stderr);
     let id = kept.stdout.rsplit_once("measurements show ").unwrap().1.split('`').next().unwrap().to_owned();

@@ -41,6 +41,19 @@ pub(super) fn too_large(values: &[f64]) -> Option<Seen> {
     Some(Seen::refusal(Kind::ValuesTooLarge, text).at(first))
 }
 
+/// Fewest pixels that show how many digits were saved.
+const FEWEST: usize = 20;
+
+/// Finds profiles whose values have one decimal, as a spreadsheet saves what it shows: their steps hide the edge.
+pub(super) fn too_coarse(values: &[f64]) -> Option<Seen> {
+    let is_coarse = |v: &f64| (10.0 * v - (10.0 * v).round()).abs() < 1e-9;
+    let is_profile = values.len() >= FEWEST && values.iter().any(|v| *v != values[0]);
+    (is_profile && values.iter().all(is_coarse)).then(|| {
+        let text = "all values have one decimal, as a spreadsheet shows them: save more digits".to_owned();
+        Seen::refusal(Kind::FewDigits, text)
+    })
+}
+
 /// Finds values that are all multiples of 1/255: an 8-bit picture, which mostly is not linear. A refusal if the shape
 /// shows that it is not.
 pub(super) fn eight_bit(values: &[f64], trace: &Trace) -> Option<Seen> {
