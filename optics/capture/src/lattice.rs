@@ -14,6 +14,7 @@ pub(crate) mod light;
 mod lines;
 pub(crate) mod movement;
 mod own_edge;
+mod patch;
 mod pose;
 mod scan;
 
@@ -23,9 +24,9 @@ pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub(crate) use field::{BOARD_SLOPE, fields};
 pub use find::FreeEdge;
 pub(crate) use find::{LocatedBoard, find, free_edges};
-pub(crate) use light::PatchRadiance;
 pub(crate) use movement::FreeParts;
 pub(crate) use own_edge::own_edge;
+pub(crate) use patch::PatchRadiance;
 
 /// Properties of the printed board.
 #[derive(Debug, Clone, Copy, PartialEq)]

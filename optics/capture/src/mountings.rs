@@ -274,16 +274,19 @@ impl<'a> Mountings<'a> {
         let light = &self.calibration.light;
         // Without times every shot may have the light of any.
         let averaged = if light.at.is_empty() { 1.0 } else { light.shots.max(1) as f64 };
-        let of_reference = one / averaged.sqrt();
-        let of_shots = self.shots.iter().map(|shot| match &shot.light {
+        let reference_error = one / averaged.sqrt();
+        let shots_error = self.shots.iter().map(|shot| match &shot.light {
             Some(light) => light[c].factor.std_error / light[c].factor.value,
             None if self.shots.len() < 2 => one,
             None => 0.0,
         });
-        let of_shots = of_shots.fold(0.0, libm::hypot) / self.shots.len() as f64;
+        let shots_error = shots_error.fold(0.0, libm::hypot) / self.shots.len() as f64;
         let compared = self.shots.iter().any(|shot| shot.light.is_some());
-        let of_bare = if compared { self.board.light_errors[c].factor } else { 0.0 };
-        libm::hypot(libm::hypot(libm::hypot(of_reference, of_shots), of_bare), gain.std_error / gain.value)
+        let bare_error = if compared { self.board.light_errors[c].factor } else { 0.0 };
+        libm::hypot(
+            libm::hypot(libm::hypot(reference_error, shots_error), bare_error),
+            gain.std_error / gain.value,
+        )
     }
 
     /// Error of the mean of all shots by an error of the light of each; of a single shot whose light is not known, the one
@@ -300,8 +303,8 @@ impl<'a> Mountings<'a> {
     /// Error of an offset: of black level and shots, and of the bare shots.
     fn offset(&self, c: usize, between: f64) -> f64 {
         let black = self.calibration.black().std_error() / self.calibration.gain[c].value;
-        let of_shots = self.mean_error(c, |light| light.offset.std_error, NOTED_OFFSET);
-        [black, between, of_shots, self.board.light_errors[c].offset].into_iter().fold(0.0, libm::hypot)
+        let shots_error = self.mean_error(c, |light| light.offset.std_error, NOTED_OFFSET);
+        [black, between, shots_error, self.board.light_errors[c].offset].into_iter().fold(0.0, libm::hypot)
     }
 
     /// Error of the slope of the light across the crop, per 10 mm: that of the flat and of lamps that turn after it,
@@ -309,17 +312,19 @@ impl<'a> Mountings<'a> {
     /// each other, that of the board alone.
     fn slope(&self, c: usize, between: f64) -> f64 {
         let width_mm = self.calibration.settings.width as f64 * self.board.mm_per_px.value;
-        let of_flat = libm::hypot(self.calibration.flat().slope_std_error(c) * 10.0 / width_mm, light::SLOPE);
+        let flat_error =
+            libm::hypot(self.calibration.flat().slope_std_error(c) * 10.0 / width_mm, light::SLOPE);
         let (seen, field) = (self.board.slope[c], self.board.fields[c]);
         let error = libm::hypot(seen.std_error, BOARD_SLOPE);
         let departs_from = |other: f64| seen.value.abs() > 3.0 * libm::hypot(error, other);
-        let of_crop = libm::hypot(seen.value, error);
+        let crop_error = libm::hypot(seen.value, error);
         let field_error = field.slope_std_error;
-        let of_board = if departs_from(field_error) { of_crop } else { of_crop.min(field_error) };
-        let contradict = !field.is_even() || departs_from(of_flat);
-        let common = if contradict { of_board } else { 1.0 / libm::hypot(1.0 / of_flat, 1.0 / of_board) };
-        let of_shots = self.mean_error(c, |light| light.slope[0].std_error, light::SLOPE);
-        [common, between, of_shots, self.board.light_errors[c].slope].into_iter().fold(0.0, libm::hypot)
+        let board_error = if departs_from(field_error) { crop_error } else { crop_error.min(field_error) };
+        let contradict = !field.is_even() || departs_from(flat_error);
+        let common =
+            if contradict { board_error } else { 1.0 / libm::hypot(1.0 / flat_error, 1.0 / board_error) };
+        let shots_error = self.mean_error(c, |light| light.slope[0].std_error, light::SLOPE);
+        [common, between, shots_error, self.board.light_errors[c].slope].into_iter().fold(0.0, libm::hypot)
     }
 
     /// Movement across the edge that may have remained undetected.

@@ -318,7 +318,7 @@ impl std::fmt::Display for Correction {
         f.write_str(match self {
             Self::Factor => "the free board is brighter or darker than in the bare shots, which is divided out",
             Self::Offset => {
-                "dark and light squares of the free board are brighter alike, as by a black level that drifts or by stray light, \
+                "dark and light squares of the free board are brighter or darker alike, as by a black level that drifts or by stray light, \
                  which is subtracted, in shares of white"
             }
             Self::Slope => {

@@ -1,6 +1,6 @@
 //! Measures how the light over the board differs from that of the flat shots, by the board's light squares.
 
-use super::light::PatchRadiance;
+use super::patch::PatchRadiance;
 use crate::least_squares::{FittedParameters, robust_fit};
 use crate::light_field::LightField;
 

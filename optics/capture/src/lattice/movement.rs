@@ -2,8 +2,9 @@
 
 use super::blurs::blur_px;
 use super::edge::{EdgeFrame, HALF_CROP_MM};
-use super::light::{FLICKER, Patch, brightest};
+use super::light::{FLICKER, brightest};
 use super::lines::EdgeStretch;
+use super::patch::Patch;
 use super::scan::{EdgePoint, EdgeScan, Run};
 use crate::estimate::Estimate;
 use crate::least_squares::{median, robust_mean};
@@ -96,8 +97,8 @@ impl BoardEdges {
         }
         let levels = self.levels(light.unwrap_or_default());
         let free = light.map(|light| {
-            let of_high = if self.scatters(&points, light, edge) { UNEVEN } else { FLICKER };
-            self.free(&points, light, of_high)
+            let high_bound = if self.scatters(&points, light, edge) { UNEVEN } else { FLICKER };
+            self.free(&points, light, high_bound)
         });
         let mut parts = FreeParts { free, ..FreeParts::default() };
         for (i, (run, points)) in RUNS.into_iter().zip(points).enumerate() {
@@ -161,9 +162,9 @@ impl BoardEdges {
         2 * dark <= all
     }
 
-    /// Whether each patch is free, under this light: the light side deviates by `of_high` of the contrast at most.
-    fn free(&self, points: &[Vec<EdgePoint>; 2], light: FreeLight, of_high: f64) -> Vec<bool> {
-        let levels = LevelBounds { of_high, ..self.levels(light) };
+    /// Whether each patch is free, under this light: the light side deviates by `high_bound` of the contrast at most.
+    fn free(&self, points: &[Vec<EdgePoint>; 2], light: FreeLight, high_bound: f64) -> Vec<bool> {
+        let levels = LevelBounds { high_bound, ..self.levels(light) };
         let free_patches = |i: usize| {
             let is_free = |p: &&EdgePoint| {
                 near(&self.stretches[i], p, NEAR_PX).is_some_and(|bare| bare.fits(p, levels))
@@ -175,7 +176,7 @@ impl BoardEdges {
     }
 
     fn levels(&self, light: FreeLight) -> LevelBounds {
-        LevelBounds { light, range: self.scan.contrast.range(), of_high: LEVELS[1] }
+        LevelBounds { light, range: self.scan.contrast.range(), high_bound: LEVELS[1] }
     }
 
     /// The sharpest of the longest free stretches.
@@ -252,7 +253,7 @@ struct LevelBounds {
     light: FreeLight,
     range: f64,
     /// Accepted deviation of the light level, as a share of the contrast.
-    of_high: f64,
+    high_bound: f64,
 }
 
 impl Bare {
@@ -262,7 +263,7 @@ impl Bare {
 
     fn fits(&self, point: &EdgePoint, levels: LevelBounds) -> bool {
         let off = (point.high - levels.light.level(self.high)).abs();
-        self.is_dark(point, levels) && off < levels.of_high * levels.light.factor * levels.range
+        self.is_dark(point, levels) && off < levels.high_bound * levels.light.factor * levels.range
     }
 }
 
