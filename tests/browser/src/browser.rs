@@ -187,7 +187,9 @@ impl Browser {
     /// Waits for a file that the page saves.
     pub async fn saved(&self, name: &str) -> PathBuf {
         let file = self.folder.path().join("downloads").join(name);
-        self.wait(&format!("{name} is saved"), SOON, async |_| file.exists().then_some(())).await;
+        // Chromium reserves the name by an empty file, over which it moves the finished one.
+        let is_whole = || file.metadata().is_ok_and(|data| data.len() > 0);
+        self.wait(&format!("{name} is saved"), SOON, async |_| is_whole().then_some(())).await;
         file
     }
 }
