@@ -1,5 +1,6 @@
 //! A temporary absence of the coordinator.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use farm_tests::farm::Farm;
@@ -17,10 +18,11 @@ walks = 5000
 ";
 const JOBS: u64 = 24;
 
-/// The leased jobs of the workers are not computed twice.
+/// The leased jobs of the workers are not computed twice, except for copies of a late one that the coordinator grants
+/// at the end, when nothing else waits.
 #[test]
 fn workers_survive_an_absence_of_the_coordinator() {
-    let mut farm = Farm::start(&["--verify-share", "0", "--lease", "8"]);
+    let mut farm = Farm::start(&["--verify-share", "0", "--lease", "60"]);
     farm.submit("grid", GRID);
     let mut workers = [farm.worker("a", &SHORT_PACE), farm.worker("b", &SHORT_PACE)];
     farm.leased("grid", 2);
@@ -30,10 +32,15 @@ fn workers_survive_an_absence_of_the_coordinator() {
     farm.start_coordinator();
     assert_eq!(farm.done("grid"), undisturbed(GRID));
     // Workers log the outcome of each result: a job that was traced twice is a duplicate or a lost lease.
-    let count =
-        |text: &str| farm.worker_logs().iter().filter(|l| l.to_string().contains(text)).count() as u64;
-    let (stored, twice, lost) = (count("job done"), count("were stored before"), count("lease lost"));
-    assert_eq!((stored, twice, lost), (JOBS, 0, 0), "stored, computed twice, dropped");
+    let logs = farm.worker_logs();
+    let jobs = |text: &str| {
+        let lines = logs.iter().filter(|line| line.to_string().contains(text));
+        lines.map(|line| line["fields"]["job"].as_u64().expect("a job")).collect::<BTreeSet<_>>()
+    };
+    assert_eq!(jobs("job done").len() as u64, JOBS);
+    let twice = &jobs("were stored before") | &jobs("lease lost");
+    let copies = farm.figure(r#"farm_leases_granted_total{kind="speculative"}"#);
+    assert!(twice.len() as u64 <= copies, "{twice:?} computed twice, {copies} copies granted");
 }
 
 /// Lines above debug level in a worker's log that contain `what`.
