@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use clap::Parser;
 use farm_link::arguments::listen_address;
 use farm_link::logs::LogFormat;
-use ureq::http::Uri;
 
 /// Splits parameter grids into jobs for workers, stores the records and answers fits.
 #[derive(Debug, Parser)]
@@ -37,10 +36,6 @@ pub struct Args {
     /// memory that this process may use if that is less].
     #[arg(long, value_name = "MIB", env = "FARM_FIT_MEMORY")]
     pub fit_memory: Option<usize>,
-    /// URL (http or https) that receives a JSON object when a dictionary has ended, results of machines differ, or a backup
-    /// failed [default: none].
-    #[arg(long, value_name = "URL", env = "FARM_WEBHOOK", hide_env_values = true, value_parser = webhook)]
-    pub webhook: Option<Uri>,
     /// The coordinator's access file, with its certificate and tokens; created by `farmctl access create`.
     #[arg(long, value_name = "FILE", env = "FARM_ACCESS")]
     pub access: Option<PathBuf>,
@@ -60,12 +55,6 @@ themselves, and only those.
 Examples:
   farm-coordinator                                serve ./farm-data to this machine, at http://127.0.0.1:7700
   farm-coordinator --listen 0.0.0.0:7700 --access access/coordinator.toml --data /var/lib/farm";
-
-fn webhook(text: &str) -> Result<Uri, String> {
-    let uri = text.parse::<Uri>().ok().filter(|uri| uri.host().is_some());
-    let uri = uri.filter(|uri| uri.scheme_str().is_some_and(|scheme| ["http", "https"].contains(&scheme)));
-    uri.ok_or_else(|| "a URL such as https://host/path is needed".to_owned())
-}
 
 fn share(text: &str) -> Result<f64, String> {
     let share = text.parse::<f64>().ok().filter(|s| (0.0..=1.0).contains(s));

@@ -5,7 +5,6 @@ use std::time::Duration;
 
 use farm_link::memory::usable_bytes;
 use optics_model::limits::FitLimits;
-use ureq::http::Uri;
 
 use crate::recompute::{Recompute, recompute};
 
@@ -29,8 +28,6 @@ pub struct Config {
     pub question_pixels: usize,
     /// Whether the start of the coordinator is recorded as an event.
     pub start_is_event: bool,
-    /// URL to which events that people wait for are posted; None without.
-    pub webhook: Option<Uri>,
 }
 
 impl Config {
@@ -54,7 +51,6 @@ impl Config {
             fit_memory_bytes: Self::fit_memory_bytes(usable_bytes()),
             question_pixels: FitLimits::QUESTION_PIXELS,
             start_is_event: true,
-            webhook: None,
         }
     }
 }

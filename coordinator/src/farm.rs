@@ -23,7 +23,6 @@ mod tests;
 mod upkeep;
 mod watch;
 mod watch_jobs;
-mod webhook;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -162,8 +161,7 @@ impl Farm {
         let ids: Vec<_> = dispatcher.schedule().dictionaries().map(Dictionary::id).collect();
         // The coordinator's own machine, as the author of the records that it computes itself.
         let own = store.register_worker(&Machine::default(), "coordinator").await?;
-        let (scheduler, orders) =
-            Scheduler::new(dispatcher, Recorder::start(store.clone(), config.webhook.clone()), metrics);
+        let (scheduler, orders) = Scheduler::new(dispatcher, Recorder::start(store.clone()), metrics);
         let farm = Arc::new(Self {
             store,
             scheduler,

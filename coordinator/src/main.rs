@@ -33,7 +33,6 @@ async fn run(args: Args) -> anyhow::Result<()> {
     );
     let defaults = Config::new(args.data);
     let config = Config {
-        webhook: args.webhook,
         lease: Duration::from_secs(args.lease),
         max_attempts: args.max_attempts,
         check_share: args.verify_share,

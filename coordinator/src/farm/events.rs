@@ -1,4 +1,4 @@
-//! Writes events to the store in batches, and posts some to the webhook, so that no operation waits for them.
+//! Writes events to the store in batches, so that no operation waits for them.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,9 +7,6 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 
-use ureq::http::Uri;
-
-use super::webhook::Webhook;
 use crate::clock::Clock;
 use crate::dispatch::Event;
 use crate::quota::{Limit, Quota};
@@ -36,12 +33,11 @@ pub(super) struct Recorder {
     queued: AtomicU64,
     settled: watch::Receiver<u64>,
     shares: Arc<Quota>,
-    webhook: Option<Webhook>,
     writer: tokio::sync::Mutex<Option<JoinHandle<()>>>,
 }
 
 impl Recorder {
-    pub(super) fn start(store: Store, webhook: Option<Uri>) -> Self {
+    pub(super) fn start(store: Store) -> Self {
         let (queue, events) = mpsc::channel(QUEUE);
         let (done, settled) = watch::channel(0);
         let writer = tokio::spawn(write(store, events, done));
@@ -50,7 +46,6 @@ impl Recorder {
             queued: AtomicU64::new(0),
             settled,
             shares: Quota::refilled(IN_A_SECOND, "events", "cause fewer"),
-            webhook: webhook.map(Webhook::start),
             writer: tokio::sync::Mutex::new(Some(writer)),
         }
     }
@@ -75,9 +70,6 @@ impl Recorder {
             message: message.clone(),
             actor: actor.clone(),
         };
-        if let Some(webhook) = &self.webhook {
-            webhook.post(&stored);
-        }
         let queue = self.queue.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(queue) = queue.as_ref() else { return };
         if queue.try_send(stored).is_ok() {

@@ -70,9 +70,6 @@ impl DataDir {
     /// Prefix of the names of backups that are on their way to a client.
     pub const BACKUP_PREFIX: &str = "backup-";
 
-    /// The folder in it for backups that the coordinator makes by itself.
-    pub const BACKUPS: &str = "backups";
-
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -122,7 +119,7 @@ fn refuse_other_users(path: &Path) -> Result<()> {
 /// Closes the folder to other users if it contains only the farm's files. One with other files, such as a home or `/tmp`,
 /// stays as it is: there only the farm's files are closed, and a warning reports if others can replace them.
 fn close_folder(path: &Path) {
-    let own = ["farm.db", "lock", ADDRESS_FILE, DataDir::BACKUP_PREFIX, DataDir::BACKUPS];
+    let own = ["farm.db", "lock", ADDRESS_FILE, "backup"];
     let is_own = |name: &str| own.iter().any(|own| name.starts_with(own));
     let Ok(mut entries) = std::fs::read_dir(path) else { return };
     let only_own = entries.all(|entry| entry.is_ok_and(|entry| is_own(&entry.file_name().to_string_lossy())));
