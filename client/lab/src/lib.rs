@@ -6,6 +6,7 @@
 
 mod bounded_file;
 pub mod capture;
+pub mod chart;
 pub mod colour;
 pub mod document;
 mod file_kind;
@@ -20,5 +21,7 @@ pub mod record;
 pub mod research_object;
 pub mod session_folder;
 pub mod set_up;
+pub mod slab_grid;
+pub mod slabs;
 pub mod uncertainty;
 pub mod whole_file;

@@ -2,7 +2,7 @@
 //! profile's set-up; lines beginning with # are comments. Charts of spectrophotometers are read as CGATS. Common
 //! variants of the format are read with a note of each assumption; ambiguous files are refused.
 
-mod cgats;
+pub(crate) mod cgats;
 mod columns;
 mod names;
 mod note;

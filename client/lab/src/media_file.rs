@@ -42,6 +42,27 @@ pub struct MediaFile {
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub set_up: Vec<MediaSetUp>,
     pub materials: Vec<MediaMaterial>,
+    /// Only of media from a chart.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub chart: Option<MediaChart>,
+}
+
+/// The camera, the sheen and the error of predictions of a chart.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MediaChart {
+    /// Linear sRGB of the chart's camera from the radiance factors of R, G and B; none if it had no camera.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub matrix: Option<[[f64; 3]; 3]>,
+    /// Light that faces return besides their mirrored image, of white.
+    pub sheen: f64,
+    /// Covariance of the errors of predictions: of (ΔL, ΔC, ΔH) over their weights in CIEDE2000, for a camera; else of
+    /// logarithms by channel. Empty where the chart has too few patches to show it.
+    pub model_error: Vec<Vec<f64>>,
+    /// CIEDE2000 that 95 % of stacks like those of the chart stay below.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub delta_e_2000_below: Option<f64>,
+    /// Thicknesses of layers in mm, without bases.
+    pub layers_mm: Vec<f64>,
 }
 
 /// A material.
@@ -164,6 +185,7 @@ impl MediaFile {
             scene: SceneFile::from(with.scene),
             set_up: errors.scene.iter().filter_map(set_up).collect(),
             materials: fits.iter().map(material).collect(),
+            chart: None,
         }
     }
 
@@ -188,6 +210,7 @@ impl MediaFile {
         }
         let file: Self = serde_json::from_value(json)?;
         let sources = file.sources();
+        file.chart.as_ref().map_or(Ok(()), MediaChart::check).context("chart")?;
         if let Some(other) = file.set_up.iter().find(|s| s.shared.len() != sources) {
             let found = other.shared.len();
             bail!("set_up {}: it has {found} shared errors, others {sources}", other.quantity);
@@ -226,6 +249,18 @@ impl MediaFile {
             let names: Vec<&str> = self.materials.iter().map(|m| m.material.as_str()).collect();
             format!("material {name:?} is not in the file: it has {}", names.join(", "))
         })
+    }
+}
+
+impl MediaChart {
+    fn check(&self) -> Result<()> {
+        let numbers = self.model_error.iter().flatten().chain(&self.layers_mm);
+        let all = numbers.chain(self.matrix.iter().flatten().flatten()).chain([&self.sheen]);
+        let is_square = self.model_error.iter().all(|row| row.len() == self.model_error.len());
+        if !is_square || !all.into_iter().all(|v| v.is_finite()) {
+            bail!("finite numbers and a square model_error are needed");
+        }
+        Ok(())
     }
 }
 

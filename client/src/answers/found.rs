@@ -103,15 +103,20 @@ pub(super) fn table_csv(fits: &[MaterialFit]) -> Result<String> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(COLUMNS.split(','))?;
     for (fit, channel) in fits.iter().flat_map(|fit| fit.channels.iter().map(move |c| (fit, c))) {
-        let (Some(r), Some(grid)) = (&channel.refined, channel.candidates.first()) else { continue };
-        let (n, l) = (&grid.medium, &r.likelihood);
+        let Some(r) = &channel.refined else { continue };
+        let l = &r.likelihood;
         let [reduced_scattering, absorption, sigma_t, albedo, g] = quantities(r).map(with_ends);
         let remarks: Vec<String> = remarks(channel).into_iter().map(|(text, _)| text).collect();
         let lobe = r.second_lobe.map(|lobe| [lobe.weight(), lobe.g()].map(|v| v.to_string()));
         let mut row = vec![fit.material.clone(), channel.channel.clone()];
         row.extend([sigma_t, albedo, g].concat());
         row.extend([r.best.error.to_string(), r.resolved.to_string()]);
-        row.extend([n.sigma_t_per_mm(), n.albedo(), n.g(), grid.error].map(|v| v.to_string()));
+        // Media from charts have no record.
+        let record = channel.candidates.first().map(|record| {
+            let n = &record.medium;
+            [n.sigma_t_per_mm(), n.albedo(), n.g(), record.error].map(|v| v.to_string())
+        });
+        row.extend(record.unwrap_or_default());
         row.push(remarks.join("; "));
         row.extend([reduced_scattering, absorption].concat());
         row.extend([r.misfit, l.chi2, l.degrees_of_freedom, l.probability].map(|v| v.to_string()));

@@ -44,6 +44,11 @@ impl TryFrom<String> for BoundsArg {
 }
 
 impl BoundsArg {
+    /// The one value that was given; None for a range.
+    pub(crate) fn held(&self) -> Option<f64> {
+        self.min.filter(|_| self.min == self.max)
+    }
+
     /// The checked bounds; free if nothing was given.
     pub(crate) fn check(arg: Option<Self>, field: &str) -> optics_model::Result<Bounds> {
         arg.map_or(Ok(Bounds::FREE), |b| Bounds::new(field, b.min, b.max))

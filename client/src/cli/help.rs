@@ -24,7 +24,7 @@ const FIRST: [&str; 10] = [
 /// The other verbs.
 const OTHERS: &str = "\
 Other commands, each with its --help; `farmctl --help-all` describes them:
-  media          compare, recipe, translucency, validate
+  media          chart, compare, recipe, translucency, validate
   dictionaries   list, show, watch, wait, explain, pause, resume, cancel, retry, priority,
                  delete, export
   the paper      fit, scale, map, profile, similar

@@ -41,7 +41,7 @@ impl FitCommand {
         match self {
             Self::Fit(args) => fit::run(global, args, output).await?,
             Self::Scale(args) => scale::run(global, args, output).await?,
-            Self::Measure(args) => measure::run(global, measure::Inputs::of(*args)?, output).await?,
+            Self::Measure(args) => measure::measured(global, *args, output).await?,
             Self::Map(args) => map::run(global, args, output).await?,
             Self::Design(args) => design::run(global, args, output).await?,
             Self::Profile(args) => profile::run(global, args, output).await?,

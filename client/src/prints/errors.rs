@@ -16,6 +16,8 @@ pub(crate) enum ErrorKey {
     Gain(usize),
     /// The thickness of a patch.
     Thickness(usize),
+    /// A direction of the model's error in a print, of all channels.
+    Model { print: usize, direction: usize },
 }
 
 /// The changes of a prediction in a channel.
@@ -23,6 +25,7 @@ pub(crate) fn changes(channel: usize, predicted: &Predicted) -> impl Iterator<It
     predicted.changes.iter().map(move |(source, change)| match *source {
         ChangeSource::Shared(k) => (ErrorKey::Shared(k), *change),
         ChangeSource::Own { medium, direction } => (ErrorKey::Own { channel, medium, direction }, *change),
+        ChangeSource::Model(direction) => (ErrorKey::Model { print: 0, direction }, *change),
     })
 }
 

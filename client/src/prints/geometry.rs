@@ -2,8 +2,9 @@
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use farm_lab::chart::bare_print;
 use optics_model::Scene;
-use optics_model::scene::{Layer, LayerMedium, RingLight, Sensor};
+use optics_model::scene::{Layer, LayerMedium, RingLight};
 use serde::Deserialize;
 
 /// How a print is lit and seen.
@@ -45,10 +46,8 @@ impl Geometry {
         let is_sample = |layer: &&Layer| layer.medium() == LayerMedium::Sample;
         let of_scene = session.layers().iter().find(is_sample).map_or(0.0, Layer::roughness);
         let roughness = roughness.unwrap_or(of_scene);
-        let layers = vec![Layer::sample("print", roughness)?, Layer::clear("air", 1.0, 0.0, roughness)?];
-        let sensor = Sensor::new(10.0, 1, polar_deg)?;
-        let scene =
-            Scene::new(layers, session.channels().to_vec(), ring, sensor, session.multiple_scattering())?;
+        let scene = bare_print(ring, polar_deg, roughness, session.channels().to_vec())?;
+        let scene = scene.with_multiple_scattering(session.multiple_scattering());
         Ok(scene.with_sample_ior_offset(session.sample_ior_offset()))
     }
 }

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use farm_lab::colour::{Colorimetry, SeenColour, Viewing, delta_e_2000};
-use farm_lab::media_file::MediaFile;
+use farm_lab::media_file::{MediaChart, MediaFile};
 use optics_layers::Predicted;
 use optics_model::Invalid;
 use optics_model::fit::Z;
@@ -11,8 +11,9 @@ use serde::Serialize;
 
 use super::bases::PrintBase;
 use super::errors::{lab_std_errors, spectrum, std_error};
-use super::slabs::{NamedSlab, parsed};
+use super::model_error::remark;
 use super::view::{PrintView, ViewOptions, materials_of, unresolved};
+use farm_lab::slabs::{NamedSlab, parsed};
 
 #[derive(Debug, Serialize)]
 pub(crate) struct PredictJson {
@@ -26,6 +27,9 @@ pub(crate) struct PredictJson {
     pub(crate) no_colours: Option<String>,
     /// Materials that the measurement leaves undetermined, with their channels.
     pub(crate) unresolved: Vec<String>,
+    /// A sentence on the error of this print's colour after the chart of the media.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) of_chart: Option<String>,
 }
 
 #[derive(Debug, Serialize)]
@@ -93,7 +97,8 @@ pub(crate) fn predicted(
     let channels = view.names();
     let found = view.predicted(&slabs)?;
     let unresolved = unresolved(file, &materials, &channels)?;
-    let (colours, no_colours) = match colours(&channels, &found, &bases, options.viewing) {
+    let (colours, no_colours) = match colours(&channels, &found, &bases, file.chart.as_ref(), options.viewing)
+    {
         Ok(colours) => (Some(colours), None),
         Err(reason) if wavelength_nm(channels[0]).is_none() => (None, Some(reason.allowed().to_owned())),
         Err(reason) => (None, Some(format!("{}: {}", reason.given(), reason.allowed()))),
@@ -109,6 +114,7 @@ pub(crate) fn predicted(
         colours,
         no_colours,
         unresolved,
+        of_chart: remark(file, &slabs),
     })
 }
 
@@ -138,14 +144,11 @@ fn colours(
     channels: &[&str],
     found: &[Vec<Predicted>],
     bases: &[PrintBase],
+    chart: Option<&MediaChart>,
     viewing: Viewing,
 ) -> Result<ColoursJson, Invalid> {
-    let wavelengths: Option<Vec<f64>> = channels.iter().map(|channel| wavelength_nm(channel)).collect();
-    let mut sorted: Vec<(f64, usize)> =
-        wavelengths.unwrap_or_default().into_iter().enumerate().map(|(i, nm)| (nm, i)).collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (nm, order): (Vec<f64>, Vec<usize>) = sorted.into_iter().unzip();
-    let colorimetry = Colorimetry::new(&nm, viewing)?;
+    let (colorimetry, order) = Colorimetry::for_channels(channels, chart, viewing)?;
+    let viewing = colorimetry.viewing();
     let colour = |values: &[Vec<f64>], base: usize| colorimetry.colour(&spectrum(values, &order, base));
     let values: Vec<Vec<f64>> = found.iter().map(|of| of.iter().map(|p| p.value).collect()).collect();
     let base_colour = |(i, base): (usize, &PrintBase)| {
@@ -187,7 +190,7 @@ impl PredictJson {
         let no_colours = self.no_colours.iter().map(|reason| format!("no colours: {reason}"));
         let open = (!self.unresolved.is_empty())
             .then(|| format!("not determined by the measurement: {}", self.unresolved.join(", ")));
-        no_colours.chain(open).collect()
+        no_colours.chain(open).chain(self.of_chart.clone()).collect()
     }
 }
 

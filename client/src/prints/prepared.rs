@@ -9,12 +9,19 @@ use optics_model::Scene;
 pub(crate) struct Prints {
     /// Width of the narrowest peak of a phase function.
     peak: f64,
+    /// The print of a scene, an index and a peak.
+    print: fn(&Scene, f64, f64) -> Print,
     known: Vec<(Scene, f64, Arc<Print>)>,
 }
 
 impl Prints {
     pub(crate) fn new(peak: f64) -> Self {
-        Self { peak, known: Vec::new() }
+        Self { peak, print: Print::new, known: Vec::new() }
+    }
+
+    /// Prints for standard errors.
+    pub(crate) fn for_slopes(peak: f64) -> Self {
+        Self { print: Print::for_slopes, ..Self::new(peak) }
     }
 
     pub(crate) fn of(&mut self, scene: &Scene, ior: f64) -> Arc<Print> {
@@ -22,7 +29,7 @@ impl Prints {
         if let Some((.., print)) = self.known.iter().find(is_known) {
             return print.clone();
         }
-        let print = Arc::new(Print::new(scene, ior + scene.sample_ior_offset(), self.peak));
+        let print = Arc::new((self.print)(scene, ior + scene.sample_ior_offset(), self.peak));
         self.known.push((scene.clone(), ior, print.clone()));
         print
     }

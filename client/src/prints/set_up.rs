@@ -9,7 +9,7 @@ use optics_model::Scene;
 use optics_model::scene::{Channel, Prior, PriorKind};
 use optics_tracer::BareBoard;
 
-use super::slabs::NamedSlab;
+use farm_lab::slabs::NamedSlab;
 
 /// The scene of the measurement with its quantities as found.
 #[derive(Debug)]

@@ -1,20 +1,22 @@
 //! How prints are seen: geometry, bases, illuminant and observer, and the prepared layers of each channel.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use farm_lab::colour::Viewing;
 use farm_lab::media_file::{MediaChannel, MediaFile, MediaMaterial};
-use optics_layers::{Predicted, Print, SetUpChange, Uncertain, predict, radiance_factors};
+use optics_layers::{Predicted, Print, SetUpChange, Stacks, Uncertain, predict, radiance_factors};
 use optics_model::Scene;
 use optics_model::phase::SecondLobe;
 use rayon::prelude::*;
 
 use super::bases::PrintBase;
 use super::geometry::Geometry;
+use super::model_error::ModelError;
 use super::prepared::{Prints, looks_different};
 use super::set_up::{ChangedSetUp, FoundSetUp};
-use super::slabs::NamedSlab;
+use farm_lab::slabs::NamedSlab;
 
 /// How a print is seen.
 #[derive(Debug, Clone, Copy)]
@@ -62,6 +64,8 @@ impl ViewOptions {
 struct ViewedChannel {
     name: String,
     print: Arc<Print>,
+    /// The print for standard errors.
+    slopes: Arc<Print>,
     /// Reflectances of the bases.
     rho: Vec<f64>,
     /// By material of the file; None if it has no medium in this channel.
@@ -109,16 +113,18 @@ impl<'a> PrintView<'a> {
             peak = narrowest_peak(material, channel)?.min(peak);
         }
         let set_up = FoundSetUp::new(file, slabs)?;
-        let mut prints = Prints::new(peak);
-        let changes = args.changes(&set_up, bases, middle, common_ior(&all, middle)?, &mut prints)?;
+        let [mut prints, mut slopes] = [Prints::new(peak), Prints::for_slopes(peak)];
+        let changes = args.changes(&set_up, bases, middle, common_ior(&all, middle)?, &mut slopes)?;
         let mut channel = |name: &&str| -> Result<ViewedChannel> {
             let scene = set_up.scene(name)?;
             let medium =
                 |m: &MediaMaterial| m.channel(name).map(|c| uncertain(c, set_up.assumed())).transpose();
             let rho = PrintBase::all_rho(bases, &set_up, name, &scene)?;
             let rho: Vec<f64> = rho.into_iter().map(|rho| rho.clamp(0.0, 1.0)).collect();
+            let (seen, ior) = (args.seen(scene)?, common_ior(&all, name)?);
             Ok(ViewedChannel {
-                print: prints.of(&args.seen(scene)?, common_ior(&all, name)?),
+                print: prints.of(&seen, ior),
+                slopes: slopes.of(&seen, ior),
                 media: file.materials.iter().map(medium).collect::<Result<_>>()?,
                 name: (*name).to_owned(),
                 rho,
@@ -134,7 +140,7 @@ impl<'a> PrintView<'a> {
 
     /// Radiance factors of a print, by channel and base.
     pub(crate) fn predicted(&self, slabs: &[NamedSlab]) -> Result<Vec<Vec<Predicted>>> {
-        self.each(|channel, media| {
+        let mut found = self.each(|channel, media| {
             let steps = |c: &ViewedChange| {
                 let to_rho: Vec<f64> = channel.rho.iter().zip(&c.rho_by).map(|(rho, by)| rho + by).collect();
                 (to_rho, self.set_up.steps(&c.changed, &channel.name, slabs))
@@ -150,8 +156,13 @@ impl<'a> PrintView<'a> {
                     shared,
                 })
                 .collect();
-            Ok(predict(&channel.print, media, &changes, &self.printed(slabs)?, &channel.rho)?)
-        })
+            let slabs = self.printed(slabs)?;
+            Ok(predict(&channel.print, &channel.slopes, media, &changes, &slabs, &channel.rho)?)
+        })?;
+        if let Some(error) = ModelError::new(self.file, &self.names()) {
+            error.add(slabs, &mut found);
+        }
+        Ok(found)
     }
 
     /// Radiance factors without their errors, which take most of the time, in the set-up of the view's own slabs.
@@ -159,6 +170,32 @@ impl<'a> PrintView<'a> {
         self.each(|channel, media| {
             Ok(radiance_factors(&channel.print, media, &self.printed(slabs)?, &channel.rho)?)
         })
+    }
+
+    /// Radiance factors of many stacks of materials, each over one of the bases, by stack and channel.
+    pub(crate) fn stacks(&self, all: &[(&[NamedSlab], usize)]) -> Result<Vec<Vec<f64>>> {
+        // Materials by their places in the file, of which few occur.
+        let names: BTreeSet<&str> = all.iter().flat_map(|(slabs, _)| materials_of(slabs)).collect();
+        let is_used = |medium: &usize| names.contains(self.file.materials[*medium].material.as_str());
+        let used: Vec<usize> = (0..self.file.materials.len()).filter(is_used).collect();
+        let slab = |slab: &NamedSlab| {
+            let name = &slab.shares[0].0;
+            let medium = used.iter().position(|medium| self.file.materials[*medium].material == *name);
+            medium.map(|medium| (medium, slab.thickness_mm)).context("a material is in the file")
+        };
+        let stack = |(slabs, _): &(&[NamedSlab], usize)| slabs.iter().map(slab).collect::<Result<Vec<_>>>();
+        let tree: Vec<Vec<(usize, f64)>> = all.iter().map(stack).collect::<Result<_>>()?;
+        let tree = Stacks::new(tree.iter().map(Vec::as_slice));
+        let by_channel = self.each(|channel, media| {
+            let levels = tree.levels(&channel.print, |medium, mm| media[used[medium]].slab(mm));
+            Ok(levels
+                .seen
+                .iter()
+                .zip(all)
+                .map(|(seen, (_, base))| seen.at(channel.rho[*base]))
+                .collect::<Vec<_>>())
+        })?;
+        Ok((0..all.len()).map(|i| by_channel.iter().map(|values| values[i]).collect()).collect())
     }
 
     fn each<T: Send>(&self, f: impl Fn(&ViewedChannel, &[Uncertain]) -> Result<T> + Sync) -> Result<Vec<T>> {

@@ -31,6 +31,7 @@ pub use paper::scale::scale;
 pub use profile::profile;
 pub use similarity::similar;
 pub use stop::{Stop, Stopped};
+pub use surrogate::predicts_thickness;
 
 /// Fits every channel of a measurement on its own, jointly over its thicknesses.
 pub fn fit(

@@ -23,6 +23,7 @@ use crate::dictionary::wide::wide;
 use local_axis::{LocalAxis, Weights};
 
 pub(crate) use noise::{NoiseFactors, NoisePlace};
+pub use thickness::predicts_thickness;
 
 /// Position in (ln σ_t, √(1 − α), ln(1 − g)).
 pub(crate) type Coordinates = [f64; 3];

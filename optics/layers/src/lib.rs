@@ -18,9 +18,12 @@ mod quadrature;
 mod records;
 mod remembered;
 mod slab;
+mod stacks;
 mod uncertain;
 
+pub use operator::OverBase;
 pub use prediction::{ChangeSource, Predicted, PrintedSlab, SetUpChange, predict, radiance_factors};
 pub use print::{Print, PrintLayer};
 pub use records::{block_of_set, records, records_of_set};
+pub use stacks::{StackLevels, Stacks};
 pub use uncertain::{Uncertain, chi2};

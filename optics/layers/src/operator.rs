@@ -127,7 +127,7 @@ impl Covered {
 
 /// The light seen over Lambertian bases of any reflectance, as a function of it: s + a ρ/(1 − b ρ).
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct OverBase {
+pub struct OverBase {
     /// Over a black base.
     over_black: f64,
     /// The light that reaches a base, times what a base adds that sends it back.
@@ -137,7 +137,12 @@ pub(crate) struct OverBase {
 }
 
 impl OverBase {
-    pub(crate) fn at(&self, rho: f64) -> f64 {
+    pub fn at(&self, rho: f64) -> f64 {
         self.over_black + self.through * rho / (1.0 - self.returned * rho)
+    }
+
+    /// The derivative by the reflectance.
+    pub fn slope(&self, rho: f64) -> f64 {
+        self.through / (1.0 - self.returned * rho).powi(2)
     }
 }

@@ -1,9 +1,12 @@
 //! The radiance factor of prints of measured media, with its changes by the errors of the media and of the set-up.
 
+use std::sync::Arc;
+
 use optics_model::phase::{PhaseShape, SecondLobe};
 use optics_model::{Invalid, Medium};
 use rayon::prelude::*;
 
+use crate::operator::Operator;
 use crate::print::{Print, PrintLayer};
 use crate::uncertain::Uncertain;
 
@@ -36,6 +39,8 @@ pub enum ChangeSource {
     Shared(usize),
     /// A direction in which a medium is uncertain by itself, in its channel.
     Own { medium: usize, direction: usize },
+    /// A direction of the error that predictions have besides those of media and set-up, as charts show it.
+    Model(usize),
 }
 
 /// A radiance factor.
@@ -63,27 +68,43 @@ pub fn radiance_factors(
     slabs: &[PrintedSlab],
     rho: &[f64],
 ) -> Result<Vec<f64>, Invalid> {
-    slabs
-        .iter()
-        .enumerate()
-        .try_for_each(|(i, s)| check(s, media.len()).map_err(|e| e.within(format_args!("slab[{i}]"))))?;
-    let slabs: Vec<PrintLayer> =
-        slabs.iter().map(|slab| mixed(media, slab)).collect::<Result<_, Invalid>>()?;
-    Ok(print.radiance_factors(&slabs, rho))
+    Ok(print.factors(&operators(print, media, slabs, None)?, rho))
 }
 
-/// Radiance factors with their errors.
+/// The operators of slabs, with those without the changed medium from `before`; alike slabs share one.
+fn operators(
+    print: &Print,
+    media: &[Uncertain],
+    slabs: &[PrintedSlab],
+    before: Option<(&[Arc<Operator>], usize)>,
+) -> Result<Vec<Arc<Operator>>, Invalid> {
+    let mut all: Vec<Arc<Operator>> = Vec::new();
+    for (i, slab) in slabs.iter().enumerate() {
+        check(slab, media.len()).map_err(|e| e.within(format_args!("slab[{i}]")))?;
+        let has = |medium: usize| slab.shares.iter().any(|(own, _)| *own == medium);
+        let kept = before.filter(|(_, changed)| !has(*changed)).map(|(before, _)| before[i].clone());
+        let alike = || slabs[..i].iter().position(|above| above == slab).map(|above| all[above].clone());
+        let known = kept.or_else(alike);
+        all.push(known.map_or_else(|| mixed(media, slab).map(|layer| Arc::new(print.operator(&layer))), Ok)?);
+    }
+    Ok(all)
+}
+
+/// Radiance factors with their errors, whose slopes are those of `slopes`: `Print::for_slopes`, as prints of the set-up are.
 ///
 /// # Errors
 /// As those of [`radiance_factors`].
 pub fn predict(
     print: &Print,
+    slopes: &Print,
     media: &[Uncertain],
     set_up: &[SetUpChange],
     slabs: &[PrintedSlab],
     rho: &[f64],
 ) -> Result<Vec<Predicted>, Invalid> {
     let values = radiance_factors(print, media, slabs, rho)?;
+    let unmoved = operators(slopes, media, slabs, None)?;
+    let unmoved_values = slopes.factors(&unmoved, rho);
     let is_used = |medium: usize| slabs.iter().any(|slab| slab.shares.iter().any(|(of, _)| *of == medium));
     let used: Vec<usize> = (0..media.len()).filter(|medium| is_used(*medium)).collect();
     let moved: Vec<(usize, Uncertain)> = used
@@ -93,7 +114,7 @@ pub fn predict(
     let at = |(medium, moved): &(usize, Uncertain)| {
         let mut media = media.to_vec();
         media[*medium] = moved.clone();
-        radiance_factors(print, &media, slabs, rho)
+        Ok(slopes.factors(&operators(slopes, &media, slabs, Some((&unmoved, *medium)))?, rho))
     };
     let ends: Vec<Vec<f64>> = moved.par_iter().map(at).collect::<Result<_, Invalid>>()?;
     let by_set_up = |change: &SetUpChange| -> Result<Vec<f64>, Invalid> {
@@ -107,7 +128,7 @@ pub fn predict(
         for medium in &used {
             let own = moved.iter().zip(&ends).filter(|((of, _), _)| of == medium);
             let own: Vec<f64> = own.map(|(_, ends)| ends[i]).collect();
-            sum.add_medium(*medium, &media[*medium], *value, &own);
+            sum.add_medium(*medium, &media[*medium], unmoved_values[i], &own);
         }
         let mut by_offset = 0.0;
         for (change, step) in set_up.iter().zip(&steps) {
@@ -223,7 +244,7 @@ mod tests {
         let slope = (value(6.0 * libm::exp(0.01_f64)) - value(6.0 * libm::exp(-0.01_f64))) / 0.02;
         let uncertain = medium(6.0, 0.9, [0.02_f64.powi(2), 0.0, 0.0]);
         let errors = |media: &[Uncertain], shares: &[(usize, f64)]| {
-            predict(&print, media, &[], &[slab(shares)], &[0.5]).unwrap()[0].std_error()
+            predict(&print, &print, media, &[], &[slab(shares)], &[0.5]).unwrap()[0].std_error()
         };
         let one = errors(std::slice::from_ref(&uncertain), &[(0, 1.0)]);
         assert!((one / (0.02 * slope.abs()) - 1.0).abs() < 1e-3, "{one} {slope}");
@@ -253,11 +274,36 @@ mod tests {
         let media = [Uncertain { shared, ..medium(6.0, 0.9, [0.0; 3]) }];
         let set_up =
             [SetUpChange { from: &print, to: &other, to_rho: &[0.5], offset: 0.5, shared: &[0.0, 0.5] }];
-        let found = predict(&print, &media, &set_up, &slab, &[0.5]).unwrap();
+        let found = predict(&print, &print, &media, &set_up, &slab, &[0.5]).unwrap();
         let change = |k: usize| found[0].changes[k].1;
         assert!((found[0].value - with(&print, 0.05) - 0.5 * by_index).abs() < 1e-9, "{found:?}");
         assert!((change(0) / by_lobe - 1.0).abs() < 0.02, "{found:?} {by_lobe}");
         assert!((change(1) / (0.5 * by_index) - 1.0).abs() < 1e-9, "{found:?} {by_index}");
+    }
+
+    /// Standard errors over as many directions as slopes need are those over all, to 1.5 %, for errors of media and of an
+    /// index.
+    #[test]
+    fn slopes_need_few_directions() {
+        let scene = Scene::lab();
+        for (g, peak) in [(0.4, 0.6), (0.85, 0.15)] {
+            let uncertain = medium(9.0, 0.95, [0.03_f64.powi(2), 0.01_f64.powi(2), 0.1_f64.powi(2)]);
+            let media = [Uncertain { medium: Medium::new(9.0, 0.95, g).unwrap(), ..uncertain }];
+            let std_errors = |print: fn(&Scene, f64, f64) -> Print| {
+                let [from, to] = [1.53, 1.55].map(|ior| print(&scene, ior, peak));
+                let change =
+                    SetUpChange { from: &from, to: &to, to_rho: &[0.1, 0.9], offset: 0.0, shared: &[1.0] };
+                let slab = [slab(&[(0, 1.0)])];
+                let with = |set_up: &[SetUpChange]| {
+                    let found = predict(&from, &from, &media, set_up, &slab, &[0.1, 0.9]).unwrap();
+                    found.iter().map(Predicted::std_error).collect::<Vec<_>>()
+                };
+                [with(&[]), with(&[change])].concat()
+            };
+            for (all, few) in std_errors(Print::new).iter().zip(std_errors(Print::for_slopes)) {
+                assert!((few / all - 1.0).abs() < 0.015, "{g}: {few} {all}");
+            }
+        }
     }
 
     #[test]

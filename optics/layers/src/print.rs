@@ -12,7 +12,7 @@ use optics_tracer::face::Face;
 
 use crate::faces::face;
 use crate::operator::{Covered, Operator, OverBase};
-use crate::quadrature::Quadrature;
+use crate::quadrature::{NodeCounts, Quadrature};
 use crate::remembered::Remembered;
 use crate::slab::MediumSlab;
 
@@ -48,13 +48,28 @@ impl Print {
     /// (`PhaseFunction::peak_width`: 1 − |g| of a lobe). Channels, phase function and uncertain quantities of the scene are
     /// not used.
     pub fn new(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
+        Self::with(scene, sample_ior, NodeCounts::fine(peak))
+    }
+
+    /// Like [`Self::new`] with few directions, which err by 0.3 %: for fits whose results are compared with those of all
+    /// directions at their end.
+    pub fn coarse(scene: &Scene, sample_ior: f64) -> Self {
+        Self::with(scene, sample_ior, NodeCounts::COARSE)
+    }
+
+    /// Like [`Self::new`] with as many directions as standard errors need, which err by 1 %.
+    pub fn for_slopes(scene: &Scene, sample_ior: f64, peak: f64) -> Self {
+        Self::with(scene, sample_ior, NodeCounts::slopes(peak))
+    }
+
+    fn with(scene: &Scene, sample_ior: f64, counts: NodeCounts) -> Self {
         let ior = |layer: &Layer| match layer.medium() {
             LayerMedium::Clear { ior, .. } => ior,
             LayerMedium::Sample => sample_ior,
         };
         let iors: Vec<f64> = std::iter::once(1.0).chain(scene.layers().iter().map(ior)).collect();
         let ring = [scene.light().inner_deg(), scene.light().outer_deg()].map(sin2);
-        let quadrature = Quadrature::new(&iors, sample_ior, peak, ring, sin2(scene.sensor().polar_deg()));
+        let quadrature = Quadrature::new(&iors, sample_ior, counts, ring, sin2(scene.sensor().polar_deg()));
         let none = Operator::none(quadrature.len());
         // Above the sample and from there on.
         let mut sides = vec![none.clone()];
@@ -95,7 +110,14 @@ impl Print {
 
     /// Radiance factors over Lambertian bases of these reflectances, with slabs from top to bottom.
     pub fn radiance_factors(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
-        let seen = self.over_base(slabs, &self.sensor(), &self.ring);
+        let slabs: Vec<_> = slabs.iter().map(|slab| Arc::new(self.operator(slab))).collect();
+        self.factors(&slabs, rho)
+    }
+
+    /// Radiance factors over Lambertian bases of these reflectances, under the layers of these operators.
+    pub(crate) fn factors(&self, slabs: &[Arc<Operator>], rho: &[f64]) -> Vec<f64> {
+        let covered = slabs.iter().rev().fold(self.base(), |below, slab| below.under(slab));
+        let seen = self.seen(&covered);
         rho.iter().map(|rho| seen.at(*rho)).collect()
     }
 
@@ -103,7 +125,9 @@ impl Print {
     pub fn reflectances(&self, slabs: &[PrintLayer], rho: &[f64]) -> Vec<f64> {
         let even = self.even(1.0);
         let all = RowDVector::from_fn(even.len(), |_, i| even[i] * self.quadrature.weights[i]);
-        let seen = self.over_base(slabs, &all, &even);
+        let slabs = slabs.iter().rev().map(|slab| self.operator(slab));
+        let covered = slabs.fold(self.base(), |below, slab| below.under(&slab));
+        let seen = covered.seen_above(&self.top, &all, &even);
         rho.iter().map(|rho| seen.at(*rho)).collect()
     }
 
@@ -115,7 +139,7 @@ impl Print {
         (whole.up * self.even(1.0))[self.quadrature.sensor()]
     }
 
-    fn operator(&self, s: &PrintLayer) -> Operator {
+    pub(crate) fn operator(&self, s: &PrintLayer) -> Operator {
         // A mean cosine at the limit of the lobes may lie beyond it by rounding.
         let phase = s.phase.function_near(s.medium.g());
         self.slab(&phase, s.medium.albedo(), s.medium.sigma_t_per_mm() * s.thickness_mm).operator()
@@ -128,7 +152,7 @@ impl Print {
 
     /// The radiance factor of a slab.
     pub(crate) fn level(&self, slab: &MediumSlab) -> OverBase {
-        self.base().under(&slab.clone().operator()).seen_above(&self.top, &self.sensor(), &self.ring)
+        self.seen(&self.base().under(&slab.clone().operator()))
     }
 
     /// The numbers that a print follows from, as bits.
@@ -136,15 +160,14 @@ impl Print {
         &self.key
     }
 
-    /// The sum over directions that is seen of light from above. A base sends the same radiance x = ρ (c + b x) in all
-    /// directions, c being the light that reaches it.
-    fn over_base(&self, slabs: &[PrintLayer], seen: &RowDVector<f64>, light: &DVector<f64>) -> OverBase {
-        let slabs = slabs.iter().rev().map(|slab| self.operator(slab));
-        slabs.fold(self.base(), |below, slab| below.under(&slab)).seen_above(&self.top, seen, light)
+    /// The base and slabs on it as they are seen. A base sends the same radiance x = ρ (c + b x) in all directions, c being
+    /// the light that reaches it.
+    pub(crate) fn seen(&self, covered: &Covered) -> OverBase {
+        covered.seen_above(&self.top, &self.sensor(), &self.ring)
     }
 
     /// The base and all that is below the slabs.
-    fn base(&self) -> Covered {
+    pub(crate) fn base(&self) -> Covered {
         let base = self.even(self.base_ior);
         let share = self.base_ior.powi(-2);
         let received = RowDVector::from_fn(base.len(), |_, i| share * base[i] * self.quadrature.weights[i]);

@@ -30,18 +30,22 @@ fn dependencies(krate: &str) -> Vec<String> {
 }
 
 /// The crates of the project that each crate may use.
-const ARROWS: [(&str, &[&str]); 14] = [
+const ARROWS: [(&str, &[&str]); 15] = [
     ("optics/model", &[]),
     ("optics/tracer", &["optics-model"]),
     ("optics/fit", &["optics-model"]),
     ("optics/layers", &["optics-model", "optics-tracer"]),
+    ("optics/chart", &["optics-model", "optics-layers"]),
     ("optics/capture", &["optics-model"]),
     ("proto", &["optics-model"]),
     ("proto/link", &[]),
     ("coordinator", &["optics-model", "optics-fit", "optics-layers", "farm-proto", "farm-link"]),
     ("worker", &["optics-model", "optics-tracer", "optics-layers", "farm-proto", "farm-link"]),
     ("client/figures", &["optics-model"]),
-    ("client/lab", &["optics-model", "optics-tracer", "optics-layers", "optics-capture", "farm-figures"]),
+    (
+        "client/lab",
+        &["optics-model", "optics-tracer", "optics-layers", "optics-capture", "optics-chart", "farm-figures"],
+    ),
     (
         "client",
         &[
@@ -52,6 +56,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "optics-fit",
             "optics-layers",
             "optics-capture",
+            "optics-chart",
             "farm-proto",
             "farm-link",
             "farm-coordinator",
@@ -67,6 +72,7 @@ const ARROWS: [(&str, &[&str]); 14] = [
             "optics-fit",
             "optics-layers",
             "optics-capture",
+            "optics-chart",
             "farm-proto",
             "farm-link",
             "farm-coordinator",
@@ -104,7 +110,9 @@ fn science_has_no_runtime_or_io() {
         "thiserror",
         "toml",
     ];
-    for krate in ["optics/model", "optics/tracer", "optics/fit", "optics/layers", "optics/capture"] {
+    for krate in
+        ["optics/model", "optics/tracer", "optics/fit", "optics/layers", "optics/capture", "optics/chart"]
+    {
         for dependency in dependencies(krate).iter().filter(|d| !d.starts_with("optics-")) {
             assert!(used.contains(&dependency.as_str()), "{krate} must not depend on {dependency}");
         }

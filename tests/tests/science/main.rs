@@ -3,5 +3,6 @@
 #![expect(clippy::unwrap_used, reason = "a test may panic")]
 
 mod capture;
+mod charts;
 mod measure;
 mod physics;

@@ -20,19 +20,12 @@ use super::stage::{board_channel, rounded, within_range};
 use crate::measurement_file::{self, Note, column_names};
 use crate::record::SessionRecord;
 use crate::research_object::MEASURED_FILES;
+use crate::slab_grid::dictionary_mm;
 use crate::whole_file::{folder_of, sync_folder};
 
 /// The files of a folder, in the order in which they are listed.
 pub const FILES: [&str; 6] =
     ["measurements.csv", "session.json", "scene.toml", "grid.toml", "report.html", "report.json"];
-
-/// Thicknesses that differ by less than this factor share a thickness of the dictionary: the fit allows for much more.
-const ALIKE: f64 = 1.04;
-/// A thickness that differs from one of these in mm, or from twice another of the session, by less than this factor is
-/// replaced by it: sessions with slabs of the same nominal thickness share a dictionary, and slabs of the same optical
-/// thickness their walks.
-const NEAR: f64 = 1.03;
-const NOMINAL_MM: [f64; 14] = [0.1, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 5.0];
 
 /// Writes the folder: no file unless all can be generated, and each file atomically; removes what an earlier measurement
 /// has written there. Returns the notes of reading its measurements back.
@@ -181,7 +174,7 @@ fn grid(captured: &Captured) -> Result<String> {
         sigma_t_per_mm: None,
         albedo: Some(Axes::ALBEDO.to_vec()),
         g: None,
-        thickness_mm: Some(grouped(thicknesses.collect())),
+        thickness_mm: Some(dictionary_mm(thicknesses.collect())),
         sample_ior: None,
         walks: None,
         seed: None,
@@ -193,31 +186,6 @@ fn grid(captured: &Captured) -> Result<String> {
          # near a nominal thickness, share one; the fit uses the measured thicknesses.\n\n{}",
         toml::to_string(&file)?.trim_end()
     ))
-}
-
-/// The midpoints of groups of thicknesses that are nearly alike, or a nominal thickness, or twice another, near that.
-fn grouped(mut thicknesses: Vec<f64>) -> Vec<f64> {
-    thicknesses.sort_by(f64::total_cmp);
-    let mut groups: Vec<[f64; 2]> = Vec::new();
-    for t in thicknesses {
-        match groups.last_mut() {
-            Some(group) if t <= ALIKE * group[0] => group[1] = t,
-            _ => groups.push([t, t]),
-        }
-    }
-    let mut axis: Vec<f64> =
-        groups.into_iter().map(|[from, to]| (1e4 * f64::midpoint(from, to)).round() / 1e4).collect();
-    for i in 0..axis.len() {
-        let next = axis.get(i + 1).copied().unwrap_or(f64::INFINITY);
-        let before = if i == 0 { 0.0 } else { axis[i - 1] };
-        let is_near = |t: &f64| libm::log(axis[i] / t).abs() < libm::log(NEAR);
-        // The axis must rise.
-        let fits = |t: &f64| before < *t && *t < next;
-        let doubles = axis[..i].iter().map(|t| 2.0 * t);
-        let other = NOMINAL_MM.into_iter().chain(doubles).find(|t| is_near(t) && fits(t));
-        axis[i] = other.unwrap_or(axis[i]);
-    }
-    axis
 }
 
 /// All results as numbers, for programs; the fit reads the fields at the top level.
@@ -401,17 +369,6 @@ fn change(light: &LightChange) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn nearly_equal_slabs_share_a_dictionary_thickness() {
-        assert_eq!(grouped(vec![1.01, 0.512, 0.5, 0.498]), [0.5, 1.0]);
-        assert_eq!(grouped(vec![0.62, 0.55]), [0.55, 0.62]);
-        // The thickest is twice another one.
-        assert_eq!(grouped(vec![0.512, 0.64, 1.006, 1.3]), [0.5, 0.64, 1.0, 1.28]);
-        // Two thicknesses near a nominal one or near twice another stay apart.
-        assert_eq!(grouped(vec![0.512, 1.006, 1.05]), [0.5, 1.0, 1.05]);
-        assert_eq!(grouped(vec![0.45, 0.88, 0.923]), [0.45, 0.9, 0.923]);
-    }
 
     /// A bin without samples is interpolated with a large error, so that the profile has no gap.
     #[test]

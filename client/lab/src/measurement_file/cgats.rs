@@ -87,6 +87,41 @@ pub(super) fn drafts(text: &str, notes: &mut Vec<Note>) -> Result<Vec<ProfileDra
     Ok(patches.iter().flat_map(|patch| (0..bands.len()).map(move |i| draft(patch, i))).collect())
 }
 
+/// A chart of stacks as a CGATS table.
+pub(crate) struct CgatsStacks {
+    /// Wavelengths in nm; empty if the values are CIELAB.
+    pub channels: Vec<String>,
+    /// The words of each stack, its values, and their standard error.
+    pub rows: Vec<(String, Vec<f64>, f64)>,
+}
+
+/// Whether a text is a CGATS table with a column `SLABS`.
+pub(crate) fn has_stacks(text: &str) -> bool {
+    is(text) && text.lines().any(|line| words(line).iter().any(|word| word == "SLABS"))
+}
+
+/// The stacks of a table with a column `SLABS`, with reflectances by wavelength or `LAB_L`, `LAB_A`, `LAB_B`.
+pub(crate) fn stacks(text: &str) -> Result<CgatsStacks> {
+    let table = CgatsTable::read(text)?;
+    table.refuse_other_quantities()?;
+    let slabs = table.column("SLABS").context("the CGATS table has no column SLABS")?;
+    let bands: Vec<(usize, f64)> = table.columns.iter().enumerate().filter_map(band).collect();
+    let lab = ["LAB_L", "LAB_A", "LAB_B"].map(|name| table.column(name));
+    let (columns, white): (Vec<usize>, f64) = match lab {
+        _ if !bands.is_empty() => (bands.iter().map(|(column, _)| *column).collect(), table.white(&bands)?),
+        [Some(l), Some(a), Some(b)] => (vec![l, a, b], 1.0),
+        _ => bail!("the CGATS table has neither reflectances by wavelength nor LAB_L, LAB_A and LAB_B"),
+    };
+    let error = table.number("STD_ERROR")?.unwrap_or(if bands.is_empty() { 0.0 } else { REPEATABILITY });
+    let row = |row: &CgatsRow| {
+        let value = |column: &usize| Ok(row.number(&table.columns, *column)? / white);
+        let values = columns.iter().map(value).collect::<Result<_>>()?;
+        Ok((normal(&row.cells[slabs]).into_owned(), values, error))
+    };
+    let channels = bands.iter().map(|(_, nm)| nm.to_string()).collect();
+    Ok(CgatsStacks { channels, rows: table.rows.iter().map(row).collect::<Result<_>>()? })
+}
+
 /// A patch with all of its readings.
 struct MeasuredPatch {
     name: String,

@@ -1,6 +1,7 @@
 //! Implements `farmctl measure`: fits the media of all materials of one set-up, from a measurement file or from the
 //! folder of a session.
 
+mod chart;
 pub(crate) mod question;
 #[cfg(test)]
 mod tests;
@@ -11,6 +12,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::error_budget;
 use farm_lab::capture::budget_blocks;
+use farm_lab::chart::is_chart;
 use farm_lab::document::Block;
 use farm_lab::measurement_file::MeasurementFile;
 use farm_lab::mixture_file::read_mixtures;
@@ -37,12 +39,12 @@ Examples:
   farmctl measure materials.csv                        with `lab`, computed if lacking
   farmctl measure examples/white.csv --dictionary paper
   farmctl measure white                                what `farmctl capture` wrote there
-  farmctl measure materials.csv -o media --plot media.svg
-  farmctl measure chart.csv --mixtures chart.toml      strong absorbers by dilution
+  farmctl measure dilutions.csv --mixtures inks.toml   strong absorbers by dilution
+  farmctl measure chart.csv -o media                   a chart of printed stacks
   farmctl measure materials.csv --objective paper      as the paper did")]
 pub(crate) struct MeasureArgs {
-    /// CSV with the profiles of all materials of one set-up, or a folder that `farmctl capture` wrote: its white reference
-    /// is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed if it does not exist.
+    /// CSV with the profiles of all materials of one set-up, a chart of stacks, or a folder that `farmctl capture` wrote:
+    /// its white reference is then taken for the scale factor (--mu 1), its report completed, and its dictionary computed.
     /// Without --dictionary, a farm on this machine that has none computes `lab` first.
     measurements: PathBuf,
     #[command(flatten)]
@@ -249,6 +251,14 @@ fn check_objective(objective: Objective, args: &MeasureArgs, is_session: bool) -
         () => return Ok(()),
     };
     bail!("--objective paper gives records of the dictionary without intervals: leave it out with {needs}")
+}
+
+/// Measures a chart of stacks, or profiles over an edge.
+pub(crate) async fn measured(global: &Global, args: MeasureArgs, output: &Output) -> Result<()> {
+    if is_chart(&args.measurements) {
+        return chart::run(&args, global.quiet, output);
+    }
+    run(global, Inputs::of(args)?, output).await
 }
 
 pub(crate) async fn run(global: &Global, inputs: Inputs, output: &Output) -> Result<()> {

@@ -11,15 +11,14 @@ use farm_lab::colour::{Colorimetry, delta_e_2000};
 use farm_lab::document::{Block, ValueTable};
 use farm_lab::grid_file::read_text;
 use farm_lab::media_file::MediaFile;
-use optics_model::measurement::wavelength_nm;
 use serde::Serialize;
 
 use super::view_args::ViewArgs;
 use crate::output::Output;
 use crate::prints::bases::PrintBase;
 use crate::prints::errors::lab_std_errors;
-use crate::prints::slabs::NamedSlab;
 use crate::prints::view::PrintView;
+use farm_lab::slabs::NamedSlab;
 use search::{ShareLimits, closest};
 
 #[derive(Debug, Args)]
@@ -137,14 +136,11 @@ fn data(args: &RecipeArgs) -> Result<RecipeJson> {
     let bases = [PrintBase::parsed(&args.over)?, PrintBase::parsed("black")?, PrintBase::parsed("white")?];
     let even = mixture(&names, &vec![1.0; names.len()], args.thickness);
     let even = PrintView::new(&file, &[even], &bases, &args.view.options())?;
-    let mut order: Vec<(Option<f64>, usize)> =
-        even.names().iter().enumerate().map(|(i, name)| (wavelength_nm(name), i)).collect();
-    order.sort_by(|a, b| a.0.unwrap_or(0.0).total_cmp(&b.0.unwrap_or(0.0)));
-    let nm: Vec<f64> = order.iter().filter_map(|(nm, _)| *nm).collect();
-    let is_spectral = nm.len() == order.len();
-    let colorimetry =
-        if is_spectral { Colorimetry::new(&nm, args.view.options().viewing).ok() } else { None };
-    let order = order.into_iter().map(|(_, i)| i).collect();
+    let channels = even.names();
+    let viewing = args.view.options().viewing;
+    let found = Colorimetry::for_channels(&channels, file.chart.as_ref(), viewing).ok();
+    let as_they_are = (0..channels.len()).collect();
+    let (colorimetry, order) = found.map_or((None, as_they_are), |(c, order)| (Some(c), order));
     let inks = InkMixer { args, file: &file, names, bases, even, colorimetry, order };
     let recipes = args.target.iter().map(|target| inks.recipe(target, &most)).collect::<Result<_>>()?;
     Ok(RecipeJson { thickness_mm: args.thickness, opacity: args.opacity, recipes })

@@ -15,8 +15,8 @@ use serde::Serialize;
 
 use crate::output::Output;
 use crate::prints::set_up::FoundSetUp;
-use crate::prints::slabs::NamedSlab;
 use crate::prints::view::{narrowest_peak, uncertain};
+use farm_lab::slabs::NamedSlab;
 
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -1,5 +1,6 @@
 //! Implements `farmctl validate`: compares a chart of printed patches with what measured media predict for it.
 
+mod stacks;
 #[cfg(test)]
 mod tests;
 mod wavelengths;
@@ -11,6 +12,7 @@ use anyhow::{Context, Result, bail};
 use clap::Args;
 use farm_figures::numbers::{fixed, short, significant, to_error};
 use farm_figures::{ChartPoint, chart_figure};
+use farm_lab::chart::is_chart;
 use farm_lab::colour::{Colorimetry, delta_e_2000};
 use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::MeasurementFile;
@@ -29,8 +31,8 @@ use crate::output::Output;
 use crate::prints::bases::PrintBase;
 use crate::prints::errors::{ErrorKey, changes, sum_std_error};
 use crate::prints::geometry::Geometry;
-use crate::prints::slabs::NamedSlab;
 use crate::prints::view::{PrintView, materials_of};
+use farm_lab::slabs::NamedSlab;
 use wavelengths::{left_out, measured_at};
 
 #[derive(Debug, Args)]
@@ -38,6 +40,7 @@ use wavelengths::{left_out, measured_at};
 Examples:
   farmctl validate media chart.csv --mixtures chart.toml
   farmctl validate media slabs.csv --over white --geometry 45:0
+  farmctl validate media stacks.csv                     printed stacks, with slabs, L, a and b
 
 The chart has the columns of a measurement, a row for a patch and channel, with an empty x_mm:
 material, channel, thickness_mm, x_mm, value, std_error. Tables of spectrophotometers in CGATS.17 are read as well;
@@ -136,6 +139,9 @@ pub(crate) struct ValidateJson {
 
 pub(crate) fn run(args: &ValidateArgs, output: &Output) -> Result<()> {
     args.figure.check(args.plot.as_deref())?;
+    if is_chart(&args.chart) {
+        return stacks::run(args, output);
+    }
     let media = MediaFile::read(&args.media)?;
     let mixtures = args.mixtures.as_deref().map(read_mixtures).transpose()?;
     let chart = output.read_measurements(&args.chart)?;
@@ -261,6 +267,11 @@ fn compared(
     let [thin, thick] = [slab, &thicker].map(|slab| view.values(std::slice::from_ref(slab)));
     let (thin, thick) = (thin?, thick?);
     let names = view.names();
+    // Each patch has an error of the model of its own.
+    let own_model = |(key, change): (ErrorKey, f64)| match key {
+        ErrorKey::Model { direction, .. } => (ErrorKey::Model { print: number, direction }, change),
+        _ => (key, change),
+    };
     let comparison = |at: usize| {
         let (value, error) = measured_at(names[at], &patch.values)?;
         let predicted = &found[at][0];
@@ -268,7 +279,7 @@ fn compared(
         let thickness = (ErrorKey::Thickness(number), thick[at][0] - thin[at][0]);
         let parts = DifferenceParts {
             own: error,
-            shared: [gain, thickness].into_iter().chain(changes(at, predicted)).collect(),
+            shared: [gain, thickness].into_iter().chain(changes(at, predicted).map(own_model)).collect(),
         };
         let expected = parts.std_error();
         Some(PatchJson {
@@ -307,7 +318,8 @@ fn colour(args: &ValidateArgs, patch: &ChartPatch, found: &[PatchJson]) -> Optio
 /// χ² of all values, dᵀ C⁻¹ d. Patches have errors of their own, C_p, and errors that they share, the columns of U; with
 /// A = Σ Uᵀ C_p⁻¹ U and b = Σ Uᵀ C_p⁻¹ d it is Σ dᵀ C_p⁻¹ d − bᵀ (1 + A)⁻¹ b (Woodbury).
 fn chi2(patches: &[Vec<PatchJson>]) -> f64 {
-    let is_of_patch = |key: &ErrorKey| matches!(key, ErrorKey::Gain(_) | ErrorKey::Thickness(_));
+    let is_of_patch =
+        |key: &ErrorKey| matches!(key, ErrorKey::Gain(_) | ErrorKey::Thickness(_) | ErrorKey::Model { .. });
     let all = patches.iter().flatten().flat_map(|p| &p.parts.shared).map(|(key, _)| *key);
     let columns: BTreeSet<ErrorKey> = all.filter(|key| !is_of_patch(key)).collect();
     let columns: BTreeMap<ErrorKey, usize> =

@@ -89,11 +89,8 @@ impl Surrogate<'_> {
     /// dictionary's.
     pub(crate) fn supported(&self, thickness_mm: f64) -> Result<(f64, f64), Invalid> {
         let (grid, axis) = (self.grid(), self.grid().thickness_mm());
-        let ranges = ranges(grid);
-        let within =
-            |(low, high): &(f64, f64)| (low * (1.0 - SAME)..=high * (1.0 + SAME)).contains(&thickness_mm);
-        if !ranges.iter().any(within) {
-            return Err(unsupported(axis, &ranges, thickness_mm));
+        if !predicts_thickness(grid, thickness_mm) {
+            return Err(unsupported(axis, &ranges(grid), thickness_mm));
         }
         // Beyond the first and the last thickness the axis of σ_t moves with the optical thickness.
         let (low, high) = self.limits()[SIGMA_T];
@@ -329,6 +326,13 @@ fn overlap(grid: &Grid, a: usize, b: usize) -> bool {
     let axis = grid.thickness_mm();
     let (low, high) = common(grid, axis[a.min(b)], axis[a.max(b)]);
     high - low > OVERLAP
+}
+
+/// Whether a dictionary of this grid predicts slabs of a thickness.
+pub fn predicts_thickness(grid: &Grid, thickness_mm: f64) -> bool {
+    let within =
+        |(low, high): &(f64, f64)| (low * (1.0 - SAME)..=high * (1.0 + SAME)).contains(&thickness_mm);
+    ranges(grid).iter().any(within)
 }
 
 /// The thicknesses that are predicted, as disjoint ranges.

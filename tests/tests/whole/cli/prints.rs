@@ -200,3 +200,67 @@ fn wrong_prints_are_refused() {
     let parts = [&white, "magenta with 1.49; a print has one"];
     fails_line(dir, "predict media.json white:1 magenta:1", &parts);
 }
+
+/// Stacks that look as predicted validate their media; others, and options of profiles, are refused by name.
+#[test]
+fn stacks_validate_their_media() {
+    let folder = prepared();
+    let mut chart = "slabs,channel,value\n".to_owned();
+    for stack in
+        [&["white:0.4"][..], &["magenta:0.1", "white:0.8"], &["white:0.1", "magenta:0.1", "white:0.8"]]
+    {
+        let found = predicted(folder.path(), &[stack, &POLISHED, &["--over", "0.5"]].concat());
+        for channel in found["channels"].as_array().unwrap() {
+            let value = number(&channel["bases"][0]["radiance_factor"]);
+            let name = channel["channel"].as_str().unwrap();
+            writeln!(chart, "{},{name},{value:.6}", stack.join(" ")).unwrap();
+        }
+    }
+    write(folder.path(), "stacks.csv", &chart);
+    let validate =
+        [&["validate", "media.json", "stacks.csv", "--over", "0.5", "--json"], &POLISHED[..]].concat();
+    let ran = run(folder.path(), &validate);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let found = json(&ran, "validate_stacks");
+    assert!(found["patches"] == 3 && number(&found["greatest"]) < 1e-4, "{found}");
+    let passed: Vec<String> = chart.lines().skip(1).map(|row| format!("{row},transmission\n")).collect();
+    write(folder.path(), "passed.csv", &format!("slabs,channel,value,geometry\n{}", passed.concat()));
+    fails_line(folder.path(), "validate media.json passed.csv", &["only reflected light is validated"]);
+    write(folder.path(), "other.csv", &chart.replace("magenta", "violet"));
+    fails_line(folder.path(), "validate media.json other.csv", &["material \"violet\" is not in the file"]);
+    fails_line(folder.path(), "measure stacks.csv --mu 1", &["--mu belongs to profiles over an edge"]);
+    fails_line(folder.path(), "measure stacks.csv --g 0.2..0.4", &["give one value, as --g 0.4"]);
+    fails_line(folder.path(), "chart white -o out", &["a chart of 1 materials is not valid"]);
+    fails_line(folder.path(), "chart white cyan --base red:1 -o out", &["--base red", "white, cyan"]);
+}
+
+/// A chart's patches are predicted for the geometry of each, over a base with a reflectance for each channel.
+#[test]
+fn patches_have_their_geometry_and_base() {
+    let folder = prepared();
+    let mut chart = "slabs,channel,value,geometry\n".to_owned();
+    let rho = |i: usize| 0.2 + 0.1 * i as f64;
+    for geometry in ["45:0", "d:8"] {
+        let over = (0..EXAMPLE_NM.len()).map(|i| rho(i).to_string()).collect::<Vec<_>>().join(",");
+        let args = ["magenta:0.3", "--geometry", geometry, "--roughness", "0", "--over", &over];
+        let found = predicted(folder.path(), &args);
+        for (i, nm) in EXAMPLE_NM.iter().enumerate() {
+            let value = number(&found["channels"][i]["bases"][i]["radiance_factor"]);
+            writeln!(chart, "magenta:0.3,{nm},{value:.6},{geometry}").unwrap();
+        }
+    }
+    write(folder.path(), "stacks.csv", &chart);
+    let base = |count: usize| {
+        let all = (0..count).map(|i| format!("{} = {}", EXAMPLE_NM[i], rho(i))).collect::<Vec<_>>();
+        format!("values = \"stacks.csv\"\nbase = {{ {} }}\n", all.join(", "))
+    };
+    write(folder.path(), "all.toml", &base(EXAMPLE_NM.len()));
+    let ran = run(folder.path(), &["validate", "media.json", "all.toml", "--roughness", "0", "--json"]);
+    assert_eq!(ran.code, 0, "{}", ran.stderr);
+    let found = json(&ran, "validate_stacks");
+    assert!(found["patches"] == 2 && number(&found["greatest"]) < 1e-4, "{found}");
+    assert_eq!(found["geometry"], "45:0, d:8");
+    write(folder.path(), "some.toml", &base(2));
+    let parts = ["base: no reflectance for channel ", "0, nor for all"];
+    fails_line(folder.path(), "validate media.json some.toml", &parts);
+}

@@ -27,6 +27,12 @@ pub(crate) struct Question<'a> {
 }
 
 impl Question<'_> {
+    /// Thicknesses of all slabs.
+    fn slabs_mm(&self) -> Vec<f64> {
+        let profiles = self.request.materials.iter().flat_map(|material| &material.profiles);
+        profiles.map(|profile| profile.thickness_mm).collect()
+    }
+
     /// The session's board, if a dictionary is for all boards.
     fn board(&self, dictionary: &str, grid: &Grid) -> Result<Vec<Channel>> {
         if !grid.scene().is_for_all_boards() {
@@ -60,7 +66,7 @@ pub(super) async fn ask(
 ) -> Result<Answer> {
     let mut wanted = own;
     if wanted.is_none() {
-        wanted = chosen_dictionary::of_an_empty_folder(global, question.given);
+        wanted = chosen_dictionary::of_an_empty_folder(global, question.given, &question.slabs_mm())?;
     }
     loop {
         match ask_once(global, wanted.as_ref(), question).await? {
@@ -86,7 +92,7 @@ async fn ask_once(
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
-            match chosen_dictionary::or_lacking(connection, question.given).await? {
+            match chosen_dictionary::or_lacking(connection, question.given, &question.slabs_mm()).await? {
                 Chosen::Complete(name) => name,
                 Chosen::Lacking(lacking) => return Ok(Asked::Lacks(lacking)),
             }

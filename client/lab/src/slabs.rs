@@ -4,7 +4,7 @@ use anyhow::{Context, Result, bail};
 
 /// A slab by the names of its materials.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct NamedSlab {
+pub struct NamedSlab {
     /// Materials and their shares by volume, which add up to 1.
     pub shares: Vec<(String, f64)>,
     pub thickness_mm: f64,
@@ -14,7 +14,7 @@ pub(crate) struct NamedSlab {
 const ROUNDED: f64 = 2e-3;
 
 /// `MATERIAL:MM`, or `MATERIAL=SHARE,MATERIAL=SHARE:MM`; `is_material` finds names, which may contain any of the signs.
-pub(crate) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<NamedSlab> {
+pub fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<NamedSlab> {
     let form = || {
         format!("slab {text:?}: MATERIAL:MM or MATERIAL=SHARE,MATERIAL=SHARE:MM is needed, as in white:0.5")
     };
@@ -45,9 +45,28 @@ pub(crate) fn parsed(text: &str, is_material: impl Fn(&str) -> bool) -> Result<N
     Ok(NamedSlab { shares, thickness_mm })
 }
 
+/// Slabs between blanks, from the top to the base; between `|` if names contain blanks.
+pub fn stack(text: &str) -> Result<Vec<NamedSlab>> {
+    let slab = |part: &str| parsed(part.trim(), |_| false);
+    if text.contains('|') {
+        text.split('|').map(slab).collect()
+    } else {
+        text.split_whitespace().map(slab).collect()
+    }
+}
+
 impl NamedSlab {
+    /// As it is typed: `white:0.5`, `white=0.9,cyan=0.1:0.5`.
+    pub fn text(&self) -> String {
+        let part = |(name, share): &(String, f64)| {
+            if *share == 1.0 { name.clone() } else { format!("{name}={share}") }
+        };
+        let parts: Vec<String> = self.shares.iter().map(part).collect();
+        format!("{}:{}", parts.join(","), self.thickness_mm)
+    }
+
     /// For display: `white 0.5 mm`, `90 % white + 10 % cyan 0.5 mm`.
-    pub(crate) fn label(&self) -> String {
+    pub fn label(&self) -> String {
         let part = |(name, share): &(String, f64)| {
             if *share == 1.0 { name.clone() } else { format!("{} % {name}", (1000.0 * share).round() / 10.0) }
         };
