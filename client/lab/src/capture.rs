@@ -8,6 +8,7 @@ mod captured;
 mod channels;
 mod globs;
 mod in_gel;
+mod new_session;
 mod picture;
 mod report;
 mod results;
@@ -21,6 +22,7 @@ pub use board_sheet::board_sheet;
 pub use budget::SessionErrors;
 pub use captured::{Captured, CapturedPart, CapturedSample};
 pub use channels::CapturedChannel;
+pub use new_session::{Purpose, SortedFolder, is_photograph, sort_folder};
 pub use report::{
     CaptureReport, CapturedRow, MeasureVerdict, Media, PrecisionRow, Simulated, budget_blocks, captured_rows,
     captured_table, estimate_blocks,

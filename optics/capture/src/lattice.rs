@@ -23,7 +23,7 @@ pub use edge::EdgeLine;
 pub(crate) use edge::{EdgeFrame, HALF_CROP_MM};
 pub(crate) use field::{BOARD_SLOPE, fields};
 pub use find::FreeEdge;
-pub(crate) use find::{LocatedBoard, find, free_edges};
+pub(crate) use find::{LocatedBoard, find, free_edges, free_length_px};
 pub(crate) use movement::FreeParts;
 pub(crate) use own_edge::own_edge;
 pub(crate) use patch::PatchRadiance;

@@ -15,6 +15,7 @@ mod board;
 mod calibration;
 mod camera_settings;
 mod check;
+mod content;
 mod estimate;
 mod flat;
 mod frame;
@@ -34,6 +35,7 @@ mod saturation;
 mod sfr;
 #[cfg(test)]
 mod testing;
+mod tiles;
 mod view;
 
 pub use bins::{BIN_MM, BINS, EdgeProfile};
@@ -42,6 +44,7 @@ pub use blue_cut::BlueCutShots;
 pub use board::{BareShots, Board};
 pub use calibration::{Calibration, PatchReading};
 pub use check::{ShotCheck, check_shot, find_edges};
+pub use content::{BoardGlance, ShotContent, board_subjects, content, dim_level};
 pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Area, Colour, Exposure, Frame, Levels, Pattern, Photo, Site};

@@ -1,5 +1,6 @@
 //! Accuracy and refusals of the evaluation of photographs, with simulated photographs whose true profile is known.
 
+mod contents;
 mod faults;
 mod figures;
 mod further_shots;

@@ -111,6 +111,75 @@ fn example_session_gives_the_true_profiles() {
     }
 }
 
+/// The example under a camera's names becomes a session with blanks, which `capture` names until they are filled in; then
+/// the profiles are those of the example to the bit. An existing session file is kept.
+#[test]
+fn folder_of_photographs_becomes_a_session() {
+    let folder = folder();
+    let order = ["dark_1", "dark_2", "flat_1", "flat_2", "chart_1", "board_1", "board_2"];
+    let slabs = ["white_05_1", "white_05_2", "white_05_3", "white_10_1", "white_10_2", "white_10_3"];
+    for (i, name) in order.iter().chain(&slabs).chain(&["chart_2"]).enumerate() {
+        let from = session().with_file_name(format!("{name}.dng"));
+        std::fs::copy(from, folder.path().join(format!("IMG_{:04}.dng", 812 + i))).unwrap();
+    }
+    write(folder.path(), "IMG_0001.cr3", "not a photograph that is read");
+    write(folder.path(), "notes.txt", "");
+    let sorted = run(folder.path(), &["capture", "--new", ".", "--json"]);
+    assert_eq!(sorted.code, 0, "{}", sorted.stderr);
+    let data = json(&sorted, "new_session");
+    let purposes = data["shots"].as_array().unwrap().iter().map(|shot| {
+        let number: u32 = shot["name"].as_str().unwrap()[4..8].parse().unwrap();
+        (number, shot["purpose"]["kind"].as_str().unwrap().to_owned(), shot["purpose"]["slab"].as_u64())
+    });
+    let mut purposes: Vec<_> = purposes.collect();
+    purposes.sort();
+    let kinds: Vec<&str> = purposes.iter().map(|(_, kind, _)| kind.as_str()).collect();
+    let expected =
+        [&["unused"][..], &["dark"; 2], &["flat"; 2], &["neutral"], &["bare"; 2], &["slab"; 6], &["neutral"]];
+    assert_eq!(kinds, expected.concat());
+    let slabs: Vec<u64> = purposes.iter().filter_map(|(_, _, slab)| *slab).collect();
+    assert_eq!(slabs, [1, 1, 1, 2, 2, 2]);
+    assert!(std::fs::read_to_string(folder.path().join("contact.html")).unwrap().contains("IMG_0820.dng"));
+
+    let blank = run(folder.path(), &["capture", "session.toml"]);
+    assert_ne!(blank.code, 0);
+    assert!(blank.stderr.contains("to be filled in") && blank.stderr.contains("line "), "{}", blank.stderr);
+    let file = folder.path().join("session.toml");
+    let mut text = std::fs::read_to_string(&file).unwrap();
+    let values = [
+        ("rho", "[0.956, 0.594, 0.361, 0.193, 0.090, 0.032]"),
+        ("std_error", "0.005"),
+        ("geometry", "\"own\""),
+        ("square_mm", "20"),
+        ("material", "\"white\""),
+        ("thickness_mm", "0.512\nthickness_std_error_mm = 0.003"),
+        ("material", "\"white\""),
+        ("thickness_mm", "1.006\nthickness_std_error_mm = 0.003"),
+    ];
+    for (key, value) in values {
+        text = text.replacen(&format!("{key} = \"?\""), &format!("{key} = {value}"), 1);
+    }
+    std::fs::write(&file, text).unwrap();
+    let captured = run(folder.path(), &["capture", "session.toml", "-o", "out", "--json"]);
+    assert_eq!(captured.code, 0, "{}", captured.stderr);
+    let example = std::fs::read_to_string(session()).unwrap();
+    let (before, after) = example.split_once("areas_px").unwrap();
+    let (_, target) = after.split_once("[target]").unwrap();
+    let plain = copy();
+    std::fs::write(plain.path().join("session.toml"), [before, "\n[target]", target].concat()).unwrap();
+    self::captured(plain.path(), &["-q"]);
+    let profiles = [folder.path(), plain.path()]
+        .map(|f| std::fs::read_to_string(f.join("out/measurements.csv")).unwrap());
+    assert!(
+        profiles[0]
+            .lines()
+            .filter(|line| !line.starts_with('#'))
+            .eq(profiles[1].lines().filter(|l| !l.starts_with('#')))
+    );
+    let again = run(folder.path(), &["capture", "--new", "."]);
+    assert!(again.code != 0 && again.stderr.contains("session.toml is not replaced"), "{}", again.stderr);
+}
+
 /// σ_t is within 5 %, with eight nodes of σ_t, one of g and 51,000 walks: the error of the whole chain.
 #[test]
 fn captured_folder_is_measured_and_reported() {

@@ -29,6 +29,11 @@ impl Thumbnail {
         Self { width, height, full: [frame.width(), frame.height()], values }
     }
 
+    /// The least mean number of each channel.
+    pub fn darkest(&self) -> [f64; 3] {
+        std::array::from_fn(|c| self.values.iter().map(|v| f64::from(v[c])).fold(f64::INFINITY, f64::min))
+    }
+
     /// An sRGB picture as a data URI: the black level is black, the brightest hundredth white.
     pub fn data_uri(&self, black: [f64; 3]) -> String {
         let above = |v: &[f32; 3], c: usize| (f64::from(v[c]) - black[c]).max(0.0);

@@ -22,6 +22,8 @@ use neutral::NeutralTable;
 use thickness::Thickness;
 
 const WHAT: &str = "session file";
+/// The place of a value that a person fills in.
+pub const BLANK: &str = "?";
 /// The field of dark shots.
 const DARK: &str = "camera.dark";
 
@@ -41,6 +43,21 @@ pub struct CaptureSession {
     pub record: SessionRecord,
     /// The text of the file.
     pub text: String,
+}
+
+/// The first field with [`BLANK`] in the place of its value.
+fn blank_field(table: &toml::Table) -> Option<String> {
+    table.iter().find_map(|(key, value)| match value {
+        toml::Value::String(text) if text == BLANK => Some(key.clone()),
+        toml::Value::Table(table) => Some(format!("{key}.{}", blank_field(table)?)),
+        toml::Value::Array(tables) => {
+            let tables = tables.iter().enumerate().filter_map(|(i, value)| Some((i, value.as_table()?)));
+            let mut fields =
+                tables.filter_map(|(i, table)| Some(format!("{key}[{i}].{}", blank_field(table)?)));
+            fields.next()
+        }
+        _ => None,
+    })
 }
 
 /// The photographs of red, green and blue, or of one band.
@@ -85,6 +102,13 @@ impl Sample {
 impl CaptureSession {
     pub fn read(path: &Path) -> Result<Self> {
         let text = read_text(path, WHAT)?;
+        let table: toml::Table = from_toml(&text, path, WHAT)?;
+        if let Some(field) = blank_field(&table) {
+            let lines = text.lines().enumerate().filter(|(_, line)| line.contains(&format!("= {BLANK:?}")));
+            let lines: Vec<String> = lines.map(|(i, _)| (i + 1).to_string()).collect();
+            let allowed = format!("to be filled in, as on each of the lines {}", lines.join(", "));
+            return Err(in_file(Invalid::new(field, format!("{BLANK:?}"), allowed), &text, path, WHAT));
+        }
         let file: SessionFile = from_toml(&text, path, WHAT)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         let scene = match &file.scene {

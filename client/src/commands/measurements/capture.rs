@@ -27,10 +27,12 @@ Examples:
   farmctl capture session.toml --measure                    both
   farmctl capture --check IMG_0815.dng                      is this photograph usable?
   farmctl capture --watch shots                             check each one while shooting
+  farmctl capture --new shots                               a session file from a folder of photographs
   farmctl capture --board board.pdf                         a board to print")]
 pub(crate) struct CaptureArgs {
     /// Session file in TOML: the photographs, and the known values of patches, board and slabs.
-    #[arg(required_unless_present_any = ["check", "board", "watch"], conflicts_with_all = ["check", "board", "watch"])]
+    #[arg(required_unless_present_any = ["check", "board", "watch", "new"],
+          conflicts_with_all = ["check", "board", "watch", "new"])]
     session: Option<PathBuf>,
     /// Folder to write: measurements.csv, session.json, scene.toml, grid.toml, report.html, report.json [default: the
     /// session file's name without its ending, with -capture if the photographs lie there].
@@ -45,7 +47,11 @@ pub(crate) struct CaptureArgs {
     /// Check every photograph that arrives in a folder, until Ctrl-C: for shooting tethered.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["board", "check"])]
     watch: Option<PathBuf>,
-    /// Colours of 2 × 2 pixels, row by row, for --check and --watch of mosaics whose files do not contain them.
+    /// Sort the photographs of a folder by what they show: writes session.toml, with "?" for what only you know, and
+    /// contact.html.
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["board", "check", "watch", "darks"])]
+    new: Option<PathBuf>,
+    /// Colours of 2 × 2 pixels, row by row, for --check, --new and --watch of mosaics whose files do not contain them.
     #[arg(long, value_name = "RGGB", conflicts_with_all = ["session", "board"])]
     pattern: Option<String>,
     /// Dark shots for --check and --watch, of photographs whose files do not contain the black level (TIFF, PNG, PGM).
@@ -66,9 +72,15 @@ pub(crate) async fn run(global: &Global, args: CaptureArgs, output: &Output) -> 
     if let Some(folder) = &args.watch {
         return check::watch(&args, folder, output).await;
     }
+    if let Some(folder) = &args.new {
+        return new_session(global, folder, args.pattern.as_deref(), output).map(|()| ExitCode::SUCCESS);
+    }
     let session = args.session.as_deref().context("name a session file")?;
     if session.is_dir() {
-        bail!("{} is a folder: name the session file in it, such as session.toml", session.display());
+        let folder = session.display();
+        bail!(
+            "{folder} is a folder: name the session file in it, such as session.toml, which `farmctl capture --new {folder}` makes"
+        );
     }
     let folder = match &args.output {
         Some(folder) => folder.clone(),
@@ -170,6 +182,30 @@ fn set_up(captured: &Captured) -> impl Iterator<Item = String> {
     );
     let further: Vec<String> = captured.parts.iter().flat_map(CapturedPart::further).collect();
     [board, further.join("; "), errors].into_iter().filter(|text| !text.is_empty())
+}
+
+/// Makes a session file for the photographs of a folder.
+fn new_session(global: &Global, folder: &Path, pattern: Option<&str>, output: &Output) -> Result<()> {
+    let bar = bar(global.quiet);
+    let sorted = capture::sort_folder(folder, pattern, |share| {
+        bar.set_position((share * STEPS as f64) as u64);
+        bar.set_message("looking at photographs");
+    });
+    bar.finish_and_clear();
+    let sorted = sorted?;
+    let [session, contact] = sorted.write(folder)?.map(|path| path.display().to_string());
+    let data =
+        json!({"session": session, "contact": contact, "shots": sorted.shots, "missing": sorted.missing()});
+    output.answer("new_session", &data, || {
+        vec![
+            sorted.table().block(),
+            Block::warnings(&sorted.missing()),
+            Block::Paragraph(format!("Written: {session}, and {contact} with all pictures.")),
+            Block::Paragraph(format!(
+                "Fill in each \"?\" of {session}, then: `farmctl capture {session} --measure`"
+            )),
+        ]
+    })
 }
 
 fn board(path: &Path, output: &Output) -> Result<()> {

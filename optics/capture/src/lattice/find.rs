@@ -90,6 +90,12 @@ pub(crate) fn free_edges(view: PhotoView<'_>) -> Result<[Option<FreeEdge>; 2], R
     }))
 }
 
+/// Length of all straight edges between black and white; None if these do not differ enough.
+pub(crate) fn free_length_px(view: PhotoView<'_>) -> Option<f64> {
+    let (found, _) = look(view, Contrast::of(view)?);
+    Some(found.iter().flatten().map(EdgeStretch::length).sum())
+}
+
 /// Scans, and repeats with plateaus farther from the edge if it is strongly blurred.
 fn look(view: PhotoView<'_>, contrast: Contrast) -> ([Vec<EdgeStretch>; 2], BoardEdges) {
     let shortest = SHORTEST * view.frame().width().min(view.frame().height()) as f64;

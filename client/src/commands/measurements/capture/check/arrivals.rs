@@ -6,10 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use anyhow::{Context, Result};
-
-/// Endings of files that lie next to photographs, and of incomplete ones.
-const OTHERS: [&str; 12] =
-    ["csv", "crdownload", "html", "json", "md", "part", "pdf", "svg", "tmp", "toml", "txt", "xmp"];
+use farm_lab::capture::is_photograph;
 
 /// The new photographs of a folder.
 #[derive(Debug)]
@@ -58,13 +55,6 @@ impl NewPhotographs {
         }
         Ok(files)
     }
-}
-
-/// Whether a file may be a photograph. Formats that cannot be read are checked too, since their refusal has the remedy.
-fn is_photograph(path: &Path) -> bool {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-    !name.starts_with('.') && !name.ends_with('~') && !OTHERS.contains(&ending.as_str())
 }
 
 #[cfg(test)]

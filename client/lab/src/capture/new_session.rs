@@ -1,0 +1,379 @@
+//! Makes a session file from a folder of photographs: sorts them by what they show and when they were taken, and leaves
+//! blank what only a person knows.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use optics_capture::{BoardGlance, Colour, Darks, ShotContent, board_subjects, content, dim_level};
+use serde::Serialize;
+
+use super::picture::Thumbnail;
+use super::session_file::BLANK;
+use super::shots::Shots;
+use crate::document::{Block, Document, Figure, PagePicture, ValueTable, escaped};
+use crate::whole_file::write_whole;
+
+/// Files that are written into the folder.
+const SESSION: &str = "session.toml";
+const CONTACT: &str = "contact.html";
+
+/// Endings of files that lie next to photographs, and of incomplete ones.
+const OTHERS: [&str; 12] =
+    ["csv", "crdownload", "html", "json", "md", "part", "pdf", "svg", "tmp", "toml", "txt", "xmp"];
+
+/// Even shots below this share of the brightest are of a light trap.
+const TRAP: f64 = 0.1;
+/// Fewest names without numbers from which on names say what photographs show: cameras count under one or two.
+const LEAST_STEMS: usize = 4;
+/// Largest difference of the levels of dark shots, as a share of the sensor's range.
+const SAME_BLACK: f64 = 0.001;
+/// Dark shots whose mean is used.
+const MOST_DARKS: usize = 4;
+
+/// The use of a photograph in a session.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Purpose {
+    Dark,
+    Flat,
+    Neutral,
+    Bare,
+    Haze,
+    InGel,
+    /// Slabs are numbered from 1 on.
+    Slab {
+        slab: usize,
+    },
+    Unused {
+        reason: String,
+    },
+}
+
+/// A photograph and its use.
+#[derive(Debug, Serialize)]
+pub struct SortedShot {
+    pub name: String,
+    pub purpose: Purpose,
+    #[serde(skip)]
+    taken_s: Option<f64>,
+    #[serde(skip)]
+    thumbnail: Option<Thumbnail>,
+}
+
+/// The photographs of a folder in the order in which a session lists them.
+#[derive(Debug)]
+pub struct SortedFolder {
+    pub shots: Vec<SortedShot>,
+    pattern: Option<String>,
+    /// Patches in a row, where a chart was found.
+    patches: Option<usize>,
+    /// Whether the names of files name what they show.
+    is_named: bool,
+}
+
+/// Whether a file may be a photograph. Formats that cannot be read count too, since their refusal has the remedy.
+pub fn is_photograph(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    !name.starts_with('.') && !name.ends_with('~') && !OTHERS.contains(&ending.as_str())
+}
+
+/// Sorts the photographs of a folder; `report` is called with the share that is done. The pattern is that of mosaics whose
+/// files state none.
+pub fn sort_folder(
+    folder: &Path,
+    pattern: Option<&str>,
+    mut report: impl FnMut(f64),
+) -> Result<SortedFolder> {
+    let files = photographs(folder)?;
+    let colours = pattern.map(super::pattern).transpose().map_err(|e| e.renamed("pattern"))?;
+    let looks = 2 * files.len();
+    let darks = dark_shots(&files, colours, |done| report(done as f64 / looks as f64))?;
+    let mut shots = Shots::new(colours, folder);
+    let mut seen: Vec<(String, Result<ShotContent>)> = Vec::new();
+    let mut first_size: Option<((usize, usize), String)> = None;
+    for (i, file) in files.iter().enumerate() {
+        report((files.len() + i) as f64 / looks as f64);
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let read = shots.read(file, "").and_then(|photo| {
+            let size = (photo.frame.width(), photo.frame.height());
+            let (first, of) = first_size.get_or_insert_with(|| (size, name.clone()));
+            if *first != size {
+                bail!("it has {} × {} pixels, {of} has {} × {}", size.0, size.1, first.0, first.1);
+            }
+            Ok(content(&photo, darks.clone())?)
+        });
+        seen.push((name, read));
+    }
+    let patches = seen.iter().find_map(|(_, seen)| match seen {
+        Ok(ShotContent::Patches(count)) => Some(*count),
+        _ => None,
+    });
+    let stems: BTreeSet<&str> = seen.iter().map(|(name, _)| stem(name)).collect();
+    let is_named = stems.len() >= LEAST_STEMS;
+    let purposes = purposes(&seen, is_named);
+    let mut about: BTreeMap<String, _> =
+        shots.into_inputs().into_iter().map(|input| (input.label.clone(), input)).collect();
+    let shot = |((name, _), purpose): ((String, _), Purpose)| {
+        let input = about.remove(&name);
+        let taken_s = input.as_ref().and_then(|input| input.about.taken_s);
+        SortedShot { purpose, taken_s, thumbnail: input.and_then(|input| input.thumbnail), name }
+    };
+    let mut shots: Vec<SortedShot> = seen.into_iter().zip(purposes).map(shot).collect();
+    let at = |shot: &SortedShot| shot.taken_s.unwrap_or(0.0);
+    shots.sort_by(|a, b| a.purpose.cmp(&b.purpose).then(at(a).total_cmp(&at(b))));
+    Ok(SortedFolder { shots, pattern: pattern.map(ToOwned::to_owned), patches, is_named })
+}
+
+fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
+    let place = || format!("photographs of {}", folder.display());
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(place)? {
+        let path = entry.with_context(place)?.path();
+        if path.is_file() && is_photograph(&path) {
+            files.push(path);
+        }
+    }
+    if files.is_empty() {
+        bail!("no photographs are in {}", folder.display());
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// The dark shots among photographs: the dimmest ones. Those that cannot be read are no dark shots.
+fn dark_shots(
+    files: &[PathBuf],
+    colours: Option<[Colour; 4]>,
+    mut report: impl FnMut(usize),
+) -> Result<Darks> {
+    let mut shots = Shots::new(colours, Path::new(""));
+    let mut dim: Vec<(f64, &PathBuf)> = Vec::new();
+    for (i, file) in files.iter().enumerate() {
+        report(i);
+        let level = shots.read(file, "").ok().and_then(|photo| dim_level(&photo));
+        dim.extend(level.map(|level| (level, file)));
+    }
+    let least = dim.iter().map(|(level, _)| *level).fold(f64::INFINITY, f64::min);
+    let mut darks = Darks::new();
+    for (_, file) in dim.iter().filter(|(level, _)| *level < least + SAME_BLACK).take(MOST_DARKS) {
+        darks.add(shots.read(file, "")?)?;
+    }
+    Ok(darks)
+}
+
+/// The uses of photographs; where names say more, slabs are those of their names.
+fn purposes(seen: &[(String, Result<ShotContent>)], is_named: bool) -> Vec<Purpose> {
+    let mut boards: Vec<(usize, &BoardGlance)> = Vec::new();
+    let mut brightest: f64 = 0.0;
+    for (i, (_, content)) in seen.iter().enumerate() {
+        match content {
+            Ok(ShotContent::Board(glance)) => boards.push((i, glance)),
+            Ok(ShotContent::Even(brightness)) => brightest = brightest.max(*brightness),
+            _ => {}
+        }
+    }
+    let has_trap = |content: &ShotContent| matches!(content, ShotContent::Even(b) if *b < TRAP * brightest);
+    let glances: Vec<BoardGlance> = boards.iter().map(|(_, glance)| (*glance).clone()).collect();
+    let (subjects, transparent) = board_subjects(&glances);
+    let haze = seen.iter().any(|(_, content)| content.as_ref().is_ok_and(has_trap));
+    let board = |i: usize| {
+        let place = boards.iter().position(|(at, _)| *at == i).unwrap_or_default();
+        match subjects[place] {
+            0 => Purpose::Bare,
+            // Gel over the board is measured together with the haze of the gel.
+            subject if haze && transparent.first() == Some(&subject) => Purpose::InGel,
+            _ if is_named => {
+                let same = boards.iter().position(|(at, _)| stem(&seen[*at].0) == stem(&seen[i].0));
+                Purpose::Slab { slab: same.unwrap_or(place) }
+            }
+            slab => Purpose::Slab { slab },
+        }
+    };
+    let unused = |reason| Purpose::Unused { reason };
+    let purpose = |(i, (_, content)): (usize, &(String, Result<ShotContent>))| match content {
+        Ok(ShotContent::Dark) => Purpose::Dark,
+        Ok(content) if has_trap(content) => Purpose::Haze,
+        Ok(ShotContent::Even(_)) => Purpose::Flat,
+        Ok(ShotContent::Patches(_)) => Purpose::Neutral,
+        Ok(ShotContent::Board(_)) => board(i),
+        Ok(ShotContent::Other) => unused("neither even nor a row of patches, and without a board".to_owned()),
+        Err(error) => unused(format!("{error:#}")),
+    };
+    let mut purposes: Vec<Purpose> = seen.iter().enumerate().map(purpose).collect();
+    let mut slabs: Vec<usize> = Vec::new();
+    for purpose in &mut purposes {
+        if let Purpose::Slab { slab } = purpose {
+            let known = slabs.iter().position(|known| known == slab);
+            *slab = 1 + known.unwrap_or_else(|| {
+                slabs.push(*slab);
+                slabs.len() - 1
+            });
+        }
+    }
+    purposes
+}
+
+impl SortedFolder {
+    fn names(&self, purpose: &Purpose) -> Vec<&str> {
+        let shots = self.shots.iter().filter(|shot| shot.purpose == *purpose);
+        shots.map(|shot| shot.name.as_str()).collect()
+    }
+
+    /// The slabs, each with the names of its shots.
+    pub fn slabs(&self) -> Vec<Vec<&str>> {
+        let mut slabs: Vec<&Purpose> = self.shots.iter().map(|shot| &shot.purpose).collect();
+        slabs.retain(|purpose| matches!(purpose, Purpose::Slab { .. }));
+        slabs.dedup();
+        slabs.into_iter().map(|purpose| self.names(purpose)).collect()
+    }
+
+    /// The photographs of each purpose.
+    pub fn table(&self) -> ValueTable {
+        let groups = self.shots.chunk_by(|a, b| a.purpose.title() == b.purpose.title());
+        let row = |shots: &[SortedShot]| {
+            let names: Vec<&str> = shots.iter().map(|shot| shot.name.as_str()).collect();
+            vec![shots[0].purpose.title(), shots.len().to_string(), names.join(", ")]
+        };
+        ValueTable::new("purpose | >shots | photographs", groups.map(row))
+    }
+
+    /// Shots that a session needs and the folder lacks.
+    pub fn missing(&self) -> Vec<String> {
+        let needed = [
+            (
+                Purpose::Dark,
+                2,
+                "dark shots (lens cap on): without them, the black level is that of the files",
+            ),
+            (Purpose::Flat, 2, "shots of an even sheet: without them, light is taken as even"),
+            (
+                Purpose::Neutral,
+                2,
+                "shots of a row of grey patches, before and after the slabs; for one certified panel, \
+              move its shots from `flat` to `neutral`",
+            ),
+            (Purpose::Bare, 2, "shots of the bare board"),
+        ];
+        let lacks = needed.into_iter().filter(|(purpose, least, _)| self.names(purpose).len() < *least);
+        let mut missing: Vec<String> = lacks
+            .map(|(purpose, least, what)| format!("{} of {least} {what}", self.names(&purpose).len()))
+            .collect();
+        if self.slabs().is_empty() {
+            missing.push("0 of 3 shots of a slab".to_owned());
+        }
+        missing
+    }
+
+    /// The session file, with [`BLANK`] for what only a person knows.
+    pub fn session_file(&self) -> String {
+        let patches = self.patches.map_or_else(|| "the".to_owned(), |count| format!("the {count}"));
+        let list = |purpose| toml::Value::from(self.names(&purpose)).to_string();
+        let mut text = format!(
+            "# Photographs by what they show: look at {CONTACT}. Replace each {BLANK:?}, then\n\
+             #   farmctl capture {SESSION} --measure\n\n\
+             [camera]\ndark = {}\nflat = {}\n",
+            list(Purpose::Dark),
+            list(Purpose::Flat)
+        );
+        if let Some(pattern) = &self.pattern {
+            let _ = writeln!(text, "pattern = {pattern:?}");
+        }
+        let _ = write!(
+            text,
+            "\n[neutral]\nshots = {}\n\
+             rho = {BLANK:?}           # reflectances of {patches} patches in their order, such as [0.956, 0.594]\n\
+             std_error = {BLANK:?}     # relative, from the certificate, such as 0.005\n\
+             geometry = {BLANK:?}      # of the certificate: \"8:h\", \"45:0\", or \"own\" for the session's own light\n\n\
+             [target]\nbare = {}\n",
+            list(Purpose::Neutral),
+            list(Purpose::Bare)
+        );
+        for (key, purpose) in [("haze", Purpose::Haze), ("in_gel", Purpose::InGel)] {
+            if !self.names(&purpose).is_empty() {
+                let _ = writeln!(text, "{key} = {}", list(purpose));
+            }
+        }
+        let _ = writeln!(text, "square_mm = {BLANK:?}     # measured side of the board's squares");
+        for shots in self.slabs() {
+            let material = material(shots[0]).filter(|_| self.is_named).unwrap_or(BLANK);
+            let _ = write!(
+                text,
+                "\n[[sample]]\nmaterial = {material:?}\n\
+                 thickness_mm = {BLANK:?}  # of a micrometer at five places, such as [0.508, 0.511, 0.507, 0.51, 0.509]\n\
+                 shots = {}\n",
+                toml::Value::from(shots)
+            );
+        }
+        text
+    }
+
+    /// A page with all photographs under what they are for.
+    pub fn contact_sheet(&self) -> String {
+        let pictures = self.shots.iter().filter_map(|shot| shot.thumbnail.as_ref());
+        let black = pictures.map(Thumbnail::darkest).reduce(|a, b| std::array::from_fn(|c| a[c].min(b[c])));
+        let figure = |shot: &SortedShot| {
+            let picture = shot.thumbnail.as_ref()?.data_uri(black.unwrap_or_default());
+            let name = escaped(&shot.name);
+            let drawing = format!("<img src=\"{picture}\" alt=\"{name}\" style=\"width:100%\">");
+            Some(Figure { pictures: vec![PagePicture::Drawing(drawing)], caption: shot.name.clone() })
+        };
+        let mut blocks: Vec<Block> = vec![Block::warnings(&self.missing())];
+        for shots in self.shots.chunk_by(|a, b| a.purpose.title() == b.purpose.title()) {
+            blocks.push(Block::heading(2, &shots[0].purpose.title()));
+            blocks.push(Block::Row(shots.iter().filter_map(figure).collect()));
+            let reasons = shots.iter().filter_map(|shot| match &shot.purpose {
+                Purpose::Unused { reason } => Some(format!("{}: {reason}", shot.name)),
+                _ => None,
+            });
+            blocks.push(Block::List(reasons.collect()));
+        }
+        Document { title: "Photographs by what they show".to_owned(), blocks }.page()
+    }
+
+    /// Writes session file and contact sheet into the folder; an existing session file is kept.
+    pub fn write(&self, folder: &Path) -> Result<[PathBuf; 2]> {
+        let here = folder == Path::new(".");
+        let [session, contact] =
+            [SESSION, CONTACT].map(|name| if here { PathBuf::from(name) } else { folder.join(name) });
+        if session.exists() {
+            bail!("{} is not replaced: delete or rename it first", session.display());
+        }
+        write_whole(&session, self.session_file().as_bytes())
+            .with_context(|| session.display().to_string())?;
+        write_whole(&contact, self.contact_sheet().as_bytes())
+            .with_context(|| contact.display().to_string())?;
+        Ok([session, contact])
+    }
+}
+
+impl Purpose {
+    /// The field of a session file that lists such shots.
+    pub fn title(&self) -> String {
+        match self {
+            Self::Dark => "camera.dark: no light".to_owned(),
+            Self::Flat => "camera.flat: an even sheet".to_owned(),
+            Self::Neutral => "neutral.shots: grey patches".to_owned(),
+            Self::Bare => "target.bare: the board".to_owned(),
+            Self::Haze => "target.haze: slip and gel over a light trap".to_owned(),
+            Self::InGel => "target.in_gel: the board under slip and gel".to_owned(),
+            Self::Slab { slab } => format!("sample {slab}: a slab"),
+            Self::Unused { .. } => "not used".to_owned(),
+        }
+    }
+}
+
+/// A name without its ending and the number of the shot.
+fn stem(name: &str) -> &str {
+    let name = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+    name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches(['_', '-', ' ', '.'])
+}
+
+/// The material in the name of a shot such as `white_05_1.dng`.
+fn material(name: &str) -> Option<&str> {
+    let name = stem(name).trim_end_matches("mm");
+    let name = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches(['_', '-', ' ', '.']);
+    (!name.is_empty()).then_some(name)
+}
