@@ -4,6 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use optics_capture::{BoardGlance, Colour, Darks, ShotContent, board_subjects, content, dim_level};
@@ -22,6 +23,10 @@ const CONTACT: &str = "contact.html";
 /// Endings of files that lie next to photographs, and of incomplete ones.
 const OTHERS: [&str; 12] =
     ["csv", "crdownload", "html", "json", "md", "part", "pdf", "svg", "tmp", "toml", "txt", "xmp"];
+
+/// Endings of cameras' own formats, which [`CONVERTER`] converts to DNG.
+const CAMERAS_OWN: [&str; 11] = ["3fr", "arw", "cr2", "cr3", "crw", "iiq", "nef", "orf", "pef", "raf", "rw2"];
+const CONVERTER: &str = "dnglab";
 
 /// Even shots below this share of the brightest are of a light trap.
 const TRAP: f64 = 0.1;
@@ -87,7 +92,7 @@ pub fn sort_folder(
     pattern: Option<&str>,
     mut report: impl FnMut(f64),
 ) -> Result<SortedFolder> {
-    let files = photographs(folder)?;
+    let files = converted(photographs(folder)?, CONVERTER)?;
     let colours = pattern.map(super::pattern).transpose().map_err(|e| e.renamed("pattern"))?;
     let looks = 2 * files.len();
     let darks = dark_shots(&files, colours, |done| report(done as f64 / looks as f64))?;
@@ -106,6 +111,15 @@ pub fn sort_folder(
             Ok(content(&photo, darks.clone())?)
         });
         seen.push((name, read));
+    }
+    if let [(name, Err(error)), others @ ..] = seen.as_slice()
+        && others.iter().all(|(_, seen)| seen.is_err())
+    {
+        bail!(
+            "none of {} photographs of {} can be used, such as {name}: {error:#}",
+            files.len(),
+            folder.display()
+        );
     }
     let patches = seen.iter().find_map(|(_, seen)| match seen {
         Ok(ShotContent::Patches(count)) => Some(*count),
@@ -140,6 +154,33 @@ fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
         bail!("no photographs are in {}", folder.display());
     }
     files.sort();
+    Ok(files)
+}
+
+/// The photographs with DNG files in the place of cameras' own, converted by a program if it is installed.
+fn converted(files: Vec<PathBuf>, converter: &str) -> Result<Vec<PathBuf>> {
+    let convert = |file: PathBuf| {
+        let ending = file.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        if !CAMERAS_OWN.contains(&ending.as_str()) {
+            return Ok(file);
+        }
+        let dng = file.with_extension("dng");
+        if dng.exists() {
+            return Ok(dng);
+        }
+        match Command::new(converter).arg("convert").args([&file, &dng]).output() {
+            Ok(_) if dng.exists() => Ok(dng),
+            Ok(ended) => {
+                let said = String::from_utf8_lossy(&ended.stderr);
+                bail!("{converter} does not convert {}: {}", file.display(), said.trim())
+            }
+            // It is refused when it is read, with the remedy.
+            Err(_) => Ok(file),
+        }
+    };
+    let mut files = files.into_iter().map(convert).collect::<Result<Vec<_>>>()?;
+    files.sort();
+    files.dedup();
     Ok(files)
 }
 
@@ -374,6 +415,47 @@ fn stem(name: &str) -> &str {
 /// The material in the name of a shot such as `white_05_1.dng`.
 fn material(name: &str) -> Option<&str> {
     let name = stem(name).trim_end_matches("mm");
-    let name = name.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches(['_', '-', ' ', '.']);
+    let name =
+        name.trim_end_matches(|c: char| c.is_ascii_digit() || c == '.').trim_end_matches(['_', '-', ' ']);
     (!name.is_empty()).then_some(name)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    use super::*;
+
+    /// The number of the shot is no part of a name, and the thickness none of the material.
+    #[test]
+    fn names_give_slabs_and_materials() {
+        assert_eq!(["white_05_1.dng", "IMG_0812.DNG", "12.dng"].map(stem), ["white_05", "IMG", ""]);
+        let materials = ["white_05_1.dng", "clear blue 0.5mm-2.tif", "07.dng"].map(material);
+        assert_eq!(materials, [Some("white"), Some("clear blue"), None]);
+    }
+
+    /// A camera's own file is converted once if the program is there, and kept otherwise; a failure names the file and what
+    /// the program said.
+    #[test]
+    fn cameras_own_files_are_converted() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str| folder.path().join(name);
+        let program = |text: &str| {
+            let path = file("converter");
+            std::fs::write(&path, format!("#!/bin/sh\n{text}\n")).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+            path.to_str().unwrap().to_owned()
+        };
+        std::fs::write(file("a.CR3"), "raw").unwrap();
+        let files = || vec![file("a.CR3"), file("b.dng")];
+        assert_eq!(converted(files(), "/no/such/program").unwrap(), files());
+        let failed = converted(files(), &program("echo unknown camera >&2; exit 1")).unwrap_err().to_string();
+        assert!(failed.contains("a.CR3: unknown camera"), "{failed}");
+        let copies = program("[ \"$1\" = convert ] && cp \"$2\" \"$3\"");
+        for _ in 0..2 {
+            assert_eq!(converted(files(), &copies).unwrap(), [file("a.dng"), file("b.dng")]);
+        }
+        let both = vec![file("a.CR3"), file("a.dng")];
+        assert_eq!(converted(both, "/no/such/program").unwrap(), [file("a.dng")]);
+    }
 }
