@@ -93,27 +93,38 @@ fn commands_in_one_folder_do_not_interfere() {
     }
 }
 
-/// An interrupted submission reports that it was interrupted, and continues with the next command.
+/// An interrupted submission reports that it was interrupted, and continues with the same command. Other commands do not
+/// compute it before theirs, whether it was ended or killed.
 #[test]
 fn interrupted_submission_can_continue_later() {
     let dir = folder();
     write(dir.path(), "long.toml", GRID);
-    let mut submit = farmctl(dir.path())
-        .args(["submit", "long.toml"])
-        .env("FARM_PACE_MS", "60000")
-        .stdout(std::process::Stdio::piped())
-        .stderr(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let pid = submit.id().to_string();
-    // After the first line of progress it can be interrupted. The pipe's buffer holds the rest.
-    let mut stderr = submit.stderr.take().unwrap();
-    assert!(first_progress(&mut stderr).contains("of the work"));
-    assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
-    let ran: Ran = submit.wait_with_output().unwrap().into();
-    assert_eq!(ran.code, 130, "{}", ran.stdout);
-    assert!(ran.stdout.contains("submit again to continue"), "{}", ran.stdout);
+    for (number, signal) in ["-TERM", "-KILL"].into_iter().enumerate() {
+        let mut submit = farmctl(dir.path())
+            .args(["submit", "long.toml"])
+            .env("FARM_PACE_MS", "60000")
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        let pid = submit.id().to_string();
+        // After the first line of progress it can be interrupted. The pipe's buffer holds the rest.
+        let mut stderr = submit.stderr.take().unwrap();
+        assert!(first_progress(&mut stderr).contains("of the work"));
+        assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
+        let ended = submit.wait_with_output().unwrap();
+        if signal == "-TERM" {
+            let ran = Ran::from(ended);
+            assert_eq!(ran.code, 130, "{}", ran.stdout);
+            assert!(ran.stdout.contains("submit again to continue"), "{}", ran.stdout);
+        }
+        write(dir.path(), "other.toml", &format!("{GRID}seed = {number}\n"));
+        let name = format!("other-{number}");
+        assert_eq!(run(dir.path(), &["submit", "other.toml", "--name", &name, "-q"]).code, 0);
+        assert!(run(dir.path(), &["list"]).stdout.contains("long        interrupted"));
+    }
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
+    assert!(!run(dir.path(), &["list"]).stdout.contains("interrupted"));
 }
 
 /// A reader that closes the pipe causes no error message.

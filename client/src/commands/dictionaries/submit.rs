@@ -16,6 +16,7 @@ use tokio::task::block_in_place;
 
 use super::following::{self, follow};
 use super::forecast::Forecast;
+use super::interrupted::{continued, interrupt, set_aside};
 use super::list;
 use super::watch::line;
 use crate::cli::Global;
@@ -67,6 +68,7 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     };
     let name = DictionaryName::new(args.name.clone().unwrap_or(default_name))?;
     let (status, end) = with_farm(global, Purpose::Compute, async |connection| {
+        set_aside(connection).await?;
         submit(connection, &name, &grid, &args, global.quiet).await
     })
     .await?;
@@ -151,7 +153,7 @@ async fn submit(
     let forecast = is_wanted.then(|| block_in_place(|| Forecast::new(grid)));
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
-    let mut status = DictionaryStatus::try_from(submitted)?;
+    let mut status = continued(connection, DictionaryStatus::try_from(submitted)?).await?;
     if !args.wait && connection.is_server() {
         return Ok((status, SubmitEnd::Submitted));
     }
@@ -160,7 +162,13 @@ async fn submit(
     }
     match follow(connection, &mut status, quiet).await? {
         following::FollowEnd::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
-        end => Ok((status, SubmitEnd::Followed(end))),
+        end => {
+            if matches!(end, following::FollowEnd::Interrupted) {
+                // The next command does so where the farm has failed.
+                interrupt(connection, &status).await.ok();
+            }
+            Ok((status, SubmitEnd::Followed(end)))
+        }
     }
 }
 
