@@ -58,8 +58,8 @@ pub(crate) fn run(args: &PredictArgs, output: &Output) -> Result<()> {
     })
 }
 
-/// Input of OpenPrintTag's `rec_update.py`. A transmission distance is left out: its unit, HueForge TD, has no public
-/// definition.
+/// Input of OpenPrintTag's `rec_update.py`. L*a*b* is a comment: `primary_color_lab` must be measured (specification of
+/// June 2026). A transmission distance is left out: its unit, HueForge TD, has no public definition.
 fn tag(data: &PredictJson) -> Result<String> {
     let reason = || data.no_colours.clone().unwrap_or_default();
     let colours = data.colours.as_ref().with_context(|| format!("tag: no colour: {}", reason()))?;
@@ -69,15 +69,20 @@ fn tag(data: &PredictJson) -> Result<String> {
     let one =
         data.slabs[0].shares.first().filter(|_| data.slabs.len() == 1 && data.slabs[0].shares.len() == 1);
     let name = one.map_or_else(|| labels.join(" on "), |share| share.material.clone());
+    let lab = colour.colour.lab.map(|v| format!("{v:.2}")).join(", ");
     let name: String = name.chars().filter(|c| !c.is_control()).take(TAG_NAME).collect();
     Ok(format!(
         "# {:?} over {}, {}: predicted from measured media\ndata:\n  main:\n    material_class: SLA\n    \
-         material_name: {}\n    primary_color: {hex:?}\n",
+         material_name: {}\n    primary_color: {hex:?}\n    \
+         # predicted, {:?}, 2°, {}; the standard allows it for D65 and 2° if it is measured\n    \
+         # primary_color_lab: [{lab}]\n",
         labels.join(" on "),
         colour.base.name,
         data.seen(),
         // A string of JSON is one of YAML.
-        serde_json::to_string(&name)?
+        serde_json::to_string(&name)?,
+        colours.viewing.illuminant,
+        data.seen(),
     ))
 }
 
