@@ -67,8 +67,8 @@ fn estimates(material: &str, channel: &str, r: &Refined, is_captured: bool) -> V
             },
             is_observed: is_captured && is_photographed || !n.prior_std_error.is_finite(),
             distribution: "normal",
-            prior: n.prior_std_error,
-            posterior: n.std_error,
+            prior: width(n, n.prior_std_error),
+            posterior: width(n, n.std_error),
         }
     };
     let scene = |e: &SceneEstimate| InputEstimate {
@@ -104,10 +104,19 @@ fn row(all: &[InputEstimate]) -> Vec<String> {
     ]
 }
 
+/// The standard uncertainty of a quantity by that of its nuisance: the blur σ, in µm, has a variance in mm² as nuisance.
+fn width(n: &NuisanceEstimate, std_error: f64) -> f64 {
+    if n.nuisance != Nuisance::BlurVariance {
+        return std_error;
+    }
+    let variance = n.value.max(0.0);
+    1e3 * ((variance + std_error).sqrt() - variance.sqrt())
+}
+
 fn name_of(nuisance: Nuisance) -> (&'static str, &'static str) {
     match nuisance {
         Nuisance::Scale => ("white reference: scale factor 1/μ", ""),
-        Nuisance::BlurVariance => ("blur of the camera: variance", "mm²"),
+        Nuisance::BlurVariance => ("blur of the camera", "µm"),
         Nuisance::Thickness => ("thickness of a slab", "mm"),
         Nuisance::Origin => ("place of the edge", "mm"),
         Nuisance::Gain => ("gain of a profile", ""),

@@ -96,7 +96,8 @@ fn inputs_are_counted_once() {
     let estimate = |nuisance, profile_mm| NuisanceEstimate {
         nuisance,
         profile_mm,
-        value: 0.0,
+        // A blur of 40 µm.
+        value: 0.0016,
         std_error: 0.001,
         prior: 0.0,
         prior_std_error: 0.002,
@@ -124,7 +125,7 @@ fn inputs_are_counted_once() {
         ["white reference: scale factor 1/μ", "1", "0.002", "B"],
         ["thickness of a slab", "2", "0.002 mm", "B"],
         ["gain of a profile", "4", "0.002", "B"],
-        ["blur of the camera: variance", "2", "0.002 mm²", "A"],
+        ["blur of the camera", "2", "20 µm", "A"],
         ["place of the edge", "4", "0.002 mm", "A"],
     ];
     assert_eq!(rows(true), captured.map(|row| row.map(str::to_owned)));
