@@ -22,7 +22,7 @@ GROUPS = {
     "NuisanceEstimate SceneEstimate SourceShare ScaleCurve DistanceMap",
     "Planning": "Design SlabSet HalfWidths",
     "Profiles and prints": "Profile simulate predict Prediction Reflectance PrintColour",
-    "Errors": "FarmError InvalidArgument NotFound Deleted Refused Unavailable",
+    "Errors": "FarmError InvalidArgument NotFound Deleted NotInstalled Refused Unavailable",
 }
 ALIASES = "Path Materials Range Axis Slab Lab Array"
 # Special methods that are part of the interface.

@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import pandas as pd
+import pyarrow
 import pytest
 import xarray as xr
 
@@ -246,8 +247,9 @@ def test_media_are_arrays_over_wavelength(farm: resin_farm.Farm, white: resin_fa
 
 def test_files_and_frames_are_the_same_measurement(white: resin_farm.Measurement, tmp_path: pathlib.Path) -> None:
     frame = white.to_pandas()
-    (again,) = resin_farm.Measurement.from_pandas(frame)
-    same(again, white)
+    for table in (frame, pyarrow.Table.from_pandas(frame)):
+        (again,) = resin_farm.Measurement.from_pandas(table)
+        same(again, white)
     known = [
         resin_farm.MeasuredProfile(
             p.channel, p.thickness_mm, p.x_mm, p.values, np.full(p.values.shape, 0.01), origin_mm=0.1

@@ -12,6 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 
 import resin_farm
+from conftest import WHITE
 
 
 def test_the_bounds_of_protobuf_are_those_of_the_generated_modules() -> None:
@@ -63,6 +64,17 @@ def test_every_import_is_a_dependency() -> None:
     provided = {module for module, names in importlib.metadata.packages_distributions().items() if required & {*names}}
     optional = {*imports()} - {*sys.stdlib_module_names} - provided - {"resin_farm", "google"}
     assert optional == set().union(*(names for extra, names in extras().items() if extra != "all"))
+
+
+def test_programs_are_found_by_the_record_of_the_wheel(monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path) -> None:
+    """Wherever the wheel lies, and whatever the path; a missing program is an OSError, and no invalid measurement."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "embedded"))
+    assert resin_farm.read_measurements(WHITE)
+    monkeypatch.setenv("FARM_PROGRAMS", str(tmp_path))
+    with pytest.raises(OSError, match="farmctl is not there: looked in ") as missing:
+        resin_farm.read_measurements(tmp_path / "any.csv")
+    assert isinstance(missing.value, resin_farm.FarmError) and not isinstance(missing.value, ValueError)
 
 
 PROFILE = resin_farm.MeasuredProfile("R", 0.5, [-1, 0, 1], [0.1, 0.2, 0.3])

@@ -25,7 +25,7 @@ from resin_farm.channel_fit import (
 )
 from resin_farm.design import Design, HalfWidths, SlabSet
 from resin_farm.dictionary import Dictionary
-from resin_farm.errors import Deleted, FarmError, InvalidArgument, NotFound, Refused, Unavailable
+from resin_farm.errors import Deleted, FarmError, InvalidArgument, NotFound, NotInstalled, Refused, Unavailable
 from resin_farm.farm import Farm
 from resin_farm.grid import Grid
 from resin_farm.maps import DistanceMap
@@ -62,6 +62,7 @@ __all__ = [
     "MeasurementWarning",
     "Medium",
     "NotFound",
+    "NotInstalled",
     "NuisanceEstimate",
     "Prediction",
     "PrintColour",

@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 import time
 import weakref
+from typing import IO
 
 from resin_farm import _connection, _programs
 from resin_farm.errors import FarmError, Unavailable
@@ -25,8 +26,12 @@ class LocalFarm:
 
     def _start(self) -> None:
         # Its standard input is a pipe from this process, so that it ends with this process, however that ends.
-        errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
         command = [_programs.program("farmctl"), "--json", "--quiet", "--local", "--data", str(self.folder)]
+        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+            self.address = self._started(command, errors)
+
+    def _started(self, command: list[str], errors: IO[str]) -> str:
+        """The address of the process, once it serves the folder; it writes to a file what it reports."""
         self._process = subprocess.Popen(
             [*command, "serve", "--until-input-ends"],
             stdin=subprocess.PIPE,
@@ -45,7 +50,7 @@ class LocalFarm:
             errors.seek(0)
             why = json.loads(line)["data"]["message"] if line else errors.read().strip()
             raise FarmError(f"the farm of {self.folder} does not start: {why}")
-        self.address: str = json.loads(line)["data"]["address"]
+        return str(json.loads(line)["data"]["address"])
 
     def connection(self) -> _connection.Connection:
         return _connection.of_loopback(self.address)

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import os
 import pathlib
 import shutil
 import subprocess
-import sys
-import sysconfig
 from collections.abc import Sequence
 from typing import Any
 
-from resin_farm.errors import FarmError, InvalidArgument
+from resin_farm.errors import FarmError, InvalidArgument, NotInstalled
 
 
 def program(name: str) -> str:
-    """The path of a program: in the folder that FARM_PROGRAMS names, next to this Python, or on the path."""
+    """The path of a program: in the folder that FARM_PROGRAMS names, where the wheel was installed, or on the path.
+
+    Raises:
+        NotInstalled: if it is in none of them.
+    """
     named = os.environ.get("FARM_PROGRAMS")
-    folders = [named] if named else [sysconfig.get_path("scripts"), str(pathlib.Path(sys.executable).parent), None]
-    for folder in folders:
-        if found := shutil.which(name, path=folder):
-            return found
-    raise FarmError(f"{name} is not there: looked in {named or 'the scripts of this Python and on the path'}")
+    if not named and (recorded := _recorded(name)):
+        return recorded
+    if found := shutil.which(name, path=named or None):
+        return found
+    raise NotInstalled(f"{name} is not there: looked in {named or 'the files of the wheel and on the path'}")
+
+
+def _recorded(name: str) -> str | None:
+    """The path of a program by the wheel's own record of its files, which holds for each kind of installation."""
+    try:
+        files = importlib.metadata.files("resin-farm")
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    places = (pathlib.Path(str(file.locate())).resolve() for file in files or [] if file.name == name)
+    return next((str(place) for place in places if os.access(place, os.X_OK)), None)
 
 
 def farmctl(arguments: Sequence[str], *, timeout: float | None = None) -> dict[str, Any]:

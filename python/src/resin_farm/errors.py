@@ -23,6 +23,10 @@ class InvalidArgument(FarmError, ValueError):
         self.fields = fields or {}
 
 
+class NotInstalled(FarmError, FileNotFoundError):
+    """A program of the farm is not there."""
+
+
 class NotFound(FarmError, LookupError):
     """There is no dictionary of this name."""
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from resin_farm import _display, _optional, _plots, _programs
 from resin_farm._wire import model_pb2
-from resin_farm.errors import FarmError, InvalidArgument
+from resin_farm.errors import FarmError, InvalidArgument, NotInstalled
 from resin_farm.medium import Array
 
 if TYPE_CHECKING:
@@ -141,16 +141,23 @@ class Measurement:
         return tuple(sorted({profile.thickness_mm for profile in self.profiles}))
 
     @classmethod
-    def from_pandas(cls, frame: pandas.DataFrame) -> list[Measurement]:
+    def from_pandas(cls, frame: pandas.DataFrame | Any) -> list[Measurement]:
         """The materials of a frame, which is checked as a file is.
 
         Args:
-            frame: with the columns of a measurement file: material, channel, thickness_mm, x_mm, value and optionally
-                std_error and the set-up of each profile.
+            frame: of pandas, or a table with the Arrow stream that polars, pyarrow and others offer, with the columns
+                of a measurement file: material, channel, thickness_mm, x_mm, value and optionally std_error and the
+                set-up of each profile.
 
         Raises:
             InvalidArgument: if columns are missing, or values are such that no medium can show them.
+            ImportError: if pandas or pyarrow is not installed for a table of another library.
         """
+        if not hasattr(frame, "to_csv"):
+            _optional.require("data", "pandas", "pyarrow")
+            import pyarrow
+
+            frame = pyarrow.table(frame).to_pandas()
         with tempfile.TemporaryDirectory() as folder:
             file = pathlib.Path(folder, "frame.csv")
             # In quotes a name may begin with #, which begins a comment otherwise.
@@ -265,6 +272,8 @@ def _read(path: str, name: str | None) -> list[Measurement]:
     """Reads a file through farmctl; messages refer to it by `name`."""
     try:
         found = _programs.farmctl(["check", path])
+    except NotInstalled:
+        raise
     except FarmError as error:
         message = error.message.replace(f"measurement {path}", name) if name else error.message
         raise InvalidArgument(message) from None

@@ -43,8 +43,8 @@ fn plain_shots_are_recognised_by_content() {
     }
 }
 
-/// Slabs differ if their profiles differ by some hundredths, and are one if they were laid down 1 mm off. The bare board has the most contrast, also among white slabs, clear ones, and ones that let no light through;
-/// gel lowers it a little.
+/// Slabs differ if their profiles differ by some hundredths, and are one if they were laid down 1 mm off. The bare board
+/// has the most contrast, also among white slabs, clear ones, and ones that let no light through; gel lowers it a little.
 #[test]
 fn board_shots_are_grouped_by_slab() {
     let camera = Camera::default();
