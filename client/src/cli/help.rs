@@ -25,8 +25,8 @@ const FIRST: [&str; 10] = [
 const OTHERS: &str = "\
 Other commands, each with its --help; `farmctl --help-all` describes them:
   media          chart, compare, recipe, translucency, validate
-  dictionaries   list, show, watch, wait, explain, pause, resume, cancel, retry, priority,
-                 delete, export
+  dictionaries   list, data, show, watch, wait, explain, pause, resume, cancel, retry,
+                 priority, delete, export
   the paper      fit, scale, map, profile, similar
   the farm       serve, workers, events, doctor, backup, restore, health, access, slurm
   the shell      completions, manual

@@ -1,5 +1,6 @@
 //! Commands that compute, follow, list, show and export dictionaries.
 
+mod data;
 pub(crate) mod explain;
 pub(crate) mod export;
 mod following;
@@ -31,6 +32,8 @@ Examples:
   farmctl list
   farmctl list --data /scratch/farm-data")]
     List,
+    /// List what takes room, and delete what will not be finished.
+    Data(data::DataArgs),
     /// Show the details of a dictionary.
     Show(show::ShowArgs),
     /// Follow the progress of a dictionary until it ends; the exit code is that of its end.
@@ -75,6 +78,7 @@ impl DictionaryCommand {
         match self {
             Self::Submit(args) => return submit::run(global, args, output).await,
             Self::List => list::run(global, output).await?,
+            Self::Data(args) => data::run(global, &args, output).await?,
             Self::Show(args) => show::run(global, args, output).await?,
             Self::Watch(args) => return watch::watch(global, &args.name, output).await,
             Self::Wait(args) => return watch::wait(global, args, output).await,

@@ -123,8 +123,16 @@ fn interrupted_submission_can_continue_later() {
         assert_eq!(run(dir.path(), &["submit", "other.toml", "--name", &name, "-q"]).code, 0);
         assert!(run(dir.path(), &["list"]).stdout.contains("long        interrupted"));
     }
+    let removed = || json(&run(dir.path(), &["data", "--remove-unfinished", "--json"]), "data");
+    assert_eq!(removed()["removed"], serde_json::json!(["long"]));
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
     assert!(!run(dir.path(), &["list"]).stdout.contains("interrupted"));
+    let data = removed();
+    assert_eq!(data["removed"], serde_json::json!([]), "only what is not done is removed");
+    let (rooms, all) = (data["dictionaries"].as_array().unwrap(), data["database_bytes"].as_f64().unwrap());
+    assert_eq!(rooms.len(), 3);
+    let sum: f64 = rooms.iter().map(|room| room["bytes"].as_f64().unwrap()).sum();
+    assert!((0.5..1.0).contains(&(sum / all)), "{data}");
 }
 
 /// A reader that closes the pipe causes no error message.

@@ -38,8 +38,7 @@ impl Forecast {
             }
         }
         let mean = times.iter().sum::<f64>() / times.len().max(1) as f64;
-        // All jobs have records of one size.
-        let bytes = (grid.job_count() * PackedRecords::bytes_of(&JobSpec::of(grid, 0))) as u64;
+        let bytes = grid.job_count() as u64 * job_bytes(grid);
         Self { time: Duration::from_secs_f64(mean * sets.len() as f64), bytes }
     }
 
@@ -55,6 +54,11 @@ impl Forecast {
             (self.bytes as f64 / 1e6).max(1.0),
         )
     }
+}
+
+/// Room that the records of a job take in the store: all have one size.
+pub(super) fn job_bytes(grid: &Grid) -> u64 {
+    PackedRecords::bytes_of(&JobSpec::of(grid, 0)) as u64
 }
 
 /// Places between 0 and 1 after van der Corput: any first few of them are spread evenly.
