@@ -4,7 +4,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
 use farm_proto::wire::{Dictionary, GetRequest, JobStates, StatusRequest, WatchJobsRequest, WatchRequest};
@@ -15,6 +15,7 @@ use tonic::{Code, Status, Streaming};
 use crate::connection::Connection;
 use crate::connection::outage::Outage;
 use crate::interrupt::interrupted;
+use crate::output::grouped;
 use crate::progress::{Cells, Progress};
 
 /// A coordinator repeats its state every ten seconds: after this time without a message the connection is dead, or the
@@ -23,6 +24,9 @@ const SILENCE: Duration = Duration::from_mins(1);
 
 /// After this time without a running job, the client checks whether any worker is connected.
 const IDLE: Duration = Duration::from_secs(10);
+
+/// Time between two looks at whether results can be stored.
+const LOOK_AT_STORE: Duration = Duration::from_secs(5);
 
 /// The end of following a dictionary.
 pub(crate) enum FollowEnd {
@@ -100,6 +104,8 @@ struct Following<'a> {
     outage: Outage<'a>,
     /// When a job was last running; `None` once the lack of workers is reported.
     busy: Option<Instant>,
+    /// Whether it is reported that results cannot be stored.
+    is_stuck: bool,
 }
 
 impl<'a> Following<'a> {
@@ -112,7 +118,7 @@ impl<'a> Following<'a> {
         let progress = Progress::new(status, quiet);
         let cells = (with_jobs && progress.has_room()).then(|| Cells::new(&status.grid));
         let busy = (!progress.is_quiet()).then(Instant::now);
-        Self { connection, status, progress, cells, outage: Outage::new(connection), busy }
+        Self { connection, status, progress, cells, outage: Outage::new(connection), busy, is_stuck: false }
     }
 
     async fn run(mut self) -> Result<FollowEnd> {
@@ -139,8 +145,10 @@ impl<'a> Following<'a> {
     /// Applies the coordinator's updates until the dictionary has ended.
     async fn listen(&mut self) -> Result<()> {
         let (mut updates, mut jobs) = self.subscribe().await?;
+        let mut look = tokio::time::interval(LOOK_AT_STORE);
         loop {
             tokio::select! {
+                _ = look.tick() => self.look_at_store().await?,
                 update = timeout(SILENCE, updates.message()) => {
                     let Ok(update) = update else {
                         (updates, jobs) = self.subscribe().await?;
@@ -199,6 +207,28 @@ impl<'a> Following<'a> {
             self.progress.print(&format!(
                 "no worker is connected: start one with `farm-worker --server {server}`, or with its access file"
             ));
+        }
+        Ok(())
+    }
+
+    /// Reports once that results cannot be stored. A farm in this process would compute in vain: the command ends.
+    async fn look_at_store(&mut self) -> Result<()> {
+        let fault = self.connection.farm().status(StatusRequest {}).await?.into_inner().store_fault;
+        if fault.is_empty() {
+            self.is_stuck = false;
+            return Ok(());
+        }
+        if self.connection.is_embedded() {
+            let (done, total) = (self.status.records_done() as u64, self.status.records_total() as u64);
+            bail!(
+                "results cannot be stored: {fault}; {} of {} records are there: make room on the disk, and run the same \
+                 command again to continue",
+                grouped(done),
+                grouped(total)
+            );
+        }
+        if !std::mem::replace(&mut self.is_stuck, true) {
+            self.progress.print(&format!("results cannot be stored: {fault}; workers keep them meanwhile"));
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::process::Command;
 
 use farm_tests::farm::Farm;
 use farm_tests::grids::undisturbed;
-use farm_tests::process::{LONG, SOON, wait_for};
+use farm_tests::process::{LONG, SOON, run as run_farmctl, wait_for};
 use serde_json::Value;
 
 /// 240 records of 26 kB, which do not fit.
@@ -94,6 +94,28 @@ async fn full_disk_acknowledges_nothing() {
     assert_eq!(farm.stop_coordinator(), 0);
     assert_eq!(farm.record_rows().await, (RECORDS, 0));
     drop((worker, farm));
+    drop(disk);
+}
+
+/// Without a server the command ends with what to do, and continues once there is room.
+#[test]
+fn full_disk_ends_a_local_submission() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(disk) = Small::mount(folder.path().join("small"), "6m") else {
+        eprintln!("SKIPPED: only root may mount the small disk that this test needs");
+        return;
+    };
+    std::fs::write(folder.path().join("grid.toml"), GRID).unwrap();
+    let submit = ["submit", "grid.toml", "--data", "small/data", "--json"];
+    let full = run_farmctl(folder.path(), &submit);
+    assert_eq!(full.code, 1, "{}", full.stdout);
+    for part in ["results cannot be stored", "of 240 records are there", "make room on the disk"] {
+        assert!(full.stdout.contains(part), "{}", full.stdout);
+    }
+    disk.enlarge("256m");
+    let done = run_farmctl(folder.path(), &submit);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(done.stdout.contains(&undisturbed(GRID)), "{}", done.stdout);
     drop(disk);
 }
 
