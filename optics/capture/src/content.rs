@@ -19,7 +19,7 @@ pub enum ShotContent {
     Dark,
     /// An even area with this brightness as a share of the sensor's range: a sheet, a panel, or a light trap.
     Even(f64),
-    /// Grey patches in a row, and their number.
+    /// Grey patches in a row, and their number: 1 is a panel.
     Patches(usize),
     /// Squares of a board.
     Board(BoardGlance),
@@ -35,10 +35,13 @@ pub struct BoardGlance {
     columns: usize,
 }
 
-/// Largest brightness of a dark shot, and the largest spread of its samples, as shares of the sensor's range.
-const DARK: (f64, f64) = (0.1, 0.03);
-/// Largest brightness above the black level of a dark shot.
-const NO_LIGHT: f64 = 0.001;
+/// Largest number in a dark shot, and the largest spread of its samples, as shares of the sensor's range.
+const DARK: (f64, f64) = (0.25, 0.03);
+/// Largest difference of a dark shot from the black level of its file, likewise.
+const SAME: f64 = 0.003;
+/// Largest brightness above the black level of a dark shot, and of a shot of a light trap.
+const NO_LIGHT: f64 = 2e-4;
+const DIM: f64 = 0.04;
 /// Shortest edges of a board, as a share of the frame's shorter side.
 const BOARD: f64 = 0.5;
 /// Fewest patches of a row.
@@ -51,30 +54,59 @@ const DIFFERENT: f64 = 0.01;
 /// Tiles by which rims of a slab that is mounted again may be off.
 const OFF: usize = 2;
 
-/// The mean number of a photograph that may be a dark shot, as a share of the sensor's range: it is dim, and as even as
-/// noise leaves it. The black level need not be known.
-pub fn dim_level(photo: &Photo) -> Option<f64> {
-    let mut samples: Vec<u16> = photo.frame.samples().iter().step_by(7).copied().collect();
-    let mean = samples.iter().map(|s| f64::from(*s)).sum::<f64>() / samples.len() as f64;
-    samples.sort_unstable();
-    let at = |percent: usize| f64::from(samples[samples.len() * percent / 100]);
-    let range = white(photo);
-    (at(99) < DARK.0 * range && at(99) - at(1) < DARK.1 * range).then_some(mean / range)
+/// The numbers of a photograph's samples, whatever it shows.
+#[derive(Debug, Clone, Copy)]
+pub struct FrameNumbers {
+    pub mean: f64,
+    /// The lowest and the highest hundredth.
+    low: f64,
+    high: f64,
+    /// Mean black level of its file.
+    black: Option<f64>,
+    /// Highest white level of its file.
+    white: Option<f64>,
 }
 
-fn white(photo: &Photo) -> f64 {
-    let stated = photo.levels.white.map(|levels| levels.into_iter().fold(0.0, f64::max));
-    stated.unwrap_or(f64::from(u16::MAX))
+impl FrameNumbers {
+    pub fn of(photo: &Photo) -> Self {
+        let mut samples: Vec<u16> = photo.frame.samples().iter().step_by(7).copied().collect();
+        let mean = samples.iter().map(|s| f64::from(*s)).sum::<f64>() / samples.len() as f64;
+        samples.sort_unstable();
+        let at = |percent: usize| f64::from(samples[samples.len() * percent / 100]);
+        let black = photo.levels.black.map(|levels| levels.iter().sum::<f64>() / 4.0);
+        let white = photo.levels.white.map(|levels| levels.into_iter().fold(0.0, f64::max));
+        Self { mean, low: at(1), high: at(99), black, white }
+    }
+
+    /// The number at which the sensor saturates, as far as this photograph shows it.
+    pub fn most(&self) -> f64 {
+        self.white.unwrap_or(self.high)
+    }
+
+    /// Whether it may be a dark shot of a sensor with this range: at the black level of its file, or dim, and as even as
+    /// noise leaves it.
+    pub fn may_be_dark(&self, range: f64) -> bool {
+        let is_low = self.black.map_or(self.high < DARK.0 * range, |black| self.mean < black + SAME * range);
+        is_low && self.high - self.low < DARK.1 * range
+    }
 }
 
 /// The subject of a photograph. Without dark shots, the black level is that of its file.
-pub fn content(photo: &Photo, darks: Darks) -> Result<ShotContent, Refusal> {
+/// `most` is the number at which the sensor saturates.
+pub fn content(photo: &Photo, darks: Darks, most: f64) -> Result<ShotContent, Refusal> {
     let black = darks.finish(photo)?;
     let view = PhotoView { photo, black: &black, flat: &Flat::even() };
     let tiles = Tiles::of(view);
-    let brightness = tiles.median() / (white(photo) - mean_level(&black)).max(1.0);
-    if brightness < NO_LIGHT {
+    let range = (most - mean_level(&black)).max(1.0);
+    if tiles.brightness(50) < NO_LIGHT * range {
         return Ok(ShotContent::Dark);
+    }
+    let brightness = tiles.brightness(90) / range;
+    if brightness < DIM {
+        return Ok(ShotContent::Even(brightness));
+    }
+    if tiles.has_one_panel() {
+        return Ok(ShotContent::Patches(1));
     }
     let patches = tiles.patches_in_a_row();
     if patches >= PATCHES {

@@ -44,7 +44,7 @@ pub use blue_cut::BlueCutShots;
 pub use board::{BareShots, Board};
 pub use calibration::{Calibration, PatchReading};
 pub use check::{ShotCheck, check_shot, find_edges};
-pub use content::{BoardGlance, ShotContent, board_subjects, content, dim_level};
+pub use content::{BoardGlance, FrameNumbers, ShotContent, board_subjects, content};
 pub use estimate::{Contribution, Estimate, Source};
 pub use flat::{Flat, Flats};
 pub use frame::{Area, Colour, Exposure, Frame, Levels, Pattern, Photo, Site};

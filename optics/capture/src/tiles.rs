@@ -88,9 +88,18 @@ impl Tiles {
         (a - b).abs() < EVEN.0 * 0.5 * (a + b).abs() + self.floor
     }
 
-    /// The median in numbers above black level, in the brightest column.
-    pub fn median(&self) -> f64 {
-        self.light.iter().map(|light| percentile(light, 50)).fold(0.0, f64::max)
+    /// A percentile in numbers above black level, in the brightest column.
+    pub fn brightness(&self, hundredths: usize) -> f64 {
+        self.light.iter().map(|light| percentile(light, hundredths)).fold(0.0, f64::max)
+    }
+
+    /// Whether nearly all that is bright is one even rectangle within the frame.
+    pub fn has_one_panel(&self) -> bool {
+        let brightest = self.regions().into_iter().max_by(|a, b| green(a).total_cmp(&green(b)));
+        brightest.is_some_and(|panel| {
+            let bright = self.green().iter().filter(|light| **light > 0.5 * green(&panel)).count();
+            panel.tiles * 10 > bright * 9 && panel.tiles * 50 > self.green().len()
+        })
     }
 
     /// Means over 4 × 4 tiles, by column and row; and their number in a row of the frame.
@@ -132,7 +141,6 @@ impl Tiles {
                 let near = |k: usize| (r.middle[k] - middle[k]).abs() < 0.25 * first.size[k];
                 (0..2).all(near) && alike(r.size, first.size)
             };
-            let green = |r: &EvenRegion| r.light[r.light.len() / 2];
             let differs = |r: &&EvenRegion| {
                 (green(r) - green(last)).abs() > 2.0 * EVEN.0 * green(last).abs() + self.floor
             };
@@ -203,6 +211,11 @@ impl Tiles {
         let middle = [0.5 * (left + right + 1) as f64, 0.5 * (top + bottom + 1) as f64];
         Some(EvenRegion { middle, size: [width as f64, height as f64], light, tiles: tiles.len() })
     }
+}
+
+/// Light in green, or in the only channel.
+fn green(region: &EvenRegion) -> f64 {
+    region.light[region.light.len() / 2]
 }
 
 /// The value that this share of values does not exceed; 0 without values.

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result, bail};
-use optics_capture::{BoardGlance, Colour, Darks, ShotContent, board_subjects, content, dim_level};
+use optics_capture::{BoardGlance, Colour, Darks, FrameNumbers, ShotContent, board_subjects, content};
 use serde::Serialize;
 
 use super::picture::Thumbnail;
@@ -95,7 +95,7 @@ pub fn sort_folder(
     let files = converted(photographs(folder)?, CONVERTER)?;
     let colours = pattern.map(super::pattern).transpose().map_err(|e| e.renamed("pattern"))?;
     let looks = 2 * files.len();
-    let darks = dark_shots(&files, colours, |done| report(done as f64 / looks as f64))?;
+    let (darks, most) = dark_shots(&files, colours, |done| report(done as f64 / looks as f64))?;
     let mut shots = Shots::new(colours, folder);
     let mut seen: Vec<(String, Result<ShotContent>)> = Vec::new();
     let mut first_size: Option<((usize, usize), String)> = None;
@@ -108,7 +108,7 @@ pub fn sort_folder(
             if *first != size {
                 bail!("it has {} × {} pixels, {of} has {} × {}", size.0, size.1, first.0, first.1);
             }
-            Ok(content(&photo, darks.clone())?)
+            Ok(content(&photo, darks.clone(), most)?)
         });
         seen.push((name, read));
     }
@@ -184,25 +184,27 @@ fn converted(files: Vec<PathBuf>, converter: &str) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// The dark shots among photographs: the dimmest ones. Those that cannot be read are no dark shots.
+/// The dark shots among photographs, which are the dimmest ones, and the number at which the sensor saturates. Those that
+/// cannot be read are no dark shots.
 fn dark_shots(
     files: &[PathBuf],
     colours: Option<[Colour; 4]>,
     mut report: impl FnMut(usize),
-) -> Result<Darks> {
+) -> Result<(Darks, f64)> {
     let mut shots = Shots::new(colours, Path::new(""));
-    let mut dim: Vec<(f64, &PathBuf)> = Vec::new();
+    let mut all: Vec<(FrameNumbers, &PathBuf)> = Vec::new();
     for (i, file) in files.iter().enumerate() {
         report(i);
-        let level = shots.read(file, "").ok().and_then(|photo| dim_level(&photo));
-        dim.extend(level.map(|level| (level, file)));
+        all.extend(shots.read(file, "").ok().map(|photo| (FrameNumbers::of(&photo), file)));
     }
-    let least = dim.iter().map(|(level, _)| *level).fold(f64::INFINITY, f64::min);
+    let most = all.iter().map(|(numbers, _)| numbers.most()).fold(1.0, f64::max);
+    all.retain(|(numbers, _)| numbers.may_be_dark(most));
+    let least = all.iter().map(|(numbers, _)| numbers.mean).fold(f64::INFINITY, f64::min);
     let mut darks = Darks::new();
-    for (_, file) in dim.iter().filter(|(level, _)| *level < least + SAME_BLACK).take(MOST_DARKS) {
+    for (_, file) in all.iter().filter(|(n, _)| n.mean < least + SAME_BLACK * most).take(MOST_DARKS) {
         darks.add(shots.read(file, "")?)?;
     }
-    Ok(darks)
+    Ok((darks, most))
 }
 
 /// The uses of photographs; where names say more, slabs are those of their names.
@@ -310,7 +312,16 @@ impl SortedFolder {
 
     /// The session file, with [`BLANK`] for what only a person knows.
     pub fn session_file(&self) -> String {
-        let patches = self.patches.map_or_else(|| "the".to_owned(), |count| format!("the {count}"));
+        let rho = match self.patches {
+            Some(1) => {
+                "reflectance of the panel, such as [0.985]; list shots at other exposure times as `exposures`"
+                    .into()
+            }
+            Some(count) => {
+                format!("reflectances of the {count} patches in their order, such as [0.956, 0.594]")
+            }
+            None => "reflectances of the patches in their order, such as [0.956, 0.594]".to_owned(),
+        };
         let list = |purpose| toml::Value::from(self.names(&purpose)).to_string();
         let mut text = format!(
             "# Photographs by what they show: look at {CONTACT}. Replace each {BLANK:?}, then\n\
@@ -325,7 +336,7 @@ impl SortedFolder {
         let _ = write!(
             text,
             "\n[neutral]\nshots = {}\n\
-             rho = {BLANK:?}           # reflectances of {patches} patches in their order, such as [0.956, 0.594]\n\
+             rho = {BLANK:?}           # {rho}\n\
              std_error = {BLANK:?}     # relative, from the certificate, such as 0.005\n\
              geometry = {BLANK:?}      # of the certificate: \"8:h\", \"45:0\", or \"own\" for the session's own light\n\n\
              [target]\nbare = {}\n",

@@ -158,7 +158,7 @@ impl Shots {
             }
             (SampleLayout::Mosaic(None), None) => bail!(
                 "the file does not state the colours of its mosaic: set `pattern = \"RGGB\"`, or what the camera has, \
-                 under [camera], `--pattern` with --check (`dcraw -i -v` prints it as \"Filter pattern\"); of a \
+                 under [camera], `--pattern` with --check and --new (`dcraw -i -v` prints it as \"Filter pattern\"); of a \
                  monochrome camera with filters add a [[band]] for each; without, set `pattern = \"mono\"`, which \
                  gives three channels that are one"
             ),

@@ -1,7 +1,7 @@
 //! Recognises the subjects of photographs without a session file.
 
-use farm_tests::photograph::{Camera, Edge, Session, Slab, What};
-use optics_capture::{BoardGlance, Darks, Photo, ShotContent, board_subjects, content, dim_level};
+use farm_tests::photograph::{Board, Camera, Edge, Session, Slab, What};
+use optics_capture::{BoardGlance, Darks, FrameNumbers, Photo, ShotContent, board_subjects, content};
 
 use super::stage::{PLAIN, board, shots, slab, white};
 
@@ -19,23 +19,28 @@ fn under(share: f64, added: f64) -> Edge {
     })
 }
 
-/// Dark shots, sheets, patches and light traps, in light that changes by 6 % across the frame.
+/// Dark shots, sheets, patches, a panel and light traps, in light that changes by 6 % across the frame.
 #[test]
 fn plain_shots_are_recognised_by_content() {
     let camera = Camera { slope: [0.06, -0.03], ..Camera::default() };
     let mut session = Session::new(camera.clone(), slab());
-    let darks = darks(&session);
-    let seen = |photo: &Photo| content(photo, darks.clone()).unwrap();
+    let (darks, most) = (darks(&session), FrameNumbers::of(&session.shoot(What::Sheet, 0, &PLAIN)).most());
+    let seen = |photo: &Photo| content(photo, darks.clone(), most).unwrap();
     let shot = |session: &Session, what| session.shoot(what, 5, &PLAIN);
     assert!(matches!(seen(&shot(&session, What::Dark)), ShotContent::Dark));
-    assert!(dim_level(&shot(&session, What::Dark)).is_some());
+    let may_be_dark = |what| FrameNumbers::of(&session.shoot(what, 5, &PLAIN)).may_be_dark(most);
+    assert_eq!([What::Dark, What::Sheet, What::Bare].map(may_be_dark), [true, false, false]);
     let ShotContent::Even(sheet) = seen(&shot(&session, What::Sheet)) else { panic!("a sheet") };
     assert!(matches!(seen(&shot(&session, What::Chart)), ShotContent::Patches(6)));
     for what in [What::Bare, What::Slab] {
         assert!(matches!(seen(&shot(&session, what)), ShotContent::Board(_)), "{what:?}");
-        assert_eq!(dim_level(&shot(&session, what)), None);
     }
-    for haze in [0.004, 0.02] {
+    let grey = Board { light: [0.05; 3], dark: [0.05; 3], ..board() };
+    let panel =
+        Slab { board: grey, edge: Edge::new(|_, _| 0.9), rim_mm: [-6.0, 7.0, -5.0, 5.0], bubble: None };
+    session.lay(&camera, &panel);
+    assert!(matches!(seen(&shot(&session, What::Slab)), ShotContent::Patches(1)), "a panel");
+    for haze in [0.001, 0.004, 0.02] {
         let trap = Slab { edge: Edge::new(move |_, _| haze), rim_mm: [-60.0, 60.0, -60.0, 60.0], ..slab() };
         session.lay(&camera, &trap);
         let ShotContent::Even(light) = seen(&shot(&session, What::Slab)) else { panic!("haze {haze}") };
@@ -49,9 +54,9 @@ fn plain_shots_are_recognised_by_content() {
 fn board_shots_are_grouped_by_slab() {
     let camera = Camera::default();
     let mut session = Session::new(camera.clone(), slab());
-    let darks = darks(&session);
+    let (darks, most) = (darks(&session), FrameNumbers::of(&session.shoot(What::Sheet, 0, &PLAIN)).most());
     let glance = |photo: Photo| -> BoardGlance {
-        let ShotContent::Board(glance) = content(&photo, darks.clone()).unwrap() else {
+        let ShotContent::Board(glance) = content(&photo, darks.clone(), most).unwrap() else {
             panic!("{}", photo.label)
         };
         glance
