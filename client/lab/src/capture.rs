@@ -22,7 +22,7 @@ pub use board_sheet::board_sheet;
 pub use budget::SessionErrors;
 pub use captured::{Captured, CapturedPart, CapturedSample};
 pub use channels::CapturedChannel;
-pub use new_session::{Purpose, SortedFolder, is_photograph, sort_folder};
+pub use new_session::{Purpose, SESSION, SortedFolder, holds_photographs, is_photograph, sort_folder};
 pub use report::{
     CaptureReport, CapturedRow, MeasureVerdict, Media, PrecisionRow, Simulated, budget_blocks, captured_rows,
     captured_table, estimate_blocks,

@@ -10,7 +10,7 @@ use optics_model::fit::{FitCurves, MaterialFit};
 use optics_model::{Digest, Grid, Scene};
 use serde::Deserialize;
 
-use crate::capture::{CaptureReport, MeasureVerdict, Media, Simulated};
+use crate::capture::{CaptureReport, MeasureVerdict, Media, SESSION, Simulated, holds_photographs};
 use crate::document::Block;
 use crate::grid_file::read_grid_without_responses;
 use crate::record::SessionRecord;
@@ -78,10 +78,15 @@ impl SessionFolder {
     pub fn open(path: &Path) -> Result<Self> {
         let folder = Self { path: path.to_owned() };
         if !folder.measurements().exists() {
-            bail!(
-                "{} has no measurements.csv: give a folder that `farmctl capture` wrote, or a measurement file",
-                path.display()
-            );
+            let here = path.display();
+            let remedy = match (path.join(SESSION).exists(), holds_photographs(path)) {
+                (true, _) => format!("`farmctl capture {here}/{SESSION} --measure` measures its photographs"),
+                (_, true) => {
+                    format!("`farmctl capture --new {here}` makes a session file of its photographs")
+                }
+                _ => "give a folder that `farmctl capture` wrote, or a measurement file".to_owned(),
+            };
+            bail!("{here} has no measurements.csv: {remedy}");
         }
         Ok(folder)
     }

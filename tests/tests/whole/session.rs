@@ -124,6 +124,7 @@ fn folder_of_photographs_becomes_a_session() {
     }
     write(folder.path(), "IMG_0001.cr3", "not a photograph that is read");
     write(folder.path(), "notes.txt", "");
+    fails(folder.path(), &["measure", "."], &["`farmctl capture --new .` makes a session file"]);
     let sorted = run(folder.path(), &["capture", "--new", ".", "--json"]);
     assert_eq!(sorted.code, 0, "{}", sorted.stderr);
     let data = json(&sorted, "new_session");
@@ -141,6 +142,7 @@ fn folder_of_photographs_becomes_a_session() {
     assert_eq!(slabs, [1, 1, 1, 2, 2, 2]);
     assert!(std::fs::read_to_string(folder.path().join("contact.html")).unwrap().contains("IMG_0820.dng"));
 
+    fails(folder.path(), &["measure", "."], &["`farmctl capture ./session.toml --measure`"]);
     let blank = run(folder.path(), &["capture", "session.toml"]);
     assert_ne!(blank.code, 0);
     assert!(blank.stderr.contains("to be filled in") && blank.stderr.contains("line "), "{}", blank.stderr);

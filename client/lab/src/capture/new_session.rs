@@ -17,7 +17,7 @@ use crate::document::{Block, Document, Figure, PagePicture, ValueTable, escaped}
 use crate::whole_file::write_whole;
 
 /// Files that are written into the folder.
-const SESSION: &str = "session.toml";
+pub const SESSION: &str = "session.toml";
 const CONTACT: &str = "contact.html";
 
 /// Endings of files that lie next to photographs, and of incomplete ones.
@@ -83,6 +83,15 @@ pub fn is_photograph(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     !name.starts_with('.') && !name.ends_with('~') && !OTHERS.contains(&ending.as_str())
+}
+
+/// Whether a folder holds raw photographs.
+pub fn holds_photographs(folder: &Path) -> bool {
+    let is_raw = |path: &PathBuf| {
+        let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        CAMERAS_OWN.contains(&ending.as_str()) || ["dng", "tif", "tiff", "pgm"].contains(&ending.as_str())
+    };
+    photographs(folder).is_ok_and(|files| files.iter().any(is_raw))
 }
 
 /// Sorts the photographs of a folder; `report` is called with the share that is done. The pattern is that of mosaics whose
