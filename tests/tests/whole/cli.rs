@@ -118,6 +118,7 @@ fn interrupted_submission_can_continue_later() {
             assert_eq!(ran.code, 130, "{}", ran.stdout);
             assert!(ran.stdout.contains("submit again to continue"), "{}", ran.stdout);
         }
+        assert!(run(dir.path(), &["list"]).stdout.contains("long        interrupted"));
         write(dir.path(), "other.toml", &format!("{GRID}seed = {number}\n"));
         let name = format!("other-{number}");
         assert_eq!(run(dir.path(), &["submit", "other.toml", "--name", &name, "-q"]).code, 0);

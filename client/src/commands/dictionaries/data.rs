@@ -8,6 +8,7 @@ use farm_proto::wire::{DeleteRequest, StatusRequest};
 use serde::Serialize;
 
 use super::forecast::job_bytes;
+use super::interrupted::set_aside;
 use super::list;
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, patient, with_farm};
@@ -48,8 +49,11 @@ pub(crate) async fn run(global: &Global, args: &DataArgs, output: &Output) -> Re
 }
 
 async fn fetch(connection: &Connection, args: &DataArgs) -> Result<DataJson> {
-    let mut dictionaries = list::fetch(connection).await?;
     let mut removed = Vec::new();
+    if args.remove_unfinished {
+        set_aside(connection).await?;
+    }
+    let mut dictionaries = list::shown(connection).await?;
     if args.remove_unfinished {
         for unfinished in dictionaries.extract_if(.., |d| is_unfinished(d)) {
             let request = DeleteRequest { name: unfinished.name.to_string() };
