@@ -17,8 +17,10 @@ use crate::view::PhotoView;
 pub enum ShotContent {
     /// Nothing but the sensor's black level.
     Dark,
-    /// An even area with this brightness as a share of the sensor's range: a sheet, a panel, or a light trap.
-    Even(f64),
+    /// Next to no light, as over a light trap.
+    Dim,
+    /// An even area: a sheet, or a panel.
+    Even,
     /// Grey patches in a row, and their number: 1 is a panel.
     Patches(usize),
     /// Squares of a board.
@@ -101,9 +103,8 @@ pub fn content(photo: &Photo, darks: Darks, most: f64) -> Result<ShotContent, Re
     if tiles.brightness(50) < NO_LIGHT * range {
         return Ok(ShotContent::Dark);
     }
-    let brightness = tiles.brightness(90) / range;
-    if brightness < DIM {
-        return Ok(ShotContent::Even(brightness));
+    if tiles.brightness(90) < DIM * range {
+        return Ok(ShotContent::Dim);
     }
     if tiles.has_one_panel() {
         return Ok(ShotContent::Patches(1));
@@ -113,7 +114,7 @@ pub fn content(photo: &Photo, darks: Darks, most: f64) -> Result<ShotContent, Re
         return Ok(ShotContent::Patches(patches));
     }
     Ok(match free_length_px(view) {
-        None => ShotContent::Even(brightness),
+        None => ShotContent::Even,
         Some(edges_px) => {
             let shorter = photo.frame.width().min(photo.frame.height()) as f64;
             let is_board = edges_px >= BOARD * shorter;

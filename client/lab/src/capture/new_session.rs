@@ -28,8 +28,6 @@ const OTHERS: [&str; 12] =
 const CAMERAS_OWN: [&str; 11] = ["3fr", "arw", "cr2", "cr3", "crw", "iiq", "nef", "orf", "pef", "raf", "rw2"];
 const CONVERTER: &str = "dnglab";
 
-/// Even shots below this share of the brightest are of a light trap.
-const TRAP: f64 = 0.1;
 /// Fewest names without numbers from which on names say what photographs show: cameras count under one or two.
 const LEAST_STEMS: usize = 4;
 /// Largest difference of the levels of dark shots, as a share of the sensor's range.
@@ -134,7 +132,8 @@ pub fn sort_folder(
         Ok(ShotContent::Patches(count)) => Some(*count),
         _ => None,
     });
-    let stems: BTreeSet<&str> = seen.iter().map(|(name, _)| stem(name)).collect();
+    let words = seen.iter().map(|(name, _)| stem(name)).filter(|stem| stem.contains(char::is_alphabetic));
+    let stems: BTreeSet<&str> = words.collect();
     let is_named = stems.len() >= LEAST_STEMS;
     let purposes = purposes(&seen, is_named);
     let mut about: BTreeMap<String, _> =
@@ -219,18 +218,14 @@ fn dark_shots(
 /// The uses of photographs; where names say more, slabs are those of their names.
 fn purposes(seen: &[(String, Result<ShotContent>)], is_named: bool) -> Vec<Purpose> {
     let mut boards: Vec<(usize, &BoardGlance)> = Vec::new();
-    let mut brightest: f64 = 0.0;
     for (i, (_, content)) in seen.iter().enumerate() {
-        match content {
-            Ok(ShotContent::Board(glance)) => boards.push((i, glance)),
-            Ok(ShotContent::Even(brightness)) => brightest = brightest.max(*brightness),
-            _ => {}
+        if let Ok(ShotContent::Board(glance)) = content {
+            boards.push((i, glance));
         }
     }
-    let has_trap = |content: &ShotContent| matches!(content, ShotContent::Even(b) if *b < TRAP * brightest);
     let glances: Vec<BoardGlance> = boards.iter().map(|(_, glance)| (*glance).clone()).collect();
     let (subjects, transparent) = board_subjects(&glances);
-    let haze = seen.iter().any(|(_, content)| content.as_ref().is_ok_and(has_trap));
+    let haze = seen.iter().any(|(_, content)| matches!(content, Ok(ShotContent::Dim)));
     let board = |i: usize| {
         let place = boards.iter().position(|(at, _)| *at == i).unwrap_or_default();
         match subjects[place] {
@@ -247,8 +242,8 @@ fn purposes(seen: &[(String, Result<ShotContent>)], is_named: bool) -> Vec<Purpo
     let unused = |reason| Purpose::Unused { reason };
     let purpose = |(i, (_, content)): (usize, &(String, Result<ShotContent>))| match content {
         Ok(ShotContent::Dark) => Purpose::Dark,
-        Ok(content) if has_trap(content) => Purpose::Haze,
-        Ok(ShotContent::Even(_)) => Purpose::Flat,
+        Ok(ShotContent::Dim) => Purpose::Haze,
+        Ok(ShotContent::Even) => Purpose::Flat,
         Ok(ShotContent::Patches(_)) => Purpose::Neutral,
         Ok(ShotContent::Board(_)) => board(i),
         Ok(ShotContent::Other) => unused("neither even nor a row of patches, and without a board".to_owned()),

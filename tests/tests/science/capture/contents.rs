@@ -30,7 +30,7 @@ fn plain_shots_are_recognised_by_content() {
     assert!(matches!(seen(&shot(&session, What::Dark)), ShotContent::Dark));
     let may_be_dark = |what| FrameNumbers::of(&session.shoot(what, 5, &PLAIN)).may_be_dark(most);
     assert_eq!([What::Dark, What::Sheet, What::Bare].map(may_be_dark), [true, false, false]);
-    let ShotContent::Even(sheet) = seen(&shot(&session, What::Sheet)) else { panic!("a sheet") };
+    assert!(matches!(seen(&shot(&session, What::Sheet)), ShotContent::Even));
     assert!(matches!(seen(&shot(&session, What::Chart)), ShotContent::Patches(6)));
     for what in [What::Bare, What::Slab] {
         assert!(matches!(seen(&shot(&session, what)), ShotContent::Board(_)), "{what:?}");
@@ -43,8 +43,7 @@ fn plain_shots_are_recognised_by_content() {
     for haze in [0.001, 0.004, 0.02] {
         let trap = Slab { edge: Edge::new(move |_, _| haze), rim_mm: [-60.0, 60.0, -60.0, 60.0], ..slab() };
         session.lay(&camera, &trap);
-        let ShotContent::Even(light) = seen(&shot(&session, What::Slab)) else { panic!("haze {haze}") };
-        assert!(light < 0.05 * sheet, "{haze}: {light} {sheet}");
+        assert!(matches!(seen(&shot(&session, What::Slab)), ShotContent::Dim), "haze {haze}");
     }
 }
 
