@@ -29,8 +29,11 @@ use crate::cli::Global;
 pub(crate) enum Purpose {
     /// Queries an existing farm.
     Ask,
-    /// Computes; a local farm is created if necessary, with a worker.
+    /// Computes a dictionary; a local farm is created if necessary, with a worker. What other commands have left
+    /// unfinished waits.
     Compute,
+    /// Keeps a farm running, with a worker; what is unfinished is continued.
+    Serve,
 }
 
 #[derive(Debug)]
@@ -199,7 +202,11 @@ impl Connection {
             );
         }
         // Starting a coordinator only for a query is not recorded as an event.
-        let config = Config { start_is_event: purpose == Purpose::Compute, ..coordinator(data)? };
+        let config = Config {
+            start_is_event: purpose != Purpose::Ask,
+            holds_unfinished: purpose != Purpose::Serve,
+            ..coordinator(data)?
+        };
         let start = tokio::time::Instant::now();
         loop {
             match Coordinator::open(&config).await {
@@ -228,7 +235,7 @@ impl Connection {
         let target = loopback(&listener.local_addr()?.to_string())?;
         let (stop_coordinator, stop_worker) = (CancellationToken::new(), CancellationToken::new());
         let coordinator = tokio::spawn(coordinator.serve(listener, gate, None, stop_coordinator.clone()));
-        let worker = (purpose == Purpose::Compute).then(|| {
+        let worker = (purpose != Purpose::Ask).then(|| {
             let work = farm_worker::run(Self::worker(target.clone()), stop_worker.clone());
             let stop_coordinator = stop_coordinator.clone();
             tokio::spawn(async move {

@@ -10,7 +10,7 @@ use std::path::Path;
 use farm_lab::document::{Block, ValueTable};
 use farm_lab::measurement_file::{MeasurementFile, Note, read_measurements};
 use farm_link::logs::to_stderr;
-use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::status::DictionaryStatus;
 use optics_model::Invalid;
 use serde::Serialize;
 
@@ -229,17 +229,12 @@ pub(crate) fn now_unix_s() -> i64 {
     since.map_or(0, |d| d.as_secs() as i64)
 }
 
-/// The reason of dictionaries that a command has left unfinished.
-pub(crate) const INTERRUPTED: &str = "interrupted";
-
-pub(crate) fn is_interrupted(status: &DictionaryStatus) -> bool {
-    status.state() == DictionaryState::Cancelled && status.reason == INTERRUPTED
-}
-
 /// The state of a dictionary, as in "done, 2 disputed".
 pub(crate) fn state(status: &DictionaryStatus) -> String {
-    match (if is_interrupted(status) { "interrupted" } else { status.state().as_str() }, status.jobs_disputed)
-    {
+    match (
+        if status.is_interrupted() { "interrupted" } else { status.state().as_str() },
+        status.jobs_disputed,
+    ) {
         (state, 0) => state.to_owned(),
         (state, disputed) => format!("{state}, {disputed} disputed"),
     }

@@ -28,6 +28,9 @@ pub struct Config {
     pub question_pixels: usize,
     /// Whether the start of the coordinator is recorded as an event.
     pub start_is_event: bool,
+    /// Whether dictionaries that are unfinished at the start wait until they are resumed, without a change in the
+    /// database: a command computes its own.
+    pub holds_unfinished: bool,
 }
 
 impl Config {
@@ -51,6 +54,7 @@ impl Config {
             fit_memory_bytes: Self::fit_memory_bytes(usable_bytes()),
             question_pixels: FitLimits::QUESTION_PIXELS,
             start_is_event: true,
+            holds_unfinished: false,
         }
     }
 }

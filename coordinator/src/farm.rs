@@ -277,7 +277,10 @@ async fn dispatcher_of(store: &Store, config: &Config) -> Result<Dispatcher, Sto
     }
     for stored in store.dictionaries().await? {
         let ended = store.ended_jobs(stored.id, &stored.grid).await?;
-        let dictionary = Dictionary::new(stored, &ended);
+        let mut dictionary = Dictionary::new(stored, &ended);
+        if config.holds_unfinished {
+            dictionary.hold();
+        }
         if !dictionary.is_active() && dictionary.open_jobs() > 0 {
             let (name, state) = (dictionary.name(), dictionary.state().as_str());
             tracing::info!(%name, state, reason = dictionary.reason(), "not continued");

@@ -57,6 +57,9 @@ impl JobState {
     pub const ALL: [Self; 5] = [Self::Waiting, Self::Computing, Self::Done, Self::Checked, Self::Failed];
 }
 
+/// The reason of dictionaries that a command has left unfinished.
+pub const INTERRUPTED: &str = "interrupted";
+
 /// Largest number of failed jobs in a status; complete lists come in pages.
 pub const FAILED_JOBS: usize = 1000;
 
@@ -120,6 +123,11 @@ impl DictionaryStatus {
 
     pub fn state(&self) -> DictionaryState {
         self.state
+    }
+
+    /// Whether it waits because the command that computed it has ended.
+    pub fn is_interrupted(&self) -> bool {
+        self.state == DictionaryState::Cancelled && self.reason == INTERRUPTED
     }
 
     /// Whether the workers of some of the jobs given up fell silent.

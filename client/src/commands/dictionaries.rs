@@ -5,7 +5,6 @@ pub(crate) mod explain;
 pub(crate) mod export;
 mod following;
 mod forecast;
-pub(crate) mod interrupted;
 pub(crate) mod list;
 pub(crate) mod manage;
 pub(crate) mod show;

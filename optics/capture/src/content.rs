@@ -1,6 +1,5 @@
 //! Recognises what a photograph of a session shows, so that a folder of photographs can be sorted by purpose. Shots of the
-//! board are compared with each other: the bare one has the most contrast, and slabs differ where
-//! they lie.
+//! board are compared with each other: the bare one has the most contrast, and slabs differ where they lie.
 
 use std::collections::BTreeSet;
 
@@ -93,8 +92,8 @@ impl FrameNumbers {
     }
 }
 
-/// The subject of a photograph. Without dark shots, the black level is that of its file.
-/// `most` is the number at which the sensor saturates.
+/// The subject of a photograph. Without dark shots, the black level is that of its file. `most` is the number at which the
+/// sensor saturates.
 pub fn content(photo: &Photo, darks: Darks, most: f64) -> Result<ShotContent, Refusal> {
     let black = darks.finish(photo)?;
     let view = PhotoView { photo, black: &black, flat: &Flat::even() };
@@ -115,11 +114,12 @@ pub fn content(photo: &Photo, darks: Darks, most: f64) -> Result<ShotContent, Re
     }
     Ok(match free_length_px(view) {
         None => ShotContent::Even,
-        Some(edges_px) => {
-            let shorter = photo.frame.width().min(photo.frame.height()) as f64;
-            let is_board = edges_px >= BOARD * shorter;
+        Some(edges_px) if edges_px < BOARD * photo.frame.width().min(photo.frame.height()) as f64 => {
+            ShotContent::Other
+        }
+        Some(_) => {
             let (light, columns) = tiles.coarse();
-            if is_board { ShotContent::Board(BoardGlance { light, columns }) } else { ShotContent::Other }
+            ShotContent::Board(BoardGlance { light, columns })
         }
     })
 }

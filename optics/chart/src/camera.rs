@@ -42,8 +42,8 @@ pub fn linear_srgb(lab: [f64; 3]) -> [f64; 3] {
     let cube = |f: f64| if f > 6.0 / 29.0 { f * f * f } else { (116.0 * f - 16.0) * 27.0 / 24389.0 };
     let xyz = [y + lab[1] / 500.0, y, y - lab[2] / 200.0].map(cube);
     let xyz = nalgebra::Vector3::from_fn(|i, _| xyz[i] * whites[i]);
-    let of_rgb = Matrix3::from_fn(|i, j| XYZ_OF_RGB[i][j]);
-    of_rgb.try_inverse().map_or([0.0; 3], |inverse| (inverse * xyz).into())
+    let from_rgb = Matrix3::from_fn(|i, j| XYZ_OF_RGB[i][j]);
+    from_rgb.try_inverse().map_or([0.0; 3], |inverse| (inverse * xyz).into())
 }
 
 /// The difference b − a of two colours in lightness, chroma and hue, each over its weight in CIEDE2000.
@@ -63,7 +63,7 @@ pub fn delta_e_2000(a: [f64; 3], b: [f64; 3]) -> f64 {
 struct ColourWeights {
     /// Factor of a*.
     stretch: f64,
-    of_each: [f64; 3],
+    semi_axes: [f64; 3],
     rotation: f64,
 }
 
@@ -86,10 +86,10 @@ impl ColourWeights {
             1.0 - 0.17 * cos(h - degrees(30.0)) + 0.24 * cos(2.0 * h) + 0.32 * cos(3.0 * h + degrees(6.0))
                 - 0.2 * cos(4.0 * h - degrees(63.0));
         let from_50 = (l - 50.0).powi(2);
-        let of_each = [1.0 + 0.015 * from_50 / sqrt(20.0 + from_50), 1.0 + 0.045 * c, 1.0 + 0.015 * c * t];
+        let semi_axes = [1.0 + 0.015 * from_50 / sqrt(20.0 + from_50), 1.0 + 0.045 * c, 1.0 + 0.015 * c * t];
         let from_275 = (h.rem_euclid(std::f64::consts::TAU).to_degrees() - 275.0) / 25.0;
         let rotation = -2.0 * seventh(c) * sin(degrees(60.0 * exp(-from_275 * from_275)));
-        Self { stretch, of_each, rotation }
+        Self { stretch, semi_axes, rotation }
     }
 
     /// ΔL/S_L, ΔC/S_C + R ΔH/(2 S_H), and ΔH √(1 − R²/4)/S_H: the sum of their squares is that of CIEDE2000.
@@ -99,7 +99,8 @@ impl ColourWeights {
         let dot = self.stretch * self.stretch * a[1] * b[1] + a[2] * b[2];
         // 2 √(C₁ C₂) sin(Δh/2), which is smooth where a colour is grey.
         let hue = if cross == 0.0 { 0.0 } else { cross.signum() } * sqrt((2.0 * (c * d - dot)).max(0.0));
-        let [l, c, h] = [(b[0] - a[0]) / self.of_each[0], (d - c) / self.of_each[1], hue / self.of_each[2]];
+        let [l, c, h] =
+            [(b[0] - a[0]) / self.semi_axes[0], (d - c) / self.semi_axes[1], hue / self.semi_axes[2]];
         [l, c + 0.5 * self.rotation * h, h * sqrt(1.0 - 0.25 * self.rotation * self.rotation)]
     }
 }

@@ -303,8 +303,8 @@ pub(crate) fn light(
 
 /// Values after sheen, matrix and light.
 fn seen(v: &[f64], matrix: Option<&Matrix>, sheen: f64, light: f64) -> Vec<f64> {
-    let of_camera = matrix.map(|matrix| camera::product(matrix, v).to_vec());
-    of_camera.unwrap_or_else(|| v.to_vec()).iter().map(|v| light * (v + sheen)).collect()
+    let in_camera = matrix.map(|matrix| camera::product(matrix, v).to_vec());
+    in_camera.unwrap_or_else(|| v.to_vec()).iter().map(|v| light * (v + sheen)).collect()
 }
 
 /// Expected less measured: of colours as ΔE₀₀, else of logarithms.

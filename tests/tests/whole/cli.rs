@@ -124,7 +124,7 @@ fn interrupted_submission_can_continue_later() {
         assert_eq!(run(dir.path(), &["submit", "other.toml", "--name", &name, "-q"]).code, 0);
         assert!(run(dir.path(), &["list"]).stdout.contains("long        interrupted"));
     }
-    let removed = || json(&run(dir.path(), &["data", "--remove-unfinished", "--json"]), "data");
+    let removed = || json(&run(dir.path(), &["data", "--remove-unfinished", "--yes", "--json"]), "data");
     assert_eq!(removed()["removed"], serde_json::json!(["long"]));
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);
     assert!(!run(dir.path(), &["list"]).stdout.contains("interrupted"));

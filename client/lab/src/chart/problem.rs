@@ -142,8 +142,8 @@ fn reflectances(file: &ChartFile, base: &str) -> Result<Vec<Option<f64>>> {
         return Ok(vec![Some(rho); file.channels.len()]);
     }
     let given = |channel: &String| {
-        let of_settings = (base == REST).then_some(&file.settings.base);
-        of_settings.and_then(|rho| rho.get(channel).or_else(|| rho.get("all")).copied())
+        let given = (base == REST).then_some(&file.settings.base);
+        given.and_then(|rho| rho.get(channel).or_else(|| rho.get("all")).copied())
     };
     let other = file.settings.base.keys().find(|name| *name != "all" && !file.channels.contains(name));
     if let Some(other) = other {

@@ -1,6 +1,6 @@
 //! Implements `farmctl data`: lists what takes room in a farm, and deletes what will not be finished.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
 use farm_lab::document::{Block, ValueTable};
 use farm_proto::status::{DictionaryState, DictionaryStatus};
@@ -8,7 +8,6 @@ use farm_proto::wire::{DeleteRequest, StatusRequest};
 use serde::Serialize;
 
 use super::forecast::job_bytes;
-use super::interrupted::set_aside;
 use super::list;
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, patient, with_farm};
@@ -18,12 +17,15 @@ use crate::output::{Output, grouped, state, utc};
 #[command(after_help = "\
 Examples:
   farmctl data
-  farmctl data --remove-unfinished                what was interrupted, cancelled, given up or outdated
+  farmctl data --remove-unfinished --yes          what was interrupted, cancelled, given up or outdated
   farmctl delete fine --yes                       one that is no longer needed")]
 pub(crate) struct DataArgs {
     /// Delete all dictionaries that nothing computes and that are not done, with the records that no other one uses.
-    #[arg(long)]
+    #[arg(long, requires = "yes")]
     remove_unfinished: bool,
+    /// Confirm; nothing is deleted without this.
+    #[arg(long)]
+    yes: bool,
 }
 
 #[derive(Debug, Serialize)]
@@ -50,14 +52,13 @@ pub(crate) async fn run(global: &Global, args: &DataArgs, output: &Output) -> Re
 
 async fn fetch(connection: &Connection, args: &DataArgs) -> Result<DataJson> {
     let mut removed = Vec::new();
-    if args.remove_unfinished {
-        set_aside(connection).await?;
-    }
-    let mut dictionaries = list::shown(connection).await?;
+    let mut dictionaries = list::fetch(connection).await?;
     if args.remove_unfinished {
         for unfinished in dictionaries.extract_if(.., |d| is_unfinished(d)) {
             let request = DeleteRequest { name: unfinished.name.to_string() };
-            connection.dictionaries().delete(patient(request)).await?;
+            let deleted = connection.dictionaries().delete(patient(request)).await;
+            let before = || format!("{} of the unfinished ones are deleted", removed.len());
+            deleted.with_context(before)?;
             removed.push(unfinished.name.to_string());
         }
     }

@@ -104,7 +104,7 @@ struct Following<'a> {
     outage: Outage<'a>,
     /// When a job was last running; `None` once the lack of workers is reported.
     busy: Option<Instant>,
-    /// Whether it is reported that results cannot be stored.
+    /// Whether results could not be stored at the last look.
     is_stuck: bool,
 }
 
@@ -211,14 +211,16 @@ impl<'a> Following<'a> {
         Ok(())
     }
 
-    /// Reports once that results cannot be stored. A farm in this process would compute in vain: the command ends.
+    /// Reports once that results cannot be stored. A farm in this process would compute in vain: at the second look in a
+    /// row the command ends.
     async fn look_at_store(&mut self) -> Result<()> {
         let fault = self.connection.farm().status(StatusRequest {}).await?.into_inner().store_fault;
         if fault.is_empty() {
             self.is_stuck = false;
             return Ok(());
         }
-        if self.connection.is_embedded() {
+        let was_stuck = std::mem::replace(&mut self.is_stuck, true);
+        if was_stuck && self.connection.is_embedded() {
             let (done, total) = (self.status.records_done() as u64, self.status.records_total() as u64);
             bail!(
                 "results cannot be stored: {fault}; {} of {} records are there: make room on the disk, and run the same \
@@ -227,7 +229,7 @@ impl<'a> Following<'a> {
                 grouped(total)
             );
         }
-        if !std::mem::replace(&mut self.is_stuck, true) {
+        if !was_stuck && !self.connection.is_embedded() {
             self.progress.print(&format!("results cannot be stored: {fault}; workers keep them meanwhile"));
         }
         Ok(())

@@ -1,13 +1,13 @@
 //! Implements `farmctl list`, and fetches the list of dictionaries for other verbs.
 
 use anyhow::Result;
-use farm_proto::status::{DictionaryState, DictionaryStatus};
+use farm_proto::status::DictionaryStatus;
 use farm_proto::wire::ListRequest;
 use serde::Serialize;
 
 use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
-use crate::output::{DictionaryJson, INTERRUPTED, Output, duration, grouped, share_of_work, state, table};
+use crate::output::{DictionaryJson, Output, duration, grouped, share_of_work, state, table};
 
 #[derive(Debug, Serialize)]
 pub(crate) struct ListJson {
@@ -15,23 +15,12 @@ pub(crate) struct ListJson {
 }
 
 pub(crate) async fn run(global: &Global, output: &Output) -> Result<()> {
-    let dictionaries = with_farm(global, Purpose::Ask, shown).await?;
+    let dictionaries = with_farm(global, Purpose::Ask, fetch).await?;
     output.print("list", &data(&dictionaries), || text(&dictionaries))
 }
 
 pub(crate) fn data(dictionaries: &[DictionaryStatus]) -> ListJson {
     ListJson { dictionaries: dictionaries.iter().map(Into::into).collect() }
-}
-
-/// The dictionaries as people see them: in a folder in which no process computes, an unfinished one is interrupted.
-pub(crate) async fn shown(connection: &Connection) -> Result<Vec<DictionaryStatus>> {
-    let mut dictionaries = fetch(connection).await?;
-    for status in
-        dictionaries.iter_mut().filter(|d| connection.is_embedded() && d.state == DictionaryState::Running)
-    {
-        (status.state, status.reason) = (DictionaryState::Cancelled, INTERRUPTED.to_owned());
-    }
-    Ok(dictionaries)
 }
 
 pub(crate) async fn fetch(connection: &Connection) -> Result<Vec<DictionaryStatus>> {

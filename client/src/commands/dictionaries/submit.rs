@@ -9,14 +9,13 @@ use farm_lab::grid_file::{named_grid, read_grid, with_responses};
 use farm_link::logs::to_stderr;
 use farm_proto::DictionaryName;
 use farm_proto::status::{DictionaryState, DictionaryStatus};
-use farm_proto::wire::SubmitRequest;
+use farm_proto::wire::{ResumeRequest, SubmitRequest};
 use optics_model::Grid;
 use optics_model::grid::NoiseLevel;
 use tokio::task::block_in_place;
 
 use super::following::{self, follow};
 use super::forecast::Forecast;
-use super::interrupted::{continued, interrupt, set_aside};
 use super::list;
 use super::watch::line;
 use crate::cli::Global;
@@ -68,7 +67,6 @@ pub(crate) async fn run(global: &Global, args: SubmitArgs, output: &Output) -> R
     };
     let name = DictionaryName::new(args.name.clone().unwrap_or(default_name))?;
     let (status, end) = with_farm(global, Purpose::Compute, async |connection| {
-        set_aside(connection).await?;
         submit(connection, &name, &grid, &args, global.quiet).await
     })
     .await?;
@@ -153,7 +151,11 @@ async fn submit(
     let forecast = is_wanted.then(|| block_in_place(|| Forecast::new(grid)));
     let request = SubmitRequest { name: name.to_string(), grid: Some(grid.into()), priority: args.priority };
     let submitted = connection.dictionaries().submit(patient(request)).await?.into_inner();
-    let mut status = continued(connection, DictionaryStatus::try_from(submitted)?).await?;
+    let mut status = DictionaryStatus::try_from(submitted)?;
+    if status.is_interrupted() {
+        let resume = ResumeRequest { name: name.to_string() };
+        status = connection.dictionaries().resume(resume).await?.into_inner().try_into()?;
+    }
     if !args.wait && connection.is_server() {
         return Ok((status, SubmitEnd::Submitted));
     }
@@ -162,13 +164,7 @@ async fn submit(
     }
     match follow(connection, &mut status, quiet).await? {
         following::FollowEnd::Interrupted if !connection.is_embedded() => Ok((status, SubmitEnd::Left)),
-        end => {
-            if matches!(end, following::FollowEnd::Interrupted) {
-                // The next command does so where the farm has failed.
-                interrupt(connection, &status).await.ok();
-            }
-            Ok((status, SubmitEnd::Followed(end)))
-        }
+        end => Ok((status, SubmitEnd::Followed(end))),
     }
 }
 

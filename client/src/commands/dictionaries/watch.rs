@@ -15,7 +15,7 @@ use crate::cli::Global;
 use crate::connection::{Connection, Purpose, with_farm};
 use crate::exit;
 use crate::interrupt::Interrupted;
-use crate::output::{DictionaryJson, Output, grouped, is_interrupted, state};
+use crate::output::{DictionaryJson, Output, grouped, state};
 
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -139,7 +139,7 @@ pub(crate) fn line(status: &DictionaryStatus) -> String {
     if status.jobs_failed > 0 {
         line += &format!(", {} jobs given up", grouped(status.jobs_failed as u64));
     }
-    if is_interrupted(status) {
+    if status.is_interrupted() {
         line += " (the same command again continues it)";
     } else if !status.reason.is_empty() {
         line += &format!(" ({})", status.reason);

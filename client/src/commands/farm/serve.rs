@@ -33,7 +33,7 @@ struct ServeJson {
 }
 
 pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> Result<()> {
-    let mut connection = Connection::open(global, Purpose::Compute).await?;
+    let mut connection = Connection::open(global, Purpose::Serve).await?;
     if connection.is_server() {
         bail!(
             "the farm at {} runs already: serve runs that of a folder, without --server and --access",
@@ -61,7 +61,7 @@ pub(crate) async fn run(global: &Global, args: &ServeArgs, output: &Output) -> R
         }
         // The process that held the folder has ended: this one takes over.
         connection = tokio::select! {
-            opened = Connection::open(global, Purpose::Compute) => opened?,
+            opened = Connection::open(global, Purpose::Serve) => opened?,
             () = &mut stopped => return Ok(()),
         };
     }

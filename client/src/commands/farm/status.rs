@@ -65,7 +65,7 @@ async fn fetch(connection: &Connection) -> Result<FarmOverview> {
     // A coordinator that only this command has started does not count as running.
     let address = (!connection.is_embedded()).then(|| connection.address().to_owned());
     let status = connection.farm().status(StatusRequest {}).await?.into_inner();
-    Ok((address, status, workers::fetch(connection).await?, list::shown(connection).await?))
+    Ok((address, status, workers::fetch(connection).await?, list::fetch(connection).await?))
 }
 
 fn text(

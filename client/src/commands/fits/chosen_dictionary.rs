@@ -11,7 +11,6 @@ use optics_model::{Digest, Grid};
 use crate::cli::Global;
 use crate::commands::dictionaries::list;
 use crate::connection::{Connection, Purpose, lacks_farm, with_farm};
-use crate::output::is_interrupted;
 
 /// The dictionary of a laboratory's own measurements, which `measure` computes if there is none.
 const USUAL: &str = "lab";
@@ -113,7 +112,7 @@ pub(crate) async fn or_lacking(
     if !dictionaries.iter().any(|d| d.name.as_str() == name) {
         return Ok(wanted.map_or(Chosen::Complete(name), Chosen::Lacking));
     }
-    let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running || is_interrupted(d);
+    let is_running = |d: &DictionaryStatus| d.state() == DictionaryState::Running || d.is_interrupted();
     let running = dictionaries.into_iter().find(|d| d.name.as_str() == name && is_running(d));
     Ok(match running {
         Some(d) if given.is_none() || built_in(&name).is_some() => {

@@ -32,7 +32,7 @@ pub(super) struct FarmAccess {
 
 impl FarmAccess {
     pub async fn open(global: &Global) -> Result<Self> {
-        let connection = Connection::open(global, Purpose::Compute).await?;
+        let connection = Connection::open(global, Purpose::Serve).await?;
         Ok(Self {
             global: global.clone(),
             connection: Mutex::new(Some(Arc::new(connection))),
@@ -50,7 +50,7 @@ impl FarmAccess {
         if self.closing.is_cancelled() {
             return Err(ending());
         }
-        let opened = Connection::open(&self.global, Purpose::Compute).await;
+        let opened = Connection::open(&self.global, Purpose::Serve).await;
         let opened = Arc::new(opened.map_err(|error| Status::unavailable(format!("{error:#}")))?);
         *connection = Some(Arc::clone(&opened));
         Ok(opened)

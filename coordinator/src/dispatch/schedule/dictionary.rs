@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use farm_proto::DictionaryName;
 use farm_proto::ids::DictionaryId;
-use farm_proto::status::DictionaryState;
+use farm_proto::status::{DictionaryState, INTERRUPTED};
 use optics_model::job::JobSpec;
 use optics_model::{Digest, Grid, Invalid, Walks};
 
@@ -330,6 +330,13 @@ impl Dictionary {
         self.stored.desire = desire;
         if self.too_large.is_none() {
             self.stored.reason = reason;
+        }
+    }
+
+    /// Interrupts it if it is unfinished, until it is resumed; the database is not changed.
+    pub fn hold(&mut self) {
+        if self.state() == DictionaryState::Running {
+            self.set_desire(DesiredState::Cancel, INTERRUPTED.to_owned());
         }
     }
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use farm_proto::status::DictionaryState;
+use farm_proto::status::{DictionaryState, INTERRUPTED};
 
 use super::{Dictionary, Schedule};
 use crate::dispatch::roster::Roster;
@@ -36,6 +36,11 @@ impl Schedule {
             DictionaryState::Cancelled if dictionary.too_large.is_some() => {
                 reasons.push(Reason::new("TOO_LARGE", dictionary.reason()));
             }
+            DictionaryState::Cancelled if dictionary.reason() == INTERRUPTED => reasons.push(Reason::new(
+                "INTERRUPTED",
+                "the command that computed it has ended: `farmctl submit` with the same grid file and name continues it, \
+                 and so does the same `farmctl measure`",
+            )),
             DictionaryState::Cancelled => {
                 let why =
                     if dictionary.reason().is_empty() { "no reason given" } else { dictionary.reason() };

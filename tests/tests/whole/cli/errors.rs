@@ -127,7 +127,7 @@ fn explain_suggests_submit_in_an_idle_folder() {
     let explained = run(dir.path(), &["explain", "long"]);
     assert_eq!(explained.code, 0, "{}", explained.stderr);
     let expected =
-        "nothing computes in this folder at the moment: `farmctl submit` with the same grid file and name";
+        "the command that computed it has ended: `farmctl submit` with the same grid file and name";
     assert!(explained.stdout.contains(expected), "{}", explained.stdout);
     assert!(!explained.stdout.contains("farm-worker"), "{}", explained.stdout);
 }

@@ -10,7 +10,6 @@ use optics_model::{Grid, Scene};
 
 use crate::answers::MeasureAnswer;
 use crate::cli::Global;
-use crate::commands::dictionaries::interrupted::set_aside;
 use crate::commands::dictionaries::submit;
 use crate::commands::fits::chosen_dictionary::{self, Chosen, WantedDictionary};
 use crate::commands::fits::dictionary_notes;
@@ -90,7 +89,6 @@ async fn ask_once(
     let purpose = if wanted.is_some() { Purpose::Compute } else { Purpose::Ask };
     with_farm(global, purpose, async |connection| {
         let dictionary = if let Some(WantedDictionary { name, grid, .. }) = wanted {
-            set_aside(connection).await?;
             submit::ensure(connection, name, grid, global.quiet).await?;
             name.to_string()
         } else {
