@@ -63,6 +63,18 @@ pub fn program(name: &str) -> PathBuf {
     FOLDER.get_or_init(programs).join(name)
 }
 
+/// A copy of a program in a folder, for other users: the build folder may be closed to them. Another process writes it: a
+/// file that this one has open cannot be run while a program that another thread has just started still holds it.
+///
+/// # Panics
+/// If it cannot be written.
+pub fn copied_program(name: &str, folder: &Path) -> PathBuf {
+    let copy = folder.join(name);
+    let copied = Command::new("cp").args([&program(name), &copy]).status();
+    assert!(copied.is_ok_and(|status| status.success()), "{} is copied", copy.display());
+    copy
+}
+
 fn programs() -> PathBuf {
     if let Some(folder) = std::env::var_os("FARM_TEST_PROGRAMS") {
         return folder.into();

@@ -46,7 +46,7 @@ const WORD_BUDGETS: [(&str, usize); 12] = [
     ("optics", 25),
     ("proto", 6),
     ("python", 5),
-    ("tests", 2),
+    ("tests", 1),
     ("web", 0),
     ("worker", 0),
 ];

@@ -124,6 +124,8 @@ fn interrupted_submission_can_continue_later() {
         assert_eq!(run(dir.path(), &["submit", "other.toml", "--name", &name, "-q"]).code, 0);
         assert!(run(dir.path(), &["list"]).stdout.contains("long        interrupted"));
     }
+    // Its state in the database is as it was: a server in this folder would continue it.
+    assert!(!run(dir.path(), &["events", "-n", "1000"]).stdout.contains("CANCELLED"));
     let removed = || json(&run(dir.path(), &["data", "--remove-unfinished", "--yes", "--json"]), "data");
     assert_eq!(removed()["removed"], serde_json::json!(["long"]));
     assert_eq!(run(dir.path(), &["submit", "long.toml", "-q"]).code, 0);

@@ -17,7 +17,7 @@ use crate::output::{Output, grouped, state, utc};
 #[command(after_help = "\
 Examples:
   farmctl data
-  farmctl data --remove-unfinished --yes          what was interrupted, cancelled, given up or outdated
+  farmctl data --remove-unfinished --yes          interrupted, cancelled and outdated ones
   farmctl delete fine --yes                       one that is no longer needed")]
 pub(crate) struct DataArgs {
     /// Delete all dictionaries that nothing computes and that are not done, with the records that no other one uses.

@@ -5,7 +5,7 @@ use std::os::unix::process::CommandExt;
 use std::process::Command;
 
 use farm_tests::cli::{GRID, HEAD, begin_to_submit, fails, fails_line, farm, folder, rows, run_line, write};
-use farm_tests::process::{Ran, program, run};
+use farm_tests::process::{Ran, copied_program, program, run};
 
 #[test]
 fn scene_file_describes_any_stack() {
@@ -158,10 +158,7 @@ fn unwritable_data_folder_is_refused() {
     std::fs::create_dir(&data).unwrap();
     std::fs::set_permissions(dir.path(), std::fs::Permissions::from_mode(0o755)).unwrap();
     std::fs::set_permissions(&data, std::fs::Permissions::from_mode(0o555)).unwrap();
-    // The build folder may be closed to others, so user `nobody` gets a copy.
-    let copy = dir.path().join("farmctl");
-    std::fs::copy(program("farmctl"), &copy).unwrap();
-    let mut command = Command::new(copy);
+    let mut command = Command::new(copied_program("farmctl", dir.path()));
     command.args(["submit", "--data"]).arg(&data).current_dir(dir.path());
     if std::fs::write(data.join("probe"), "").is_ok() {
         std::fs::remove_file(data.join("probe")).unwrap();

@@ -82,15 +82,11 @@ async fn neighbours_do_not_disturb_the_own_user() {
     drop(crowd);
 }
 
-/// Copies of programs in a folder that other users may write to: the build folder may be closed to them.
+/// Copies of programs in a folder that other users may write to.
 fn for_others<const N: usize>(names: [&str; N]) -> (tempfile::TempDir, [PathBuf; N]) {
     let folder = tempfile::tempdir().unwrap();
     std::fs::set_permissions(folder.path(), std::fs::Permissions::from_mode(0o777)).unwrap();
-    let copies = names.map(|name| {
-        let copy = folder.path().join(name);
-        std::fs::copy(farm_tests::process::program(name), &copy).unwrap();
-        copy
-    });
+    let copies = names.map(|name| farm_tests::process::copied_program(name, folder.path()));
     (folder, copies)
 }
 
